@@ -16,14 +16,14 @@ from lightopt import build_scene, load_rig
 from lightopt.defects import BUILT_IN_CATALOGUE, CatalogueEntry, DefectShape
 from lightopt.design import (
     Contrast,
-    Detectability,
-    Inspection,
+    DefectHypothesis,
+    DetectabilityObjective,
+    DetectionModel,
     LuminanceMatrix,
-    Trial,
+    defect_hypotheses,
     find_candidates,
     luminance_matrix,
     search,
-    unroll,
 )
 from lightopt.rendering import build_patches, cast_rays_at
 
@@ -36,9 +36,9 @@ FEW_POSITIONS = 4
 """Positions of each light in the comparison of matrices with converged panels."""
 
 
-def three_slopes() -> tuple[Trial, ...]:
+def three_slopes() -> tuple[DefectHypothesis, ...]:
     """Eight directions of three slopes."""
-    return unroll(
+    return defect_hypotheses(
         [
             CatalogueEntry(
                 f"dent of {slope:g}°",
@@ -59,12 +59,19 @@ def run(size: Size) -> Report:
     for part in PARTS:
         for name, trials in (
             ("three slopes", three_slopes()),
-            ("built-in catalogue", unroll(BUILT_IN_CATALOGUE)),
+            ("built-in catalogue", defect_hypotheses(BUILT_IN_CATALOGUE)),
         ):
             matrix = matrix_rows(part, name, trials, scale, 4, repeats, matrices, numbers)
             searches += search_rows(part, name, matrix, trials, repeats, numbers)
         matrix_rows(
-            part, "built-in catalogue", unroll(BUILT_IN_CATALOGUE), scale, "auto", repeats, matrices, numbers
+            part,
+            "built-in catalogue",
+            defect_hypotheses(BUILT_IN_CATALOGUE),
+            scale,
+            "auto",
+            repeats,
+            matrices,
+            numbers,
         )
     numbers["peak_bytes"] = peak_bytes()
     return Report(
@@ -101,7 +108,7 @@ def run(size: Size) -> Report:
 def matrix_rows(
     part: str,
     name: str,
-    trials: tuple[Trial, ...],
+    trials: tuple[DefectHypothesis, ...],
     scale: Scale,
     points: int | str,
     repeats: int,
@@ -118,17 +125,17 @@ def matrix_rows(
     keep = np.random.default_rng(3).random(len(table.patches)) < wanted / table.visible.sum()
     table = replace(table, visible=table.visible & keep)
     panels = find_candidates(load_rig(RIG), step_deg=scale.step_deg, points=points).panels  # type: ignore[arg-type]
-    inspection = Inspection(
-        trials=trials, contrast=Contrast(sensor=scene.sensor, full_scale=scene.reflectance.full_scale)
+    inspection = DetectionModel(
+        hypotheses=trials, contrast=Contrast(sensor=scene.sensor, full_scale=scene.reflectance.full_scale)
     )
     few = tuple(
         tuple(light[k] for k in np.linspace(0, len(light) - 1, min(len(light), FEW_POSITIONS)).astype(int))
         for light in panels
     )
 
-    def made(some: tuple, looked_for: Inspection | None) -> LuminanceMatrix:  # type: ignore[type-arg]
+    def made(some: tuple, looked_for: DetectionModel | None) -> LuminanceMatrix:  # type: ignore[type-arg]
         return luminance_matrix(
-            scene, table, scene.postures[0], some, caster=caster, inspection=looked_for, threads=THREADS
+            scene, table, scene.postures[0], some, caster=caster, detection=looked_for, threads=THREADS
         )
 
     made(few, inspection)  # compiles
@@ -152,7 +159,7 @@ def search_rows(
     part: str,
     name: str,
     matrix: LuminanceMatrix,
-    trials: tuple[Trial, ...],
+    trials: tuple[DefectHypothesis, ...],
     repeats: int,
     numbers: dict[str, object],
 ) -> list[tuple[str, ...]]:
@@ -163,13 +170,13 @@ def search_rows(
     count = PLAIN_COMBINATIONS // 10
     drawn = [tuple(int(rng.integers(n)) for n in matrix.shape) for _ in range(count)]
     for seen_in in SEEN_IN:
-        objective = Detectability(trials, seen_in)
+        objective = DetectabilityObjective(trials, seen_in)
         weights = objective.weights(matrix.areas)
 
-        def fast(objective: Detectability = objective) -> object:
+        def fast(objective: DetectabilityObjective = objective) -> object:
             return search([matrix], objective, THRESHOLDS, keep=2, threads=THREADS)
 
-        def plain(objective: Detectability = objective, weights: object = weights) -> object:
+        def plain(objective: DetectabilityObjective = objective, weights: object = weights) -> object:
             return [objective.score(matrix.combination(c), weights, THRESHOLDS) for c in drawn]  # type: ignore[arg-type]
 
         fast()  # compiles

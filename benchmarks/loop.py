@@ -32,8 +32,14 @@ from benchmarks.inspection import FALSE_ALARMS, FIRST, replace_block
 from lightopt import build_scene, load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
 from lightopt.defects import BUILT_IN_CATALOGUE, PlacedDefect, radial_place, surface_coordinates
-from lightopt.design import Contrast, Visibility, flags_of, luminance_matrix, unroll
-from lightopt.design import Inspection as LookedFor
+from lightopt.design import (
+    Contrast,
+    DetectionModel,
+    Visibility,
+    defect_hypotheses,
+    luminance_matrix,
+    unpack_flags,
+)
 from lightopt.images import ImageSet, read_image_set
 from lightopt.inspection import (
     SCALES_PX,
@@ -141,14 +147,14 @@ class Prediction:
         caster = cast_rays_at(scene)
         self.table: PatchTable = build_patches(scene, caster=caster, budget=patches)
         contrast = Contrast(sensor=scene.sensor, full_scale=scene.reflectance.full_scale)
-        self.trials = unroll(BUILT_IN_CATALOGUE)
+        self.trials = defect_hypotheses(BUILT_IN_CATALOGUE)
         matrix = luminance_matrix(
             scene,
             self.table,
             scene.postures[0],
             [(light,) for light in scene.lights],
             caster=caster,
-            inspection=LookedFor(trials=self.trials, contrast=contrast),
+            detection=DetectionModel(hypotheses=self.trials, contrast=contrast),
         )
         assert matrix.visibility is not None
         self.visibility: Visibility = matrix.visibility
@@ -156,7 +162,7 @@ class Prediction:
     def seen(self, seen_in: int) -> Bool:
         """Whether enough images show each trial on each patch, shape (p, t)."""
         words = self.visibility.seen((0,) * len(self.visibility.words), seen_in)
-        return flags_of(words, len(self.trials))
+        return unpack_flags(words, len(self.trials))
 
     def trials_of(self, name: str) -> Bool:
         """The trials of an entry of the catalogue, shape (t,)."""

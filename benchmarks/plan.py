@@ -16,21 +16,21 @@ from lightopt import build_scene, load_part, load_rig
 from lightopt.core.transforms import Posture
 from lightopt.design import (
     DRAWN_PATCHES,
-    Choice,
     Contrast,
-    Inspection,
+    DetectionModel,
+    ImageEvaluator,
     PairAssessment,
+    PostureChoice,
+    PostureRequest,
     Setup,
-    Survey,
     Tolerances,
-    Wanted,
+    analyse_tolerances,
     choose_postures,
     counts_of_images,
+    defect_hypotheses,
     drawn_patches,
     find_candidates,
     place_lights,
-    trust_of,
-    unroll,
 )
 from lightopt.rendering import build_patches, cast_rays_at
 from lightopt.scene import build_catalogue
@@ -82,18 +82,18 @@ def run(size: Size) -> Report:
         caster = cast_rays_at(scene)
         table = build_patches(scene, caster=caster, budget=scale.patches)
         contrast = Contrast(sensor=scene.sensor, full_scale=scene.reflectance.full_scale)
-        trials = unroll(build_catalogue(part))
-        whole = Survey(
+        trials = defect_hypotheses(build_catalogue(part))
+        whole = ImageEvaluator(
             scene=scene,
             table=table,
             caster=caster,
-            inspection=Inspection(trials=trials, contrast=contrast),
+            detection=DetectionModel(hypotheses=trials, contrast=contrast),
             threads=THREADS,
         )
         drawn = replace(whole, table=drawn_patches(table, scale.drawn))
         cut = time.perf_counter() - start
         choice = choose_postures(
-            whole, drawn, scene.postures, scene.lights, candidates, Wanted(count=scale.chosen)
+            whole, drawn, scene.postures, scene.lights, candidates, PostureRequest(count=scale.chosen)
         )
         seconds, work = time.perf_counter() - start, time.process_time() - work
         cover = choice.cover
@@ -107,7 +107,7 @@ def run(size: Size) -> Report:
                 f"{peak_bytes() / 1e9:.2f}",
                 f"{cover.share:.1%}",
                 f"{cover.bound_share:.1%}",
-                f"{cover.all_reached / cover.total:.1%}",
+                f"{cover.all_covered / cover.total:.1%}",
             )
         )
         placed = placing(whole, choice, scale.fine)
@@ -127,8 +127,8 @@ def run(size: Size) -> Report:
             "peak_bytes": peak_bytes(),
             "share": cover.share,
             "bound": cover.bound_share,
-            "turns": choice.turns,
-            "lights_best_for_postures": choice.exact and choice.settled,
+            "turns": choice.iterations,
+            "lights_best_for_postures": choice.exact and choice.converged,
             "placing_seconds": {k: took for k, (_, took, _) in placed.items()},
         }
     return Report(
@@ -169,7 +169,9 @@ def run(size: Size) -> Report:
     )
 
 
-def placing(whole: Survey, choice: Choice, step_deg: float) -> dict[int, tuple[int, float, float]]:
+def placing(
+    whole: ImageEvaluator, choice: PostureChoice, step_deg: float
+) -> dict[int, tuple[int, float, float]]:
     """Combinations, seconds and processor seconds of placing the lights, by the images that must show a pair."""
     candidates = find_candidates(load_rig(RIG), step_deg=step_deg)
     images = [whole.flags(posture, candidates.panels) for posture in choice.postures[:2]]
@@ -190,7 +192,7 @@ def placing(whole: Survey, choice: Choice, step_deg: float) -> dict[int, tuple[i
     return took
 
 
-def tolerances(drawn: Survey, choice: Choice) -> tuple[float, int]:
+def tolerances(drawn: ImageEvaluator, choice: PostureChoice) -> tuple[float, int]:
     """What the worst corner keeps of the first posture's score, and the patches that this was worked out on."""
     rig = load_rig(RIG)
     setup = Setup(
@@ -200,6 +202,6 @@ def tolerances(drawn: Survey, choice: Choice) -> tuple[float, int]:
         exposures=((1.0,),),
     )
     names = [light.name for light in rig.lights]
-    assess = PairAssessment(drawn, setup, least=1)
-    trust = trust_of(assess, names, Tolerances(light_deg=2.0, pose_deg=1.0))
+    assess = PairAssessment(drawn, setup, seen_in=1)
+    trust = analyse_tolerances(assess, names, Tolerances(light_deg=2.0, pose_deg=1.0))
     return trust.worst / max(1, trust.score), len(drawn.patches)

@@ -19,9 +19,9 @@ from benchmarks.bare import THREADS
 from lightopt import build_scene, load_rig
 from lightopt.design import (
     OBJECTIVES,
+    LevelThresholds,
     LuminanceMatrix,
     Objective,
-    Thresholds,
     find_candidates,
     luminance_matrix,
     search,
@@ -33,7 +33,7 @@ from lightopt.scene import PanelLight, Scene
 __all__ = ["run"]
 
 PARTS = ("cover-knob", "spout")
-THRESHOLDS = Thresholds(shade=10, saturation=255)
+THRESHOLDS = LevelThresholds(shade=10, saturation=255)
 PLAIN_COMBINATIONS = 40
 REFINED = 1.3
 BLOCK_RAYS = 131_072

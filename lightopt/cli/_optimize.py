@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lightopt.cli._inputs import load_inputs
-from lightopt.cli._optimize_tables import show_optimum
+from lightopt.cli._optimize_tables import show_design
 from lightopt.cli._options import (
     Force,
     NoShadows,
@@ -22,13 +22,13 @@ from lightopt.cli._options import (
     parse_posture,
     parse_share,
 )
-from lightopt.cli._plan_options import plan_options
+from lightopt.cli._plan_options import given, plan_options
 from lightopt.cli._plan_tables import show_plan
 from lightopt.cli._terminal import say, say_warning, show_progress, show_table, show_time_left
 from lightopt.core.errors import CheckFailed, InputError
 
 if TYPE_CHECKING:
-    from lightopt.design import Optimum, TargetUnreached
+    from lightopt.design import DesignResult, TargetNotReached
 
 
 def optimize(
@@ -158,11 +158,11 @@ def optimize(
     chosen_points = None if points is None else parse_points(points)
     share = _parse_shade(shade_below)
     of_defects = "detectability" in (objective or ()) or not (choose_postures is target is exposures is None)
-    for option, given in (("--seen-in", seen_in), ("--threshold", threshold)):
-        if given is not None and not of_defects:
+    for option, value in (("--seen-in", seen_in), ("--threshold", threshold)):
+        if value is not None and not of_defects:
             raise InputError(f"{option} is of --objective detectability, which was not given")
 
-    wanted = plan_options(
+    plan = plan_options(
         choose_postures=choose_postures,
         target=target,
         posture_step=posture_step,
@@ -174,9 +174,9 @@ def optimize(
         tolerance_target=tolerance_target,
     )
 
-    from lightopt.design import DEFAULT_CONTRAST, DEFAULT_LIMIT, OptimizeOptions, TargetUnreached, plan
-    from lightopt.rendering import DEFAULT_PATCH_BUDGET
-    from lightopt.report import optimum_report, with_legend
+    from lightopt.design import OptimizeOptions, RunContext, TargetNotReached, finish_design, write_design
+    from lightopt.design import optimize as design
+    from lightopt.report import blind_pictures, optimum_report
 
     loaded_rig, loaded_part = load_inputs(rig, part)
     assert loaded_part is not None
@@ -186,46 +186,34 @@ def optimize(
         common_elevation=common_elevation,
         common_lights=common_lights,
         shade_below=share,
-        seen_in=1 if seen_in is None else seen_in,
-        contrast=DEFAULT_CONTRAST if threshold is None else threshold,
         postures=chosen_postures,
         points=chosen_points,
         shadows=not no_shadows,
-        patch_budget=DEFAULT_PATCH_BUDGET if patches is None else patches,
         keep_matrix=keep_matrix,
         images=not no_images,
+        report=not no_report,
         rows=rows,
-        limit=DEFAULT_LIMIT if max_combinations is None else max_combinations,
         threads=threads,
+        **given(seen_in=seen_in, contrast=threshold, patch_budget=patches, limit=max_combinations),
     )
     total = choose_postures or len(chosen_postures or loaded_part.postures)
     try:
         with (
-            show_progress("casting rays", total, quiet=quiet) as report,
-            show_time_left("searching", quiet=quiet) as searching,
+            show_progress("casting rays", total, quiet=quiet) as rays,
+            show_time_left("searching", quiet=quiet) as stage,
         ):
-            planned = plan(
-                loaded_rig,
-                loaded_part,
-                out,
-                options=options,
-                wanted=wanted,
-                force=force,
-                warn=say_warning,
-                tell=None if quiet else say,
-                report=report,
-                searching=searching,
-                page=None if no_report else optimum_report,
-                legend=with_legend,
-            )
-    except TargetUnreached as error:
+            run = RunContext(inform=None if quiet else say, warn=say_warning, rays=rays, stage=stage)
+            result = design(loaded_rig, loaded_part, out, options=options, plan=plan, force=force, run=run)
+            output = write_design(result, blind_pictures=blind_pictures(result), force=force, run=run)
+            finish_design(output, optimum_report(output) if options.report else None)
+    except TargetNotReached as error:
         if not quiet:
-            _show_reach(error)
+            _show_reachable(error)
         raise
     if not quiet:
-        show_optimum(planned.optimum)
-        show_plan(planned.result, out)
-    _refuse_nothing(planned.optimum, out)
+        show_design(output)
+        show_plan(result.plan, out)
+    _require_usable(result, out)
 
 
 def _parse_shade(text: str) -> float:
@@ -236,8 +224,8 @@ def _parse_shade(text: str) -> float:
     return value
 
 
-def _show_reach(error: TargetUnreached) -> None:
-    # where a target is out of reach: what so many postures show
+def _show_reachable(error: TargetNotReached) -> None:
+    # what each number of postures shows
     from lightopt.design import share_text
 
     rows = [
@@ -255,11 +243,11 @@ def _show_reach(error: TargetUnreached) -> None:
     )
 
 
-def _refuse_nothing(found: Optimum, out: Path) -> None:
+def _require_usable(result: DesignResult, out: Path) -> None:
     messages = [
-        f"{', '.join(map(str, result.postures))}: objective {answer.objective.name}: {answer.nothing}"
-        for result in found.results
-        for answer in result.answers[:1]
+        f"{', '.join(map(str, one.postures))}: objective {answer.objective.name}: {answer.nothing}"
+        for one in result.results
+        for answer in one.answers[:1]
         if answer.nothing is not None
     ]
     if messages:

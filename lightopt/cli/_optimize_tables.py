@@ -9,34 +9,40 @@ from lightopt.cli._terminal import say, show_table, together
 from lightopt.core.errors import counted
 
 if TYPE_CHECKING:
-    from lightopt.design import Answer, BlindReport, Objective, Optimum, SetResult
+    from lightopt.design import (
+        BlindSpotSummary,
+        DesignOutput,
+        DesignResult,
+        Objective,
+        ObjectiveResult,
+        SetResult,
+    )
     from lightopt.images import Overlap
 
 
-def show_optimum(found: Optimum) -> None:
+def show_design(output: DesignOutput) -> None:
     """Candidates, the best sets with every objective's score, overlaps, and where the files are."""
-    for out in found.offered.left_out:
+    result = output.result
+    for out in result.all_candidates.left_out:
         say(
             f"left out: {out.light} at elevation {out.elevation_deg:g}°, azimuth {out.azimuth_deg:g}°: it {out.reason}"
         )
-    if found.patches is not None:
-        say(found.patches)
-    if found.reused:
-        matrices = "matrix" if found.reused == 1 else "matrices"
-        say(f"{found.reused} kept luminance {matrices} reused")
-    _show_best(found)
-    if found.blind is not None:
-        _show_defects(found)
-        show_blind_spots(found.blind)
-    if found.written.overlaps:
-        show_overlaps(found.written.overlaps)
-    rigs = [path for path, _ in found.written.rigs]
-    report = [] if found.written.report is None else [found.written.report]
-    for path in (found.written.result, found.written.ranking, *found.written.files, *rigs, *report):
+    if result.patches is not None:
+        say(result.patches.message)
+    if result.reused:
+        matrices = "matrix" if result.reused == 1 else "matrices"
+        say(f"{result.reused} kept luminance {matrices} reused")
+    _show_best(result)
+    if result.blind is not None:
+        _show_defects(result)
+        show_blind_spots(result.blind)
+    if output.overlaps:
+        show_overlaps(output.overlaps)
+    for path in output.paths:
         say(f"{path}")
 
 
-def _show_best(found: Optimum) -> None:
+def _show_best(found: DesignResult) -> None:
     names = [answer.objective.name for answer in found.results[0].answers]
     counts = ("left out", "runner-up", "ties", "near best", "combinations")
     header = ["posture", "best for", *found.candidates.names, *names, *counts]
@@ -52,45 +58,41 @@ def _show_best(found: Optimum) -> None:
 
 def _explain(objectives: Sequence[Objective]) -> None:
     """What the columns of the table are, and what the shares of scores are shares of, a line for each surface."""
-    from lightopt.design import LEFT_OUT_MEANING, near_meaning
+    from lightopt.design import LEFT_OUT_MEANING, near_meaning, shares_of
 
-    named: dict[str, list[str]] = {}
-    for objective in objectives:
-        if objective.share_of is not None:
-            named.setdefault(objective.share_of, []).append(objective.name)
-    for surface, names in named.items():
+    for surface, names in shares_of(objectives).items():
         say(f"shares of {' and '.join(names)}: of {surface}")
     say(LEFT_OUT_MEANING)
     say(near_meaning(objectives))
     say("of each light its elevation and its azimuth about Z from +X")
 
 
-def _cells(answer: Answer, result: SetResult, found: Optimum) -> list[str]:
+def _cells(answer: ObjectiveResult, result: SetResult, found: DesignResult) -> list[str]:
     from lightopt.design import (
         angles_of,
+        combinations_counted_text,
         gap_text,
         left_out_text,
-        looked_text,
         near_text,
         score_text,
         ties_text,
     )
 
     best = answer.found
-    looked = looked_text(answer)
+    counted_text = combinations_counted_text(answer)
     if answer.nothing is not None:
         blank = ["-"] * (len(found.candidates.names) + len(result.answers))
-        return [*blank, left_out_text(result), "-", "all 0", "all 0", looked]
+        return [*blank, left_out_text(result), "-", "all 0", "all 0", counted_text]
     angles = [
         f"{elevation:g}°, {azimuth:g}°" for elevation, azimuth in angles_of(found.candidates, best.best)
     ]
     objectives = {other.objective.name: other.objective for other in result.answers}
     scores = [score_text(value, objectives[name], result) for name, value in answer.scores.items()]
-    counts = [gap_text(answer, result), ties_text(answer), near_text(answer), looked]
+    counts = [gap_text(answer, result), ties_text(answer), near_text(answer), counted_text]
     return [*angles, *scores, left_out_text(result), *counts]
 
 
-def _show_defects(found: Optimum) -> None:
+def _show_defects(found: DesignResult) -> None:
     from lightopt.design import share_text
 
     for result in found.results:
@@ -117,7 +119,7 @@ def _show_defects(found: Optimum) -> None:
             )
 
 
-def show_blind_spots(blind: BlindReport) -> None:
+def show_blind_spots(blind: BlindSpotSummary) -> None:
     """What the chosen lights show of the defects, over all postures and in each, and why the rest stays invisible."""
     from lightopt.design import BLIND_LIGHTS, BLIND_SHARES_OF, blind_text, share_text
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lightopt.cli._options import parse_exposure, parse_share
 from lightopt.core.errors import InputError
@@ -23,21 +23,12 @@ def plan_options(
     pose_tolerance_deg: float | None,
     tolerance_target: str | None,
 ) -> PlanOptions:
-    """What is asked of the plan; an option that does nothing without another is refused alone."""
+    """Parse the options; one that does nothing without another is refused alone."""
     no_tolerance = tolerance_deg is None and pose_tolerance_deg is None
+    no_choice = choose_postures is None and target is None
     alone = [
-        (
-            posture_step,
-            choose_postures is None and target is None,
-            "posture-step",
-            "choose-postures or --target",
-        ),
-        (
-            allow_outside,
-            choose_postures is None and target is None,
-            "allow-outside",
-            "choose-postures or --target",
-        ),
+        (posture_step, no_choice, "posture-step", "choose-postures or --target"),
+        (allow_outside, no_choice, "allow-outside", "choose-postures or --target"),
         (exposure_gain, exposures is None, "exposure-gain", "exposures"),
         (tolerance_target, no_tolerance, "tolerance-target", "tolerance-deg or --pose-tolerance-deg"),
     ]
@@ -50,7 +41,7 @@ def plan_options(
         raise InputError(*problems)
     texts = [] if exposures is None else exposures.split(",")
     offered = tuple(parse_exposure(text, option="--exposures") for text in texts)
-    reach, kept = (
+    shown_share, kept_share = (
         None if text is None else parse_share(text, option=option, expected=f"{of}, such as 0.95")
         for text, option, of in (
             (target, "--target", "of the surface above 0 and up to 1"),
@@ -58,27 +49,22 @@ def plan_options(
         )
     )
 
-    from lightopt.design import (
-        DEFAULT_EXPOSURE_GAIN,
-        DEFAULT_OUTSIDE_PX,
-        DEFAULT_POSTURE_STEP,
-        DEFAULT_TOLERANCE_TARGET,
-        PlanOptions,
-        Tolerances,
-    )
+    from lightopt.design import PlanOptions, Tolerances
 
+    tolerances = None
+    if not no_tolerance:
+        tolerances = Tolerances(
+            light_deg=tolerance_deg or 0.0, pose_deg=pose_tolerance_deg or 0.0, **given(target=kept_share)
+        )
     return PlanOptions(
         postures=choose_postures,
-        target=reach,
-        posture_step_deg=DEFAULT_POSTURE_STEP if posture_step is None else posture_step,
-        allow_outside_px=DEFAULT_OUTSIDE_PX if allow_outside is None else allow_outside,
+        target=shown_share,
         exposures=offered,
-        exposure_gain=DEFAULT_EXPOSURE_GAIN if exposure_gain is None else exposure_gain,
-        tolerances=None
-        if no_tolerance
-        else Tolerances(
-            light_deg=tolerance_deg or 0.0,
-            pose_deg=pose_tolerance_deg or 0.0,
-            target=DEFAULT_TOLERANCE_TARGET if kept is None else kept,
-        ),
+        tolerances=tolerances,
+        **given(posture_step_deg=posture_step, allow_outside_px=allow_outside, exposure_gain=exposure_gain),
     )
+
+
+def given(**options: object) -> dict[str, Any]:
+    """The options that were given; the others keep their defaults."""
+    return {name: value for name, value in options.items() if value is not None}

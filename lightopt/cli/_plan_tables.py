@@ -11,7 +11,7 @@ from lightopt.cli._terminal import say, show_table, together
 from lightopt.core.errors import counted
 
 if TYPE_CHECKING:
-    from lightopt.design import Brackets, ChosenPostures, PlanResult, TrustOf, Way
+    from lightopt.design import Brackets, ChosenPostures, PlanResult, ToleranceResult, Way
 
 
 def show_plan(result: PlanResult, folder: Path) -> None:
@@ -22,8 +22,8 @@ def show_plan(result: PlanResult, folder: Path) -> None:
         _show_brackets(result.brackets)
         if result.chosen is None:
             say(f"shares of exposures: of {result.shares_of}")
-    if result.trust:
-        _show_trust(result.trust)
+    if result.tolerances:
+        _show_tolerances(result.tolerances)
     if result.commands:
         say(f"to carry the plan out, in {folder}:")
         for command in result.commands:
@@ -50,7 +50,7 @@ def _show_postures(chosen: ChosenPostures) -> None:
                 str(number),
                 *([_levels(chosen.exposures_of(posture))] if bracketed else []),
                 text(step.gain / (cover.k * total)),
-                text(step.reached / total),
+                text(step.covered / total),
             )
             for posture in chosen.way.order
             for number, step in [numbered[posture]]
@@ -58,8 +58,8 @@ def _show_postures(chosen: ChosenPostures) -> None:
     )
     number, images = counted(len(cover.steps), "posture"), counted(chosen.least, "image")
     say(
-        f"{number} of {chosen.offered} show {text(cover.share)} of the surface × defects in {images} or more, all "
-        "planned images together and no others"
+        f"{number} of {chosen.candidate_count} show {text(cover.share)} of the surface × defects in {images} or more, "
+        "all planned images together and no others"
     )
     say(f"shares of postures and exposures: of {SHARES_OF}")
     say(
@@ -95,19 +95,19 @@ def _way(way: Way) -> str:
 def _show_spare(chosen: ChosenPostures) -> None:
     # fewer postures than were asked for, and postures that hardly add anything
     steps = chosen.choice.cover.steps
-    if chosen.asked is not None and len(steps) < chosen.asked and chosen.target is None:
+    if chosen.requested is not None and len(steps) < chosen.requested and chosen.target is None:
         why = (
             "there are no others"
-            if len(steps) == chosen.offered
+            if len(steps) == chosen.candidate_count
             else "no other adds anything with these lights"
         )
-        say(f"{chosen.asked} postures were asked for: {why}")
-    if chosen.telling < len(steps):
+        say(f"{chosen.requested} postures were asked for: {why}")
+    if chosen.sufficient < len(steps):
         text = _text_of(chosen.grain)
-        share = text(steps[chosen.telling - 1].reached / max(1, chosen.choice.cover.total))
+        share = text(steps[chosen.sufficient - 1].covered / max(1, chosen.choice.cover.total))
         say(
-            f"the first {chosen.telling} chosen show {share}, the others less than 0.1 points more: "
-            f"--choose-postures {chosen.telling} does nearly as well"
+            f"the first {chosen.sufficient} chosen show {share}, the others less than 0.1 points more: "
+            f"--choose-postures {chosen.sufficient} does nearly as well"
         )
 
 
@@ -118,7 +118,7 @@ def _show_proof(chosen: ChosenPostures) -> None:
     if chosen.proven:
         say(f"proven of these patches: no {number} show more{whatever}")
     else:
-        local = "a local optimum: " if choice.turns else ""
+        local = "a local optimum: " if choice.iterations else ""
         sets = (
             f"no {number} show"
             if cover.sets is None
@@ -130,28 +130,28 @@ def _show_proof(chosen: ChosenPostures) -> None:
             else f"with these lights {sets} more than {text(cover.bound_share)}{whatever}, so that these have "
             f"{text(cover.guarantee)} of the best at least"
         )
-        say(f"{local}{bound}" + "; other lights with other postures may show more" * bool(choice.turns))
-    everything = text(cover.all_reached / max(1, cover.total))
-    say(f"all {chosen.offered} postures with these lights show {everything}{whatever}")
-    if cover.least is not None and chosen.target is not None:
+        say(f"{local}{bound}" + "; other lights with other postures may show more" * bool(choice.iterations))
+    everything = text(cover.all_covered / max(1, cover.total))
+    say(f"all {chosen.candidate_count} postures with these lights show {everything}{whatever}")
+    if cover.min_size is not None and chosen.target is not None:
         say(
-            f"{100.0 * chosen.target:.9g} % takes at least {counted(cover.least, 'posture')} with these lights"
+            f"{100.0 * chosen.target:.9g} % takes at least {counted(cover.min_size, 'posture')} with these lights"
         )
-    if not choice.turns:
+    if not choice.iterations:
         return
     from lightopt.design import patches_text
 
     tried = "every combination" if choice.exact else "one light moved at a time"
-    where = patches_text(chosen.drawn, chosen.patches, on_all=choice.on_all)
-    best = "; proven: in these postures no other positions show more" * (choice.exact and choice.settled)
+    where = patches_text(chosen.drawn, chosen.patches, on_all_patches=choice.on_all_patches)
+    best = "; proven: in these postures no other positions show more" * (choice.exact and choice.converged)
     say(
-        f"lights: the same for all postures, placed together with them in {counted(choice.turns, 'turn')}, the best of "
-        f"{counted(choice.starts, 'start')} ({tried}) {where}{best}"
+        f"lights: the same for all postures, placed together with them in {counted(choice.iterations, 'turn')}, "
+        f"the best of {counted(choice.starts, 'start')} ({tried}) {where}{best}"
     )
-    if choice.before is not None:
+    if choice.initial_if_moved is not None:
         say(
-            f"the lights as they stood show {text(choice.before.share)} in "
-            f"{counted(choice.before.postures, 'posture')} chosen for them, on {chosen.drawn:,} patches, at "
+            f"the lights as they stood show {text(choice.initial_if_moved.share)} in "
+            f"{counted(choice.initial_if_moved.postures, 'posture')} chosen for them, on {chosen.drawn:,} patches, at "
             "exposure 1"
         )
 
@@ -173,35 +173,40 @@ def _show_brackets(brackets: Brackets) -> None:
         ("posture", "exposure", "adds", "planned"),
         [
             (str(shot.posture), f"{shot.exposure:g}", text(shot.gain), "yes" if shot.planned else "no")
-            for shot in brackets.shots
+            for shot in brackets.further
         ],
     )
-    planned = sum(shot.planned for shot in brackets.shots)
+    planned = sum(shot.planned for shot in brackets.further)
     adding = f"{100.0 * brackets.least_gain:g} % or more"
-    adding += ", or two that add twice that together" * any(shot.why == "pair" for shot in brackets.shots)
-    adding += ", or needed for the target" * any(shot.why == "target" for shot in brackets.shots)
+    adding += ", or two that add twice that together" * any(
+        shot.reason == "pair" for shot in brackets.further
+    )
+    adding += ", or needed for the target" * any(shot.reason == "target" for shot in brackets.further)
     say(
         f"{counted(planned, 'further exposure')} planned, each adding {adding}: "
         f"{text(brackets.before)} of the surface × defects becomes {text(brackets.after)}"
     )
 
 
-def _show_trust(trust: tuple[TrustOf, ...]) -> None:
-    widest = [f"{w.what}, {w.angle}" for w in trust[0].trust.widest]
+def _show_tolerances(tolerances: tuple[ToleranceResult, ...]) -> None:
+    widest = [f"{w.what}, {w.angle}" for w in tolerances[0].robustness.widest]
     show_table(
-        ("off by the tolerance", *(together(one.postures) for one in trust)),
+        ("off by the tolerance", *(together(one.postures) for one in tolerances)),
         [
-            ("worst corner keeps", *(_share(one, one.trust.worst) for one in trust)),
-            ("95 % of draws keep", *(_share(one, one.trust.quantile) for one in trust)),
-            *((f"widest: {name}", *(_degrees(one, i) for one in trust)) for i, name in enumerate(widest)),
+            ("worst corner keeps", *(_share(one, one.robustness.worst) for one in tolerances)),
+            ("95 % of draws keep", *(_share(one, one.robustness.quantile) for one in tolerances)),
+            *(
+                (f"widest: {name}", *(_degrees(one, i) for one in tolerances))
+                for i, name in enumerate(widest)
+            ),
         ],
     )
 
 
-def _share(one: TrustOf, score: int) -> str:
-    return _text_of(one.grain)(score / max(1, one.trust.score))
+def _share(one: ToleranceResult, score: int) -> str:
+    return _text_of(one.grain)(score / max(1, one.robustness.score))
 
 
-def _degrees(one: TrustOf, index: int) -> str:
-    widest = one.trust.widest[index]
+def _degrees(one: ToleranceResult, index: int) -> str:
+    widest = one.robustness.widest[index]
     return f"{'≥ ' if widest.open_ended else ''}{widest.degrees:.2f}°"

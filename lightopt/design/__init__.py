@@ -1,140 +1,144 @@
-"""Where the lights go: candidate positions, the luminance matrix, objectives, and the exact search over combinations.
+"""Where the lights go, in which postures and at which exposures; how exactly the angles must hold; what stays unseen.
+
+:func:`optimize` is the pipeline, from a rig and a part to a :class:`DesignResult`; :func:`write_design` and
+:func:`finish_design` write its files.
 
 Positions are scored on the levels that the camera would deliver at exposure 1. A combination is one candidate position
 of each light; the objectives are integers, so that sums are exact in any order and ties are ties.
 """
 
 from lightopt.design._commands import Way
-from lightopt.design._found import Draft
-from lightopt.design._optimize import Optimum
-from lightopt.design._options import OptimizeOptions
-from lightopt.design._plan import plan
-from lightopt.design._plan_options import PlanOptions
-from lightopt.design._plan_result import SHARES_OF, ChosenPostures, PlanResult, TrustOf
-from lightopt.design._result import Answer, SetResult, angles_of
+from lightopt.design._design_result import DesignResult
+from lightopt.design._files import DesignOutput, finish_design, write_design
+from lightopt.design._optimize import optimize
+from lightopt.design._options import OptimizeOptions, PlanOptions
+from lightopt.design._plan_progress import RunContext
+from lightopt.design._plan_result import SHARES_OF, ChosenPostures, PlanResult, ToleranceResult
+from lightopt.design._result import ObjectiveResult, SetResult, angles_of
 from lightopt.design._texts import (
     LEFT_OUT_MEANING,
+    combinations_counted_text,
     gap_text,
     left_out_text,
-    looked_text,
     near_meaning,
     near_text,
     patches_text,
     score_text,
+    shares_of,
     shown_text,
     ties_text,
 )
-from lightopt.design.blind_spots._blind_spots import Blind, BlindSpots, blind_text
+from lightopt.design.blind_spots._blind_spots import BlindReason, BlindSpots, blind_text
 from lightopt.design.blind_spots._classes import (
     BLIND_CLASSES,
     BlindClass,
     LegendRow,
     blind_class,
     blind_classes,
+    blind_colours,
     blind_legend,
 )
-from lightopt.design.blind_spots._summary import BLIND_LIGHTS, BLIND_SHARES_OF, BlindReport
-from lightopt.design.blind_spots._unreachable_target import TargetUnreached
+from lightopt.design.blind_spots._summary import BLIND_LIGHTS, BLIND_SHARES_OF, BlindSpotSummary
+from lightopt.design.blind_spots._unreachable_target import TargetNotReached
 from lightopt.design.candidates._candidates import find_candidates
 from lightopt.design.exposures._brackets import Brackets
-from lightopt.design.exposures._exposures import DEFAULT_EXPOSURE_GAIN
-from lightopt.design.objectives._bit_runs import flags_of
-from lightopt.design.objectives._detectability import Detectability
+from lightopt.design.exposures._plan_exposures import DEFAULT_EXPOSURE_GAIN
+from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective, area_text, share_of_whole, share_text
 from lightopt.design.objectives._registry import OBJECTIVES
-from lightopt.design.postures._choice import Choice, Wanted
-from lightopt.design.postures._choose import choose_postures
+from lightopt.design.postures._choice import PostureChoice, PostureRequest
 from lightopt.design.postures._counts import counts_of_images
-from lightopt.design.postures._grid import DEFAULT_OUTSIDE_PX, DEFAULT_POSTURE_STEP
+from lightopt.design.postures._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.postures._light_positions import place_lights
-from lightopt.design.postures._pair_visibility import DRAWN_PATCHES, Survey, drawn_patches
-from lightopt.design.responses._contrast import DEFAULT_CONTRAST, Contrast
-from lightopt.design.responses._defect_evaluation import Inspection
-from lightopt.design.responses._defect_hypotheses import DIRECTIONS, Trial, unroll
-from lightopt.design.responses._luminance import luminance_matrix
-from lightopt.design.responses._luminance_matrix import Levels, LuminanceMatrix, Thresholds, area_units
+from lightopt.design.postures._multi_start_search import choose_postures
+from lightopt.design.responses._contrast import Contrast
+from lightopt.design.responses._defect_hypotheses import DIRECTIONS, DefectHypothesis, defect_hypotheses
+from lightopt.design.responses._detection import DetectionModel
+from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds, LuminanceMatrix, area_units
+from lightopt.design.responses._matrix_computation import luminance_matrix
+from lightopt.design.responses._packed_bits import unpack_flags
 from lightopt.design.responses._visibility import Visibility
 from lightopt.design.search._curves import Curve
-from lightopt.design.search._search import DEFAULT_LIMIT, search
-from lightopt.design.tolerances._evaluation import PairAssessment, Setup
-from lightopt.design.tolerances._robustness import trust_of
-from lightopt.design.tolerances._tolerances import DEFAULT_TOLERANCE_TARGET, Tolerances
+from lightopt.design.search._exact_search import search
+from lightopt.design.tolerances._analysis import analyse_tolerances
+from lightopt.design.tolerances._assessments import PairAssessment, Setup
+from lightopt.design.tolerances._tolerances import Tolerances
 
 __all__ = [
     "BLIND_CLASSES",
     "BLIND_LIGHTS",
     "BLIND_SHARES_OF",
-    "DEFAULT_CONTRAST",
     "DEFAULT_EXPOSURE_GAIN",
-    "DEFAULT_LIMIT",
-    "DEFAULT_OUTSIDE_PX",
-    "DEFAULT_POSTURE_STEP",
-    "DEFAULT_TOLERANCE_TARGET",
     "DIRECTIONS",
     "DRAWN_PATCHES",
     "LEFT_OUT_MEANING",
     "OBJECTIVES",
     "SHARES_OF",
-    "Answer",
-    "Blind",
     "BlindClass",
-    "BlindReport",
+    "BlindReason",
+    "BlindSpotSummary",
     "BlindSpots",
     "Brackets",
-    "Choice",
     "ChosenPostures",
     "Contrast",
     "Curve",
-    "Detectability",
-    "Draft",
-    "Inspection",
+    "DefectHypothesis",
+    "DesignOutput",
+    "DesignResult",
+    "DetectabilityObjective",
+    "DetectionModel",
+    "ImageEvaluator",
     "LegendRow",
+    "LevelThresholds",
     "Levels",
     "LuminanceMatrix",
     "Objective",
+    "ObjectiveResult",
     "OptimizeOptions",
-    "Optimum",
     "PairAssessment",
     "PlanOptions",
     "PlanResult",
+    "PostureChoice",
+    "PostureRequest",
+    "RunContext",
     "SetResult",
     "Setup",
-    "Survey",
-    "TargetUnreached",
-    "Thresholds",
+    "TargetNotReached",
+    "ToleranceResult",
     "Tolerances",
-    "Trial",
-    "TrustOf",
     "Visibility",
-    "Wanted",
     "Way",
+    "analyse_tolerances",
     "angles_of",
     "area_text",
     "area_units",
     "blind_class",
     "blind_classes",
+    "blind_colours",
     "blind_legend",
     "blind_text",
     "choose_postures",
+    "combinations_counted_text",
     "counts_of_images",
+    "defect_hypotheses",
     "drawn_patches",
     "find_candidates",
-    "flags_of",
+    "finish_design",
     "gap_text",
     "left_out_text",
-    "looked_text",
     "luminance_matrix",
     "near_meaning",
     "near_text",
+    "optimize",
     "patches_text",
     "place_lights",
-    "plan",
     "score_text",
     "search",
     "share_of_whole",
     "share_text",
+    "shares_of",
     "shown_text",
     "ties_text",
-    "trust_of",
-    "unroll",
+    "unpack_flags",
+    "write_design",
 ]

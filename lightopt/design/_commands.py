@@ -1,14 +1,17 @@
-"""The commands that carry a plan out, and the way that the stage goes in each."""
+"""Commands: the one that a plan was asked for with, and those that carry it out with the stage's way in each."""
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from lightopt.config import RigConfig
 from lightopt.core.transforms import Posture
-from lightopt.design._rig_file import degrees_text
+from lightopt.design._options import OptimizeOptions, PlanOptions
 from lightopt.design.exposures._brackets import Brackets
+from lightopt.design.tolerances._tolerances import Tolerances
 from lightopt.scene import travel_order, travel_s
 
 HOME = Posture(0.0, 0.0)
@@ -17,15 +20,7 @@ HOME = Posture(0.0, 0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Way:
-    """The way of the stage through postures.
-
-    Attributes
-    ----------
-    order
-        That takes least time from (0°, 0°).
-    seconds
-        Of the travel.
-    """
+    """The way of the stage through postures, in the order that takes least time from (0°, 0°)."""
 
     order: tuple[Posture, ...]
     seconds: float
@@ -33,29 +28,16 @@ class Way:
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """A command of a plan, to be run in the folder of its files.
-
-    Attributes
-    ----------
-    text
-        The command.
-    way
-        Of the stage while it captures; None of a command that renders.
-    """
+    """A command of a plan, to be run in the folder of its files; `way` is None where it renders."""
 
     text: str
     way: Way | None = None
 
 
 def way_through(rig: RigConfig, postures: Sequence[Posture]) -> Way:
-    """The way from (0°, 0°) through postures, at the speed of the rig's stage or of the virtual bench's.
+    """The fastest way from (0°, 0°) through postures, at the speed of the rig's stage or of the virtual bench's.
 
-    Parameters
-    ----------
-    rig
-        With the stage.
-    postures
-        In the order that counts where times are equal.
+    The order of `postures` decides where times are equal.
     """
 
     def time(start: Posture, end: Posture) -> float:
@@ -67,44 +49,28 @@ def way_through(rig: RigConfig, postures: Sequence[Posture]) -> Way:
     return Way(order=order, seconds=sum(time(a, b) for a, b in zip((HOME, *order), order, strict=False)))
 
 
-def commands(
+def plan_commands(
     rig: RigConfig,
     files: Mapping[Posture, str],
     part: str,
     brackets: Brackets | None,
-    rendered: Sequence[str] = (),
+    render: Sequence[str] = (),
 ) -> tuple[Command, ...]:
     """Commands that carry a plan out, in the folder of its files: those that capture it, then those that render it.
 
-    One of each kind for all postures of the same rig file and exposures, into an image set of their own.
-
-    Parameters
-    ----------
-    rig
-        Whose stage travels.
-    files
-        Rig file of each posture.
-    part
-        Part file.
-    brackets
-        Further exposures; None for exposure 1 alone.
-    rendered
-        Options of the commands that render.
+    One of each kind for all postures of the same rig file and exposures, into an image set of their own. `files` has
+    the rig file of each posture, `render` further options of the commands that render.
     """
     groups: dict[tuple[str, tuple[float, ...]], list[Posture]] = {}
     for posture, file in files.items():
         groups.setdefault((file, brackets.of(posture) if brackets else (1.0,)), []).append(posture)
     captures: list[Command] = []
     renders: list[Command] = []
-    for number, ((file, exposures), some) in enumerate(groups.items(), start=1):
+    for number, ((file, exposures), postures) in enumerate(groups.items(), start=1):
         end = "" if len(groups) == 1 else f"-{number}"
-        chosen = [
-            f"--posture={degrees_text(p.elevation_deg)},{degrees_text(p.rotation_deg)}"
-            for p in some
-            if len(groups) > 1
-        ]
+        chosen = [] if len(groups) == 1 else _posture_words(postures)
         levels = [f"{exposure:.9g}" for exposure in exposures]
-        taken = [
+        words = [
             "lightopt capture",
             file,
             part,
@@ -112,8 +78,86 @@ def commands(
             f"--exposures {','.join(levels)}",
             f"-o captured{end}",
         ]
-        captures.append(Command(text=" ".join(taken), way=way_through(rig, some)))
+        captures.append(Command(text=" ".join(words), way=way_through(rig, postures)))
         each = (f"--exposure {level}" for level in levels)
-        words = ["lightopt render", file, part, *chosen, *each, *rendered, f"-o rendered{end}"]
+        words = ["lightopt render", file, part, *chosen, *each, *render, f"-o rendered{end}"]
         renders.append(Command(text=" ".join(words)))
     return (*captures, *renders)
+
+
+def command_text(rig: Path, part: Path, options: OptimizeOptions, plan: PlanOptions) -> str:
+    """The command of a run with every option that differs from its default, but for folders and how it is run.
+
+    Files are named without their folder, so that the text does not depend on it.
+    """
+    words = ["lightopt", "optimize", rig.name, part.name, *_search_words(options), *_plan_words(plan)]
+    return " ".join(shlex.quote(word) for word in words)
+
+
+def render_words(options: OptimizeOptions) -> list[str]:
+    """The options of ``lightopt render`` that make it see what the plan saw, where they differ from its defaults."""
+    default = OptimizeOptions()
+    words = _differing(
+        ("--points", options.points, default.points),
+        ("--patches", options.patch_budget, default.patch_budget),
+    )
+    return [*words, *(() if options.shadows else ("--no-shadows",))]
+
+
+def _search_words(options: OptimizeOptions) -> list[str]:
+    default = OptimizeOptions()
+    words = [word for name in options.objectives for word in ("--objective", name)]
+    words += _differing(
+        ("--step", options.step_deg, default.step_deg),
+        ("--seen-in", options.seen_in, default.seen_in),
+        ("--threshold", options.contrast, default.contrast),
+        ("--shade-below", options.shade_below, default.shade_below),
+        ("--rows", options.rows, default.rows),
+        ("--max-combinations", options.limit, default.limit),
+    )
+    words += _posture_words(options.postures or ())
+    flags = (
+        ("--common-elevation", options.common_elevation),
+        ("--common-lights", options.common_lights),
+        ("--no-images", not options.images),
+    )
+    return [*words, *render_words(options), *(flag for flag, given in flags if given)]
+
+
+def _plan_words(plan: PlanOptions) -> list[str]:
+    default = PlanOptions()
+    words = _differing(
+        ("--choose-postures", plan.postures, None),
+        ("--target", plan.target, None),
+        ("--posture-step", plan.posture_step_deg, default.posture_step_deg),
+        ("--allow-outside", plan.allow_outside_px, default.allow_outside_px),
+    )
+    if plan.exposures:
+        words += ["--exposures", ",".join(_text(exposure) for exposure in plan.exposures)]
+        words += _differing(("--exposure-gain", plan.exposure_gain, default.exposure_gain))
+    if plan.tolerances is not None:
+        none = Tolerances(light_deg=0.0, pose_deg=0.0)
+        words += _differing(
+            ("--tolerance-deg", plan.tolerances.light_deg, none.light_deg),
+            ("--pose-tolerance-deg", plan.tolerances.pose_deg, none.pose_deg),
+            ("--tolerance-target", plan.tolerances.target, none.target),
+        )
+    return words
+
+
+def _posture_words(postures: Sequence[Posture]) -> list[str]:
+    return [f"--posture={degrees_text(p.elevation_deg)},{degrees_text(p.rotation_deg)}" for p in postures]
+
+
+def _differing(*options: tuple[str, object, object]) -> list[str]:
+    return [word for name, value, default in options if value != default for word in (name, _text(value))]
+
+
+def _text(value: object) -> str:
+    # a float by as many digits as make it the same number again, whole numbers without their point
+    return repr(value).removesuffix(".0") if isinstance(value, float) else str(value)
+
+
+def degrees_text(angle: float) -> str:
+    """An angle for a file: at most nine decimals, which is finer than any stage, and no exponent."""
+    return f"{round(angle, 9):.9f}".rstrip("0").rstrip(".")

@@ -1,9 +1,13 @@
-"""The files of an optimisation: result.json, ranking.csv, rigs with the new angles, images and overlap maps."""
+"""The files of a design: result.json, ranking.csv, rigs with the new angles, images, overlap maps, blind spots.
+
+:func:`write_design` writes all but the report, which shows what is written, and result.json, which says that all is
+there; :func:`finish_design` writes these.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,170 +15,154 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.config import PartConfig, RigConfig, load_rig
+from lightopt.config import load_rig
 from lightopt.core.transforms import Posture
-from lightopt.design._additions import Appendix
-from lightopt.design._options import OptimizeOptions
-from lightopt.design._previous_result import REPORT_NAME, RESULT_NAME, RIG_NAME, begin_writing, end_writing
-from lightopt.design._result import SetResult, ranking_csv, result_dict
-from lightopt.design._rig_file import rig_texts
-from lightopt.design.candidates._candidates import Candidates
-from lightopt.design.responses._luminance_matrix import Thresholds
+from lightopt.design._design_result import DesignResult
+from lightopt.design._edited_files import planned_part_text, rig_texts
+from lightopt.design._plan_progress import RunContext
+from lightopt.design._previous_result import (
+    PLANNED_PART_NAME,
+    REPORT_NAME,
+    RESULT_NAME,
+    RIG_NAME,
+    begin_writing,
+    end_writing,
+)
+from lightopt.design._result_json import ranking_csv, result_document
+from lightopt.design.blind_spots._files import BLIND_PNG, blind_files
 from lightopt.images import (
     Overlap,
     find_overlaps,
     make_folder,
     overlap_map_name,
+    posture_folder,
     read_image_set,
     write_bytes_atomic,
     write_overlap_map,
     write_png,
     write_text_atomic,
 )
-from lightopt.rendering import RenderOptions, render_image_set
+from lightopt.rendering import PatchTable, RenderOptions, render_image_set
 
 RANKING_NAME = "ranking.csv"
 IMAGES_NAME = "images"
 
+RigFile = tuple[Path, tuple[Posture, ...], str]
+"""A rig file with the new angles, the postures that it is for, and its text."""
 
-@dataclass(frozen=True, kw_only=True)
-class Written:
-    """The files of an optimisation.
 
-    Attributes
-    ----------
-    result, ranking
-        result.json and ranking.csv.
-    rigs
-        Rig files with the new angles, and the postures that each is for.
-    images
-        Folders of image sets.
-    files
-        Of the appendix.
-    overlaps
-        Saturated regions of these images, in the order of the postures.
-    report
-        The report; None where none was wanted.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DesignOutput:
+    """A design whose files are written but for its report and result.json.
+
+    document: What result.json will say.
+    overlaps: Saturated regions of the images, in the order of the postures.
+    warnings: Of the design and of the rendering.
+    paths: result.json, ranking.csv, further files, rigs, report: those to come, too.
+    force: Whether files that are there and differ are replaced.
+    replace_report: Whether a report that is there is replaced.
     """
 
-    result: Path
-    ranking: Path
-    rigs: tuple[tuple[Path, tuple[Posture, ...]], ...]
-    images: tuple[Path, ...]
-    files: tuple[Path, ...]
+    result: DesignResult
+    document: Mapping[str, Any]
     overlaps: tuple[Overlap, ...]
-    report: Path | None
+    warnings: tuple[str, ...]
+    paths: tuple[Path, ...]
+    force: bool
+    replace_report: bool
+
+    @property
+    def patches(self) -> PatchTable:
+        """The patches of a design with a report."""
+        assert self.result.patches is not None
+        return self.result.patches
 
 
-def write_outputs(
-    folder: Path,
-    rig: RigConfig,
-    part: PartConfig,
-    results: tuple[SetResult, ...],
-    candidates: Candidates,
-    thresholds: Thresholds,
+def write_design(
+    result: DesignResult,
     *,
-    offered: Candidates,
-    provenance: Mapping[str, Any],
-    options: OptimizeOptions,
-    appendix: Appendix,
-    force: bool,
-    warn: Callable[[str], None],
-    page: Callable[[Mapping[str, Any], Sequence[Overlap]], str] | None = None,
-) -> Written:
-    """Write all files, result.json last: where it is, the others are complete.
+    blind_pictures: Mapping[Posture, NDArray[np.uint8]] | None = None,
+    force: bool = False,
+    run: RunContext | None = None,
+) -> DesignOutput:
+    """Write the files of a design but for its report and result.json; :func:`finish_design` must follow.
 
-    With `force`, an earlier result.json goes first, then all that it lists.
-
-    Parameters
-    ----------
-    folder
-        Made where it does not exist.
-    rig, part
-        As they were read.
-    results, candidates, thresholds
-        What was found.
-    offered
-        The positions that there were to choose from.
-    provenance
-        From :func:`lightopt.core.provenance.provenance`.
-    options
-        As they were asked for.
-    appendix
-        Further sections and files.
-    force
-        Replace files that are there and differ.
-    warn
-        Called with warnings of the rendering.
-    page
-        Makes the report of what result.json will say and of the overlaps; None for no report.
+    `blind_pictures` has a picture of shape (height, width, 3) for each posture. With `force`, an earlier result.json
+    goes first, then all that it lists.
 
     Raises
     ------
     InputError
         The folder cannot be written, or holds other results and `force` is False.
     """
+    folder, run = result.folder, run or RunContext()
     make_folder(folder)
-    rigs = tuple(
+    rigs = [
         (folder / path, postures, text)
-        for path, postures, text in rig_texts(rig, results, candidates, folder=folder)
-    )
-    names = [*appendix.files, *([] if page is None else [REPORT_NAME])]
-    several = len(candidates.names) > 1
-    sets = _image_sets(rigs, appendix.exposures) if options.images else ()
-    listed = _listed(folder, rigs, sets, overlaps=several) | {"files": [{"file": name} for name in names]}
-    ours = begin_writing(folder, listed, force=force)
-    ranking = folder / RANKING_NAME
-    write_text_atomic(ranking, ranking_csv(results, candidates), overwrite=force)
+        for path, postures, text in rig_texts(result.rig, result.results, result.candidates, folder=folder)
+    ]
+    files = dict(_further_files(result, blind_pictures or {}))
+    sets = _image_sets(rigs, result) if result.options.images else []
+    listed = _listed(folder, rigs, sets, overlaps=len(result.candidates.names) > 1)
+    listed["files"] = [{"file": name} for name in (*files, *([REPORT_NAME] if result.options.report else []))]
+    report_is_ours = begin_writing(folder, listed, force=force)
+    write_text_atomic(folder / RANKING_NAME, ranking_csv(result.results, result.candidates), overwrite=force)
     for path, _, text in rigs:
         make_folder(path.parent)
         write_text_atomic(path, text, overwrite=force)
-    for name, content in appendix.files.items():
+    for name, content in files.items():
         _write(folder / name, content, force)
     overlaps: list[Overlap] = []
     for images in sets:
-        _render(images, part, options, force, warn)
-        if several:
-            overlaps += _overlaps(images, force)
-    document = {
-        "format": "lightopt-optimum/1",
-        "provenance": dict(provenance),
-        "thresholds": {
-            "black": thresholds.black,
-            "shaded_below": thresholds.shade,
-            "saturated_from": thresholds.saturation,
-        },
-        "candidates": [
-            {"light": name, "positions_deg": [list(at) for at in angles]}
-            for name, angles in zip(offered.names, offered.angles, strict=True)
-        ],
-        "left_out": [vars(out) for out in offered.left_out],
-        "results": result_dict(results, candidates),
-        **appendix.sections,
-        "rigs": listed["rigs"],
-        "files": listed["files"],
-        "images": listed["images"],
-        "overlaps": [
-            {**where, **overlap.as_dict()}
-            for where, overlap in zip(listed["overlaps"], overlaps, strict=True)
-        ],
-    }
-    report = None if page is None else folder / REPORT_NAME
-    if page is not None and report is not None:
-        write_text_atomic(report, page(document, overlaps), overwrite=force or ours)
-    result = folder / RESULT_NAME
-    text = json.dumps(document, indent=1, ensure_ascii=False) + "\n"
-    write_text_atomic(result, text, overwrite=force)
-    end_writing(folder)
-    return Written(
+        _render(images, result, force, run)
+        if listed["overlaps"]:
+            overlaps += _write_overlaps(images, force)
+    return DesignOutput(
         result=result,
-        ranking=ranking,
-        rigs=tuple((path, postures) for path, postures, _ in rigs),
-        images=tuple(images.folder for images in sets),
-        files=tuple(folder / name for name in appendix.files),
+        document=result_document(result, listed, overlaps),
         overlaps=tuple(overlaps),
-        report=report,
+        warnings=tuple(dict.fromkeys((*result.warnings, *run.warnings))),
+        paths=tuple(
+            folder / name
+            for name in (
+                RESULT_NAME,
+                RANKING_NAME,
+                *files,
+                *(path.relative_to(folder) for path, _, _ in rigs),
+                *([REPORT_NAME] if result.options.report else []),
+            )
+        ),
+        force=force,
+        replace_report=force or report_is_ours,
     )
+
+
+def finish_design(output: DesignOutput, report: str | None = None) -> None:
+    """Write the HTML of the report, where the options ask for one, and last result.json: then all files are there."""
+    folder = output.result.folder
+    if (report is not None) != output.result.options.report:
+        raise ValueError("a report is given where, and only where, the options ask for one")
+    if report is not None:
+        write_text_atomic(folder / REPORT_NAME, report, overwrite=output.replace_report)
+    text = json.dumps(output.document, indent=1, ensure_ascii=False) + "\n"
+    write_text_atomic(folder / RESULT_NAME, text, overwrite=output.force)
+    end_writing(folder)
+
+
+def _further_files(
+    result: DesignResult, blind_pictures: Mapping[Posture, NDArray[np.uint8]]
+) -> Iterator[tuple[str, str | bytes | NDArray[np.uint8]]]:
+    """Names in the folder and contents; the names must be known to :mod:`lightopt.design._previous_result`."""
+    if result.blind is not None and result.patches is not None:
+        yield from blind_files(result.blind, result.patches.patches, result.scene.placement).items()
+        for posture, picture in blind_pictures.items():
+            yield f"{posture_folder(posture)}/{BLIND_PNG}", picture
+    if result.plan.commands:
+        comment = f"planned by: {result.command}"
+        yield (
+            PLANNED_PART_NAME,
+            planned_part_text(result.part, result.scene.postures, folder=result.folder, comment=comment),
+        )
 
 
 def _write(path: Path, content: str | bytes | NDArray[np.uint8], force: bool) -> None:
@@ -189,7 +177,7 @@ def _write(path: Path, content: str | bytes | NDArray[np.uint8], force: bool) ->
 
 @dataclass(frozen=True, kw_only=True)
 class _Images:
-    """An image set to come: of one rig, all its postures being taken with the same exposures."""
+    """An image set to render: of one rig, with the same exposures in all postures."""
 
     folder: Path
     rig: Path
@@ -197,42 +185,38 @@ class _Images:
     exposures: tuple[float, ...]
 
 
-def _image_sets(
-    rigs: Sequence[tuple[Path, tuple[Posture, ...], str]], exposures: Mapping[Posture, tuple[float, ...]]
-) -> tuple[_Images, ...]:
+def _image_sets(rigs: Sequence[RigFile], result: DesignResult) -> list[_Images]:
     # images, images-2, …: an image set has every posture at every exposure
     sets: list[_Images] = []
     for path, postures, _ in rigs:
         groups: dict[tuple[float, ...], list[Posture]] = {}
         for posture in postures:
-            groups.setdefault(exposures.get(posture, (1.0,)), []).append(posture)
-        for number, (levels, some) in enumerate(groups.items(), start=1):
-            name = IMAGES_NAME if number == 1 else f"{IMAGES_NAME}-{number}"
-            sets.append(_Images(folder=path.parent / name, rig=path, postures=tuple(some), exposures=levels))
-    return tuple(sets)
+            groups.setdefault(result.plan.exposures_of(posture), []).append(posture)
+        for number, (exposures, some) in enumerate(groups.items(), start=1):
+            home = path.parent / (IMAGES_NAME if number == 1 else f"{IMAGES_NAME}-{number}")
+            sets.append(_Images(folder=home, rig=path, postures=tuple(some), exposures=exposures))
+    return sets
 
 
 def _listed(
-    folder: Path,
-    rigs: Sequence[tuple[Path, tuple[Posture, ...], str]],
-    sets: Sequence[_Images],
-    *,
-    overlaps: bool,
+    folder: Path, rigs: Sequence[RigFile], sets: Sequence[_Images], *, overlaps: bool
 ) -> dict[str, list[dict[str, Any]]]:
     # the files to come, as result.json lists them
-    homes = [(path.parent.relative_to(folder), postures) for path, postures, _ in rigs]
-    pictured = [(images.folder.relative_to(folder), images) for images in sets]
+    homes = [(images.folder.relative_to(folder), images) for images in sets]
     return {
         "rigs": [
-            {"file": (home / RIG_NAME).as_posix(), "postures": [p.as_dict() for p in postures]}
-            for home, postures in homes
+            {
+                "file": (path.parent.relative_to(folder) / RIG_NAME).as_posix(),
+                "postures": [posture.as_dict() for posture in postures],
+            }
+            for path, postures, _ in rigs
         ],
         "images": [
-            {"folder": home.as_posix(), "exposures": list(images.exposures)} for home, images in pictured
+            {"folder": home.as_posix(), "exposures": list(images.exposures)} for home, images in homes
         ],
         "overlaps": [
             {"map": (home / overlap_map_name(posture, exposure)).as_posix()}
-            for home, images in pictured
+            for home, images in homes
             for posture in images.postures
             for exposure in images.exposures
             if overlaps
@@ -240,16 +224,11 @@ def _listed(
     }
 
 
-def _render(
-    images: _Images,
-    part: PartConfig,
-    options: OptimizeOptions,
-    force: bool,
-    warn: Callable[[str], None],
-) -> None:
+def _render(images: _Images, result: DesignResult, force: bool, run: RunContext) -> None:
+    options = result.options
     render_image_set(
         load_rig(images.rig),
-        part,
+        result.part,
         images.folder,
         options=RenderOptions(
             postures=images.postures,
@@ -261,11 +240,11 @@ def _render(
             threads=options.threads,
         ),
         force=force,
-        warn=warn,
+        warn=run.warn,
     )
 
 
-def _overlaps(images: _Images, force: bool) -> list[Overlap]:
+def _write_overlaps(images: _Images, force: bool) -> list[Overlap]:
     # in the order in which they are listed
     found = {
         (overlap.posture, overlap.exposure): overlap
@@ -273,7 +252,6 @@ def _overlaps(images: _Images, force: bool) -> list[Overlap]:
     }
     overlaps = [found[posture, exposure] for posture in images.postures for exposure in images.exposures]
     for overlap in overlaps:
-        write_overlap_map(
-            overlap, images.folder / overlap_map_name(overlap.posture, overlap.exposure), overwrite=force
-        )
+        path = images.folder / overlap_map_name(overlap.posture, overlap.exposure)
+        write_overlap_map(overlap, path, overwrite=force)
     return overlaps

@@ -1,78 +1,56 @@
-"""From two YAML files to the best light positions, on disk."""
+"""The pipeline: from a rig and a part to a :class:`DesignResult`.
+
+Postures (where they are to be chosen) → candidate positions and their responses → objectives → exact search →
+exposures, tolerances, blind spots.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.core.errors import InputError
-from lightopt.design._additions import Appendix, Appraise, Outcome
-from lightopt.design._files import Written, write_outputs
-from lightopt.design._found import Draft
-from lightopt.design._options import OptimizeOptions, check_options
+from lightopt.design._checks import check_request
+from lightopt.design._commands import command_text
+from lightopt.design._design_result import DesignResult
+from lightopt.design._edited_files import check_editable
+from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions
+from lightopt.design._placed_lights import PlacedLights
+from lightopt.design._plan_progress import RunContext, of_stage
+from lightopt.design._plan_result import ChosenPostures, PlanResult
 from lightopt.design._previous_result import refuse_other_result
-from lightopt.design._provenance import provenance_of
+from lightopt.design._provenance import known_provenance, run_provenance
 from lightopt.design._result import SetResult
-from lightopt.design._rig_file import check_editable
 from lightopt.design._texts import combinations_text
-from lightopt.design.blind_spots._classes import Legend
-from lightopt.design.blind_spots._files import blind_files, blind_pictures
-from lightopt.design.blind_spots._summary import BlindReport
+from lightopt.design.blind_spots._planned_visibility import planned_visibility
+from lightopt.design.blind_spots._summary import BlindSpotSummary, PostureVisibility
 from lightopt.design.candidates._angles import can_move
 from lightopt.design.candidates._candidates import Candidates, find_candidates
-from lightopt.design.objectives._detectability import Detectability
+from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.objectives._registry import objectives_named
-from lightopt.design.responses._contrast import Contrast
-from lightopt.design.responses._defect_evaluation import Inspection
-from lightopt.design.responses._defect_hypotheses import unroll
-from lightopt.design.responses._luminance_matrix import Thresholds
-from lightopt.design.responses._posture_matrices import Matrices
-from lightopt.design.search._all_objectives import candidates_beside, searched, searched_beside
-from lightopt.images import Overlap
-from lightopt.rendering import PatchTable, RenderProgress, cast_rays_at, refuse_unusable_scene
-from lightopt.scene import build_catalogue, build_scene, coarse_warnings
-
-
-@dataclass(frozen=True, kw_only=True)
-class Optimum:
-    """What :func:`optimize` found and left on disk.
-
-    Attributes
-    ----------
-    candidates
-        The positions that the results are of: one of each light where these were chosen before.
-    offered
-        The positions that there were to choose from.
-    thresholds
-        Which levels are usable [sensor level].
-    results
-        One per posture, or one for all of them.
-    blind
-        Blind spots, where defects were looked for.
-    written
-        The files.
-    reused
-        Number of luminance matrices that were kept from an earlier run.
-    patches
-        What the patch refinement reached; None where all matrices were kept and there is no report.
-    warnings
-        What was repaired or is partly wrong.
-    """
-
-    candidates: Candidates
-    offered: Candidates
-    thresholds: Thresholds
-    results: tuple[SetResult, ...]
-    blind: BlindReport | None
-    written: Written
-    reused: int
-    patches: str | None
-    warnings: tuple[str, ...]
+from lightopt.design.postures._image_evaluator import ImageEvaluator
+from lightopt.design.postures._plan_answers import planned_answers
+from lightopt.design.postures._plan_postures import (
+    candidates_of,
+    chosen_angles,
+    detection_model_of,
+    plan_postures,
+)
+from lightopt.design.responses._defect_hypotheses import defect_hypotheses
+from lightopt.design.responses._luminance_matrix import LevelThresholds
+from lightopt.design.responses._posture_matrices import PostureMatrices
+from lightopt.design.search._all_objectives import (
+    candidates_of_others,
+    search_objectives,
+    search_other_objectives,
+)
+from lightopt.geometry import RayCaster
+from lightopt.rendering import PatchTable, cast_rays_at, refuse_unusable_scene
+from lightopt.scene import Scene, build_catalogue, build_scene, coarse_warnings
 
 
 def optimize(
@@ -81,198 +59,204 @@ def optimize(
     folder: Path | str,
     *,
     options: OptimizeOptions | None = None,
+    plan: PlanOptions | None = None,
     force: bool = False,
-    warn: Callable[[str], None] | None = None,
-    tell: Callable[[str], None] | None = None,
-    report: RenderProgress | None = None,
-    searching: Callable[[str, float], None] | None = None,
-    appraise: Appraise | None = None,
-    page: Callable[[Draft], str] | None = None,
-    legend: Legend | None = None,
-    table: PatchTable | None = None,
-) -> Optimum:
-    """Find the best positions of a rig's lights for a part (paper, section 5), and write them to a folder.
+    run: RunContext | None = None,
+) -> DesignResult:
+    """Find the best positions of a rig's lights for a part (paper, section 5), and plan what `plan` asks for.
 
-    Parameters
-    ----------
-    rig, part
-        Configurations, or the paths of their YAML files.
-    folder
-        Made where it does not exist.
-    options
-        What to optimise and how; by default all as :class:`OptimizeOptions` has it.
-    force
-        Replace results that are there and differ.
-    warn
-        Called with each warning as it comes up.
-    tell
-        Called with how many positions and combinations there are, before the rays are cast.
-    report
-        Called as the luminance matrices are computed.
-    searching
-        Called with what is searched for and the share of that which is done.
-    appraise
-        Called with what was found; what it returns is written with the rest.
-    page
-        Makes the HTML of report.html, such as :func:`lightopt.report.optimum_report`; None for no report.
-    legend
-        Adds the legend to pictures of blind spots, such as :func:`lightopt.report.with_legend`; None for none.
-    table
-        Patches that were cut before, of the postures of the options in their order.
+    In the output folder only luminance matrices are kept; :func:`lightopt.design.write_design` writes the results.
+    With `force`, the folder may hold other results.
 
     Raises
     ------
     InputError
         Whatever is wrong with the files, the options or the folder.
+    CheckFailed
+        A target that cannot be reached: the message says the best that can, and why.
     """
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
     part = part if isinstance(part, PartConfig) else load_part(part)
-    options = options or OptimizeOptions()
-    check_options(options)
-    warnings: list[str] = []
+    options, plan, run = options or OptimizeOptions(), plan or PlanOptions(), run or RunContext()
+    folder = Path(folder)
+    check_request(rig, part, options, plan, folder)
+    command = command_text(rig.source.path, part.source.path, options, plan)
 
-    def say(text: str) -> None:
-        if text not in warnings:
-            warnings.append(text)
-            if warn is not None:
-                warn(text)
+    postures = None
+    if plan.chooses:
+        if not force:
+            refuse_other_result(folder, known_provenance(rig, part, options, plan))
+        postures = _ChosenPostures(*plan_postures(rig, part, options, plan, run.inform, run.stage))
+        options = postures.fixed_in(options, rig)
 
-    find = partial(
-        find_candidates,
-        rig,
-        step_deg=options.step_deg,
-        common_elevation=options.common_elevation,
-        points=options.points,
-        places=options.places,
+    problem = _state_problem(rig, part, options, plan, None if force else folder, run)
+    table = None if postures is None else postures.survey.table_of(postures.chosen.way.order)
+    matrices = problem.matrices(folder, table)
+    found = _search(problem, matrices, run)
+    if postures is not None:
+        found = _scored_on_all_images(found, problem, postures, run)
+
+    planned, visibility = _complete(problem, matrices, found, plan, postures, run)
+    blind = None
+    if problem.defects is not None:
+        areas = matrices.patches().patches.areas
+        blind = BlindSpotSummary.of(visibility, areas, problem.defects, found.candidates.names)
+    return DesignResult(
+        folder=folder,
+        rig=rig,
+        part=part,
+        options=options,
+        command=command,
+        provenance=problem.provenance,
+        scene=problem.scene,
+        caster=problem.caster,
+        patches=matrices.table,
+        all_candidates=problem.all_candidates,
+        candidates=found.candidates,
+        thresholds=problem.thresholds,
+        results=found.results,
+        plan=planned,
+        blind=blind,
+        reused=matrices.reused,
+        warnings=run.warnings,
     )
-    find()  # what is wrong with the rig alone is told before the part is loaded
+
+
+@dataclass(frozen=True, eq=False)
+class _ChosenPostures:
+    """Postures that were chosen, and the surface that they were chosen on."""
+
+    chosen: ChosenPostures
+    survey: ImageEvaluator
+
+    def fixed_in(self, options: OptimizeOptions, rig: RigConfig) -> OptimizeOptions:
+        """The options with these postures and the light positions that go with them."""
+        return replace(
+            options,
+            objectives=options.objectives or (DEFECT_OBJECTIVE,),
+            postures=self.chosen.way.order,
+            common_lights=True,
+            places=chosen_angles(rig, self.chosen.choice, options),
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Problem:
+    """A scene, objectives, and the candidate positions to search.
+
+    `candidates` are one of each light where positions were chosen before; `all_candidates` are those to choose from.
+    """
+
+    rig: RigConfig
+    part: PartConfig
+    options: OptimizeOptions
+    objectives: tuple[Objective, ...]
+    scene: Scene
+    caster: RayCaster
+    thresholds: LevelThresholds
+    candidates: Candidates
+    all_candidates: Candidates
+    provenance: Mapping[str, Any]
+
+    @property
+    def defects(self) -> DetectabilityObjective | None:
+        """The objective of defects; None where it is not among the objectives."""
+        return next((one for one in self.objectives if isinstance(one, DetectabilityObjective)), None)
+
+    def matrices(self, folder: Path, table: PatchTable | None) -> PostureMatrices:
+        """The responses of the candidates; `table` has patches that were cut before."""
+        defects = None if self.defects is None else detection_model_of(self.scene, self.part, self.options)
+        return PostureMatrices(
+            self.rig,
+            self.part,
+            self.scene,
+            self.candidates,
+            self.options,
+            folder,
+            self.caster,
+            defects,
+            table,
+        )
+
+    def survey(self, matrices: PostureMatrices) -> ImageEvaluator:
+        """The part as the search sees it."""
+        return ImageEvaluator(
+            scene=self.scene,
+            table=matrices.patches(),
+            caster=self.caster,
+            detection=detection_model_of(self.scene, self.part, self.options),
+            shadows=self.options.shadows,
+            threads=self.options.threads,
+        )
+
+
+def _state_problem(
+    rig: RigConfig,
+    part: PartConfig,
+    options: OptimizeOptions,
+    plan: PlanOptions,
+    folder: Path | None,
+    run: RunContext,
+) -> _Problem:
+    """Build the scene and the candidates; `folder` must hold no other result, None where it may."""
+
+    def candidates_in(scene: Scene | None, places: Sequence[tuple[float, float]] | None) -> Candidates:
+        return find_candidates(
+            rig,
+            step_deg=options.step_deg,
+            common_elevation=options.common_elevation,
+            points=options.points,
+            places=places,
+            scene=scene,
+        )
+
+    candidates_in(None, options.places)  # errors in the rig alone come before the part is loaded
     check_editable(rig)
-    objectives = _objectives(rig, part, options, say)
+    objectives = _objectives(rig, part, options, run)
     scene = build_scene(rig, part, postures=options.postures, points=options.points, defects=False)
-    thresholds = Thresholds.of_sensor(
+    thresholds = LevelThresholds.of_sensor(
         shade_share=options.shade_below,
         max_level=scene.sensor.max_level,
         saturated_from=scene.sensor.saturated_from,
         black_level=scene.sensor.black_level,
     )
-    provenance = provenance_of(rig, part, scene, options, objectives, report=page is not None)
-    if not force:
-        refuse_other_result(Path(folder), provenance)
+    provenance = run_provenance(rig, part, scene, options, plan, objectives)
+    if folder is not None:
+        refuse_other_result(folder, provenance)
     caster = cast_rays_at(scene)
     # a light that moves may find its way out of the part: only its candidates count
-    still = tuple(panel for panel, light in zip(scene.lights, rig.lights, strict=True) if not can_move(light))
-    refuse_unusable_scene(replace(scene, lights=still), rig, part, caster)
-    candidates = offered = find(scene=scene)
+    fixed = tuple(panel for panel, light in zip(scene.lights, rig.lights, strict=True) if not can_move(light))
+    refuse_unusable_scene(replace(scene, lights=fixed), rig, part, caster)
+    candidates = all_candidates = candidates_in(scene, options.places)
     if options.places is not None and any(map(can_move, rig.lights)):
-        offered = find(places=None, scene=scene)
+        all_candidates = candidates_in(scene, None)
     for text in (*scene.warnings, *coarse_warnings(scene.lights, scene.reflectance.sigma)):
-        say(text)
-    defects = next((objective for objective in objectives if isinstance(objective, Detectability)), None)
-    inspection = defects and Inspection(
-        trials=defects.trials,
-        contrast=Contrast(
-            sensor=scene.sensor, full_scale=scene.reflectance.full_scale, threshold=options.contrast
-        ),
-    )
-    makers = Matrices(rig, part, scene, candidates, options, Path(folder), caster, inspection, table)
-    beside = candidates_beside(makers, rig, offered, len(objectives), say)
-    if tell is not None and (beside is not None or options.places is None):
-        tell(combinations_text(beside or candidates))
-    results, looked = searched(
-        makers, objectives if beside is None else objectives[:1], thresholds, report, searching, say
-    )
-    if beside is not None:
-        results = searched_beside(makers, beside, results, objectives, thresholds, report, searching, say)
-        candidates = beside
-    if page is not None:
-        makers.patches()
-    if makers.coarse is not None:
-        say(makers.coarse)
-    appendix = Appendix()
-    if appraise is not None:
-        appendix = appraise(
-            Outcome(
-                scene=scene,
-                caster=caster,
-                candidates=candidates,
-                thresholds=thresholds,
-                results=results,
-                table=makers.patches,
-            )
-        )
-        results = appendix.results or results
-    blind = None
-    if defects is not None:
-        patches = makers.patches().patches
-        blind = BlindReport.of(appendix.looked or looked, patches.areas, defects, candidates.names)
-        appendix = replace(
-            appendix,
-            sections={"blind_spots": blind.as_dict(), **appendix.sections},
-            files={
-                **blind_files(blind, patches, scene.placement),
-                **blind_pictures(blind, patches, scene, caster, legend),
-                **appendix.files,
-            },
-        )
-
-    def draw(document: Mapping[str, Any], overlaps: Sequence[Overlap]) -> str:
-        assert page is not None
-        return page(
-            Draft(
-                document=document,
-                folder=Path(folder),
-                rig=rig,
-                part=part,
-                scene=scene,
-                caster=caster,
-                table=makers.patches(),
-                candidates=candidates,
-                offered=offered,
-                thresholds=thresholds,
-                results=results,
-                overlaps=overlaps,
-                warnings=tuple(warnings),
-                blind=blind,
-            )
-        )
-
-    written = write_outputs(
-        Path(folder),
-        rig,
-        part,
-        results,
-        candidates,
-        thresholds,
-        offered=offered,
-        provenance=provenance,
+        run.warn(text)
+    return _Problem(
+        rig=rig,
+        part=part,
         options=options,
-        appendix=appendix,
-        force=force,
-        warn=say,
-        page=None if page is None else draw,
-    )
-    return Optimum(
-        candidates=candidates,
-        offered=offered,
+        objectives=objectives,
+        scene=scene,
+        caster=caster,
         thresholds=thresholds,
-        results=results,
-        blind=blind,
-        written=written,
-        reused=makers.reused,
-        patches=makers.message,
-        warnings=tuple(warnings),
+        candidates=candidates,
+        all_candidates=all_candidates,
+        provenance=provenance,
     )
 
 
 def _objectives(
-    rig: RigConfig, part: PartConfig, options: OptimizeOptions, say: Callable[[str], None]
+    rig: RigConfig, part: PartConfig, options: OptimizeOptions, run: RunContext
 ) -> tuple[Objective, ...]:
-    # one that was asked for must be possible; one that was not is left out
+    """The objectives; one that was named must be possible, one that is a default is left out otherwise."""
     chosen = objectives_named(
         options.objectives,
-        # places that were chosen before were chosen for the images of all postures together
-        lambda: Detectability(
-            unroll(build_catalogue(part)), options.seen_in, across_postures=options.places is not None
+        # positions that were chosen before were chosen for the images of all postures together
+        lambda: DetectabilityObjective(
+            defect_hypotheses(build_catalogue(part)),
+            options.seen_in,
+            across_postures=options.places is not None,
         ),
     )
     refusals = {objective.name: objective.refusal(len(rig.lights)) for objective in chosen}
@@ -281,5 +265,93 @@ def _objectives(
     if problems and (options.objectives or not possible):
         raise InputError(*problems)
     for text in problems:
-        say(text)
+        run.warn(text)
     return possible
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Found:
+    """Best positions, the candidates that they are indices into, and what the best images show of defects."""
+
+    results: tuple[SetResult, ...]
+    candidates: Candidates
+    visibility: Sequence[PostureVisibility]
+
+
+def _search(problem: _Problem, matrices: PostureMatrices, run: RunContext) -> _Found:
+    """The best positions for every objective, exactly."""
+    objectives, thresholds, options = problem.objectives, problem.thresholds, problem.options
+    free = candidates_of_others(matrices, problem.rig, problem.all_candidates, len(objectives), run.warn)
+    if free is not None or options.places is None:
+        run.inform(combinations_text(free or problem.candidates))
+    first = objectives if free is None else objectives[:1]
+    results, visibility = search_objectives(matrices, first, thresholds, run.rays, run.stage, run.warn)
+    if free is not None:
+        results = search_other_objectives(
+            matrices, free, results, objectives, thresholds, run.rays, run.stage, run.warn
+        )
+    if options.report:
+        matrices.patches()
+    if matrices.coarse_warning is not None:
+        run.warn(matrices.coarse_warning)
+    return _Found(results=results, candidates=free or problem.candidates, visibility=visibility)
+
+
+def _scored_on_all_images(
+    found: _Found, problem: _Problem, postures: _ChosenPostures, run: RunContext
+) -> _Found:
+    """The same positions, scored for defects by what the images of all chosen postures show together."""
+    # one set of lights for all postures is one result
+    result = planned_answers(
+        found.results[0],
+        postures.chosen,
+        postures.survey,
+        found.candidates,
+        candidates_of(problem.rig, problem.options),
+        of_stage(run.stage, "the score along each angle"),
+    )
+    return replace(found, results=(result,))
+
+
+def _complete(
+    problem: _Problem,
+    matrices: PostureMatrices,
+    found: _Found,
+    plan: PlanOptions,
+    postures: _ChosenPostures | None,
+    run: RunContext,
+) -> tuple[PlanResult, Sequence[PostureVisibility]]:
+    """Exposures and tolerances of the best positions, and what all images of the plan show of defects."""
+    chosen = None if postures is None else postures.chosen
+    if any(result.answers[0].nothing is not None for result in found.results):
+        return PlanResult(chosen=chosen), found.visibility
+    lights = PlacedLights.of(problem.rig, problem.options, found.results, found.candidates)
+    brackets, tolerances = None if chosen is None else chosen.brackets, ()
+    if plan.exposures or plan.tolerances is not None:
+        # all shares are of the surface that the postures were chosen on
+        survey = problem.survey(matrices) if postures is None else postures.survey
+        if plan.exposures and chosen is None:
+            brackets = lights.exposures(survey, plan, run.stage)
+        if plan.tolerances is not None:
+            objective = found.results[0].answers[0].objective
+            tolerances = lights.tolerances(
+                survey, plan.tolerances, brackets, objective, problem.thresholds, run.stage
+            )
+    if chosen is None and brackets is None:
+        return PlanResult(tolerances=tolerances), found.visibility
+    planned = PlanResult(
+        chosen=chosen, brackets=brackets, tolerances=tolerances, commands=lights.commands(brackets)
+    )
+    if problem.defects is None:
+        return planned, found.visibility
+    candidates = found.candidates if chosen is None else candidates_of(problem.rig, problem.options)
+    visibility = planned_visibility(
+        problem.survey(matrices),
+        lights.setup(brackets),
+        candidates,
+        all_exposures=plan.all_exposures,
+        thresholds=problem.thresholds,
+        least=problem.options.seen_in,
+        progress=of_stage(run.stage, "blind spots"),
+    )
+    return planned, visibility

@@ -1,70 +1,47 @@
-"""What to optimise and how."""
+"""What to optimise, what to plan beside the lights, and how."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass
 from typing import Any, Literal
 
 from lightopt.config import points_problem
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
+from lightopt.design.exposures._plan_exposures import DEFAULT_EXPOSURE_GAIN, check_exposures
 from lightopt.design.objectives._detectability import seen_in_problem
+from lightopt.design.postures._posture_grid import DEFAULT_OUTSIDE_PX, DEFAULT_POSTURE_STEP
 from lightopt.design.responses._contrast import DEFAULT_CONTRAST, threshold_problem
-from lightopt.design.search._search import DEFAULT_LIMIT
+from lightopt.design.search._exact_search import DEFAULT_LIMIT
+from lightopt.design.tolerances._tolerances import Tolerances
 from lightopt.rendering import DEFAULT_PATCH_BUDGET
 
 DEFAULT_SHADE_SHARE = 10.0 / 255.0
-"""Share of full scale, above black, below which a level is shaded, unless asked otherwise."""
+"""Share of full scale, above black, below which a level is shaded."""
 
-
-def _no_plan() -> Mapping[str, Any]:
-    return {}
+DEFECT_OBJECTIVE = "detectability"
+"""The objective whose pairs of patch and defect are planned for."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class OptimizeOptions:
     """What to optimise and how.
 
-    Attributes
-    ----------
-    objectives
-        Names; all by default. The first decides where the lights go, the others are compared with it.
-    step_deg
-        Of the angles within the lights' ranges [°].
-    common_elevation
-        Whether all lights that move in elevation stand at the same one.
-    common_lights
-        Whether the lights stand the same for all postures: the sum over the postures decides.
-    shade_below
-        Share of full scale, above black, below which a level is shaded.
-    seen_in
-        Images that must show a defect, for objective detectability.
-    contrast
-        Times the sensor's noise that a defect must change the level by, for objective detectability.
-    postures
-        Instead of the part's own.
-    points
-        Point lights per panel, instead of the rig's.
-    shadows
-        Whether the part casts shadows on itself.
-    patch_budget
-        About how many patches may be visible.
-    keep_matrix
-        Whether to keep the luminance matrices on disk.
-    images
-        Whether to render the images of the best set.
-    rows
-        Combinations in the ranking, for each posture and objective.
-    limit
-        Most combinations to score.
-    threads
-        All the machine's by default. The results do not depend on it.
-    places
-        Elevation and azimuth of each light [°], where somebody chose them before for the first objective: then only
+    objectives: Names; all by default. The first decides where the lights go, the others are compared with it.
+    step_deg: Of the angles within the lights' ranges [°].
+    common_elevation: Whether all lights that move in elevation stand at the same one.
+    common_lights: Whether the lights stand the same for all postures: the sum over the postures decides.
+    shade_below: Share of full scale, above black, below which a level is shaded.
+    seen_in: Images that must show a defect, for objective detectability.
+    contrast: Times the sensor's noise that a defect must change the level by, for objective detectability.
+    postures, points: Instead of the part's own; point lights per panel, instead of the rig's.
+    patch_budget: About how many patches may be visible.
+    images, report: Whether images of the best set and an HTML report are part of the results.
+    rows: Combinations in the ranking, for each posture and objective.
+    limit: Most combinations to score.
+    places: Elevation and azimuth of each light [°], where they were chosen before for the first objective: then only
         the others are searched.
-    plan
-        What else was asked for, as JSON: part of the result's provenance.
     """
 
     objectives: tuple[str, ...] = ()
@@ -80,21 +57,15 @@ class OptimizeOptions:
     patch_budget: int = DEFAULT_PATCH_BUDGET
     keep_matrix: bool = False
     images: bool = True
+    report: bool = False
     rows: int = 100
     limit: int = DEFAULT_LIMIT
     threads: int | None = None
     places: tuple[tuple[float, float], ...] | None = None
-    plan: Mapping[str, Any] = field(default_factory=_no_plan)
 
 
 def check_options(options: OptimizeOptions) -> None:
-    """Say all that is wrong with the options at once.
-
-    Raises
-    ------
-    InputError
-        Anything out of range.
-    """
+    """Refuse options that are out of range, all at once."""
     problems: list[str] = []
     if options.points is not None and (problem := points_problem(options.points)):
         problems.append(f"points: {problem}")
@@ -110,5 +81,77 @@ def check_options(options: OptimizeOptions) -> None:
         problems.append("posture: the same posture was given twice")
     defects = (seen_in_problem(options.seen_in), threshold_problem(options.contrast))
     problems += [problem for problem in defects if problem is not None]
+    if problems:
+        raise InputError(*problems)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanOptions:
+    """What to plan beside the positions of the lights; nothing by default.
+
+    postures: How many to choose; as many as the target takes where None.
+    target: Share of the pairs of patch and defect that the chosen ones are to show; None for no matter.
+    posture_step_deg, allow_outside_px: Of the postures to choose from: step of the grid [°], and how far the part may
+        leave the view [px].
+    exposures, exposure_gain: Offered beside exposure 1, and the points that one has to add.
+    """
+
+    postures: int | None = None
+    target: float | None = None
+    posture_step_deg: float = DEFAULT_POSTURE_STEP
+    allow_outside_px: float = DEFAULT_OUTSIDE_PX
+    exposures: tuple[float, ...] = ()
+    exposure_gain: float = DEFAULT_EXPOSURE_GAIN
+    tolerances: Tolerances | None = None
+
+    @property
+    def chooses(self) -> bool:
+        """Whether postures are to be chosen."""
+        return self.postures is not None or self.target is not None
+
+    @property
+    def all_exposures(self) -> tuple[float, ...]:
+        """Exposure 1, and those that are offered beside it."""
+        return (1.0, *(exposure for exposure in self.exposures if exposure != 1.0))
+
+    def facts(self) -> dict[str, Any]:
+        """The options that are in use, as JSON."""
+        facts: dict[str, Any] = {}
+        if self.chooses:
+            facts["choose_postures"] = self.postures
+            facts["target"] = self.target
+            facts["posture_step_deg"] = self.posture_step_deg
+            facts["allow_outside_px"] = self.allow_outside_px
+        if self.exposures:
+            facts["exposures"] = list(self.exposures)
+            facts["exposure_gain"] = self.exposure_gain
+        if self.tolerances is not None:
+            facts["tolerances"] = {
+                "light_deg": self.tolerances.light_deg,
+                "pose_deg": self.tolerances.pose_deg,
+                "target": self.tolerances.target,
+                "draws": self.tolerances.draws,
+                "seed": self.tolerances.seed,
+            }
+        return facts
+
+
+def check_plan(plan: PlanOptions) -> None:
+    """Refuse options that are out of range, all at once."""
+    problems: list[str] = []
+    if plan.postures is not None and plan.postures < 1:
+        problems.append(f"--choose-postures: expected 1 posture or more, found {plan.postures}")
+    if plan.target is not None and not 0.0 < plan.target <= 1.0:
+        percents = 1.0 < plan.target <= 100.0
+        hint = f"; {plan.target:g} % is --target {plan.target / 100.0:g}" if percents else ""
+        problems.append(
+            "--target: expected a share of the surface above 0 and up to 1, such as 0.95, found "
+            f"{plan.target:g}{hint}"
+        )
+    if not (math.isfinite(plan.allow_outside_px) and plan.allow_outside_px >= 0.0):
+        problems.append(
+            f"--allow-outside: expected a number of pixels, 0 or more, found {plan.allow_outside_px:g}"
+        )
+    problems += check_exposures(plan.exposures, plan.exposure_gain)
     if problems:
         raise InputError(*problems)

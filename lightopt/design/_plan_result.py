@@ -1,4 +1,4 @@
-"""What was planned."""
+"""What was planned: postures, exposures, tolerances, commands."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from lightopt.core.transforms import Posture
 from lightopt.design._commands import Command, Way
 from lightopt.design.exposures._brackets import Brackets
-from lightopt.design.postures._choice import Choice
-from lightopt.design.postures._grid import LeftOutPosture
-from lightopt.design.tolerances._robustness import Trust
+from lightopt.design.postures._choice import PostureChoice
+from lightopt.design.postures._posture_grid import ExcludedPosture
+from lightopt.design.tolerances._analysis import ToleranceAnalysis
 from lightopt.rendering import GRAZING_DEG
 
 SHARES_OF = (
@@ -24,53 +24,39 @@ OWN_SHARES_OF = (
 )
 """The same of exposures for a part's own postures."""
 
-TELLING_SHARE = 0.001
-"""Of the pairs: what postures add together that are not worth an image."""
+NEGLIGIBLE_SHARE = 0.001
+"""Of the pairs: what further postures add together that is too little for an image."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ChosenPostures:
     """The postures of a plan, and what there was to choose from.
 
-    Attributes
-    ----------
-    choice
-        Postures and lights.
-    offered
-        Postures to choose from.
-    left_out
-        Postures that the stage reaches and that are of no use.
-    way
-        Through the chosen ones, were all captured in one round.
-    pace
-        How fast the stage goes, and who says so.
-    least
-        Images that must show a pair.
-    asked, target
-        Number of postures and share that were asked for; None for what was not.
-    drawn, patches
-        Patches that the first turns of postures and lights were taken on, and those of the last ones and all figures.
-    max_edge, footprint
-        Longest edge of these, and side of a pixel's footprint on the part where it is smallest [mm].
-    grain
-        How far shares may be off since a patch counts as its middle does: see :class:`lightopt.rendering.PatchTable`.
-    inspectable_share
-        Of the part's surface, by area, what is inspectable in one candidate posture or more.
-    left_out_share
-        Of the part's surface, by area, what the camera sees in candidate postures at a grazing angle only.
-    exposures
-        That were offered, 1 among them.
-    brackets
-        Which of them are planned; None where there was no offer.
+    choice: Postures and lights.
+    candidate_count: Number of postures to choose from.
+    left_out: Postures that the stage reaches and that are of no use.
+    way: Through the chosen ones, were all captured in one round.
+    pace: How fast the stage goes, and who says so.
+    least: Images that must show a pair.
+    requested, target: Number of postures and share that were asked for; None for what was not.
+    drawn, patches: Number of patches for the first turns of postures and lights, and for the last ones and all
+        figures.
+    max_edge, footprint: Longest edge of these, and side of a pixel's footprint on the part where it is smallest [mm].
+    grain: How far shares may be off since a patch counts as its middle does: see
+        :class:`lightopt.rendering.PatchTable`.
+    inspectable_share, left_out_share: Of the part's surface, by area: inspectable in one candidate posture or more;
+        seen at a grazing angle only.
+    exposures: That were offered, 1 among them.
+    brackets: Which of them are planned; None where there was no offer.
     """
 
-    choice: Choice
-    offered: int
-    left_out: tuple[LeftOutPosture, ...]
+    choice: PostureChoice
+    candidate_count: int
+    left_out: tuple[ExcludedPosture, ...]
     way: Way
     pace: str
     least: int
-    asked: int | None
+    requested: int | None
     target: float | None
     drawn: int
     patches: int
@@ -83,43 +69,32 @@ class ChosenPostures:
     brackets: Brackets | None = None
 
     def exposures_of(self, posture: Posture) -> tuple[float, ...]:
-        """That are planned for a posture, the longest first."""
+        """Planned exposures of a posture, the longest first."""
         return (1.0,) if self.brackets is None else self.brackets.of(posture)
 
     @property
     def proven(self) -> bool:
-        """Whether no other postures with no other lights show more: then there is nothing that turns could miss."""
+        """Whether no other postures with no other lights show more: then the alternating search can miss nothing."""
         cover = self.choice.cover
-        return cover.reached == cover.total or (self.choice.turns == 0 and cover.proven)
+        return cover.covered == cover.total or (self.choice.iterations == 0 and cover.proven)
 
     @property
-    def telling(self) -> int:
+    def sufficient(self) -> int:
         """How many of the postures, in the order in which they were chosen, come within a tenth of a point of all."""
         steps = self.choice.cover.steps
-        enough = (steps[-1].reached if steps else 0) - TELLING_SHARE * self.choice.cover.total
-        return next((i for i, step in enumerate(steps, start=1) if step.reached >= enough), len(steps))
+        enough = (steps[-1].covered if steps else 0) - NEGLIGIBLE_SHARE * self.choice.cover.total
+        return next((i for i, step in enumerate(steps, start=1) if step.covered >= enough), len(steps))
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrustOf:
-    """How far a score falls, of one posture or of several together.
+class ToleranceResult:
+    """How far the score of one posture, or of several together, falls when angles are off.
 
-    Attributes
-    ----------
-    postures
-        Which.
-    trust
-        What becomes of their score.
-    unit
-        Of the score.
-    patches
-        Patches that it was worked out on.
-    grain
-        How far shares of these may be off since a patch counts as its middle does.
+    `grain` is how far shares of its `patches` may be off since a patch counts as its middle does.
     """
 
     postures: tuple[Posture, ...]
-    trust: Trust
+    robustness: ToleranceAnalysis
     unit: str
     patches: int
     grain: float
@@ -127,27 +102,21 @@ class TrustOf:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanResult:
-    """What was planned.
+    """What was planned beside the lights.
 
-    Attributes
-    ----------
-    chosen
-        Postures; None where the part's own were taken.
-    brackets
-        Exposures; None where none were offered.
-    trust
-        Posture by posture, then together where there are several; empty where nobody asked.
-    commands
-        That carry the plan out; empty where neither postures nor exposures were planned.
+    chosen: Postures; None where the part's own were taken.
+    brackets: Exposures; None where none were offered.
+    tolerances: Posture by posture, then together where there are several; empty where they were not asked for.
+    commands: That carry the plan out; empty where neither postures nor exposures were planned.
     """
 
     chosen: ChosenPostures | None = None
     brackets: Brackets | None = None
-    trust: tuple[TrustOf, ...] = ()
+    tolerances: tuple[ToleranceResult, ...] = ()
     commands: tuple[Command, ...] = ()
 
     def exposures_of(self, posture: Posture) -> tuple[float, ...]:
-        """That are planned for a posture, the longest first."""
+        """Planned exposures of a posture, the longest first."""
         return (1.0,) if self.brackets is None else self.brackets.of(posture)
 
     @property

@@ -1,8 +1,8 @@
-"""The result of an earlier run in the output folder: the same run again, or another one, or one that was cut off.
+"""The result of an earlier run in the output folder: of the same run, of another one, or of one that was interrupted.
 
-While a run writes its files, ``unfinished.json`` lists those that it means to write, and those of an earlier run that
-it removes; it goes when ``result.json`` is there. So there is no time at which a folder has a ``result.json`` beside
-files that contradict it, and what an interrupted run left is known to the next one.
+While a run writes its files, ``unfinished.json`` lists those that it will write, and those of an earlier run that it
+removes; it goes when ``result.json`` is there. So a folder never has a ``result.json`` beside files that contradict
+it, and what an interrupted run left is known to the next one.
 """
 
 from __future__ import annotations
@@ -15,31 +15,25 @@ from typing import Any
 
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import differences
-from lightopt.design._additions import APPENDED_NAMES
+from lightopt.design.blind_spots._files import BLIND_NAMES
 from lightopt.images import remove_image_set, write_text_atomic
 
 RESULT_NAME = "result.json"
 RIG_NAME = "rig.optimized.yaml"
 REPORT_NAME = "report.html"
+PLANNED_PART_NAME = "part.planned.yaml"
 UNFINISHED_NAME = "unfinished.json"
+
+_FURTHER_NAMES = (REPORT_NAME, PLANNED_PART_NAME, *BLIND_NAMES)
+"""Files that a result may list beside rigs, images and maps; with ``--force`` no others are removed."""
 
 _FORMATS = {RESULT_NAME: "lightopt-optimum/", UNFINISHED_NAME: "lightopt-unfinished/"}
 
 
 def refuse_other_result(folder: Path, provenance: Mapping[str, Any]) -> None:
-    """Stop before any work where a folder holds the result of other inputs.
+    """Raise an :class:`InputError` where a folder holds a result of other inputs, or one that cannot be read.
 
-    Parameters
-    ----------
-    folder
-        Where the results go.
-    provenance
-        Of the run to come, or the part of it that is known already.
-
-    Raises
-    ------
-    InputError
-        A result is there and was made otherwise, or cannot be read.
+    `provenance` is that of the run to come, or the part of it that is known already.
     """
     path = folder / RESULT_NAME
     if not path.exists():
@@ -49,34 +43,17 @@ def refuse_other_result(folder: Path, provenance: Mapping[str, Any]) -> None:
     if found is None:
         raise InputError(f"{path}: exists and is not a result of lightopt optimize; {advice}")
     earlier = found.get("provenance")
-    if told := differences(earlier if isinstance(earlier, dict) else {}, provenance, partly=True):
-        raise InputError(f"{path}: the result of another run ({told}); {advice}")
+    if changes := differences(earlier if isinstance(earlier, dict) else {}, provenance, partly=True):
+        raise InputError(f"{path}: the result of another run ({changes}); {advice}")
 
 
 def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> bool:
-    """Say which files are to come and, with `force`, remove result.json and then all that earlier runs list.
+    """List the files to come and, with `force`, remove result.json and then all that earlier runs list.
 
-    Removed are rigs, overlap maps, reports and files of an appendix by their names, and image sets by their manifests,
-    inside the folder only; captured images, kept matrices and what no list names stay.
+    Removed are rigs, overlap maps, reports and further files by their names, and image sets by their manifests, inside
+    the folder only; captured images, kept matrices and what no list names stay. `listed` is as in result.json.
 
-    Parameters
-    ----------
-    folder
-        Where the results go; it exists.
-    listed
-        ``rigs``, ``images``, ``overlaps`` and ``files`` as in result.json.
-    force
-        Whether the files of earlier runs are removed.
-
-    Returns
-    -------
-    bool
-        Whether a report that is there is of an earlier run.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written or removed.
+    Returns whether a report that is there is of an earlier run.
     """
     earlier = [found for name in _FORMATS if (found := _read(folder / name)) is not None]
     lists = {key: [one for doc in (listed, *earlier) for one in _entries(doc, key)] for key in listed}
@@ -92,20 +69,20 @@ def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> bo
                 _unlink(path)
         for path in _paths(folder, document, "images", "folder"):
             remove_image_set(path)
-            _leave(path, folder)
+            _remove_if_empty(path, folder)
         for path in _paths(folder, document, "files", "file"):
-            if path.name in (REPORT_NAME, *APPENDED_NAMES):
+            if path.name in _FURTHER_NAMES:
                 _unlink(path)
-                _leave(path.parent, folder)
+                _remove_if_empty(path.parent, folder)
         for path in _paths(folder, document, "rigs", "file"):
             if path.name == RIG_NAME:
                 _unlink(path)
-                _leave(path.parent, folder)
+                _remove_if_empty(path.parent, folder)
     return ours
 
 
 def end_writing(folder: Path) -> None:
-    """All files are there, result.json too."""
+    """Remove the list of files to come: all are there, result.json too."""
     _unlink(folder / UNFINISHED_NAME)
 
 
@@ -135,7 +112,7 @@ def _unlink(path: Path) -> None:
         ) from error
 
 
-def _leave(path: Path, folder: Path) -> None:
+def _remove_if_empty(path: Path, folder: Path) -> None:
     if path != folder.resolve():
         with suppress(OSError):  # something else is in it, or it is gone
             path.rmdir()

@@ -1,4 +1,4 @@
-"""What the search found, in the words that terminal and report share."""
+"""Texts about a result that terminal and report share."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from collections.abc import Sequence
 
 from lightopt.core.errors import counted
 from lightopt.core.transforms import Posture
-from lightopt.design._result import Answer, SetResult
+from lightopt.design._result import ObjectiveResult, SetResult
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.objectives._objective import NEAR_PER_MILLE, Objective, share_of_whole, share_text
 from lightopt.rendering import GRAZING_DEG
 
 NOT_COUNTED = "not counted"
-"""Runner-up and ties where no other combination was looked at."""
+"""Runner-up and ties where no other combination was scored."""
 
 
 def shown_text(value: int, objective: Objective, result: SetResult) -> str:
     """A score of a result with its unit, to the digits that its patches support."""
-    return objective.shown(value, result.grain * result.area)
+    return objective.format_score(value, result.grain * result.area)
 
 
 def score_text(value: int, objective: Objective, result: SetResult) -> str:
@@ -28,8 +28,8 @@ def score_text(value: int, objective: Objective, result: SetResult) -> str:
     return text + ("" if share is None else f" ({share_text(share, result.grain)})")
 
 
-def gap_text(answer: Answer, result: SetResult) -> str:
-    """By how much the runner-up scores less; of the combinations looked at (≥) where some are left."""
+def gap_text(answer: ObjectiveResult, result: SetResult) -> str:
+    """By how much the runner-up scores less; of the combinations scored (≥) where some are left."""
     found = answer.found
     if answer.proven_of is not None:
         return NOT_COUNTED
@@ -42,18 +42,27 @@ def gap_text(answer: Answer, result: SetResult) -> str:
     return gap if gap.startswith("<") else f"{'' if found.complete else '≥ '}−{gap}"
 
 
-def ties_text(answer: Answer) -> str:
-    """How many other combinations share the optimum's score; of a set that was chosen before nobody counted them."""
+def ties_text(answer: ObjectiveResult) -> str:
+    """How many other combinations share the optimum's score; not counted for a set that was chosen before."""
     if answer.proven_of is not None:
         return NOT_COUNTED
     return f"{'' if answer.found.complete else '≥ '}{answer.found.ties:,}"
 
 
-def near_text(answer: Answer) -> str:
-    """How many other combinations score nearly as much; of a set that was chosen before nobody counted them."""
+def near_text(answer: ObjectiveResult) -> str:
+    """How many other combinations score nearly as much; not counted for a set that was chosen before."""
     if answer.proven_of is not None:
         return NOT_COUNTED
     return f"{'' if answer.found.near_exact else '≥ '}{answer.found.near:,}"
+
+
+def shares_of(objectives: Sequence[Objective]) -> dict[str, list[str]]:
+    """Names of the objectives whose scores are shares, by the surface that they are shares of."""
+    names: dict[str, list[str]] = {}
+    for objective in objectives:
+        if objective.share_of is not None:
+            names.setdefault(objective.share_of, []).append(objective.name)
+    return names
 
 
 def near_meaning(objectives: Sequence[Objective]) -> str:
@@ -81,8 +90,8 @@ LEFT_OUT_MEANING = (
 """What the share that is left out is."""
 
 
-def looked_text(answer: Answer) -> str:
-    """How many combinations were scored, excluded by a bound, and left; nobody counted those of a set placed before."""
+def combinations_counted_text(answer: ObjectiveResult) -> str:
+    """How many combinations were scored, excluded by a bound, and left; not of a set that was chosen before."""
     found = answer.found
     if answer.proven_of is not None:
         return NOT_COUNTED
@@ -90,9 +99,9 @@ def looked_text(answer: Answer) -> str:
     return text + (f", {found.left:,} left" if found.left else "")
 
 
-def patches_text(drawn: int, patches: int, *, on_all: bool) -> str:
-    """On which patches a plan's postures and lights were chosen."""
-    if not on_all:
+def patches_text(drawn: int, patches: int, *, on_all_patches: bool) -> str:
+    """On which patches postures and lights were chosen."""
+    if not on_all_patches:
         return f"on {drawn:,} of {patches:,} patches"
     return (
         f"on all {patches:,} patches"
@@ -101,8 +110,8 @@ def patches_text(drawn: int, patches: int, *, on_all: bool) -> str:
     )
 
 
-def cut_off(answer: Answer, postures: Sequence[Posture]) -> str:
-    """What to say of a search that left combinations."""
+def cut_off(answer: ObjectiveResult, postures: Sequence[Posture]) -> str:
+    """The warning of a search that left combinations."""
     found, name = answer.found, answer.objective.name
     proof = (
         "none scores more, but one of those left may score the same and win the tie"

@@ -2,7 +2,7 @@
 
 from lightopt.report._charts import chart
 from lightopt.report._contact_sheet import add_contact_sheets, contact_sheet
-from lightopt.report._drawing import figure_image, fixed_style, with_legend
+from lightopt.report._drawing import figure_image, fixed_style
 from lightopt.report._fit_pictures import fit_chart, residual_picture
 from lightopt.report._inspection_batch import BatchRow, batch_report
 from lightopt.report._inspection_pictures import defect_overlay
@@ -14,6 +14,7 @@ from lightopt.report._inspection_tables import (
     surface_notes,
     surface_table,
 )
+from lightopt.report._optimum_blind import blind_pictures
 from lightopt.report._optimum_report import optimum_report
 from lightopt.report._page import Page, Section, SurfaceView, Table
 from lightopt.report._page_html import page_html
@@ -31,6 +32,7 @@ __all__ = [
     "Table",
     "add_contact_sheets",
     "batch_report",
+    "blind_pictures",
     "chart",
     "contact_sheet",
     "dark_text",
@@ -47,5 +49,4 @@ __all__ = [
     "rig_drawing",
     "surface_notes",
     "surface_table",
-    "with_legend",
 ]

@@ -1,4 +1,4 @@
-"""The answer of an optimisation: angles, score, proof; and the scores under every objective."""
+"""The answer of a design: angles, score, proof; and the scores under every objective."""
 
 from __future__ import annotations
 
@@ -9,38 +9,39 @@ from lightopt.core.errors import counted
 from lightopt.core.transforms import Posture
 from lightopt.design import (
     LEFT_OUT_MEANING,
-    Detectability,
-    Draft,
+    DesignOutput,
+    DetectabilityObjective,
+    ObjectiveResult,
     SetResult,
     angles_of,
+    combinations_counted_text,
     gap_text,
     left_out_text,
-    looked_text,
     near_meaning,
     near_text,
     patches_text,
     score_text,
     share_of_whole,
     share_text,
+    shares_of,
     shown_text,
     ties_text,
 )
-from lightopt.design import Answer as Best
 from lightopt.rendering import GRAZING_DEG
 from lightopt.report._contact_sheet import degrees
 from lightopt.report._page import Answer, Block, Note, Table, Warnings
 
 
-def answer_blocks(draft: Draft) -> list[Block]:
-    """What was found, in a sentence and a table of angles, and what to know before relying on it."""
-    chosen = draft.document.get("chosen_postures")
+def answer_blocks(output: DesignOutput) -> list[Block]:
+    """The result in a sentence and a table of angles, its proof, and warnings."""
+    chosen = output.document.get("chosen_postures")
     blocks: list[Block] = (
-        [_answer(result) for result in draft.results]
+        [_answer(result) for result in output.result.results]
         if chosen is None
-        else [_plan_answer(chosen, draft.document.get("exposures"))]
+        else [_plan_answer(chosen, output.document.get("exposures"))]
     )
-    header = ["posture", *draft.candidates.names, "score"]
-    rows = [_row(draft, result) for result in draft.results if result.answers[0].nothing is None]
+    header = ["posture", *output.result.candidates.names, "score"]
+    rows = [_row(output, result) for result in output.result.results if result.answers[0].nothing is None]
     if rows:
         blocks.append(
             Table(
@@ -51,33 +52,36 @@ def answer_blocks(draft: Draft) -> list[Block]:
             )
         )
     if chosen is None:
-        found = [result for result in draft.results if result.answers[0].nothing is None]
+        found = [result for result in output.result.results if result.answers[0].nothing is None]
         blocks += [Note(text=_proof(result)) for result in found]
     else:
         blocks.append(Note(text=_plan_proof(chosen)))
-    rigs = ", ".join(rig["file"] for rig in draft.document["rigs"])
+    rigs = ", ".join(rig["file"] for rig in output.document["rigs"])
     if rigs:
         blocks.append(Note(text=f"Rig with these angles: {rigs}"))
-    return [*blocks, Warnings(texts=draft.warnings)]
+    return [*blocks, Warnings(texts=output.warnings)]
 
 
-def scores_table(draft: Draft) -> Table:
+def scores_table(output: DesignOutput) -> Table:
     """The best set of every objective, scored under all."""
-    names = [answer.objective.name for answer in draft.results[0].answers]
+    names = [answer.objective.name for answer in output.result.results[0].answers]
     rows = [
-        _scores(draft, result, answer, names)
-        for result in draft.results
+        _scores(output, result, answer, names)
+        for result in output.result.results
         for answer in result.answers
         if answer.nothing is None
     ]
-    header = ["posture", "best for", *draft.candidates.names, *names, *COUNTS]
-    near = near_meaning([answer.objective for answer in draft.results[0].answers])
+    header = ["posture", "best for", *output.result.candidates.names, *names, *COUNTS]
+    objectives = [answer.objective for answer in output.result.results[0].answers]
+    shares = [
+        f"Shares of {' and '.join(names)}: of {surface}." for surface, names in shares_of(objectives).items()
+    ]
     return Table(
         header=header,
         rows=rows,
         numbers_from=2,
-        caption=f"{_shares(draft)} {_sentence(LEFT_OUT_MEANING)} {_sentence(near)} ranking.csv lists the best "
-        "combinations, result.json has all numbers.",
+        caption=f"{' '.join(shares)} {_sentence(LEFT_OUT_MEANING)} {_sentence(near_meaning(objectives))} ranking.csv "
+        "lists the best combinations, result.json has all numbers.",
     )
 
 
@@ -87,15 +91,6 @@ COUNTS = ("left out", "runner-up", "ties / near best", "combinations")
 
 def _sentence(text: str) -> str:
     return f"{text[0].upper()}{text[1:]}."
-
-
-def _shares(draft: Draft) -> str:
-    # what the shares of scores are shares of
-    named: dict[str, list[str]] = {}
-    for answer in draft.results[0].answers:
-        if answer.objective.share_of is not None:
-            named.setdefault(answer.objective.share_of, []).append(answer.objective.name)
-    return " ".join(f"Shares of {' and '.join(names)}: of {surface}." for surface, names in named.items())
 
 
 def postures_text(result: SetResult) -> str:
@@ -114,7 +109,9 @@ def _answer(result: SetResult) -> Answer:
     score = shown_text(best.found.best.score, best.objective, result)
     if share is None:
         return Answer(figure=score, text=f"by {best.objective.name}, {where}")
-    surface = "surface × defects (by weight)" if isinstance(best.objective, Detectability) else "surface"
+    surface = (
+        "surface × defects (by weight)" if isinstance(best.objective, DetectabilityObjective) else "surface"
+    )
     added = ", added up" * (len(result.postures) > 1)
     return Answer(
         figure=share_text(share, result.grain),
@@ -159,7 +156,7 @@ def _plan_proof(chosen: Mapping[str, Any]) -> str:
         return f"{bound} No light moves."
     tried = "every combination" if chosen["every_combination_tried"] else "one light moved at a time"
     drawn, patches = chosen["patches"]["drawn"], chosen["patches"]["all"]
-    where = patches_text(drawn, patches, on_all=chosen["turns_on_all_patches"])
+    where = patches_text(drawn, patches, on_all_patches=chosen["turns_on_all_patches"])
     if chosen["lights_best_for_postures"]:
         bound += " Proven: in these postures no other positions of the lights show more."
     return (
@@ -169,19 +166,19 @@ def _plan_proof(chosen: Mapping[str, Any]) -> str:
     )
 
 
-def _row(draft: Draft, result: SetResult) -> list[str]:
+def _row(output: DesignOutput, result: SetResult) -> list[str]:
     best = result.answers[0]
     return [
         postures_text(result),
-        *_angles(draft, best),
+        *_angles(output, best),
         score_text(best.found.best.score, best.objective, result),
     ]
 
 
-def _angles(draft: Draft, answer: Best) -> list[str]:
+def _angles(output: DesignOutput, answer: ObjectiveResult) -> list[str]:
     return [
         f"{degrees(elevation)},\u00a0{degrees(azimuth)}"
-        for elevation, azimuth in angles_of(draft.candidates, answer.found.best)
+        for elevation, azimuth in angles_of(output.result.candidates, answer.found.best)
     ]
 
 
@@ -205,17 +202,17 @@ def _proof(result: SetResult) -> str:
     return f"{postures_text(result).capitalize()}: {text}; {runner_up}."
 
 
-def _scores(draft: Draft, result: SetResult, answer: Best, names: list[str]) -> list[str]:
+def _scores(output: DesignOutput, result: SetResult, answer: ObjectiveResult, names: list[str]) -> list[str]:
     objectives = {other.objective.name: other.objective for other in result.answers}
     return [
         postures_text(result),
         answer.objective.name,
-        *_angles(draft, answer),
+        *_angles(output, answer),
         *(_unbroken(score_text(answer.scores[name], objectives[name], result)) for name in names),
         left_out_text(result),
         _unbroken(gap_text(answer, result)),
         ties_text(answer) if answer.proven_of is not None else f"{ties_text(answer)} / {near_text(answer)}",
-        looked_text(answer),
+        combinations_counted_text(answer),
     ]
 
 

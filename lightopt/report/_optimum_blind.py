@@ -1,22 +1,29 @@
-"""The part coloured by why defects on it stay invisible."""
+"""The part coloured by why defects on it stay invisible: as layers of the report, and as the camera sees it."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lightopt.core.transforms import Posture
 from lightopt.design import (
     BLIND_CLASSES,
     BLIND_LIGHTS,
-    Blind,
     BlindClass,
-    BlindReport,
+    BlindReason,
     BlindSpots,
+    BlindSpotSummary,
+    DesignResult,
     blind_class,
     blind_classes,
+    blind_colours,
     blind_legend,
     share_text,
 )
+from lightopt.rendering import trace_samples
+from lightopt.report._drawing import with_legend
 from lightopt.report._surface import SurfaceClass, SurfaceLayer
+from lightopt.scene import view_from_part
 
 # matplotlib's cividis (Nuñez, Anderton and Renslow, 2018) in equal steps: the brighter the more is seen
 SHARES = (
@@ -28,11 +35,49 @@ SHARES = (
     (np.inf, "all", "#fee838"),
 )
 
+BACKGROUND = (255, 255, 255)
 
-def blind_layers(report: BlindReport) -> list[SurfaceLayer]:
+LEAST_SHADE = 0.8
+"""Brightness of a surface that is seen edge on; one that faces the camera has its legend's colour."""
+
+BLOCK_ROWS = 64
+"""Of a picture, traced at once."""
+
+
+def blind_pictures(result: DesignResult) -> dict[Posture, NDArray[np.uint8]]:
+    """What the camera sees in each posture, coloured by what the chosen lights show of the defects, with a legend.
+
+    Pictures have the shape (height, width, 3); none where no defects were looked for.
+    """
+    if result.blind is None or result.patches is None:
+        return {}
+    patches, scene = result.patches.patches, result.scene
+    pictures: dict[Posture, NDArray[np.uint8]] = {}
+    for posture, spots in zip(result.blind.postures, result.blind.chosen_in, strict=True):
+        camera = view_from_part(scene, posture).camera
+        colours = blind_colours(spots).astype(np.float64)
+        picture = np.full((camera.height, camera.width, 3), BACKGROUND, np.uint8)
+        for top in range(0, camera.height, BLOCK_ROWS):
+            rows = picture[top : top + BLOCK_ROWS]
+            y, x = np.divmod(np.arange(len(rows) * camera.width), camera.width)
+            hits, surface = trace_samples(result.caster, scene.mesh, camera, x + 0.5, top + y + 0.5)
+            # brightness shows the shape: how much the surface faces the camera
+            facing = np.abs(np.einsum("ij,ij->i", surface.normals, surface.views))
+            shade = LEAST_SHADE + (1.0 - LEAST_SHADE) * facing[:, None]
+            shaded = colours[patches.patch_at(hits.face, hits.u, hits.v)] * shade
+            rows.reshape(-1, 3)[hits.ray] = np.rint(shaded).astype(np.uint8)
+        title = (
+            f"posture {posture}: shares of the surface × defects without what is left out; pale where other defects "
+            "are seen"
+        )
+        pictures[posture] = with_legend(picture, title, blind_legend(spots))
+    return pictures
+
+
+def blind_layers(summary: BlindSpotSummary) -> list[SurfaceLayer]:
     """How many defects are seen, and why the others are not: all postures together, wherever the lights stand, each."""
-    layers = [share_layer("all postures, how many defects are seen", report.chosen)]
-    for posture, chosen, possible in report.parts() if len(report.postures) > 1 else report.parts()[:1]:
+    layers = [share_layer("all postures, how many defects are seen", summary.chosen)]
+    for posture, chosen, possible in summary.parts() if len(summary.postures) > 1 else summary.parts()[:1]:
         where = "all postures" if posture is None else f"posture {posture}"
         layers.append(blind_layer(f"{where}, why not", chosen))
         if posture is None:
@@ -45,7 +90,7 @@ def share_layer(name: str, spots: BlindSpots) -> SurfaceLayer:
     limits = np.array([limit for limit, *_ in SHARES])
     of_face = np.searchsorted(limits, spots.share, side="left").astype(np.uint8)
     of_face[spots.share >= 1.0] = len(SHARES) - 1
-    apart = [blind_class(code) for code in (Blind.CAMERA, Blind.GRAZING)]
+    apart = [blind_class(code) for code in (BlindReason.CAMERA, BlindReason.GRAZING)]
     for place, one in enumerate(apart, start=len(SHARES)):
         of_face[spots.codes == one.code] = place
     kinds = [*((label, colour) for _, label, colour in SHARES), *((one.label, _hex(one)) for one in apart)]
@@ -63,7 +108,7 @@ def blind_layer(name: str, spots: BlindSpots) -> SurfaceLayer:
 
     Which light saturates a patch is told by the table.
     """
-    left_out = blind_class(Blind.GRAZING).label
+    left_out = blind_class(BlindReason.GRAZING).label
     shares = {row.label: "" if row.label == left_out else row.amount for row in blind_legend(spots)}
     of_face = blind_classes(spots)
     shown = [k for k, one in enumerate(BLIND_CLASSES) if one.label in shares or (of_face == k).any()]

@@ -1,4 +1,4 @@
-"""Pictures of an optimisation: the images of the best set, the rig, and how the score goes with the angles."""
+"""Pictures of a design: the images of the best set, the rig, and the score against the angles."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from lightopt.design import Curve, Detectability, Draft, SetResult, share_of_whole
+from lightopt.design import Curve, DesignOutput, DetectabilityObjective, SetResult, share_of_whole
 from lightopt.images import ImageSet, read_image_set, read_png
 from lightopt.report._charts import COLOURS, chart, name_lines
 from lightopt.report._contact_sheet import degrees, entry_thumbnail, light_position, saturation_text
@@ -28,14 +28,17 @@ MOST_DRAWINGS = 4
 """Rigs that are drawn; of more sets only the first are, all angles are in the table."""
 
 
-def image_blocks(draft: Draft) -> list[Block]:
+def image_blocks(output: DesignOutput) -> list[Block]:
     """The images that the camera would deliver, a row for each posture, and where their highlights overlap."""
-    sets = [read_image_set(draft.folder / one["folder"], verify=False) for one in draft.document["images"]]
+    sets = [
+        read_image_set(output.result.folder / one["folder"], verify=False)
+        for one in output.document["images"]
+    ]
     if not sets:
         return [Note(text="Not rendered (--no-images).")]
     maps = {
-        (overlap.posture, overlap.exposure): (draft.folder / listed["map"], overlap.pixels)
-        for listed, overlap in zip(draft.document["overlaps"], draft.overlaps, strict=True)
+        (overlap.posture, overlap.exposure): (output.result.folder / listed["map"], overlap.pixels)
+        for listed, overlap in zip(output.document["overlaps"], output.overlaps, strict=True)
     }
     rows: list[tuple[str, list[Picture | None]]] = []
     for images in sets:
@@ -51,11 +54,11 @@ def image_blocks(draft: Draft) -> list[Block]:
             together = [_overlap(*maps[posture, exposure])] if maps else []
             at = f", exposure {exposure:.9g}" * (levels != {1.0})
             rows.append((f"posture {posture}{at}", [*pictures, *together]))
-    which = "the planned exposures" if draft.document.get("exposures") else "exposure 1"
+    which = "the planned exposures" if output.document.get("exposures") else "exposure 1"
     right = " On the right: blue where one image is saturated, red where several are." * bool(maps)
     return [
         Gallery(
-            header=[*draft.candidates.names, *(["highlights together"] if maps else [])],
+            header=[*output.result.candidates.names, *(["highlights together"] if maps else [])],
             rows=rows,
             caption=f"What the camera would deliver at {which}; red: saturated pixels.{right} Images are averaged "
             "down, counts are of the full ones.",
@@ -81,15 +84,15 @@ def _overlap(path: Path, pixels: int) -> Picture:
     )
 
 
-def drawing_blocks(draft: Draft) -> list[Block]:
+def drawing_blocks(output: DesignOutput) -> list[Block]:
     """The rig with the lights of each set in their places."""
     sets: dict[tuple[int, ...], list[SetResult]] = {}
-    for result in draft.results:
+    for result in output.result.results:
         if result.answers[0].nothing is None:
             sets.setdefault(result.answers[0].found.best.candidates, []).append(result)
     blocks: list[Block] = []
     for best, results in list(sets.items())[:MOST_DRAWINGS]:
-        lights = _lights(draft, best)
+        lights = _lights(output, best)
         postures = tuple(posture for result in results for posture in result.postures)
         angles = "; ".join(
             f"{light.name} {degrees(round(float(np.degrees(light.elevation)), 9))}, "
@@ -98,7 +101,7 @@ def drawing_blocks(draft: Draft) -> list[Block]:
         )
         blocks.append(
             Picture(
-                png=png_bytes(rig_image(replace(draft.scene, lights=lights, postures=postures))),
+                png=png_bytes(rig_image(replace(output.result.scene, lights=lights, postures=postures))),
                 alt=f"The rig: {angles}",
                 caption=f"For {', '.join(postures_text(result) for result in results)}: {angles}.",
             )
@@ -108,14 +111,14 @@ def drawing_blocks(draft: Draft) -> list[Block]:
     return blocks
 
 
-def _lights(draft: Draft, best: tuple[int, ...]) -> tuple[PanelLight, ...]:
-    return tuple(panels[k] for panels, k in zip(draft.candidates.panels, best, strict=True))
+def _lights(output: DesignOutput, best: tuple[int, ...]) -> tuple[PanelLight, ...]:
+    return tuple(panels[k] for panels, k in zip(output.result.candidates.panels, best, strict=True))
 
 
-def curve_blocks(draft: Draft) -> list[Block]:
+def curve_blocks(output: DesignOutput) -> list[Block]:
     """The score against the angles, one chart for each set and kind of angle."""
     blocks: list[Block] = []
-    for result in draft.results:
+    for result in output.result.results:
         for axis in ("elevation", "azimuth"):
             curves = [curve for curve in result.curves if curve.axis == axis]
             if curves:
@@ -134,7 +137,7 @@ def _chart(result: SetResult, axis: str, curves: list[Curve]) -> Picture:
     best = result.answers[0]
     where = postures_text(result)
     area = best.objective.share_of is not None
-    surface = f"inspectable surface{' × defects' * isinstance(best.objective, Detectability)}"
+    surface = f"inspectable surface{' × defects' * isinstance(best.objective, DetectabilityObjective)}"
     label = f"% of the {surface}" if area else best.objective.unit
     figure, (panel,) = chart(
         title=f"{best.objective.name}, {where}", x_label=f"{axis} [°]", labels=[f"score [{label}]"]

@@ -1,4 +1,4 @@
-"""What was planned beside the lights, as result.json has it: defects seen, blind spots, postures, exposures, trust."""
+"""What was planned beside the lights, from result.json: defects, blind spots, postures, exposures, tolerances."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import Any
 
 from lightopt.core.errors import counted, percent
 from lightopt.core.transforms import Posture
-from lightopt.design import BLIND_LIGHTS, Draft, share_text
+from lightopt.design import BLIND_LIGHTS, DesignOutput, share_text
 from lightopt.report._page import Block, Facts, Note, Table
 
 
-def defect_blocks(draft: Draft) -> list[Block]:
+def defect_blocks(output: DesignOutput) -> list[Block]:
     """The share of each kind of defect that is seen, and the directions of walls that are seen worst."""
     answers = [
         (group["postures"], answer, group["grain"])
-        for group in draft.document["results"]
+        for group in output.document["results"]
         for answer in group["objectives"]
         if "defects" in answer and answer["lights"] is not None
     ]
@@ -42,9 +42,9 @@ def defect_blocks(draft: Draft) -> list[Block]:
     return [Table(header=header, rows=rows, caption=caption)]
 
 
-def blind_tables(draft: Draft) -> list[Block]:
+def blind_tables(output: DesignOutput) -> list[Block]:
     """How much of the surface × defects stays invisible, and why."""
-    spots = draft.document.get("blind_spots")
+    spots = output.document.get("blind_spots")
     if spots is None:
         return []
     groups = [("all postures", spots)] if len(spots["postures"]) != 1 else []
@@ -69,11 +69,22 @@ def blind_tables(draft: Draft) -> list[Block]:
     return [Table(header=header, rows=rows, numbers_from=2, caption=caption)]
 
 
-def posture_blocks(draft: Draft) -> list[Block]:
+def posture_blocks(output: DesignOutput) -> list[Block]:
     """The postures that were chosen, what each adds, and what is proven about the choice."""
-    chosen = draft.document.get("chosen_postures")
+    chosen = output.document.get("chosen_postures")
     if chosen is None:
         return []
+    blocks: list[Block] = [
+        _posture_table(chosen),
+        Facts(rows=_posture_facts(chosen, output.document.get("rounds", ()))),
+    ]
+    if chosen["left_out"]:
+        left = [[str(Posture.from_dict(one)), one["reason"]] for one in chosen["left_out"]]
+        blocks.append(Table(header=["posture", "left out since"], rows=left, numbers_from=2))
+    return [*blocks, *_commands(output.document)]
+
+
+def _posture_table(chosen: Mapping[str, Any]) -> Table:
     text = partial(share_text, grain=chosen["patches"]["grain"])
     numbered = {
         Posture.from_dict(one): (number, one) for number, one in enumerate(chosen["postures"], start=1)
@@ -89,6 +100,23 @@ def posture_blocks(draft: Draft) -> list[Block]:
         for posture in map(Posture.from_dict, chosen["order_of_travel"])
         for number, one in [numbered[posture]]
     ]
+    k = chosen["seen_in"]
+    columns = (
+        "what each posture shows that those chosen before it do not, and what it shows with them."
+        if k == 1
+        else f"adds, images new to a patch and defect, up to {k} of each; together, what is seen in {k} images or more."
+    )
+    caption = (
+        f"In the order of least travel, were all captured in one round. Of the surface × defects: {columns} Shares are "
+        f"of {chosen['shares_of']}."
+    )
+    header = ["posture", "chosen as no.", "exposures", "adds", "together"]
+    return Table(header=header, rows=rows, caption=caption)
+
+
+def _posture_facts(chosen: Mapping[str, Any], rounds: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+    text = partial(share_text, grain=chosen["patches"]["grain"])
+    count, sufficient = len(chosen["postures"]), chosen["postures_to_a_tenth_of_a_point"]
     sight = [text(chosen[f"{which}_share_of_surface"]) for which in ("inspectable", "left_out")]
     facts = [
         ("chosen from", f"{counted(chosen['candidates'], 'posture')} that the stage reaches"),
@@ -98,50 +126,32 @@ def posture_blocks(draft: Draft) -> list[Block]:
             "the camera sees, in some posture",
             f"{sight[0]} of the surface; {sight[1]} is left out, seen at a grazing angle only",
         ),
-        ("travel from (0°, 0°)", _travel(chosen, draft.document.get("rounds", ()))),
+        ("travel from (0°, 0°)", _travel(chosen, rounds)),
         ("each patch counts as its middle does", _grain(chosen["patches"])),
     ]
-    if (stood := chosen["lights_as_they_stand"]) is not None:
-        share = f"{text(stood['share'])} in {counted(stood['postures'], 'posture')}, of {stood['share_of']}"
+    if (initial := chosen["lights_as_they_stand"]) is not None:
+        share = (
+            f"{text(initial['share'])} in {counted(initial['postures'], 'posture')}, of {initial['share_of']}"
+        )
         facts.append(("with the lights as they stood", share))
-    if chosen["postures_to_a_tenth_of_a_point"] < len(chosen["postures"]):
-        first = chosen["postures_to_a_tenth_of_a_point"]
-        facts.append((f"the first {first} chosen show", text(chosen["postures"][first - 1]["share"])))
-    if chosen["asked"] is not None and chosen["target"] is None and len(chosen["postures"]) < chosen["asked"]:
+    if sufficient < count:
+        facts.append(
+            (f"the first {sufficient} chosen show", text(chosen["postures"][sufficient - 1]["share"]))
+        )
+    if chosen["asked"] is not None and chosen["target"] is None and count < chosen["asked"]:
         facts.append(("postures that were asked for", str(chosen["asked"])))
     if not chosen["proven_with_these_lights"]:
         guarantee = f"{text(chosen['greedy_guarantee'])} of the best with these lights"
         facts.append(("these postures have at least", guarantee))
-    k = chosen["seen_in"]
     if chosen["target"] is not None and chosen["fewest_possible"] is not None:
         needed = counted(chosen["fewest_possible"], "posture")
         facts.append((f"{100.0 * chosen['target']:.9g} % takes at least", needed))
-    caption = (
-        "Of the surface × defects: what each posture shows that those chosen before it do not, and what it shows with "
-        "them."
-        if k == 1
-        else f"Of the surface × defects: adds, images new to a patch and defect, up to {k} of each; together, what "
-        f"is seen in {k} images or more."
-    )
-    caption = (
-        f"In the order of least travel, were all captured in one round. {caption} Shares are of "
-        f"{chosen['shares_of']}."
-    )
-    blocks: list[Block] = [
-        Table(
-            header=["posture", "chosen as no.", "exposures", "adds", "together"], rows=rows, caption=caption
-        ),
-        Facts(rows=facts),
-    ]
-    if chosen["left_out"]:
-        left = [[str(Posture.from_dict(one)), one["reason"]] for one in chosen["left_out"]]
-        blocks.append(Table(header=["posture", "left out since"], rows=left, numbers_from=2))
-    return [*blocks, *_commands(draft.document)]
+    return facts
 
 
-def exposure_blocks(draft: Draft) -> list[Block]:
+def exposure_blocks(output: DesignOutput) -> list[Block]:
     """Which further exposures pay."""
-    planned = draft.document.get("exposures")
+    planned = output.document.get("exposures")
     if planned is None:
         return []
     text = partial(share_text, grain=planned["grain"])
@@ -166,12 +176,12 @@ def exposure_blocks(draft: Draft) -> list[Block]:
         Note(text=note),
         Table(header=["posture", "exposure", "adds", "planned"], rows=rows),
     ]
-    return blocks if "chosen_postures" in draft.document else [*blocks, *_commands(draft.document)]
+    return blocks if "chosen_postures" in output.document else [*blocks, *_commands(output.document)]
 
 
-def trust_blocks(draft: Draft) -> list[Block]:
+def tolerance_blocks(output: DesignOutput) -> list[Block]:
     """How far the score falls when angles are off, and how wide each may be."""
-    trust = draft.document.get("trust")
+    trust = output.document.get("trust")
     if not trust:
         return []
     header = ["off by the tolerance", *(_postures(one["postures"]) for one in trust)]
@@ -188,11 +198,12 @@ def trust_blocks(draft: Draft) -> list[Block]:
             for one in trust
         ]
         rows.append([f"widest: {widest['what']}, {widest['angle']}", *cells])
-    asked = draft.document["provenance"]["options"]["tolerances"]
+    offsets = output.document["provenance"]["options"]["tolerances"]
     caption = (
-        f"Shares of the score: where lights are off by {asked['light_deg']:g}° and the part by {asked['pose_deg']:g}° "
-        "in each of their angles, in the worst way, and in draws. Widest: how far each angle alone, or those of all "
-        f"lights, may be off in steps of 0.05° before less than {percent(asked['target'], 0)} are kept."
+        f"Shares of the score: where lights are off by {offsets['light_deg']:g}° and the part by "
+        f"{offsets['pose_deg']:g}° in each of their angles, in the worst way, and in draws. Widest: how far each "
+        f"angle alone, or those of all lights, may be off in steps of 0.05° before less than "
+        f"{percent(offsets['target'], 0)} are kept."
     )
     return [Table(header=header, rows=rows, caption=caption)]
 

@@ -1,8 +1,8 @@
-"""The report of ``lightopt optimize``: the answer first, then what it rests on."""
+"""The report of ``lightopt optimize``: the answer first, then what it is based on."""
 
 from __future__ import annotations
 
-from lightopt.design import Draft
+from lightopt.design import DesignOutput
 from lightopt.report._optimum_answer import answer_blocks, scores_table
 from lightopt.report._optimum_facts import fact_blocks
 from lightopt.report._optimum_pictures import curve_blocks, drawing_blocks, image_blocks
@@ -11,36 +11,37 @@ from lightopt.report._optimum_plan import (
     defect_blocks,
     exposure_blocks,
     posture_blocks,
-    trust_blocks,
+    tolerance_blocks,
 )
 from lightopt.report._optimum_surface import surface_blocks
 from lightopt.report._page import Page, Section
 from lightopt.report._page_html import page_html
 
 
-def optimum_report(draft: Draft) -> str:
-    """The report of an optimisation as HTML; for :func:`lightopt.design.optimize`."""
-    return page_html(optimum_page(draft))
+def optimum_report(output: DesignOutput) -> str:
+    """The report of an optimisation as HTML; for :func:`lightopt.design.finish_design`."""
+    return page_html(optimum_page(output))
 
 
-def optimum_page(draft: Draft) -> Page:
+def optimum_page(output: DesignOutput) -> Page:
     """The report of an optimisation as plain values."""
     sections = [
-        Section(heading="What the images show", blocks=surface_blocks(draft)),
-        Section(heading="Blind spots", blocks=blind_tables(draft)),
-        Section(heading="Defects", blocks=defect_blocks(draft)),
-        Section(heading="Postures", blocks=posture_blocks(draft)),
-        Section(heading="Exposures", blocks=exposure_blocks(draft)),
-        Section(heading="Images of the best set", blocks=image_blocks(draft)),
-        Section(heading="Where the lights stand", blocks=drawing_blocks(draft)),
-        Section(heading="How flat the top is", blocks=curve_blocks(draft)),
-        Section(heading="How exact the angles must be", blocks=trust_blocks(draft)),
-        Section(heading="Scores", blocks=[scores_table(draft)]),
-        Section(heading="What was assumed", blocks=fact_blocks(draft)),
+        Section(heading="What the images show", blocks=surface_blocks(output)),
+        Section(heading="Blind spots", blocks=blind_tables(output)),
+        Section(heading="Defects", blocks=defect_blocks(output)),
+        Section(heading="Postures", blocks=posture_blocks(output)),
+        Section(heading="Exposures", blocks=exposure_blocks(output)),
+        Section(heading="Images of the best set", blocks=image_blocks(output)),
+        Section(heading="Where the lights stand", blocks=drawing_blocks(output)),
+        Section(heading="How flat the top is", blocks=curve_blocks(output)),
+        Section(heading="How exact the angles must be", blocks=tolerance_blocks(output)),
+        Section(heading="Scores", blocks=[scores_table(output)]),
+        Section(heading="What was assumed", blocks=fact_blocks(output)),
     ]
+    rig, part = output.result.rig, output.result.part
     return Page(
-        title=f"Where the lights go: {draft.part.name}",
-        subtitle=f"{draft.part.name} on {draft.rig.name}, lightopt {draft.document['provenance']['lightopt']}",
-        lead=answer_blocks(draft),
+        title=f"Where the lights go: {part.name}",
+        subtitle=f"{part.name} on {rig.name}, lightopt {output.document['provenance']['lightopt']}",
+        lead=answer_blocks(output),
         sections=[section for section in sections if section.blocks],
     )

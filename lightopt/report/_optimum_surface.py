@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.transforms import Posture
-from lightopt.design import Draft, Levels, Thresholds, area_text, area_units, share_text
+from lightopt.design import DesignOutput, Levels, LevelThresholds, area_text, area_units, share_text
 from lightopt.rendering import GRAZING_DEG, grain_of
 from lightopt.report._optimum_blind import blind_layers
 from lightopt.report._page import Block, Note, SurfaceView, Table
@@ -19,7 +19,7 @@ LEAST_USABLE, MOST_SATURATED = 2, 1
 ``coverage`` has it."""
 
 # colours that stay apart with any colour vision: Okabe and Ito, Color Universal Design (2008)
-SHOWN = (
+LEVEL_CLASSES = (
     ("usable in two images or more", "#56b4e9"),
     ("usable in one image only", "#f0e442"),
     ("saturated in two images or more", "#d55e00"),
@@ -27,26 +27,17 @@ SHOWN = (
     ("left out: seen at a grazing angle", "#cc79a7"),
     ("the camera does not see it", "#c9ced6"),
 )
-_UNSEEN = len(SHOWN) - 1
+_UNSEEN = len(LEVEL_CLASSES) - 1
 _LEFT_OUT = _UNSEEN - 1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shown:
-    """What the images of a posture show.
+class PostureClasses:
+    """Class of each patch in a posture, indices into :data:`LEVEL_CLASSES`, shape (p,), uint8.
 
-    Attributes
-    ----------
-    posture
-        Of the part.
-    classes
-        Of all patches, indices into :data:`SHOWN`, shape (p,), uint8.
-    areas
-        Of each class [µm²], counted as the objectives count; of those that are inspectable.
-    left_out
-        Share of the surface that the camera sees, which it sees at a grazing angle.
-    grain
-        How far shares may be off since each patch counts as its middle does, 0 to 1.
+    `areas` are those of the inspectable classes [µm²], counted as the objectives count; `left_out` is the share of
+    the surface in view that is seen at a grazing angle, `grain` how far shares may be off since each patch counts as
+    its middle does.
     """
 
     posture: Posture
@@ -56,49 +47,49 @@ class Shown:
     grain: float
 
 
-def shown_by_images(levels: Levels, thresholds: Thresholds) -> NDArray[np.uint8]:
-    """Class of each inspectable patch, see :data:`SHOWN`, by its levels under each light, shape (lights, p)."""
+def level_classes(levels: Levels, thresholds: LevelThresholds) -> NDArray[np.uint8]:
+    """Class of each inspectable patch (:data:`LEVEL_CLASSES`) by its levels under each light, shape (lights, p)."""
     saturated = levels >= thresholds.saturation
     usable = ((levels >= thresholds.shade) & ~saturated).sum(axis=0)
     several = saturated.sum(axis=0) > MOST_SATURATED
     return np.select([several, usable >= LEAST_USABLE, usable == 1], [2, 0, 1], default=3).astype(np.uint8)
 
 
-def surface_blocks(draft: Draft) -> list[Block]:
-    """The part to turn, once, with all that it can be coloured by; areas as a table."""
-    shown = _postures(draft)
-    levels = [_together(draft, shown)] if len(shown) > 1 else []
+def surface_blocks(output: DesignOutput) -> list[Block]:
+    """One view of the part with all its colourings; areas as a table."""
+    shown = _postures(output)
+    levels = [_combined_layer(output, shown)] if len(shown) > 1 else []
     levels += [_layer(one) for one in shown]
     defects: list[SurfaceLayer] = []
-    if draft.blind is not None:
-        defects = [replace(layer, group="Defects") for layer in blind_layers(draft.blind)]
+    if output.result.blind is not None:
+        defects = [replace(layer, group="Defects") for layer in blind_layers(output.result.blind)]
         levels = [replace(layer, group="Levels of the images") for layer in levels]
     # what the lights were placed for is seen first
-    of_defects = draft.results[0].answers[0].objective.name == "detectability"
+    of_defects = output.result.results[0].answers[0].objective.name == "detectability"
     layers = [*defects, *levels] if of_defects else [*levels, *defects]
     if not layers:
         return []
     view = SurfaceView(
         surface=ColouredSurface(
-            vertices=draft.table.patches.vertices,
-            triangles=draft.table.patches.triangles,
+            vertices=output.patches.patches.vertices,
+            triangles=output.patches.patches.triangles,
             layers=tuple(layers),
             up=np.array([0.0, 0.0, 1.0]),
-            toward=first_view(draft.scene.camera),
+            toward=first_view(output.result.scene.camera),
         ),
-        alt=f"{draft.part.name}, coloured by what the images of the best set show of it",
-        caption=" ".join(_captions(draft)),
+        alt=f"{output.result.part.name}, coloured by what the images of the best set show of it",
+        caption=" ".join(_captions(output)),
     )
-    return [view, *([_table(shown), *_together_note(draft, shown)] if shown else [])]
+    return [view, *([_table(shown), *_combined_note(output, shown)] if shown else [])]
 
 
-def _captions(draft: Draft) -> list[str]:
-    low, high = draft.thresholds.shade, draft.thresholds.saturation
+def _captions(output: DesignOutput) -> list[str]:
+    low, high = output.result.thresholds.shade, output.result.thresholds.saturation
     captions = [
-        f"{draft.part.name} as it stands at posture (0°, 0°), Z up.",
+        f"{output.result.part.name} as it stands at posture (0°, 0°), Z up.",
         f"A level from {low} on and below {high} is usable, one from {high} on saturated, one below {low} shaded.",
     ]
-    if draft.blind is not None:
+    if output.result.blind is not None:
         captions.append(
             "Defects are those of the catalogue, by weight. How many are seen: percentages are of the part's surface. "
             "Why not: they are of its surface × defects, as in the table of blind spots; blue where all are seen, pale "
@@ -107,20 +98,20 @@ def _captions(draft: Draft) -> list[str]:
     return captions
 
 
-def _postures(draft: Draft) -> list[Shown]:
-    table, found = draft.table, list[Shown]()
-    for result in draft.results:
+def _postures(output: DesignOutput) -> list[PostureClasses]:
+    table, found = output.patches, list[PostureClasses]()
+    for result in output.result.results:
         if result.answers[0].nothing is not None:
             continue
         for posture, levels in zip(result.postures, result.levels, strict=True):
             seen, left_out = table.inspectable(posture), table.left_out(posture)
             classes = np.full(len(table.patches), _UNSEEN, np.uint8)
             classes[left_out] = _LEFT_OUT
-            classes[seen] = shown_by_images(levels, draft.thresholds)
+            classes[seen] = level_classes(levels, output.result.thresholds)
             own = table.patches.areas[seen]
             units, grazing = area_units(own), float(table.patches.areas[left_out].sum())
             found.append(
-                Shown(
+                PostureClasses(
                     posture=posture,
                     classes=classes,
                     areas=tuple(int(units[classes[seen] == k].sum()) for k in range(_LEFT_OUT)),
@@ -131,35 +122,35 @@ def _postures(draft: Draft) -> list[Shown]:
     return found
 
 
-def _layer(shown: Shown) -> SurfaceLayer:
+def _layer(shown: PostureClasses) -> SurfaceLayer:
     counted = sum(shown.areas)
     amounts = [*(share_text(area / max(1, counted), shown.grain) for area in shown.areas), "", ""]
     kinds = tuple(
         SurfaceClass(label=label, colour=colour, amount=amount)
-        for (label, colour), amount in zip(SHOWN, amounts, strict=True)
+        for (label, colour), amount in zip(LEVEL_CLASSES, amounts, strict=True)
     )
     return SurfaceLayer(name=f"posture {shown.posture}", classes=kinds, of_face=shown.classes)
 
 
-def _best(shown: list[Shown]) -> NDArray[np.uint8]:
+def _best_classes(shown: list[PostureClasses]) -> NDArray[np.uint8]:
     # what one posture does not show another may
     return np.min([one.classes for one in shown], axis=0)
 
 
-def _together(draft: Draft, shown: list[Shown]) -> SurfaceLayer:
-    best = _best(shown)
-    shares = _shares(draft, best)
+def _combined_layer(output: DesignOutput, shown: list[PostureClasses]) -> SurfaceLayer:
+    best = _best_classes(shown)
+    shares = _shares(output, best)
     kinds = tuple(
         SurfaceClass(label=label, colour=colour, amount="" if k == _LEFT_OUT else shares[k])
-        for k, (label, colour) in enumerate(SHOWN)
+        for k, (label, colour) in enumerate(LEVEL_CLASSES)
     )
     return SurfaceLayer(name="the best of all postures", classes=kinds, of_face=best)
 
 
-def _shares(draft: Draft, classes: NDArray[np.uint8]) -> list[str]:
+def _shares(output: DesignOutput, classes: NDArray[np.uint8]) -> list[str]:
     # in words: of each class, of the part's surface without what is left out; the latter is of the whole surface
-    own = draft.table.patches.areas
-    areas, grain = np.bincount(classes, weights=own, minlength=len(SHOWN)), grain_of(own)
+    own = output.patches.patches.areas
+    areas, grain = np.bincount(classes, weights=own, minlength=len(LEVEL_CLASSES)), grain_of(own)
     counted = max(float(areas.sum() - areas[_LEFT_OUT]), 1e-300)
     return [
         share_text(float(area / (areas.sum() if k == _LEFT_OUT else counted)), grain)
@@ -167,7 +158,7 @@ def _shares(draft: Draft, classes: NDArray[np.uint8]) -> list[str]:
     ]
 
 
-def _table(shown: list[Shown]) -> Table:
+def _table(shown: list[PostureClasses]) -> Table:
     rows = [
         [
             str(one.posture),
@@ -181,15 +172,15 @@ def _table(shown: list[Shown]) -> Table:
         for counted in [sum(one.areas)]
     ]
     return Table(
-        header=["posture", *(label for label, _ in SHOWN[:_UNSEEN])],
+        header=["posture", *(label for label, _ in LEVEL_CLASSES[:_UNSEEN])],
         rows=rows,
         caption="Areas, and their shares of the surface that the camera sees in the posture at up to "
         f"{GRAZING_DEG:g}° to its normal. Left out: of all that it sees there, the rest.",
     )
 
 
-def _together_note(draft: Draft, shown: list[Shown]) -> list[Block]:
-    shares = _shares(draft, _best(shown))
+def _combined_note(output: DesignOutput, shown: list[PostureClasses]) -> list[Block]:
+    shares = _shares(output, _best_classes(shown))
     which = "The posture shows" if len(shown) == 1 else f"The {len(shown)} postures together show"
     return [
         Note(

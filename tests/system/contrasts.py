@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from touched import Touched
 
-from lightopt.design import Contrast, Visibility, flags_of
+from lightopt.design import Contrast, Visibility, unpack_flags
 from lightopt.optics import expose, image_rng
 from lightopt.scene import Scene
 
@@ -102,6 +102,6 @@ def predicted(
     shown = np.zeros((len(first.words), defects), np.bool_)
     for one in visibility:
         for light, layer in enumerate(one.words):
-            flags = flags_of(layer[0][rows], len(one.trials))[np.arange(len(on)), trial]
+            flags = unpack_flags(layer[0][rows], len(one.hypotheses))[np.arange(len(on)), trial]
             shown[light, seen.defect[on[flags.astype(bool)]]] = True
     return shown

@@ -28,7 +28,14 @@ from lightopt import build_scene, load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
 from lightopt.config._defects import CatalogueEntryConfig
 from lightopt.defects import CatalogueEntry, DefectShape, PlacedDefect
-from lightopt.design import DIRECTIONS, Contrast, Inspection, flags_of, luminance_matrix, unroll
+from lightopt.design import (
+    DIRECTIONS,
+    Contrast,
+    DetectionModel,
+    defect_hypotheses,
+    luminance_matrix,
+    unpack_flags,
+)
 from lightopt.geometry import RayCaster
 from lightopt.rendering import PatchTable, build_patches, cast_rays_at, trace_samples
 from lightopt.scene import Scene, pixel_footprint, project, view_from_part
@@ -146,14 +153,14 @@ def _both(
     # which defects the images are predicted to show, and which they do: (lights, defects)
     shape = defects[0].shape
     contrast = Contrast(sensor=scene.sensor, full_scale=scene.reflectance.full_scale)
-    trials = unroll([CatalogueEntry(shape.kind, shape)])
+    trials = defect_hypotheses([CatalogueEntry(shape.kind, shape)])
     visibility = luminance_matrix(
         scene,
         table,
         scene.postures[0],
         [(light,) for light in scene.lights],
         caster=caster,
-        inspection=Inspection(trials=trials, contrast=contrast),
+        detection=DetectionModel(hypotheses=trials, contrast=contrast),
     ).visibility
     assert visibility is not None
     row_of = np.full(len(table.patches), 0)
@@ -166,7 +173,7 @@ def _both(
         walls[index, (index + DIRECTIONS // 4) % DIRECTIONS] = True
         walls[index, (index - DIRECTIONS // 4) % DIRECTIONS] = True
     said = np.stack(
-        [(flags_of(layer[0][row_of[at]], len(trials)) & walls).any(axis=1) for layer in visibility.words]
+        [(unpack_flags(layer[0][row_of[at]], len(trials)) & walls).any(axis=1) for layer in visibility.words]
     )
     seen = touched(
         scene,

@@ -183,7 +183,7 @@ def leans_of(scene: Scene, surface: SurfacePoints, marks: Marks) -> tuple[Float6
     cosine
         Of the angle between the normals without and with the defect, shape (k,).
     angle
-        To which the latter leans, as :attr:`lightopt.design.Trial.direction` counts [rad], shape (k,).
+        To which the latter leans, as :attr:`lightopt.design.DefectHypothesis.direction` counts [rad], shape (k,).
     """
     normals = surface.normals[marks.index]
     axes = scene.placement.rotation

@@ -10,7 +10,6 @@ where the Gauss–Legendre rules of 64 and of 96 nodes a side agree to 1e-11.
 
 from __future__ import annotations
 
-import lightopt.rendering._images as blocks
 import numpy as np
 import pytest
 import reference as ref
@@ -28,6 +27,7 @@ from worlds import (
     scene_from_mesh,
 )
 
+import lightopt.rendering._images as blocks
 from lightopt.geometry import TriangleMesh
 
 UNIT = {"R_d": 1.0, "R_s": 1.0}

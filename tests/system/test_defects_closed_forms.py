@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import lightopt.rendering._images as blocks
 import numpy as np
 import pytest
 import reference as ref
 from worlds import box, levels, merged, plane, scene_from_mesh, sphere
 
+import lightopt.rendering._images as blocks
 from lightopt import render
 from lightopt.defects import DefectShape, PlacedDefect, tangent_direction
 from lightopt.optics import Reflectance

@@ -16,15 +16,15 @@ from lightopt.core.transforms import Posture
 from lightopt.design import (
     OBJECTIVES,
     Contrast,
-    Inspection,
-    Survey,
-    Thresholds,
+    DetectionModel,
+    ImageEvaluator,
+    LevelThresholds,
     area_units,
+    defect_hypotheses,
     drawn_patches,
     find_candidates,
     luminance_matrix,
     search,
-    unroll,
 )
 from lightopt.rendering import GRAZING_DEG, build_patches, cast_rays_at
 from lightopt.scene import build_catalogue, build_scene
@@ -79,10 +79,11 @@ def test_scores_and_shares_of_a_sphere_are_of_the_cap_that_is_seen_at_up_to_80_d
     table = build_patches(scene, caster=caster, budget=4000)
     inspectable, visible = caps()
     candidates = find_candidates(rig, step_deg=30.0)
-    inspection = Inspection(
-        trials=unroll(build_catalogue(part)), contrast=Contrast(sensor=scene.sensor, full_scale=255.0)
+    inspection = DetectionModel(
+        hypotheses=defect_hypotheses(build_catalogue(part)),
+        contrast=Contrast(sensor=scene.sensor, full_scale=255.0),
     )
-    matrix = luminance_matrix(scene, table, posture, candidates.panels, caster=caster, inspection=inspection)
+    matrix = luminance_matrix(scene, table, posture, candidates.panels, caster=caster, detection=inspection)
     assert matrix.areas.sum() == pytest.approx(inspectable, rel=0.01)
     assert matrix.areas.sum() + matrix.grazing_mm2 == pytest.approx(visible, rel=0.01)
     assert matrix.visibility is not None
@@ -90,7 +91,7 @@ def test_scores_and_shares_of_a_sphere_are_of_the_cap_that_is_seen_at_up_to_80_d
     both = np.intersect1d(matrix.visibility.patch, matrix.visibility.grazing)
     assert not len(both)
     # a plan's pairs are on the same patches, drawn or not
-    survey = Survey(scene=scene, table=table, caster=caster, inspection=inspection)
+    survey = ImageEvaluator(scene=scene, table=table, caster=caster, detection=inspection)
     assert survey.weights.areas.sum() == pytest.approx(inspectable * 1e6, rel=0.01)
     drawn = replace(survey, table=drawn_patches(table, 500))
     assert drawn.weights.areas.sum() == pytest.approx(inspectable * 1e6, rel=0.02)
@@ -117,7 +118,7 @@ def knob():
         caster = cast_rays_at(scene)
         table = build_patches(scene, caster=caster, budget=2000)
         candidates = find_candidates(rig, step_deg=30.0, points=1, scene=scene)
-        thresholds = Thresholds.of_sensor(shade_share=10 / 255, max_level=255, saturated_from=255)
+        thresholds = LevelThresholds.of_sensor(shade_share=10 / 255, max_level=255, saturated_from=255)
         for counted in (False, True):
             some = replace(table, grazing=np.zeros_like(table.grazing)) if counted else table
             matrix = luminance_matrix(scene, some, scene.postures[0], candidates.panels, caster=caster)

@@ -237,7 +237,7 @@ def test_ctrl_c_is_answered_soon_while_panels_of_very_many_points_are_cast(share
     """A block of patches under such a panel takes many seconds of a processor; it ends within one piece of it."""
     from lightopt import build_scene
     from lightopt.defects import BUILT_IN_CATALOGUE
-    from lightopt.design import Contrast, Inspection, luminance_matrix, unroll
+    from lightopt.design import Contrast, DetectionModel, defect_hypotheses, luminance_matrix
     from lightopt.geometry import RayCaster
     from lightopt.rendering import build_patches
 
@@ -252,8 +252,9 @@ def test_ctrl_c_is_answered_soon_while_panels_of_very_many_points_are_cast(share
 
     caster = RayCaster(scene.mesh.vertices, scene.mesh.faces, recorder=tell)
     table = build_patches(scene, caster=caster, budget=8000)
-    inspection = Inspection(
-        trials=unroll(BUILT_IN_CATALOGUE), contrast=Contrast(sensor=scene.sensor, full_scale=255)
+    inspection = DetectionModel(
+        hypotheses=defect_hypotheses(BUILT_IN_CATALOGUE),
+        contrast=Contrast(sensor=scene.sensor, full_scale=255),
     )
 
     def cast(points: int) -> None:
@@ -264,7 +265,7 @@ def test_ctrl_c_is_answered_soon_while_panels_of_very_many_points_are_cast(share
             scene.postures[0],
             panels,
             caster=caster,
-            inspection=inspection if inspected else None,
+            detection=inspection if inspected else None,
             threads=2,
         )
 

@@ -13,8 +13,8 @@ from worlds import PAPER, PARTS, posed_corners, scene_from_files
 
 from lightopt.config import load_rig
 from lightopt.core.transforms import Posture
-from lightopt.design import OBJECTIVES, Thresholds, area_units, find_candidates, luminance_matrix, search
-from lightopt.design.responses._luminance import patch_points
+from lightopt.design import OBJECTIVES, LevelThresholds, area_units, find_candidates, luminance_matrix, search
+from lightopt.design.responses._matrix_computation import patch_points
 from lightopt.rendering import build_patches, cast_rays_at, render_posture
 
 LIGHTS = [
@@ -23,7 +23,7 @@ LIGHTS = [
     ref.Light(elevation=60.0, azimuth=260.0, falloff="inverse_square", emission=1.0),
 ]
 RANGES = ((40.0, 50.0), None, (55.0, 65.0))
-THRESHOLDS = Thresholds(shade=10, saturation=255)
+THRESHOLDS = LevelThresholds(shade=10, saturation=255)
 
 
 def small_scene(folder, part, *, points=None, postures=((0, 0), (-10, 170))):

@@ -14,8 +14,8 @@ from test_optimize_luminance import LIGHTS, matrix_of, small_scene
 from worlds import PAPER, posed_corners
 
 from lightopt.defects import BUILT_IN_CATALOGUE, PIXEL_RATIOS, DefectShape, pixel_shares, tangent_direction
-from lightopt.design import Contrast, Inspection, find_candidates, luminance_matrix, unroll
-from lightopt.design.responses._luminance import luminance_matrices, patch_points
+from lightopt.design import Contrast, DetectionModel, defect_hypotheses, find_candidates, luminance_matrix
+from lightopt.design.responses._matrix_computation import luminance_matrices, patch_points
 from lightopt.optics import Sensor
 from lightopt.rendering import (
     build_patches,
@@ -28,7 +28,7 @@ from lightopt.rendering import (
 from lightopt.rendering._converged import panel_probes, probe_targets
 from lightopt.scene import pixel_footprint, view_from_part
 
-TRIALS = unroll(BUILT_IN_CATALOGUE)
+TRIALS = defect_hypotheses(BUILT_IN_CATALOGUE)
 SENSOR = Sensor(
     bit_depth=8, saturation_level=240, black_level=6, read_noise_levels=0.8, electrons_per_level=60
 )
@@ -51,7 +51,9 @@ def test_bits_are_the_definition_in_plain_numpy(tmp_path, shadows):
     scene, rig = small_scene(tmp_path, "spout")
     scene = replace(scene, sensor=SENSOR)
     posture = scene.postures[1]
-    inspection = Inspection(trials=TRIALS, contrast=Contrast(sensor=SENSOR, full_scale=255.0, threshold=5.0))
+    inspection = DetectionModel(
+        hypotheses=TRIALS, contrast=Contrast(sensor=SENSOR, full_scale=255.0, threshold=5.0)
+    )
     caster = cast_rays_at(scene)
     table = build_patches(scene, caster=caster, budget=60)
     panels = find_candidates(rig, step_deg=10.0).panels
@@ -63,7 +65,7 @@ def test_bits_are_the_definition_in_plain_numpy(tmp_path, shadows):
         panels,
         exposures=exposures,
         caster=caster,
-        inspection=inspection,
+        detection=inspection,
         shadows=shadows,
     )
     surface, seen = patch_points(scene, table, posture)
@@ -162,11 +164,11 @@ def test_levels_are_the_same_with_and_without_defects_and_threads(tmp_path, poin
     scene, rig = small_scene(tmp_path, "spout", points=points)
     posture = scene.postures[0]
     plain, found, table = matrix_of(scene, rig, posture, budget=120)
-    inspection = Inspection(trials=TRIALS, contrast=Contrast(sensor=scene.sensor, full_scale=255.0))
+    inspection = DetectionModel(hypotheses=TRIALS, contrast=Contrast(sensor=scene.sensor, full_scale=255.0))
     caster = cast_rays_at(scene)
     looked = [
         luminance_matrix(
-            scene, table, posture, found.panels, caster=caster, inspection=inspection, threads=threads
+            scene, table, posture, found.panels, caster=caster, detection=inspection, threads=threads
         )
         for threads in (1, 3)
     ]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import lightopt.rendering._images as blocks
 import numpy as np
 import pytest
 import reference as ref
 from worlds import PAPER, PARTS, bumps, levels, plane, scene_from_files, scene_from_mesh, sphere
 
+import lightopt.rendering._images as blocks
 from lightopt import render
 from lightopt.core.transforms import rotation_z
 from lightopt.geometry import transformed

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.design import Contrast, Inspection, LuminanceMatrix, Trial, luminance_matrix
+from lightopt.design import Contrast, DefectHypothesis, DetectionModel, LuminanceMatrix, luminance_matrix
 from lightopt.geometry import RayCaster
 from lightopt.optics import expose, image_rng
 from lightopt.rendering import PatchTable, SurfacePoints, trace_samples
@@ -62,13 +62,13 @@ class Case:
         scale = sensor.max_level / self.scene.reflectance.full_scale
         return (sensor.saturated_from - sensor.black_level) / scale
 
-    def predict(self, trials: tuple[Trial, ...]) -> LuminanceMatrix:
+    def predict(self, trials: tuple[DefectHypothesis, ...]) -> LuminanceMatrix:
         """Which trials the patches are predicted to show, lights as the rig has them."""
-        inspection = Inspection(trials=trials, contrast=self.contrast)
+        inspection = DetectionModel(hypotheses=trials, contrast=self.contrast)
         panels = [(light,) for light in self.scene.lights]
         posture = self.scene.postures[0]
         return luminance_matrix(
-            self.scene, self.table, posture, panels, caster=self.caster, inspection=inspection
+            self.scene, self.table, posture, panels, caster=self.caster, detection=inspection
         )
 
 

@@ -17,7 +17,7 @@ from truth_case import MEANS, SEED, SEEN_IN, Case, Point, noisy_levels, trace
 from lightopt.config import PartConfig, RigConfig
 from lightopt.config._defects import CatalogueEntryConfig
 from lightopt.defects import CatalogueEntry, PlacedDefect, mark_surface, radial_place, surface_coordinates
-from lightopt.design import flags_of, unroll
+from lightopt.design import defect_hypotheses, unpack_flags
 from lightopt.rendering import render_posture
 
 __all__ = ["pits_of"]
@@ -56,7 +56,7 @@ def pits_of(case: Case, rig: RigConfig, part: PartConfig, finish: str, count: in
     around = np.array([row * good.geometry.patch.shape[1] + column for row, column in AROUND])
     for slope in SLOPES:
         entry = CatalogueEntryConfig(kind="pit", name="pit", size_mm=WIDTH_MM, slope_deg=slope)
-        trials = unroll([CatalogueEntry("pit", entry.shape)], directions=DIRECTIONS)
+        trials = defect_hypotheses([CatalogueEntry("pit", entry.shape)], directions=DIRECTIONS)
         visibility = case.predict(trials).visibility
         assert visibility is not None
         placed = strew(rig, part, case.scene, count=count, seed=SEED, catalogue=[entry])
@@ -82,7 +82,7 @@ def pits_of(case: Case, rig: RigConfig, part: PartConfig, finish: str, count: in
                     noisy[:mean].mean(axis=0), plain[:mean].mean(axis=0), case.scene, case.contrast.threshold
                 )
         for seen_in, mean in itertools.product(SEEN_IN, MEANS):
-            flags = flags_of(visibility.seen((0,) * len(good.lights), seen_in), len(trials))
+            flags = unpack_flags(visibility.seen((0,) * len(good.lights), seen_in), len(trials))
             yield Point(
                 part=part.name, finish=finish, kind=f"pits of {slope:g}°", seen_in=seen_in, pixels=mean,
                 predicted=float(flags[rows, toward].mean()),

@@ -14,7 +14,7 @@ from truth_case import MEANS, SEEN_IN, Case, Point, noisy_levels, trace
 
 from lightopt.config import PartConfig
 from lightopt.defects import tangent_references
-from lightopt.design import Trial, flags_of, unroll
+from lightopt.design import DefectHypothesis, defect_hypotheses, unpack_flags
 from lightopt.rendering import GRAZING_COSINE, SurfacePoints, shade_points
 from lightopt.scene import PanelLight, Scene, build_catalogue, view_from_part
 
@@ -38,7 +38,9 @@ def walls(case: Case, part: PartConfig, finish: str) -> Iterator[Point]:
         Its catalogue, and the finish's name.
     """
     # walls that fill the pixel, whatever the size of the defect: how far it does is for narrow.py
-    trials = tuple(replace(trial, length=FILLS_MM, width=FILLS_MM) for trial in unroll(build_catalogue(part)))
+    trials = tuple(
+        replace(trial, length=FILLS_MM, width=FILLS_MM) for trial in defect_hypotheses(build_catalogue(part))
+    )
     visibility = case.predict(trials).visibility
     assert visibility is not None
     surface, areas = _pixels(case)
@@ -61,7 +63,7 @@ def walls(case: Case, part: PartConfig, finish: str) -> Iterator[Point]:
     names = [trial.name for trial in trials]
     for seen_in, pixels in itertools.product(SEEN_IN, MEANS):
         measured = (counts[pixels] >= seen_in) @ areas / areas.sum()
-        flags = flags_of(visibility.seen((0,) * len(lights), seen_in), len(trials))
+        flags = unpack_flags(visibility.seen((0,) * len(lights), seen_in), len(trials))
         predicted = visibility.areas @ flags / visibility.areas.sum()
         for kind in (*dict.fromkeys(names), "all"):
             own = weights * np.array([kind in (name, "all") for name in names])
@@ -93,7 +95,7 @@ def _references(scene: Scene, surface: SurfacePoints) -> NDArray[np.float64]:
 
 
 def _level(
-    case: Case, surface: SurfacePoints, light: PanelLight, trial: Trial | None = None
+    case: Case, surface: SurfacePoints, light: PanelLight, trial: DefectHypothesis | None = None
 ) -> NDArray[np.float64]:
     assert light.points != "auto"
     own = case.scene.reflectance

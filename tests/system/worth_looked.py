@@ -16,7 +16,7 @@ from truth import FINISHES, SEED
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.transforms import Posture
 from lightopt.defects import PlacedDefect
-from lightopt.design import Contrast, Inspection, Survey, Trial, unroll
+from lightopt.design import Contrast, DefectHypothesis, DetectionModel, ImageEvaluator, defect_hypotheses
 from lightopt.rendering import build_patches, cast_rays_at
 from lightopt.scene import PanelLight, Scene, build_catalogue
 
@@ -61,8 +61,8 @@ class Row:
 class Looked:
     """A survey, and defects strewn over it."""
 
-    survey: Survey
-    trials: tuple[Trial, ...]
+    survey: ImageEvaluator
+    trials: tuple[DefectHypothesis, ...]
     contrast: Contrast
     defects: tuple[PlacedDefect, ...]
     traced: dict[Posture, Touched] = field(default_factory=dict[Posture, Touched])
@@ -108,13 +108,13 @@ class Looked:
 
 def look_at(rig: RigConfig, part: PartConfig, scene: Scene, *, patches: int, defects: int) -> Looked:
     caster = cast_rays_at(scene)
-    trials = unroll(build_catalogue(part))
+    trials = defect_hypotheses(build_catalogue(part))
     contrast = Contrast(sensor=scene.sensor, full_scale=scene.reflectance.full_scale)
-    survey = Survey(
+    survey = ImageEvaluator(
         scene=scene,
         table=build_patches(scene, caster=caster, budget=patches),
         caster=caster,
-        inspection=Inspection(trials=trials, contrast=contrast),
+        detection=DetectionModel(hypotheses=trials, contrast=contrast),
     )
     placed = strew(rig, part, scene, count=defects, seed=SEED)
     return Looked(survey=survey, trials=trials, contrast=contrast, defects=placed)

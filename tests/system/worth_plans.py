@@ -14,10 +14,16 @@ from lightopt import build_scene
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import counted as counted_text
 from lightopt.core.transforms import Posture
-from lightopt.design import DEFAULT_EXPOSURE_GAIN, DRAWN_PATCHES, Wanted, drawn_patches, find_candidates
+from lightopt.design import (
+    DEFAULT_EXPOSURE_GAIN,
+    DRAWN_PATCHES,
+    PostureRequest,
+    drawn_patches,
+    find_candidates,
+)
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.exposures._joint_choice import choose_with_exposures
-from lightopt.design.postures._grid import posture_grid, usable_postures
+from lightopt.design.postures._posture_grid import posture_grid, usable_postures
 from lightopt.scene import PanelLight, build_lights
 
 __all__ = ["plans"]
@@ -65,8 +71,8 @@ def _plan(
         among,
         lights,
         candidates,
-        Wanted(least=seen_in, count=POSTURES),
-        offered=offered,
+        PostureRequest(seen_in=seen_in, count=POSTURES),
+        exposures=offered,
         gain_points=DEFAULT_EXPOSURE_GAIN,
     )
     exposures = [(1.0,) if brackets is None else brackets.of(posture) for posture in choice.postures]

@@ -14,8 +14,8 @@ from lightopt import build_scene
 from lightopt.config import PartConfig, RigConfig
 from lightopt.design import (
     OBJECTIVES,
-    Detectability,
-    Thresholds,
+    DetectabilityObjective,
+    LevelThresholds,
     area_units,
     find_candidates,
     luminance_matrix,
@@ -67,9 +67,9 @@ def _best_sets(looked: Looked, rig: RigConfig, part: PartConfig, finish: str, st
     scene, posture = survey.scene, survey.scene.postures[0]
     candidates = find_candidates(rig, step_deg=step, scene=scene)
     matrix = luminance_matrix(
-        scene, survey.table, posture, candidates.panels, caster=survey.caster, inspection=survey.inspection
+        scene, survey.table, posture, candidates.panels, caster=survey.caster, detection=survey.detection
     )
-    thresholds = Thresholds.of_sensor(
+    thresholds = LevelThresholds.of_sensor(
         shade_share=10 / 255,
         max_level=scene.sensor.max_level,
         saturated_from=scene.sensor.saturated_from,
@@ -79,7 +79,7 @@ def _best_sets(looked: Looked, rig: RigConfig, part: PartConfig, finish: str, st
     paper = search([matrix], OBJECTIVES["paper"], thresholds, space=candidates.space, keep=1).best.candidates
     seen: dict[tuple[int, ...], tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
     for seen_in in SEEN_IN:
-        goal = Detectability(looked.trials, seen_in)
+        goal = DetectabilityObjective(looked.trials, seen_in)
         own = search([matrix], goal, thresholds, space=candidates.space, keep=1).best.candidates
         for what, places in (("detectability", own), ("paper", paper)):
             score = goal.score(matrix.combination(places), weights, thresholds)

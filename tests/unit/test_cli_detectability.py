@@ -12,7 +12,7 @@ from test_cli_optimize import BARE, FEW, result_of, with_lights
 
 from lightopt import build_scene
 from lightopt.cli._main import run
-from lightopt.design import Blind, blind_text
+from lightopt.design import BlindReason, blind_text
 from lightopt.images import read_png
 
 LIGHTS = ("light1", "light2", "light3")
@@ -113,11 +113,11 @@ def test_table_and_surface_say_the_same_in_the_part_files_coordinates(planned):
     a, b, c = (vertices[faces["corners"][:, k]].astype(float) for k in range(3))
     areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     assert areas.sum() == pytest.approx(spots["surface_mm2"], rel=1e-4)
-    counted = areas[faces["code"] != Blind.GRAZING].sum()
+    counted = areas[faces["code"] != BlindReason.GRAZING].sum()
     assert (areas * faces["seen"]).sum() / counted == pytest.approx(whole["seen"], abs=1e-4)
     for code in np.unique(faces["code"]):
         lost = (areas * (1 - faces["seen"]))[faces["code"] == code].sum() / counted
-        if code not in (Blind.SEEN, Blind.GRAZING):
+        if code not in (BlindReason.SEEN, BlindReason.GRAZING):
             assert lost == pytest.approx(whole[blind_text(int(code), LIGHTS)], abs=1e-4)
     assert trimesh.load(planned.out / "blind.ply", process=False).faces.shape == (len(faces), 3)
 

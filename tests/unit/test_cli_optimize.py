@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from designed import design
 
 from lightopt.cli._main import run
 from lightopt.config import load_rig
 from lightopt.design import OptimizeOptions, area_text
-from lightopt.design._optimize import optimize
 from lightopt.images import read_image_set, read_png
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -318,22 +318,20 @@ def test_an_interrupted_run_leaves_whole_matrices_that_are_reused(three):
 
     options = OptimizeOptions(step_deg=10.0, patch_budget=800, keep_matrix=True, images=False)
     with pytest.raises(KeyboardInterrupt):
-        optimize(three.rig, three.part, three.out, options=options, report=stop)
+        design(three.rig, three.part, three.out, options=options, rays=stop)
     assert [p.relative_to(three.out).as_posix() for p in three.out.rglob("*") if p.is_file()] == [
         "posture_0_0/matrix.npz"
     ]
-    assert optimize(three.rig, three.part, three.out, options=options).reused == 1
+    assert design(three.rig, three.part, three.out, options=options).reused == 1
     three.edit("part.yaml", "R_d: 45.0", "R_d: 46.0")
-    assert optimize(three.rig, three.part, three.out, options=options, force=True).reused == 0
+    assert design(three.rig, three.part, three.out, options=options, force=True).reused == 0
     kept = three.out / "posture_0_0" / "matrix.npz"
     with np.load(kept) as arrays:
         assert set(arrays) == {"key", "areas_mm2", "grazing_mm2"} | {f"light_{k}" for k in range(3)} | {
             f"angles_{k}_deg" for k in range(3)
         }
     kept.write_bytes(kept.read_bytes()[:1000])
-    assert optimize(three.rig, three.part, three.out, options=options).reused == 1, (
-        "a damaged one is made anew"
-    )
+    assert design(three.rig, three.part, three.out, options=options).reused == 1, "a damaged one is made anew"
 
 
 # --- bad input

@@ -17,7 +17,7 @@ from lightopt.cli._plan_tables import show_plan
 from lightopt.config import load_part, load_rig
 from lightopt.core.transforms import Posture
 from lightopt.design import Brackets, PlanResult, share_text
-from lightopt.design.exposures._brackets import Shot
+from lightopt.design.exposures._brackets import FurtherExposure
 from lightopt.images import read_image_set
 
 
@@ -410,7 +410,9 @@ def test_nothing_to_see_is_said(two, cli):
 
 @pytest.mark.slow
 def test_an_objective_that_is_only_scored_is_not_said_to_be_proven_among_all(two, cli, monkeypatch):
-    monkeypatch.setattr("lightopt.design.responses._posture_matrices.Matrices.holds", lambda *_: False)
+    monkeypatch.setattr(
+        "lightopt.design.responses._posture_matrices.PostureMatrices.fits_memory", lambda *_: False
+    )
     asked = ("--choose-postures", "1", "--posture-step", "90", "--objective", "detectability")
     ran = plan(cli, two, *asked, "--objective", "coverage")
     assert ran.status == 0, ran.err
@@ -441,8 +443,8 @@ def test_a_target_within_reach_takes_no_more_than_it_needs(two, cli):
     ],
 )
 def test_exposures_that_the_target_takes_are_told(capsys, why, expected):
-    shots = (Shot(posture=Posture(0.0, 0.0), exposure=0.25, gain=0.004, why=why),)
-    brackets = Brackets(before=0.9, after=0.904, shots=shots, least_gain=0.01, grain=0.005)
+    shots = (FurtherExposure(posture=Posture(0.0, 0.0), exposure=0.25, gain=0.004, reason=why),)
+    brackets = Brackets(before=0.9, after=0.904, further=shots, least_gain=0.01, grain=0.005)
     show_plan(PlanResult(brackets=brackets), Path("out"))
     told = capsys.readouterr().out
     assert f"1 further exposure planned, {expected}" in told
@@ -537,7 +539,7 @@ def test_tolerances_of_another_objective(two, cli):
     ],
 )
 def test_bad_questions_are_refused_before_any_work(two, cli, arguments, expected, monkeypatch):
-    monkeypatch.setattr("lightopt.design.postures._candidate_postures.cast_rays_at", work)
+    monkeypatch.setattr("lightopt.design.postures._plan_postures.cast_rays_at", work)
     monkeypatch.setattr("lightopt.design._optimize.cast_rays_at", work)
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *arguments)
     assert ran.status == 2

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from designed import design
 from test_cli_optimize import result_of, with_lights
 
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import versions
 from lightopt.core.transforms import Posture
 from lightopt.design import LuminanceMatrix, OptimizeOptions
-from lightopt.design._optimize import optimize
 from lightopt.design._previous_result import begin_writing
 from lightopt.design.responses import _posture_matrices as _matrices
 from lightopt.images import ImageEntry, ImageSetWriter, Manifest
@@ -47,20 +47,20 @@ def there(folder: Path) -> set[Path]:
 
 
 def test_force_leaves_exactly_the_files_of_the_new_run(three):
-    optimize(three.rig, three.part, three.out, options=EACH)
+    design(three.rig, three.part, three.out, options=EACH)
     mine = three.out / "posture_0_0" / "images" / "posture_0_0" / "notes.txt"
     mine.write_text("of a person", encoding="utf-8")
-    optimize(three.rig, three.part, three.out, options=ONE, force=True)
+    design(three.rig, three.part, three.out, options=ONE, force=True)
     new = listed(three.out) | {three.out / "result.json", three.out / "ranking.csv"}
     assert there(three.out) == new | {mine}
     assert len(result_of(three.out)["images"]) == 1
-    optimize(three.rig, three.part, three.out, options=EACH, force=True)
+    design(three.rig, three.part, three.out, options=EACH, force=True)
     new = listed(three.out) | {three.out / "result.json", three.out / "ranking.csv"}
     assert there(three.out) == new | {mine}
 
 
 def test_interrupted_under_force_there_is_no_result_beside_other_files(three, monkeypatch):
-    optimize(three.rig, three.part, three.out, options=EACH)
+    design(three.rig, three.part, three.out, options=EACH)
 
     def stop(*_, **__):
         raise KeyboardInterrupt
@@ -68,22 +68,22 @@ def test_interrupted_under_force_there_is_no_result_beside_other_files(three, mo
     with monkeypatch.context() as patched:
         patched.setattr("lightopt.design._files.render_image_set", stop)
         with pytest.raises(KeyboardInterrupt):
-            optimize(three.rig, three.part, three.out, options=ONE, force=True)
+            design(three.rig, three.part, three.out, options=ONE, force=True)
     assert not (three.out / "result.json").exists()
     assert not list(three.out.rglob("images/manifest.json"))
     # what it had written itself is known to the next run, whatever that wants
     assert (three.out / "rig.optimized.yaml").exists()
-    optimize(three.rig, three.part, three.out, options=EACH, force=True)
+    design(three.rig, three.part, three.out, options=EACH, force=True)
     new = listed(three.out) | {three.out / "result.json", three.out / "ranking.csv"}
     assert there(three.out) == new
 
 
 def test_refused_under_force_all_is_as_before(three, snapshot):
-    optimize(three.rig, three.part, three.out, options=EACH)
+    design(three.rig, three.part, three.out, options=EACH)
     before = snapshot(three.out)
     three.edit("part.yaml", "R_d: 45.0", "R_d: -1")
     with pytest.raises(InputError, match="R_d"):
-        optimize(three.rig, three.part, three.out, options=ONE, force=True)
+        design(three.rig, three.part, three.out, options=ONE, force=True)
     assert snapshot(three.out) == before
 
 
@@ -138,9 +138,9 @@ def test_the_rig_is_written_as_it_was_loaded(three):
     def spoil(*_):
         three.rig.write_text("spoilt", encoding="utf-8")
 
-    done = optimize(three.rig, three.part, three.out, options=ONE, report=spoil)
+    design(three.rig, three.part, three.out, options=ONE, rays=spoil)
     assert three.rig.read_text(encoding="utf-8") == "spoilt"
-    ((path, _),) = done.written.rigs
+    path = three.out / "rig.optimized.yaml"
     assert "# the low one" in path.read_text(encoding="utf-8")
     assert len(path.read_text(encoding="utf-8").splitlines()) == len(before.splitlines())
 
@@ -150,7 +150,7 @@ def test_what_cannot_be_edited_is_told_before_rays_are_cast(three, monkeypatch):
     three.edit("rig.yaml", "elevation_deg: 60,", "elevation_deg: &low 60,")
     three.edit("rig.yaml", "elevation_deg: 50.0 ", "elevation_deg: *low ")
     with pytest.raises(InputError, match=r"rig\.yaml: .*write anchors and aliases out"):
-        optimize(three.rig, three.part, three.out, options=ONE)
+        design(three.rig, three.part, three.out, options=ONE)
 
 
 KEPT = OptimizeOptions(step_deg=20.0, patch_budget=500, keep_matrix=True, images=False)
@@ -158,20 +158,20 @@ KEPT = OptimizeOptions(step_deg=20.0, patch_budget=500, keep_matrix=True, images
 
 def test_a_kept_matrix_is_reused_as_long_as_no_level_changes(three):
     """Noise, saturation, names, ranges and the mesh's file name change no level; black does."""
-    optimize(three.rig, three.part, three.out, options=KEPT)
+    design(three.rig, three.part, three.out, options=KEPT)
     three.edit("rig.yaml", "read_noise_levels: 0.8", "read_noise_levels: 2.5, saturation_level: 250")
     three.edit("rig.yaml", "name: light1", "name: first")
     three.mesh.rename(three.folder / "renamed.stl")
     three.edit("part.yaml", "knob.stl", "renamed.stl")
-    assert optimize(three.rig, three.part, three.out, options=KEPT, force=True).reused == 2
+    assert design(three.rig, three.part, three.out, options=KEPT, force=True).reused == 2
     three.edit("rig.yaml", "bit_depth: 8,", "bit_depth: 8, black_level: 3,")
-    assert optimize(three.rig, three.part, three.out, options=KEPT, force=True).reused == 0
+    assert design(three.rig, three.part, three.out, options=KEPT, force=True).reused == 0
 
 
 def test_the_matrix_depends_on_the_version_of_what_loads_the_mesh(three, monkeypatch):
-    optimize(three.rig, three.part, three.out, options=KEPT)
+    design(three.rig, three.part, three.out, options=KEPT)
     monkeypatch.setattr("lightopt.core.provenance.versions", lambda: {**versions(), "trimesh": "0"})
-    assert optimize(three.rig, three.part, three.out, options=KEPT, force=True).reused == 0
+    assert design(three.rig, three.part, three.out, options=KEPT, force=True).reused == 0
 
 
 def test_matrices_are_held_together_only_where_lights_are_common(three, monkeypatch):
@@ -186,16 +186,16 @@ def test_matrices_are_held_together_only_where_lights_are_common(three, monkeypa
 
     monkeypatch.setattr(_matrices, "luminance_matrix", make)
     options = replace(KEPT, keep_matrix=False)
-    optimize(three.rig, three.part, three.out / "own", options=options)
-    optimize(three.rig, three.part, three.out / "common", options=replace(options, common_lights=True))
+    design(three.rig, three.part, three.out / "own", options=options)
+    design(three.rig, three.part, three.out / "common", options=replace(options, common_lights=True))
     assert alive == [0, 0, 0, 1]
 
 
 def test_the_budget_is_of_all_that_is_held(three, monkeypatch):
     options = replace(KEPT, keep_matrix=False)
-    found = optimize(three.rig, three.part, three.out, options=options)
+    found = design(three.rig, three.part, three.out, options=options)
     positions, patches = sum(found.candidates.space.sizes), max(result.patches for result in found.results)
     monkeypatch.setattr(_matrices, "MOST_BYTES", round(1.5 * positions * patches))
-    optimize(three.rig, three.part, three.out, options=options)
+    design(three.rig, three.part, three.out, options=options)
     with pytest.raises(InputError, match=r"GB a posture; take a larger --step or fewer --patches"):
-        optimize(three.rig, three.part, three.out / "all", options=replace(options, common_lights=True))
+        design(three.rig, three.part, three.out / "all", options=replace(options, common_lights=True))

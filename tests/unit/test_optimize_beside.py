@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from designed import design
 
 from lightopt.design import OptimizeOptions
-from lightopt.design._optimize import optimize
 from lightopt.design.responses import _posture_matrices as matrices
 
 LIGHTS = """\
@@ -35,9 +35,9 @@ def three(bench):
 
 
 def test_the_others_are_found_as_without_it(three):
-    alone = optimize(three.rig, three.part, three.folder / "alone", options=OPTIONS).results[0]
+    alone = design(three.rig, three.part, three.folder / "alone", options=OPTIONS).results[0]
     chosen = replace(OPTIONS, objectives=("detectability", "coverage", "paper"), places=PLACES)
-    beside = optimize(three.rig, three.part, three.folder / "beside", options=chosen)
+    beside = design(three.rig, three.part, three.folder / "beside", options=chosen)
     first, *others = beside.results[0].answers
     assert [answer.found for answer in others] == [answer.found for answer in alone.answers]
     for answer, before in zip(others, alone.answers, strict=True):
@@ -49,7 +49,7 @@ def test_the_others_are_found_as_without_it(three):
     assert (angles, first.found.scored) == (PLACES, 1)
     assert first.scores["coverage"] <= others[0].found.best.score
     assert first.scores["paper"] <= others[1].found.best.score
-    lone = optimize(
+    lone = design(
         three.rig, three.part, three.folder / "lone", options=replace(chosen, objectives=("detectability",))
     )
     assert lone.results[0].answers[0].found.best.score == best.score == first.scores["detectability"]
@@ -66,7 +66,7 @@ def test_the_others_are_found_as_without_it(three):
 def test_where_they_cannot_be_searched_it_is_said_that_they_are_only_scored(
     three, places, room, why, monkeypatch
 ):
-    real = matrices.Matrices.holds
+    real = matrices.PostureMatrices.fits_memory
 
     def holds(self, candidates):
         with monkeypatch.context() as small:
@@ -74,8 +74,8 @@ def test_where_they_cannot_be_searched_it_is_said_that_they_are_only_scored(
                 small.setattr(matrices, "MOST_BYTES", 1000)
             return real(self, candidates)
 
-    monkeypatch.setattr(matrices.Matrices, "holds", holds)
+    monkeypatch.setattr(matrices.PostureMatrices, "fits_memory", holds)
     chosen = replace(OPTIONS, objectives=("detectability", "paper"), places=places)
-    found = optimize(three.rig, three.part, three.out, options=chosen)
+    found = design(three.rig, three.part, three.out, options=chosen)
     assert [answer.found.scored for answer in found.results[0].answers] == [1, 1]
     assert any("their own best positions are not searched" in text and why in text for text in found.warnings)

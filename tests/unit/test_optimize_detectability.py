@@ -12,25 +12,25 @@ from test_optimize_visibility import visibility_of
 from lightopt.core.errors import InputError
 from lightopt.defects import BUILT_IN_CATALOGUE
 from lightopt.design import (
-    Detectability,
+    DefectHypothesis,
+    DetectabilityObjective,
+    LevelThresholds,
     LuminanceMatrix,
-    Thresholds,
-    Trial,
     area_units,
+    defect_hypotheses,
     search,
     share_of_whole,
-    unroll,
 )
 from lightopt.design.objectives import _bit_runs as bit_runs
 from lightopt.design.objectives import _count_runs as count_runs
 
-THRESHOLDS = Thresholds(shade=10, saturation=255)
+THRESHOLDS = LevelThresholds(shade=10, saturation=255)
 
 
 def trials_of(weights):
     """Trials that differ in their weights alone."""
     return tuple(
-        Trial(name=f"trial {k}", kind="stain", weight=weight, length=1.0, width=1.0)
+        DefectHypothesis(name=f"trial {k}", kind="stain", weight=weight, length=1.0, width=1.0)
         for k, weight in enumerate(weights)
     )
 
@@ -98,7 +98,7 @@ def test_plain_reading_of_any_small_matrix(data):
     areas = rng.integers(0, 4, patches) * 1e-6
     levels = tuple(rng.choice([0, 30, 255], (size, patches)).astype(np.uint8) for size in sizes)
     matrix = matrix_of(flags, trials, areas, levels)
-    objective = Detectability(trials, seen_in)
+    objective = DetectabilityObjective(trials, seen_in)
     expected = plain(flags, matrix, trials, seen_in)
     found = search([matrix], objective, THRESHOLDS, keep=1000)
     assert as_tuples(found) == expected
@@ -115,9 +115,9 @@ def test_plain_reading_of_any_small_matrix(data):
 @pytest.mark.parametrize("seen_in", [1, 2, 3])
 def test_built_in_catalogue_and_more_trials_than_a_word_has_bits(sizes, seen_in, smooth):
     rng = np.random.default_rng(seen_in)
-    for trials in (unroll(BUILT_IN_CATALOGUE), trials_of(rng.integers(1, 40, 150).tolist())):
+    for trials in (defect_hypotheses(BUILT_IN_CATALOGUE), trials_of(rng.integers(1, 40, 150).tolist())):
         flags, matrix = random_matrix(rng, sizes, 9, trials, smooth=smooth)
-        objective = Detectability(trials, seen_in)
+        objective = DetectabilityObjective(trials, seen_in)
         if objective.refusal(len(sizes)):
             continue
         weights = objective.weights(matrix.areas)
@@ -137,7 +137,7 @@ def test_packed_bits_take_over_where_bits_change_everywhere_and_agree(monkeypatc
     rng = np.random.default_rng(3)
     trials = trials_of(rng.integers(1, 9, 70).tolist())
     _, matrix = random_matrix(rng, (7, 1, 6, 5), 40, trials)
-    objective = Detectability(trials, seen_in)
+    objective = DetectabilityObjective(trials, seen_in)
     weights = objective.weights(matrix.areas)
     whole = objective.scores(matrix, weights, THRESHOLDS, threads=2)
     shares: list[float] = []
@@ -154,14 +154,14 @@ def test_packed_bits_take_over_where_bits_change_everywhere_and_agree(monkeypatc
 
 
 def test_details_name_what_is_worst():
-    trials = unroll(BUILT_IN_CATALOGUE)
+    trials = defect_hypotheses(BUILT_IN_CATALOGUE)
     flags = [np.ones((1, 2, len(trials)), bool), np.zeros((1, 2, len(trials)), bool)]
     flags[0][0, 0, 8:16] = False  # dents on the first patch
     flags[0][0, :, 3] = False  # scratches that lean to 135°
     areas = np.array([3.0, 1.0])
     levels = (np.zeros((1, 2), np.uint8),) * 2
     matrix = matrix_of(flags, trials, areas, levels)
-    objective = Detectability(trials)
+    objective = DetectabilityObjective(trials)
     facts = objective.details([matrix, matrix], [objective.weights(areas)] * 2)
     assert facts["defects"] == {
         "scratch": 0.875,
@@ -178,15 +178,15 @@ def test_details_name_what_is_worst():
     score = objective.score(matrix, objective.weights(areas), THRESHOLDS)
     share = share_of_whole(objective, score, 4_000_000)
     assert share == pytest.approx(np.mean(list(facts["defects"].values())))
-    assert objective.shown(score, 0.0) == f"{4 * share:.2f} mm²"
-    assert objective.shown(score, 200_000.0) == f"{4 * share:.1f} mm²"
+    assert objective.format_score(score, 0.0) == f"{4 * share:.2f} mm²"
+    assert objective.format_score(score, 200_000.0) == f"{4 * share:.1f} mm²"
 
 
 def test_what_makes_no_sense_is_refused():
     trials = trials_of([1])
     with pytest.raises(InputError, match="--seen-in: expected the number of images"):
-        Detectability(trials, 0)
-    assert "5 images, and the rig has 4 lights only" in Detectability(trials, 5).refusal(4)
+        DetectabilityObjective(trials, 0)
+    assert "5 images, and the rig has 4 lights only" in DetectabilityObjective(trials, 5).refusal(4)
     bare = LuminanceMatrix(levels=(np.zeros((2, 1), np.uint8),) * 2, areas=np.ones(1))
     with pytest.raises(InputError, match="expected a luminance matrix with the visibility"):
-        search([bare], Detectability(trials), THRESHOLDS)
+        search([bare], DetectabilityObjective(trials), THRESHOLDS)

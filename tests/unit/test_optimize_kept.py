@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lightopt.design import LuminanceMatrix
-from lightopt.design.responses._matrix_cache import keep_matrix, read_matrix
+from lightopt.design.responses._matrix_cache import read_matrix, write_matrix
 
 
 @pytest.fixture
@@ -15,7 +15,7 @@ def kept(tmp_path):
     levels = tuple(rng.integers(0, 256, (n, 40)).astype(np.uint8) for n in (2, 3))
     matrix = LuminanceMatrix(levels=levels, areas=rng.random(40))
     path = tmp_path / "matrix.npz"
-    keep_matrix(path, matrix, [[(30.0, 5.0 * k) for k in range(n)] for n in (2, 3)], key="a key")
+    write_matrix(path, matrix, [[(30.0, 5.0 * k) for k in range(n)] for n in (2, 3)], key="a key")
     return path, matrix
 
 

@@ -16,14 +16,14 @@ from reference._search import all_combinations, coverage_value, paper_value
 
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
-from lightopt.design import OBJECTIVES, Answer, LuminanceMatrix, Thresholds, area_units, search
+from lightopt.design import OBJECTIVES, LevelThresholds, LuminanceMatrix, ObjectiveResult, area_units, search
 from lightopt.design._texts import cut_off
 from lightopt.design.candidates._candidates import Candidates
-from lightopt.design.candidates._combination_space import Space
-from lightopt.design.search._answer import answer_set
+from lightopt.design.candidates._combination_space import CombinationSpace
+from lightopt.design.search._answers import answer_set
 
 HERE = Path(__file__).resolve().parent
-THRESHOLDS = Thresholds(shade=30, saturation=250, black=12)
+THRESHOLDS = LevelThresholds(shade=30, saturation=250, black=12)
 T = (30, 250)
 
 
@@ -53,7 +53,7 @@ def test_many_lights_of_which_few_move_against_the_plain_definition(name, lights
     assert [(r.negative_score, r.negative_usable, r.candidates) for r in found.ranking] == expected
     clash = np.zeros((3, 2), np.bool_)
     clash[1, 0] = True
-    space = Space(
+    space = CombinationSpace(
         sizes=tuple(sizes), groups=(tuple(map(np.arange, sizes)),), clashes={(1, lights - 2): clash}
     )
     found = search([matrix], OBJECTIVES[name], THRESHOLDS, keep=24, space=space)
@@ -111,7 +111,9 @@ def test_proven_and_complete_are_two_things():
     assert found.proven
     assert not found.complete
     assert found.ties < 63
-    answer = Answer(objective=OBJECTIVES["coverage"], found=found, scores={"coverage": found.best.score})
+    answer = ObjectiveResult(
+        objective=OBJECTIVES["coverage"], found=found, scores={"coverage": found.best.score}
+    )
     said = cut_off(answer, [Posture(0.0, 0.0)])
     assert f"with {found.left} left" in said
     assert "none scores more, but one of those left may score the same and win the tie" in said
@@ -131,7 +133,11 @@ def test_a_limit_under_which_nothing_scores_names_no_optimum():
     matrix = LuminanceMatrix(levels=tuple(np.array(one, np.uint8) for one in levels), areas=np.ones(2))
     places = tuple(tuple((30.0, float(k)) for k in range(3)) for _ in range(3))
     candidates = Candidates(
-        names=("a", "b", "c"), angles=places, panels=((),) * 3, left_out=(), space=Space.of((3, 3, 3))
+        names=("a", "b", "c"),
+        angles=places,
+        panels=((),) * 3,
+        left_out=(),
+        space=CombinationSpace.of((3, 3, 3)),
     )
     result = answer_set(
         *(
@@ -139,7 +145,7 @@ def test_a_limit_under_which_nothing_scores_names_no_optimum():
             [Posture(0.0, 0.0)],
             candidates,
             [OBJECTIVES["paper"]],
-            Thresholds(shade=10, saturation=255),
+            LevelThresholds(shade=10, saturation=255),
         ),
         rows=2,
         limit=1,
@@ -228,8 +234,8 @@ import sys
 from pathlib import Path
 import numpy as np
 from lightopt.design.objectives._registry import OBJECTIVES
-from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Thresholds
-from lightopt.design.search._search import search
+from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
+from lightopt.design.search._exact_search import search
 
 def levels(sizes, patches):
     # written row by row, so that nothing else is ever held
@@ -246,7 +252,7 @@ def peak():
     lines = Path("/proc/self/status").read_text().splitlines()
     return 1024 * int(next(line for line in lines if line.startswith("VmHWM")).split()[1])
 
-thresholds = Thresholds(shade=10, saturation=250)
+thresholds = LevelThresholds(shade=10, saturation=250)
 objective = OBJECTIVES[{name!r}]
 search([levels((3, 3, 3), 1000)], objective, thresholds, keep=2)
 before = peak()
@@ -288,13 +294,12 @@ def test_scores_do_not_depend_on_how_the_work_is_cut(monkeypatch):
     }
     for module, names in {
         "_paper": ("BLOCK_LEVELS", "LEAST_PATCHES"),
-        "_minimum_sums": ("TASK_LEVELS",),
-        "_extreme_sums": ("TASK_LEVELS",),
-        "_bits": ("BLOCK_LEVELS", "LEAST_PATCHES", "TASK_WORDS"),
-        "_runs": ("CHUNK_PATCHES", "CHUNK_BOXES"),
+        "_level_sums": ("TASK_LEVELS", "WALK_LEVELS"),
+        "_bit_sums": ("BLOCK_LEVELS", "LEAST_PATCHES", "TASK_WORDS"),
+        "_class_runs": ("CHUNK_PATCHES", "CHUNK_BOXES"),
     }.items():
         for name in names:
-            monkeypatch.setattr(f"lightopt.design.{module}.{name}", 50)
+            monkeypatch.setattr(f"lightopt.design.objectives.{module}.{name}", 50)
     for (name, objective), cost, share in itertools.product(OBJECTIVES.items(), (0.0, 1e9), (1e-9, 1e9)):
         monkeypatch.setattr("lightopt.design.objectives._paper.DIRECT_COST", cost)
         monkeypatch.setattr("lightopt.design.objectives._coverage.BITS_SHARE", share)

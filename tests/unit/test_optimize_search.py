@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from reference._search import all_combinations, coverage_value, paper_value
 
 from lightopt.core.errors import InputError
-from lightopt.design import OBJECTIVES, LuminanceMatrix, Thresholds, area_units, search
-from lightopt.design.candidates._combination_space import Space
+from lightopt.design import OBJECTIVES, LevelThresholds, LuminanceMatrix, area_units, search
+from lightopt.design.candidates._combination_space import CombinationSpace
 from lightopt.design.objectives._bit_sums import bit_scores
 from lightopt.design.objectives._class_runs import run_scores
 from lightopt.design.search._ranking import NearBest
@@ -80,7 +80,7 @@ def test_plain_reading_of_section_5_2(objective, sizes, few, kind):
     matrix = LuminanceMatrix(
         levels=random_levels(rng, sizes, 7 if few else 61, kind, few=few), areas=rng.random(7 if few else 61)
     )
-    thresholds = Thresholds(shade=10, saturation=kind[1])
+    thresholds = LevelThresholds(shade=10, saturation=kind[1])
     found = search([matrix], OBJECTIVES[objective], thresholds, keep=17)
     expected = plain(matrix, objective, thresholds)
     agree(found, expected, 17)
@@ -105,7 +105,7 @@ def test_plain_reading_of_any_small_matrix(data):
     )
     areas = np.array(data.draw(st.lists(st.integers(0, 5), min_size=patches, max_size=patches))) * 1e-6
     matrix = LuminanceMatrix(levels=levels, areas=areas)
-    thresholds = Thresholds(shade=shade, saturation=saturation, black=black)
+    thresholds = LevelThresholds(shade=shade, saturation=saturation, black=black)
     for name, objective in OBJECTIVES.items():
         if objective.refusal(lights):
             continue
@@ -123,7 +123,7 @@ def test_plain_reading_of_any_small_matrix(data):
 def test_scores_are_those_of_the_definition_and_below_the_bound(name):
     rng = np.random.default_rng(5)
     levels = random_levels(rng, (3, 4, 2, 3), 200)
-    thresholds = Thresholds(shade=10, saturation=255)
+    thresholds = LevelThresholds(shade=10, saturation=255)
     objective = OBJECTIVES[name]
     matrix = LuminanceMatrix(levels=levels, areas=rng.random(200))
     weights = objective.weights(matrix.areas)
@@ -138,7 +138,7 @@ def test_runs_and_packed_bits_agree_on_any_weights():
     rng = np.random.default_rng(6)
     levels = random_levels(rng, (5, 4, 3, 4), 333)
     weights = rng.integers(0, 1 << 33, 333)
-    thresholds = Thresholds(shade=30, saturation=240)
+    thresholds = LevelThresholds(shade=30, saturation=240)
     some = rng.permutation(333)[:300]
     for rule in ((1, 0), (2, 1), (3, 2)):
         runs = run_scores(levels, some, weights, thresholds, rule=rule, threads=2)
@@ -150,7 +150,7 @@ def test_more_patches_than_a_kernel_takes_at_once():
     rng = np.random.default_rng(7)
     levels = random_levels(rng, (2, 1, 2, 2), 140_001)
     matrix = LuminanceMatrix(levels=levels, areas=np.full(140_001, 1e-3))
-    thresholds = Thresholds(shade=10, saturation=255)
+    thresholds = LevelThresholds(shade=10, saturation=255)
     for objective in OBJECTIVES.values():
         found = search([matrix], objective, thresholds, keep=8)
         for ranked in found.ranking:
@@ -161,7 +161,7 @@ def test_more_patches_than_a_kernel_takes_at_once():
 def test_a_limit_leaves_a_bound_that_holds():
     rng = np.random.default_rng(8)
     matrix = LuminanceMatrix(levels=random_levels(rng, (6, 6, 6, 6), 50), areas=rng.random(50))
-    thresholds = Thresholds(shade=10, saturation=255)
+    thresholds = LevelThresholds(shade=10, saturation=255)
     for objective in OBJECTIVES.values():
         whole = search([matrix], objective, thresholds, keep=2)
         part = search([matrix], objective, thresholds, keep=2, table_cells=64, limit=100)
@@ -177,7 +177,7 @@ def test_bounds_exclude_combinations_of_dark_positions():
     for layer in levels[:2]:
         layer[4:] = 0
     matrix = LuminanceMatrix(levels=tuple(levels), areas=np.ones(40))
-    thresholds = Thresholds(shade=10, saturation=255)
+    thresholds = LevelThresholds(shade=10, saturation=255)
     boxed = search([matrix], OBJECTIVES["paper"], thresholds, keep=2, table_cells=16)
     whole = search([matrix], OBJECTIVES["paper"], thresholds, keep=2)
     assert boxed.excluded > 0
@@ -190,7 +190,7 @@ def test_several_postures_are_decided_by_their_sum():
         LuminanceMatrix(levels=random_levels(rng, (3, 4, 2), patches), areas=rng.random(patches))
         for patches in (20, 35)
     ]
-    thresholds = Thresholds(shade=10, saturation=255)
+    thresholds = LevelThresholds(shade=10, saturation=255)
     for name, objective in OBJECTIVES.items():
         both = {}
         for matrix in matrices:
@@ -204,14 +204,16 @@ def test_several_postures_are_decided_by_their_sum():
 def test_colliding_panels_and_common_angles_restrict_the_space():
     rng = np.random.default_rng(11)
     matrix = LuminanceMatrix(levels=random_levels(rng, (3, 3, 3), 30), areas=rng.random(30))
-    thresholds = Thresholds(shade=10, saturation=255)
+    thresholds = LevelThresholds(shade=10, saturation=255)
     clash = np.zeros((3, 3), np.bool_)
     clash[2, :2] = True
-    space = Space(sizes=(3, 3, 3), groups=(tuple(np.arange(3) for _ in range(3)),), clashes={(0, 2): clash})
+    space = CombinationSpace(
+        sizes=(3, 3, 3), groups=(tuple(np.arange(3) for _ in range(3)),), clashes={(0, 2): clash}
+    )
     found = search([matrix], OBJECTIVES["paper"], thresholds, space=space, keep=50)
     agree(found, plain(matrix, "paper", thresholds, lambda c: not clash[c[0], c[2]]), 50)
     assert (found.scored, found.clashing) == (21, 6)
-    together = Space(sizes=(3, 3, 3), groups=tuple((np.array([k]),) * 3 for k in range(3)))
+    together = CombinationSpace(sizes=(3, 3, 3), groups=tuple((np.array([k]),) * 3 for k in range(3)))
     found = search([matrix], OBJECTIVES["coverage"], thresholds, space=together, keep=50)
     agree(found, plain(matrix, "coverage", thresholds, lambda c: len(set(c)) == 1), 50)
     clash[:] = True
@@ -223,7 +225,7 @@ def test_ties_go_to_more_usable_light_then_to_lower_candidates():
     # under every combination the one patch is usable twice; light 1's second candidate is brighter, light 2's are equal
     levels = (np.array([[50], [60]], np.uint8), np.array([[70], [70]], np.uint8))
     matrix = LuminanceMatrix(levels=levels, areas=np.array([0.25]))
-    found = search([matrix], OBJECTIVES["coverage"], Thresholds(shade=10, saturation=255))
+    found = search([matrix], OBJECTIVES["coverage"], LevelThresholds(shade=10, saturation=255))
     assert [r.candidates for r in found.ranking] == [(1, 0), (1, 1), (0, 0), (0, 1)]
     assert (found.best.score, found.ties, found.gap) == (250_000, 3, 0)
     assert found.best.usable == 250_000 * 130
@@ -236,7 +238,7 @@ def test_sets_near_the_best_are_those_of_the_plain_reading(name, few):
     levels = random_levels(rng, (4, 3, 5, 2), 40, few=few)
     areas = rng.random(40)
     matrix = LuminanceMatrix(levels=levels, areas=areas)
-    thresholds, objective = Thresholds(shade=10, saturation=255), OBJECTIVES[name]
+    thresholds, objective = LevelThresholds(shade=10, saturation=255), OBJECTIVES[name]
     scores = [-value for value, _, _ in plain(matrix, name, thresholds)]
     # within 0.5 % of the best score, or 0.5 points of the area
     whole = scores[0] if name == "paper" else int(area_units(areas).sum())
@@ -276,7 +278,7 @@ def test_areas_are_kept_when_patches_are_split_where_they_stand():
     halves = np.repeat(areas / 2.0, 2)
     levels = random_levels(rng, (5, 4, 6), 500)
     split = tuple(np.repeat(layer, 2, axis=1) for layer in levels)
-    thresholds = Thresholds(shade=10, saturation=255)
+    thresholds = LevelThresholds(shade=10, saturation=255)
     whole, parts = (
         search([LuminanceMatrix(levels=some, areas=a)], OBJECTIVES["coverage"], thresholds)
         for some, a in ((levels, areas), (split, halves))
@@ -289,7 +291,7 @@ def test_areas_are_kept_when_patches_are_split_where_they_stand():
 
 def test_refusals_say_what_to_do():
     dark = LuminanceMatrix(levels=(np.zeros((2, 0), np.uint8),) * 3, areas=np.zeros(0))
-    thresholds = Thresholds(shade=10, saturation=255)
+    thresholds = LevelThresholds(shade=10, saturation=255)
     with pytest.raises(InputError, match="no patch is inspectable"):
         search([dark], OBJECTIVES["paper"], thresholds)
     two = LuminanceMatrix(levels=(np.zeros((2, 3), np.uint8),) * 2, areas=np.ones(3))
@@ -299,30 +301,30 @@ def test_refusals_say_what_to_do():
     with pytest.raises(InputError, match="one light only"):
         search([one], OBJECTIVES["coverage"], thresholds)
     with pytest.raises(InputError, match="leaves none usable"):
-        Thresholds(shade=255, saturation=255)
+        LevelThresholds(shade=255, saturation=255)
     with pytest.raises(InputError, match="share of full scale from 0 to 1"):
-        Thresholds.of_sensor(shade_share=10.0, max_level=255, saturated_from=255)
+        LevelThresholds.of_sensor(shade_share=10.0, max_level=255, saturated_from=255)
     with pytest.raises(InputError, match="expected uint8 or uint16 of shape"):
         LuminanceMatrix(levels=(np.zeros((2, 3)),), areas=np.ones(3))
 
 
 def test_thresholds_of_sensors():
-    assert Thresholds.of_sensor(shade_share=10 / 255, max_level=255, saturated_from=255) == Thresholds(
-        shade=10, saturation=255
-    )
-    assert Thresholds.of_sensor(shade_share=10 / 255, max_level=4095, saturated_from=4080) == Thresholds(
-        shade=161, saturation=4080
-    )
+    assert LevelThresholds.of_sensor(
+        shade_share=10 / 255, max_level=255, saturated_from=255
+    ) == LevelThresholds(shade=10, saturation=255)
+    assert LevelThresholds.of_sensor(
+        shade_share=10 / 255, max_level=4095, saturated_from=4080
+    ) == LevelThresholds(shade=161, saturation=4080)
 
 
 def test_thresholds_are_of_light_above_black():
     # 10/255 of full scale of light delivers 10 levels above black, however dark black is
-    of = partial(Thresholds.of_sensor, max_level=255, saturated_from=250)
-    assert of(shade_share=10 / 255, black_level=16) == Thresholds(shade=26, saturation=250, black=16)
-    assert of(shade_share=10 / 255, black_level=16.5) == Thresholds(shade=27, saturation=250, black=17)
+    of = partial(LevelThresholds.of_sensor, max_level=255, saturated_from=250)
+    assert of(shade_share=10 / 255, black_level=16) == LevelThresholds(shade=26, saturation=250, black=16)
+    assert of(shade_share=10 / 255, black_level=16.5) == LevelThresholds(shade=27, saturation=250, black=17)
     # what is delivered without light is never usable
-    assert of(shade_share=0.0, black_level=16.5) == Thresholds(shade=18, saturation=250, black=17)
-    assert of(shade_share=0.0) == Thresholds(shade=1, saturation=250, black=0)
+    assert of(shade_share=0.0, black_level=16.5) == LevelThresholds(shade=18, saturation=250, black=17)
+    assert of(shade_share=0.0) == LevelThresholds(shade=1, saturation=250, black=0)
     with pytest.raises(InputError, match="black is 16, a level is shaded below 262"):
         of(shade_share=246 / 255, black_level=16)
 
@@ -330,5 +332,5 @@ def test_thresholds_are_of_light_above_black():
 def test_paper_sums_light_above_black():
     levels = tuple(np.array([[level]], np.uint8) for level in (20, 50, 90, 255))
     matrix = LuminanceMatrix(levels=levels, areas=np.ones(1))
-    found = search([matrix], OBJECTIVES["paper"], Thresholds(shade=30, saturation=255, black=16))
+    found = search([matrix], OBJECTIVES["paper"], LevelThresholds(shade=30, saturation=255, black=16))
     assert (found.best.score, found.best.usable) == (34 + 74, 34 + 74)

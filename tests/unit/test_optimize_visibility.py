@@ -9,10 +9,17 @@ import pytest
 
 from lightopt.core.errors import InputError
 from lightopt.defects import BUILT_IN_CATALOGUE, CatalogueEntry, DefectShape
-from lightopt.design import Blind, LuminanceMatrix, Thresholds, Visibility, blind_text, unroll
-from lightopt.design.blind_spots._blind_spots import blind_spots, shown_by, shown_together
+from lightopt.design import (
+    BlindReason,
+    LevelThresholds,
+    LuminanceMatrix,
+    Visibility,
+    blind_text,
+    defect_hypotheses,
+)
+from lightopt.design.blind_spots._blind_spots import blind_spots, combined_visibility, defect_visibility
 
-THRESHOLDS = Thresholds(shade=10, saturation=255, black=2)
+THRESHOLDS = LevelThresholds(shade=10, saturation=255, black=2)
 
 
 def dent(slope_deg, name="dent"):
@@ -33,7 +40,7 @@ def pack(flags):
 def visibility_of(flags, trials, areas, *, patch=None, grazing=()):
     count = len(areas)
     return Visibility(
-        trials=trials,
+        hypotheses=trials,
         words=tuple(pack(layer) for layer in flags),
         areas=np.asarray(areas, float),
         patch=np.arange(count, dtype=np.int32) if patch is None else np.asarray(patch, np.int32),
@@ -42,7 +49,7 @@ def visibility_of(flags, trials, areas, *, patch=None, grazing=()):
 
 
 def test_built_in_catalogue_unrolls_to_walls_all_around_and_each_entry_weighs_the_same():
-    trials = unroll(BUILT_IN_CATALOGUE)
+    trials = defect_hypotheses(BUILT_IN_CATALOGUE)
     assert len(trials) == 5 * 8 + 2
     for entry in BUILT_IN_CATALOGUE:
         own = [trial for trial in trials if trial.name == entry.name]
@@ -67,14 +74,14 @@ def test_built_in_catalogue_unrolls_to_walls_all_around_and_each_entry_weighs_th
 )
 def test_what_cannot_be_planned_for_is_refused(catalogue, directions, found):
     with pytest.raises(InputError, match=found):
-        unroll(catalogue, directions=directions)
+        defect_hypotheses(catalogue, directions=directions)
 
 
 def test_counts_and_weights_are_those_of_the_flags():
     rng = np.random.default_rng(0)
     catalogue = [dent(1.0 + k, f"dent {k}") for k in range(9)]
     catalogue.append(CatalogueEntry("stain", DefectShape(kind="stain", length=1, width=1, R_d_factor=0.5)))
-    trials = unroll(catalogue)
+    trials = defect_hypotheses(catalogue)
     sizes, patches = (3, 2, 4), 17
     flags = [rng.random((size, patches, len(trials))) < 0.4 for size in sizes]
     some = visibility_of(flags, trials, rng.random(patches))
@@ -92,7 +99,7 @@ def test_counts_and_weights_are_those_of_the_flags():
 
 
 def test_visibility_of_other_images_is_refused():
-    trials = unroll([dent(2.0)])
+    trials = defect_hypotheses([dent(2.0)])
     some = visibility_of([np.ones((2, 3, 8)), np.ones((1, 3, 8))], trials, np.ones(3))
     levels = tuple(np.zeros((size, 3), np.uint8) for size in (2, 1))
     assert LuminanceMatrix(levels=levels, areas=np.ones(3), visibility=some).visibility is some
@@ -103,7 +110,7 @@ def test_visibility_of_other_images_is_refused():
 
 
 def test_reasons_are_those_that_stand_in_between():
-    trials = unroll([dent(2.0)])
+    trials = defect_hypotheses([dent(2.0)])
     # patches: seen in both; two images, no contrast; one dark; one saturated; one dark and one saturated
     levels = (
         np.array([[90, 90, 2, 255, 255]], np.uint8),
@@ -116,18 +123,24 @@ def test_reasons_are_those_that_stand_in_between():
     some = visibility_of(flags, trials, [1, 1, 1, 1, 1], patch=[1, 2, 3, 4, 5], grazing=[7])
     matrix = LuminanceMatrix(levels=levels, areas=some.areas, visibility=some)
     areas = np.array([3, 1, 1, 1, 1, 1, 0, 2.0])
-    found = blind_spots(areas, [shown_by([matrix], THRESHOLDS, least=2, candidates=(0, 0))])
-    expected = [Blind.SEEN, Blind.CONTRAST, Blind.SHADOWED, Blind.SATURATED, Blind.SHADOWED]
-    assert found.codes.tolist() == [Blind.CAMERA, *expected, Blind.CAMERA, Blind.GRAZING]
+    found = blind_spots(areas, [defect_visibility([matrix], THRESHOLDS, least=2, candidates=(0, 0))])
+    expected = [
+        BlindReason.SEEN,
+        BlindReason.CONTRAST,
+        BlindReason.SHADOWED,
+        BlindReason.SATURATED,
+        BlindReason.SHADOWED,
+    ]
+    assert found.codes.tolist() == [BlindReason.CAMERA, *expected, BlindReason.CAMERA, BlindReason.GRAZING]
     # what is seen at a grazing angle, 2 of 10, is in no share
     assert found.left_out == pytest.approx(0.2)
     assert found.seen == pytest.approx((1 + 3 / 8) / 8)
     reasons = found.by_reason()
     assert reasons == pytest.approx({1: 0.375, 3: 0.25, 4: 0.078125, 5: 0.125})
     assert found.seen + sum(reasons.values()) == pytest.approx(1.0)
-    one = blind_spots(areas, [shown_by([matrix], THRESHOLDS, least=1, candidates=(0, 0))])
-    assert one.codes[5] == Blind.SATURATED
-    assert blind_text(Blind.SATURATED + 1, ["left", "right"]) == "saturated by right"
+    one = blind_spots(areas, [defect_visibility([matrix], THRESHOLDS, least=1, candidates=(0, 0))])
+    assert one.codes[5] == BlindReason.SATURATED
+    assert blind_text(BlindReason.SATURATED + 1, ["left", "right"]) == "saturated by right"
     # light by light it is the same
     parts = [
         LuminanceMatrix(
@@ -140,9 +153,10 @@ def test_reasons_are_those_that_stand_in_between():
         for k in (0, 1)
     ]
     halves = [
-        shown_by([half], THRESHOLDS, least=2, candidates=(0,), first_light=k) for k, half in enumerate(parts)
+        defect_visibility([half], THRESHOLDS, least=2, candidates=(0,), first_light=k)
+        for k, half in enumerate(parts)
     ]
-    again = blind_spots(areas, [shown_together(*halves)])
+    again = blind_spots(areas, [combined_visibility(*halves)])
     assert again.codes.tolist() == found.codes.tolist()
     assert again.share.tolist() == found.share.tolist()
 
@@ -155,42 +169,42 @@ def matrix_with(flags, levels, trials):
 
 
 def test_all_positions_count_each_for_itself_and_postures_complete_each_other():
-    trials = unroll([dent(2.0)])
+    trials = defect_hypotheses([dent(2.0)])
     levels = (np.array([[255], [60]], np.uint8), np.array([[2], [2]], np.uint8))
     flags = [np.zeros((2, 1, 8), bool) for _ in levels]
     flags[0][0, 0, :4] = True
     flags[0][1, 0, 4:6] = True
-    first = shown_by([matrix_with(flags, levels, trials)], THRESHOLDS, least=1)
+    first = defect_visibility([matrix_with(flags, levels, trials)], THRESHOLDS, least=1)
     alone = blind_spots(np.ones(1), [first])
-    assert alone.codes.tolist() == [Blind.CONTRAST]
+    assert alone.codes.tolist() == [BlindReason.CONTRAST]
     assert alone.seen == 6 / 8
     flags = [layer.copy() for layer in flags]
     flags[1][1, 0, 6:] = True
-    other = shown_by(
+    other = defect_visibility(
         [matrix_with([flags[1], flags[1]], levels, trials)], THRESHOLDS, least=1, candidates=(1, 1)
     )
     together = blind_spots(np.ones(1), [first, other])
-    assert together.codes.tolist() == [Blind.SEEN]
+    assert together.codes.tolist() == [BlindReason.SEEN]
     assert together.seen == 1.0
-    assert blind_spots(np.ones(2), []).codes.tolist() == [Blind.CAMERA, Blind.CAMERA]
+    assert blind_spots(np.ones(2), []).codes.tolist() == [BlindReason.CAMERA, BlindReason.CAMERA]
 
 
 def test_images_of_other_postures_confirm_and_other_exposures_of_a_light_do_not():
-    trials = unroll([dent(2.0)])
+    trials = defect_hypotheses([dent(2.0)])
     flags = [np.zeros((1, 1, 8), bool) for _ in range(2)]
     flags[0][0, 0] = True
     levels = (np.array([[60]], np.uint8), np.array([[2]], np.uint8))
     matrix = matrix_with(flags, levels, trials)
-    once = shown_by([matrix], THRESHOLDS, least=2)
+    once = defect_visibility([matrix], THRESHOLDS, least=2)
     assert blind_spots(np.ones(1), [once]).seen == 0.0
     # the same image at another exposure shows the same trials: still one image
-    assert blind_spots(np.ones(1), [shown_by([matrix, matrix], THRESHOLDS, least=2)]).seen == 0.0
+    assert blind_spots(np.ones(1), [defect_visibility([matrix, matrix], THRESHOLDS, least=2)]).seen == 0.0
     # the image of another posture is a second one
-    assert blind_spots(np.ones(1), [once, once]).codes.tolist() == [Blind.SEEN]
+    assert blind_spots(np.ones(1), [once, once]).codes.tolist() == [BlindReason.SEEN]
     # an exposure that saturates nothing takes the glare away
     bright = matrix_with(flags, (np.array([[255]], np.uint8), np.array([[255]], np.uint8)), trials)
     dim = matrix_with(flags, (np.array([[60]], np.uint8), np.array([[60]], np.uint8)), trials)
-    glare = blind_spots(np.ones(1), [shown_by([bright], THRESHOLDS, least=2)])
-    assert glare.codes.tolist() == [Blind.SATURATED]
-    mended = blind_spots(np.ones(1), [shown_by([bright, dim], THRESHOLDS, least=2)])
-    assert mended.codes.tolist() == [Blind.CONTRAST]
+    glare = blind_spots(np.ones(1), [defect_visibility([bright], THRESHOLDS, least=2)])
+    assert glare.codes.tolist() == [BlindReason.SATURATED]
+    mended = blind_spots(np.ones(1), [defect_visibility([bright, dim], THRESHOLDS, least=2)])
+    assert mended.codes.tolist() == [BlindReason.CONTRAST]

@@ -9,7 +9,7 @@ import pytest
 
 from lightopt.core.errors import InputError
 from lightopt.design import counts_of_images, place_lights
-from lightopt.design.candidates._combination_space import Space
+from lightopt.design.candidates._combination_space import CombinationSpace
 from lightopt.design.objectives import _count_runs as count_runs
 from lightopt.design.postures import _combinations as plain_sums
 from lightopt.design.postures._combinations import combination_sums
@@ -47,11 +47,11 @@ def plain(flags, weights, chosen, k):
 @pytest.mark.parametrize("sizes", [(4,), (3, 4), (2, 3, 2), (2, 2, 3, 2)])
 def test_every_combination_is_the_plain_sum(sizes, k):
     flags, counts, weights = case(len(sizes), sizes, k=k)
-    reached, worth = combination_sums(counts, weights, threads=2)
+    covered, benefit = combination_sums(counts, weights, threads=2)
     expected = [plain(flags, weights, chosen, k) for chosen in product(*map(range, sizes))]
-    assert list(zip(reached.tolist(), worth.tolist(), strict=True)) == expected
+    assert list(zip(covered.tolist(), benefit.tolist(), strict=True)) == expected
     again = combination_sums(counts, weights, threads=1)
-    np.testing.assert_array_equal(again[0], reached)
+    np.testing.assert_array_equal(again[0], covered)
 
 
 @pytest.mark.parametrize("k", [1, 2, 3])
@@ -86,14 +86,14 @@ def test_patches_whose_counts_change_seldom_come_from_the_runs_alone(monkeypatch
     masks = np.array([[0x00000000FFFFFFFF, 0x3], [0xFF, 0x5]], np.uint64)
     weights = PairWeights(areas=rng.integers(0, 9, patches), masks=masks, factors=np.array([1, 4], np.int64))
     monkeypatch.setattr(plain_sums, "_added_up", None)
-    reached, worth = combination_sums(counts, weights, threads=2)
+    covered, benefit = combination_sums(counts, weights, threads=2)
     bit = np.unpackbits(masks.view(np.uint8), axis=1, bitorder="little").astype(np.int64)
     heavy = weights.areas[:, None] * (weights.factors @ bit)
     for at, chosen in enumerate(product(*map(range, sizes))):
         images = np.concatenate([light[c] for light, c in zip(flags, chosen, strict=True)])
         seen = np.unpackbits(images.view(np.uint8), axis=-1, bitorder="little").astype(np.int64).sum(axis=0)
-        assert reached[at] == heavy[seen >= k].sum()
-        assert worth[at] == (heavy * np.minimum(seen, k)).sum()
+        assert covered[at] == heavy[seen >= k].sum()
+        assert benefit[at] == (heavy * np.minimum(seen, k)).sum()
 
 
 @pytest.mark.parametrize("k", [1, 2])
@@ -103,32 +103,34 @@ def test_the_best_allowed_places_are_found(seed, k):
     flags, counts, weights = case(seed, sizes, k=k)
     clash = np.random.default_rng(seed).random((3, 3)) < 0.5
     clash[0, 0] = False
-    space = Space(sizes=sizes, groups=(tuple(np.arange(n) for n in sizes),), clashes={(0, 2): clash})
+    space = CombinationSpace(
+        sizes=sizes, groups=(tuple(np.arange(n) for n in sizes),), clashes={(0, 2): clash}
+    )
     allowed = [c for c in product(*map(range, sizes)) if not clash[c[0], c[2]]]
     best = max(allowed, key=lambda c: plain(flags, weights, c, k))
     found = place_lights(counts, weights, space)
     assert found.exact
     assert found.candidates == best
-    assert (found.reached, found.worth) == plain(flags, weights, best, k)
+    assert (found.covered, found.benefit) == plain(flags, weights, best, k)
     # in pieces the same, ties too
     for cells in (1, 3, 5, 13):
         assert place_lights(counts, weights, space, table_cells=cells) == found
     # with too many to try them all: allowed, honest, and no light alone can do better
     moved = place_lights(counts, weights, space, limit=1)
     assert not moved.exact
-    assert (moved.reached, moved.worth) == plain(flags, weights, moved.candidates, k)
+    assert (moved.covered, moved.benefit) == plain(flags, weights, moved.candidates, k)
     for i in range(3):
         for place in range(sizes[i]):
             other = (*moved.candidates[:i], place, *moved.candidates[i + 1 :])
             if other in allowed:
-                assert plain(flags, weights, other, k) <= (moved.reached, moved.worth)
+                assert plain(flags, weights, other, k) <= (moved.covered, moved.benefit)
 
 
 def test_common_elevations_are_kept():
     sizes = (2, 2)
     flags, counts, weights = case(9, sizes)
     groups = tuple((np.array([row]), np.array([row])) for row in range(2))
-    found = place_lights(counts, weights, Space(sizes=sizes, groups=groups))
+    found = place_lights(counts, weights, CombinationSpace(sizes=sizes, groups=groups))
     assert found.candidates == max([(0, 0), (1, 1)], key=lambda c: plain(flags, weights, c, 2))
 
 
@@ -136,13 +138,17 @@ def test_of_equal_places_the_first_are_taken_however_they_are_cut_in_pieces():
     _, counts, weights = case(3, (3, 3, 2))
     same = [np.repeat(light[:1], len(light), axis=0) for light in counts]
     for cells in (1, 2, 4, 100):
-        assert place_lights(same, weights, Space.of((3, 3, 2)), table_cells=cells).candidates == (0, 0, 0)
+        assert place_lights(same, weights, CombinationSpace.of((3, 3, 2)), table_cells=cells).candidates == (
+            0,
+            0,
+            0,
+        )
 
 
 @pytest.mark.parametrize("limit", [1, 10**9])
 def test_lights_that_always_collide_are_refused(limit):
     _, counts, weights = case(1, (2, 2))
-    space = Space(
+    space = CombinationSpace(
         sizes=(2, 2), groups=((np.arange(2), np.arange(2)),), clashes={(0, 1): np.ones((2, 2), bool)}
     )
     with pytest.raises(InputError, match="panels collide"):

@@ -14,10 +14,17 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.design import counts_of_images
-from lightopt.design.exposures._selection import Offer, pick_shots
+from lightopt.design.exposures._selection import CandidateExposure, select_exposures
 from lightopt.design.postures._best_set import best_set
-from lightopt.design.postures._counts import PairWeights, added, gain_of, no_counts, reached, worth
-from lightopt.design.postures._exchange import exchanged
+from lightopt.design.postures._counts import (
+    PairWeights,
+    add_counts,
+    covered_weight,
+    marginal_benefit,
+    total_benefit,
+    zero_counts,
+)
+from lightopt.design.postures._exchange import improve_by_exchange
 from lightopt.design.postures._greedy_cover import greedy_cover
 
 
@@ -58,14 +65,14 @@ def plain_reached(counts, heavy, k):
 def test_packed_counts_are_the_plain_ones(seed, k):
     plain, packed, weights, heavy = random_case(seed, k=k)
     assert weights.total == heavy.sum()
-    total, so_far = no_counts(weights, k), np.zeros_like(plain[0])
+    total, so_far = zero_counts(weights, k), np.zeros_like(plain[0])
     for one, more in zip(plain, packed, strict=True):
-        assert worth(more, weights) == plain_worth(one, heavy, k)
+        assert total_benefit(more, weights) == plain_worth(one, heavy, k)
         expected = plain_worth(so_far + one, heavy, k) - plain_worth(so_far, heavy, k)
-        assert gain_of(total, more, weights) == expected
-        total, so_far = added(total, more), so_far + one
-        assert worth(total, weights) == plain_worth(so_far, heavy, k)
-        assert reached(total, weights) == plain_reached(so_far, heavy, k)
+        assert marginal_benefit(total, more, weights) == expected
+        total, so_far = add_counts(total, more), so_far + one
+        assert total_benefit(total, weights) == plain_worth(so_far, heavy, k)
+        assert covered_weight(total, weights) == plain_reached(so_far, heavy, k)
 
 
 def exact_worth(plain, heavy, k, count):
@@ -92,24 +99,24 @@ def test_the_bound_holds_against_the_exact_cover(seed, k):
     for count in (1, 2, 3, 4):
         cover = greedy_cover(packed, weights, count=count)
         best = exact_worth(plain, heavy, k, len(cover.steps))
-        assert cover.worth <= best <= cover.bound
+        assert cover.benefit <= best <= cover.bound
         size = len(cover.steps)
         least = 1.0 - (1.0 - 1.0 / size) ** size  # what a greedy choice has whatever the candidates
-        assert cover.worth >= least * cover.bound >= least * best
+        assert cover.benefit >= least * cover.bound >= least * best
         assert least > 1.0 - 1.0 / math.e
         most = max(
             plain_reached(plain[list(some)].sum(axis=0), heavy, k)
             for some in combinations(range(len(plain)), len(cover.steps))
         )
         assert most <= cover.bound_share * weights.total + 1e-6
-        assert cover.guarantee * most - 1e-6 <= cover.reached <= most
-        assert cover.proven <= (cover.reached == most)
+        assert cover.guarantee * most - 1e-6 <= cover.covered <= most
+        assert cover.proven <= (cover.covered == most)
 
 
 def test_one_step_is_the_best_one():
     plain, packed, weights, heavy = random_case(1)
     cover = greedy_cover(packed, weights, count=1)
-    assert cover.worth == cover.bound == exact_worth(plain, heavy, 2, 1)
+    assert cover.benefit == cover.bound == exact_worth(plain, heavy, 2, 1)
 
 
 @pytest.mark.parametrize("k", [1, 2])
@@ -129,8 +136,8 @@ def test_no_fewer_reach_the_target_than_is_said(seed, k):
                 for some in combinations(range(len(plain)), size)
             )
         )
-        assert cover.least is not None
-        assert cover.least <= enough <= len(cover.steps)
+        assert cover.min_size is not None
+        assert cover.min_size <= enough <= len(cover.steps)
         for one in cover.chosen:  # none can be spared
             rest = [other for other in cover.chosen if other != one]
             assert plain_reached(plain[rest].sum(axis=0), heavy, k) < target * weights.total
@@ -143,14 +150,14 @@ def test_steps_add_up_and_gains_never_grow(seed, k, count):
     so_far, before = np.zeros_like(plain[0]), 0
     for step in cover.steps:
         so_far = so_far + plain[step.candidate]
-        assert step.worth == plain_worth(so_far, heavy, k) == before + step.gain
-        assert step.reached == plain_reached(so_far, heavy, k)
+        assert step.benefit == plain_worth(so_far, heavy, k) == before + step.gain
+        assert step.covered == plain_reached(so_far, heavy, k)
         assert step.gain > 0
-        before = step.worth
+        before = step.benefit
     assert len(set(cover.chosen)) == len(cover.steps) <= count
-    assert cover.all_worth == plain_worth(plain.sum(axis=0), heavy, k)
+    assert cover.all_benefit == plain_worth(plain.sum(axis=0), heavy, k)
     if len(cover.steps) < count:
-        assert cover.worth == cover.all_worth
+        assert cover.benefit == cover.all_benefit
 
 
 def flags(*rows):
@@ -172,7 +179,7 @@ def test_what_later_ones_make_redundant_is_dropped():
     cover = greedy_cover(wide, unit_weights(6))
     assert cover.chosen == (1, 2)
     assert cover.dropped == (0,)
-    assert cover.worth == cover.total == 6
+    assert cover.benefit == cover.total == 6
     # dropping makes room for another within the count
     cover = greedy_cover([*wide, *flags([0, 0, 0, 0, 0, 0])], unit_weights(6), count=3)
     assert cover.chosen == (1, 2)
@@ -189,9 +196,9 @@ def test_no_single_exchange_betters_what_exchanges_leave(seed, k):
 
     greedy = greedy_cover(packed, weights, count=3).chosen
     for begin in (greedy, (6, 7, 8)):
-        found = exchanged(packed, weights, begin, threads=2)
+        found = improve_by_exchange(packed, weights, begin, threads=2)
         assert len(set(found)) == 3
-        assert found == exchanged(packed, weights, begin, threads=1)
+        assert found == improve_by_exchange(packed, weights, begin, threads=1)
         assert merit(found) >= merit(begin)
         for place, other in product(range(3), set(range(9)) - set(found)):
             assert merit([*found[:place], other, *found[place + 1 :]]) <= merit(found)
@@ -201,8 +208,8 @@ def test_an_exchange_takes_back_what_greed_chose_first():
     wide = flags([1, 1, 1, 1, 0, 0], [1, 1, 0, 0, 1, 0], [0, 0, 1, 1, 0, 1], [0, 0, 0, 0, 0, 1])
     greedy = greedy_cover(wide, unit_weights(6), count=2)
     assert greedy.chosen == (0, 1)
-    assert set(exchanged(wide, unit_weights(6), greedy.chosen)) == {1, 2}
-    assert exchanged(wide, unit_weights(6), ()) == ()
+    assert set(improve_by_exchange(wide, unit_weights(6), greedy.chosen)) == {1, 2}
+    assert improve_by_exchange(wide, unit_weights(6), ()) == ()
 
 
 def test_ties_go_to_the_earlier_candidate():
@@ -226,9 +233,9 @@ def test_among_some_the_bound_is_still_that_of_all():
 
 def test_a_target_that_cannot_be_reached_is_said_not_to_be():
     cover = greedy_cover(flags([1, 0, 0], [0, 1, 0]), unit_weights(3), target=0.9)
-    assert cover.least is None
+    assert cover.min_size is None
     assert cover.share == pytest.approx(2 / 3)
-    assert cover.all_reached == 2
+    assert cover.all_covered == 2
 
 
 @pytest.mark.parametrize(
@@ -262,12 +269,16 @@ def test_two_exposures_that_only_together_show_enough_are_planned(least_gain, ta
     weights, (dark, short, shorter) = offered(100, 500, 400, images=[[], [0], [1]])
     postures = [Posture(0.0, 0.0), Posture(0.0, 90.0)]
     offers = [
-        Offer(posture=0, exposure=0.0625, images=shorter),
-        Offer(posture=0, exposure=0.25, images=short),
-        Offer(posture=1, exposure=0.25, images=short),
+        CandidateExposure(posture=0, exposure=0.0625, images=shorter),
+        CandidateExposure(posture=0, exposure=0.25, images=short),
+        CandidateExposure(posture=1, exposure=0.25, images=short),
     ]
-    found = pick_shots(postures, [dark, dark], offers, weights, least=2, least_gain=least_gain, target=target)
-    planned = [(shot.posture, shot.exposure, shot.gain, shot.why) for shot in found.shots if shot.planned]
+    found = select_exposures(
+        postures, [dark, dark], offers, weights, seen_in=2, least_gain=least_gain, target=target
+    )
+    planned = [
+        (shot.posture, shot.exposure, shot.gain, shot.reason) for shot in found.further if shot.planned
+    ]
     assert planned == ([(postures[0], 0.25, 0.0, why), (postures[1], 0.25, 0.1, why)] if why else [])
     assert found.after == (0.1 if why else 0.0)
 
@@ -283,7 +294,7 @@ def test_no_other_two_exposures_add_more_together(seed):
 
     least = int(rng.integers(1, 4))
     now = [images(0.05) for _ in postures]
-    offers = [Offer(posture=i % 3, exposure=0.5**i, images=images(0.08)) for i in range(1, 8)]
+    offers = [CandidateExposure(posture=i % 3, exposure=0.5**i, images=images(0.08)) for i in range(1, 8)]
 
     def shown(some):
         taken = list(now)
@@ -296,13 +307,13 @@ def test_no_other_two_exposures_add_more_together(seed):
     two = max(shown(some) for some in combinations(range(len(offers)), 2)) - before
     # more than any adds alone, and as much as two have to
     for least_gain in (0.5 * two / weights.total, 0.5 * (two + 1) / weights.total):
-        found = pick_shots(postures, now, offers, weights, least=least, least_gain=least_gain)
-        planned = [shot for shot in found.shots if shot.planned]
+        found = select_exposures(postures, now, offers, weights, seen_in=least, least_gain=least_gain)
+        planned = [shot for shot in found.further if shot.planned]
         if alone >= max(1.0, least_gain * weights.total):
-            assert planned[0].why == "gain"
+            assert planned[0].reason == "gain"
         elif two > 0 and two >= 2.0 * least_gain * weights.total:
             assert least > 1
-            assert [shot.why for shot in planned[:2]] == ["pair", "pair"]
+            assert [shot.reason for shot in planned[:2]] == ["pair", "pair"]
             assert (planned[0].gain + planned[1].gain) * weights.total == pytest.approx(two)
         else:
             assert planned == []
@@ -345,10 +356,10 @@ def test_greed_misses_what_all_sets_show():
         areas=np.ones(1, np.int64), masks=np.array([[511]], np.uint64), factors=np.ones(1, np.int64)
     )
     greedy = greedy_cover(packed, weights, count=2)
-    assert (greedy.chosen, greedy.reached, greedy.proven) == ((0, 1), 7, False)
+    assert (greedy.chosen, greedy.covered, greedy.proven) == ((0, 1), 7, False)
     found, most, sets = best_set(packed, weights, greedy.chosen, 2)
     assert (sorted(found), most, sets) == ([1, 2], 8, 3)
-    best = greedy_cover(packed, weights, count=2, among=found).searched(most, sets)
-    assert (best.reached, best.proven) == (8, True)
+    best = greedy_cover(packed, weights, count=2, among=found).with_search(most, sets)
+    assert (best.covered, best.proven) == (8, True)
     assert best.bound_share == best.share
     assert best.guarantee == 1.0

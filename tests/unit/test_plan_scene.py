@@ -16,29 +16,29 @@ from lightopt.core.transforms import Posture
 from lightopt.design import (
     OBJECTIVES,
     Contrast,
-    Inspection,
+    DetectionModel,
+    ImageEvaluator,
+    LevelThresholds,
     PairAssessment,
+    PostureRequest,
     Setup,
-    Survey,
-    Thresholds,
     Tolerances,
-    Wanted,
+    analyse_tolerances,
     area_units,
     choose_postures,
+    defect_hypotheses,
     drawn_patches,
     find_candidates,
     luminance_matrix,
-    trust_of,
-    unroll,
 )
-from lightopt.design.blind_spots._plan_blind_spots import looked_at
-from lightopt.design.blind_spots._unreachable_target import unreached
-from lightopt.design.exposures._exposures import plan_exposures
+from lightopt.design.blind_spots._planned_visibility import planned_visibility
+from lightopt.design.blind_spots._unreachable_target import target_not_reached
 from lightopt.design.exposures._joint_choice import choose_with_exposures
+from lightopt.design.exposures._plan_exposures import plan_exposures
 from lightopt.design.postures import _alternating_search as turning
-from lightopt.design.postures import _common_lights as placing
-from lightopt.design.responses._luminance import luminance_matrices, matrix_bytes
-from lightopt.design.tolerances._evaluation import ObjectiveAssessment
+from lightopt.design.postures import _light_positions as placing
+from lightopt.design.responses._matrix_computation import luminance_matrices, matrix_bytes
+from lightopt.design.tolerances._assessments import ObjectiveAssessment
 from lightopt.geometry import face_normals
 from lightopt.rendering import build_patches, cast_rays_at, sight_of
 from lightopt.scene import build_catalogue, build_lights, build_scene, view_from_part
@@ -66,8 +66,8 @@ def world(shared_bench, tmp_path_factory):
     caster = cast_rays_at(scene)
     table = build_patches(scene, caster=caster, budget=400)
     contrast = Contrast(sensor=scene.sensor, full_scale=scene.reflectance.full_scale)
-    inspection = Inspection(trials=unroll(build_catalogue(part)), contrast=contrast)
-    survey = Survey(scene=scene, table=table, caster=caster, inspection=inspection, threads=1)
+    inspection = DetectionModel(hypotheses=defect_hypotheses(build_catalogue(part)), contrast=contrast)
+    survey = ImageEvaluator(scene=scene, table=table, caster=caster, detection=inspection, threads=1)
     return rig, drawn_few(survey)
 
 
@@ -94,10 +94,10 @@ def pairs_of(survey, posture, panels, *, exposure=1.0):
         .matrices(posture, [[p] for p in panels], exposures=(exposure,))[0]
         .visibility
     )
-    flags = np.zeros((len(panels), len(patches), len(seen.trials)), bool)
+    flags = np.zeros((len(panels), len(patches), len(seen.hypotheses)), bool)
     for image, words in enumerate(seen.words):
         bits = np.unpackbits(words[0].view(np.uint8), axis=1, bitorder="little")
-        flags[image, seen.patch] = bits[:, : len(seen.trials)]
+        flags[image, seen.patch] = bits[:, : len(seen.hypotheses)]
     return flags
 
 
@@ -115,7 +115,7 @@ def heavy(survey):
     """Weight of every pair."""
     areas = np.zeros(len(survey.table.patches), np.int64)
     areas[survey.patches] = area_units(survey.table.patches.areas[survey.patches])
-    return areas[:, None] * np.array([trial.weight for trial in survey.inspection.trials])
+    return areas[:, None] * np.array([trial.weight for trial in survey.detection.hypotheses])
 
 
 def moved(rig, light, offset):
@@ -165,8 +165,10 @@ def test_tolerances_of_pairs_are_those_of_recounting_every_corner(world, least):
     rig, survey = world
     postures = POSTURES[1:3]
     exposures = ((1.0, 0.25), (1.0,))
-    assess = PairAssessment(survey, setup_of(rig, postures, exposures), least=least)
-    found = trust_of(assess, ["light1", "light2"], Tolerances(light_deg=4.0, pose_deg=3.0, draws=3, seed=1))
+    assess = PairAssessment(survey, setup_of(rig, postures, exposures), seen_in=least)
+    found = analyse_tolerances(
+        assess, ["light1", "light2"], Tolerances(light_deg=4.0, pose_deg=3.0, draws=3, seed=1)
+    )
     weights = heavy(survey)
 
     def plain(pose, offsets):
@@ -195,14 +197,14 @@ def test_tolerances_of_pairs_are_those_of_recounting_every_corner(world, least):
 def test_tolerances_of_coverage_are_those_of_recounting_every_corner(world):
     rig, survey = world
     postures = POSTURES[:2]
-    thresholds = Thresholds(shade=10, saturation=255)
+    thresholds = LevelThresholds(shade=10, saturation=255)
     assess = ObjectiveAssessment(
-        replace(survey, inspection=None),
+        replace(survey, detection=None),
         setup_of(rig, postures),
         objective=OBJECTIVES["coverage"],
         thresholds=thresholds,
     )
-    found = trust_of(assess, ["light1", "light2"], Tolerances(light_deg=6.0, pose_deg=2.0, draws=1))
+    found = analyse_tolerances(assess, ["light1", "light2"], Tolerances(light_deg=6.0, pose_deg=2.0, draws=1))
 
     def plain(pose, offsets):
         panels = [[moved(rig, light, offset)] for light, offset in enumerate(offsets)]
@@ -230,7 +232,9 @@ def test_postures_and_lights_are_chosen_together(world, least):
     rig, survey = world
     candidates = find_candidates(rig, step_deg=10.0)
     lights = build_lights(rig)
-    choice = choose_postures(survey, survey, POSTURES, lights, candidates, Wanted(least=least, count=2))
+    choice = choose_postures(
+        survey, survey, POSTURES, lights, candidates, PostureRequest(seen_in=least, count=2)
+    )
     weights = heavy(survey)
     total = weights[survey.patches].sum()
 
@@ -240,59 +244,59 @@ def test_postures_and_lights_are_chosen_together(world, least):
         return int(weights[count >= least].sum())
 
     assert choice.cover.total == total
-    assert choice.cover.reached == plain(choice.postures, choice.lights)
+    assert choice.cover.covered == plain(choice.postures, choice.lights)
     # no other lights would show more in these postures
     assert choice.exact
-    assert choice.settled
+    assert choice.converged
     places = list(product(range(3), range(3)))
-    assert choice.cover.reached == max(plain(choice.postures, some) for some in places)
+    assert choice.cover.covered == max(plain(choice.postures, some) for some in places)
     # nor do two other postures beyond the bound
     best = max(plain(two, choice.lights) for two in combinations(POSTURES, 2))
-    assert choice.cover.reached <= best <= choice.cover.bound_share * total + 0.5
-    alone = choose_postures(survey, survey, POSTURES, lights, None, Wanted(least=least, count=2))
+    assert choice.cover.covered <= best <= choice.cover.bound_share * total + 0.5
+    alone = choose_postures(survey, survey, POSTURES, lights, None, PostureRequest(seen_in=least, count=2))
     assert alone.lights is None
-    assert alone.cover.share == pytest.approx(choice.stood.share)
-    assert choice.stood.postures == len(alone.cover.steps)
+    assert alone.cover.share == pytest.approx(choice.initial.share)
+    assert choice.initial.postures == len(alone.cover.steps)
     # told of lights that moved only: of those that stay the plan itself says what they show
-    assert alone.before is None
+    assert alone.initial_if_moved is None
     moved = any(not np.allclose(a.outward, b.outward) for a, b in zip(choice.panels, lights, strict=True))
-    assert choice.before == (choice.stood if moved else None)
+    assert choice.initial_if_moved == (choice.initial if moved else None)
     assert choice.cover.share >= alone.cover.share
     # what the last turn counted is kept for the curves, where it was of these postures
     shots = [(posture, (1.0,)) for posture in choice.postures]
-    again = placing.place_counts(survey, shots, candidates, least=least)
-    assert choice.places is not None or least == 2
-    assert all(np.array_equal(*two) for two in zip(choice.places or again, again, strict=True))
-    assert alone.places is None
+    again = placing.position_counts(survey, shots, candidates, seen_in=least)
+    assert choice.position_counts is not None or least == 2
+    assert all(np.array_equal(*two) for two in zip(choice.position_counts or again, again, strict=True))
+    assert alone.position_counts is None
 
 
 def test_where_positions_are_too_many_for_memory_the_turns_stay_on_drawn_patches(world, monkeypatch):
     rig, survey = world
     candidates = find_candidates(rig, step_deg=10.0)
     few = replace(survey, table=drawn_patches(survey.table, 60))
-    ask = (survey, few, POSTURES[:2], build_lights(rig), candidates, Wanted(count=1))
+    ask = (survey, few, POSTURES[:2], build_lights(rig), candidates, PostureRequest(count=1))
     free = choose_postures(*ask)
-    assert free.on_all
-    assert free.settled
+    assert free.on_all_patches
+    assert free.converged
     # room for two candidate postures, not for six positions and their sums
     monkeypatch.setattr(placing, "MOST_COUNT_BYTES", 2 * len(survey.patches) * 8)
     tight = choose_postures(*ask)
-    assert not tight.on_all
-    assert not tight.settled
-    assert tight.turns < free.turns
+    assert not tight.on_all_patches
+    assert not tight.converged
+    assert tight.iterations < free.iterations
     assert tight.cover.total == free.cover.total, "the figures are of all patches"
 
 
 def test_the_target_takes_as_few_postures_as_it_needs(world):
     rig, survey = world
     lights = build_lights(rig)
-    two = choose_postures(survey, survey, POSTURES, lights, None, Wanted(count=2))
-    found = choose_postures(survey, survey, POSTURES, lights, None, Wanted(target=two.cover.share))
+    two = choose_postures(survey, survey, POSTURES, lights, None, PostureRequest(count=2))
+    found = choose_postures(survey, survey, POSTURES, lights, None, PostureRequest(target=two.cover.share))
     assert len(found.postures) <= 2
     assert found.cover.share >= two.cover.share
-    never = choose_postures(survey, survey, POSTURES, lights, None, Wanted(target=1.0))
+    never = choose_postures(survey, survey, POSTURES, lights, None, PostureRequest(target=1.0))
     assert never.cover.share < 1.0
-    assert never.cover.least is None
+    assert never.cover.min_size is None
 
 
 def test_reasons_for_an_unreached_target_are_of_the_surface_that_the_shares_are_of(world):
@@ -300,27 +304,27 @@ def test_reasons_for_an_unreached_target_are_of_the_surface_that_the_shares_are_
     few = replace(survey, table=build_patches(survey.scene, caster=survey.caster, budget=400))
     assert drawn_patches(few.table, 20_000) is few.table, "so few that none are drawn"
     assert len(few.patches) < len(few.table.patches)
-    choice = choose_postures(few, few, POSTURES, build_lights(rig), None, Wanted(target=1.0))
-    text = str(unreached(1.0, choice, few, least=1))
+    choice = choose_postures(few, few, POSTURES, build_lights(rig), None, PostureRequest(target=1.0))
+    text = str(target_not_reached(1.0, choice, few, least=1))
     assert "contrast under noise" in text
     assert "never seen by the camera" not in text
     assert "is not reached: with the lights as they stand, all" in text
     assert "offer them, such as --exposures 1,4,16. Ask for less" in text
     longer = replace(few, exposures=(4.0, 1.0))
-    assert "--exposures" not in str(unreached(1.0, choice, longer, least=1))
+    assert "--exposures" not in str(target_not_reached(1.0, choice, longer, least=1))
     # a bound that falls short of the target is not rounded up to it
-    steps = (replace(choice.cover.steps[0], reached=900_000),)
+    steps = (replace(choice.cover.steps[0], covered=900_000),)
     cover = replace(
         choice.cover,
         steps=steps,
         total=1_000_000,
         bounds=(0, 949_960),
-        all_worth=960_000,
-        all_reached=960_000,
+        all_benefit=960_000,
+        all_covered=960_000,
     )
     short = replace(choice, postures=choice.postures[:1], cover=cover)
     assert "show more than 94.996 % with these lights; 95 % was asked for" in str(
-        unreached(0.95, short, few, least=1)
+        target_not_reached(0.95, short, few, least=1)
     )
 
 
@@ -328,9 +332,9 @@ def test_positions_that_memory_has_no_room_for_are_looked_at_in_pieces(world, mo
     rig, survey = world
     survey = replace(survey, exposures=(1.0, 0.25, 0.0625))
     candidates = find_candidates(rig, step_deg=5.0)
-    angles = {posture: setup_of(rig, POSTURES[:1]).angles[0] for posture in POSTURES[:2]}
+    setup = setup_of(rig, POSTURES[:2])
     sensor = survey.scene.sensor
-    thresholds = Thresholds.of_sensor(
+    thresholds = LevelThresholds.of_sensor(
         shade_share=0.0,
         max_level=sensor.max_level,
         saturated_from=sensor.saturated_from,
@@ -339,25 +343,20 @@ def test_positions_that_memory_has_no_room_for_are_looked_at_in_pieces(world, mo
 
     def looks():
         flags = survey.flags(POSTURES[0], candidates.panels)
-        looked = looked_at(
-            survey,
-            rig,
-            angles,
-            candidates,
-            exposures=dict.fromkeys(angles, (1.0,)),
-            offered=survey.exposures,
-            thresholds=thresholds,
-            least=2,
+        visibility = planned_visibility(
+            survey, setup, candidates, all_exposures=survey.exposures, thresholds=thresholds, least=2
         )
         facts = [
-            (s.counts, s.usable, s.saturated, s.first) for one in looked for s in (one.possible, one.chosen)
+            (s.counts, s.usable, s.saturated, s.first)
+            for one in visibility
+            for s in (one.possible, one.chosen)
         ]
         return [*flags, *(array for some in facts for array in some)]
 
     free = looks()
     # room for three places of the five that each light has, at three exposures
-    room = 3 * matrix_bytes(survey.scene, len(survey.table.inspectable(POSTURES[0])), 3, survey.inspection)
-    monkeypatch.setattr("lightopt.design.postures._pair_visibility.MOST_BYTES", room)
+    room = 3 * matrix_bytes(survey.scene, len(survey.table.inspectable(POSTURES[0])), 3, survey.detection)
+    monkeypatch.setattr("lightopt.design.postures._image_evaluator.MOST_BYTES", room)
     monkeypatch.setitem(luminance_matrices.__kwdefaults__, "most_bytes", room)
     with pytest.raises(InputError, match="there is room for"):
         survey.matrices(POSTURES[0], candidates.panels, exposures=survey.exposures)
@@ -381,13 +380,14 @@ def test_a_target_that_drawn_patches_fall_short_of_is_counted_on_all(world, move
     few = replace(survey, table=replace(survey.table, visible=visible))
     assert weights[poor].sum() > 0.0
     by_number = [
-        choose_postures(survey, survey, POSTURES, lights, candidates, Wanted(count=n)) for n in (1, 2, 3)
+        choose_postures(survey, survey, POSTURES, lights, candidates, PostureRequest(count=n))
+        for n in (1, 2, 3)
     ]
     target = by_number[1].cover.share
     assert by_number[0].cover.share < target
-    alone = choose_postures(few, few, POSTURES, lights, candidates, Wanted(target=target))
+    alone = choose_postures(few, few, POSTURES, lights, candidates, PostureRequest(target=target))
     assert alone.cover.share < target, "the drawn ones fall short"
-    found = choose_postures(survey, few, POSTURES, lights, candidates, Wanted(target=target))
+    found = choose_postures(survey, few, POSTURES, lights, candidates, PostureRequest(target=target))
     assert found.cover.share >= target
     assert len(found.postures) <= 3
 
@@ -399,7 +399,7 @@ def test_exposures_are_planned_where_they_add_enough(world, least):
     offered = (1.0, 0.25, 0.0625)
     # a light's exposures do not confirm each other, so that they add little where two images must agree
     points = 1.0 if least == 1 else 0.0
-    found = plan_exposures(survey, POSTURES[:2], [lights] * 2, offered, least=least, gain_points=points)
+    found = plan_exposures(survey, POSTURES[:2], [lights] * 2, offered, seen_in=least, gain_points=points)
     weights = heavy(survey)
     total = weights[survey.patches].sum()
 
@@ -409,44 +409,44 @@ def test_exposures_are_planned_where_they_add_enough(world, least):
     base = [(posture, 1.0) for posture in POSTURES[:2]]
     assert found.before == pytest.approx(plain(base))
     shots = list(base)
-    for shot in found.shots:
+    for shot in found.further:
         gain = plain([*shots, (shot.posture, shot.exposure)]) - plain(shots)
         assert shot.gain == pytest.approx(gain)
         enough = gain > 0.0 and gain >= 0.01 * points
-        assert (shot.why == "gain") == enough
+        assert (shot.reason == "gain") == enough
         # where two images must agree, two may show together what neither shows alone
-        assert shot.planned == enough or (least == 2 and shot.why == "pair")
+        assert shot.planned == enough or (least == 2 and shot.reason == "pair")
         if shot.planned:
             shots.append((shot.posture, shot.exposure))
     assert found.after == pytest.approx(plain(shots))
-    assert len(found.shots) == 4
-    assert any(shot.planned for shot in found.shots)
+    assert len(found.further) == 4
+    assert any(shot.planned for shot in found.further)
     assert {found.of(posture)[0] for posture in POSTURES[:2]} == {1.0}
-    none = plan_exposures(survey, POSTURES[:2], [lights] * 2, offered, least=least, gain_points=100.0)
-    assert not any(shot.planned for shot in none.shots)
+    none = plan_exposures(survey, POSTURES[:2], [lights] * 2, offered, seen_in=least, gain_points=100.0)
+    assert not any(shot.planned for shot in none.further)
     assert none.after == none.before
 
 
 def test_a_target_that_only_further_exposures_reach_is_reached_by_no_more_of_them_than_it_takes(world):
     rig, survey = world
     lights = build_lights(rig)
-    without = choose_postures(survey, survey, POSTURES, lights, None, Wanted(target=1.0))
+    without = choose_postures(survey, survey, POSTURES, lights, None, PostureRequest(target=1.0))
     offered = replace(survey, exposures=(1.0, 0.25, 0.0625))
-    all_of_them = choose_postures(offered, offered, POSTURES, lights, None, Wanted(target=1.0)).cover
-    assert all_of_them.all_reached > without.cover.all_reached
-    target = 0.5 * (all_of_them.all_reached + without.cover.all_reached) / all_of_them.total
-    choice = choose_postures(offered, offered, POSTURES, lights, None, Wanted(target=target))
+    all_of_them = choose_postures(offered, offered, POSTURES, lights, None, PostureRequest(target=1.0)).cover
+    assert all_of_them.all_covered > without.cover.all_covered
+    target = 0.5 * (all_of_them.all_covered + without.cover.all_covered) / all_of_them.total
+    choice = choose_postures(offered, offered, POSTURES, lights, None, PostureRequest(target=target))
     assert choice.cover.share >= target
     panels = [lights] * len(choice.postures)
-    asked = {"least": 1, "gain_points": 100.0}
+    asked = {"seen_in": 1, "gain_points": 100.0}
     none = plan_exposures(survey, choice.postures, panels, offered.exposures, **asked)
     assert none.after == none.before < target
     found = plan_exposures(survey, choice.postures, panels, offered.exposures, target=target, **asked)
     assert found.after >= target
-    planned = [shot for shot in found.shots if shot.planned]
+    planned = [shot for shot in found.further if shot.planned]
     assert found.after - planned[-1].gain < target
-    assert {shot.why for shot in planned} == {"target"}
-    assert {shot.why for shot in found.shots if not shot.planned} <= {None}
+    assert {shot.reason for shot in planned} == {"target"}
+    assert {shot.reason for shot in found.further if not shot.planned} <= {None}
 
 
 @pytest.mark.slow
@@ -463,9 +463,9 @@ def test_offering_exposures_never_makes_a_plan_worse(world, seed):
     points = float(rng.choice([0.0, 0.5, 1.0, 5.0]))
     lights, candidates = build_lights(rig), find_candidates(rig, step_deg=10.0)
     ask = (survey, drawn, POSTURES, lights, candidates)
-    plain = choose_postures(*ask, Wanted(least=least, count=count))
+    plain = choose_postures(*ask, PostureRequest(seen_in=least, count=count))
     choice, brackets = choose_with_exposures(
-        *ask, Wanted(least=least, count=count), offered=offered, gain_points=points
+        *ask, PostureRequest(seen_in=least, count=count), exposures=offered, gain_points=points
     )
     assert choice.cover.share >= plain.cover.share
     assert len(choice.postures) <= count
@@ -477,20 +477,20 @@ def test_offering_exposures_never_makes_a_plan_worse(world, seed):
         shots = [(posture, exposure) for posture in choice.postures for exposure in brackets.of(posture)]
         return int(weights[confirming(survey, shots, panels) >= least].sum())
 
-    assert choice.cover.reached == plain_share(choice.lights)
+    assert choice.cover.covered == plain_share(choice.lights)
     assert choice.cover.share == pytest.approx(brackets.after)
-    if choice.settled:
-        assert choice.cover.reached == max(plain_share(places) for places in product(range(3), range(3)))
+    if choice.converged:
+        assert choice.cover.covered == max(plain_share(places) for places in product(range(3), range(3)))
     # the bound is what the best of all sets shows at any of the exposures
     best = max(
         int(weights[confirming(survey, list(product(some, offered)), choice.panels) >= least].sum())
         for some in combinations(POSTURES, len(choice.postures))
     )
-    assert choice.cover.most_reached == best >= choice.cover.reached
+    assert choice.cover.max_covered == best >= choice.cover.covered
     assert choice.cover.sets == math.comb(len(POSTURES), len(choice.postures))
     assert choice.cover.bound_share == best / choice.cover.total
     none, nothing = choose_with_exposures(
-        *ask, Wanted(least=least, count=count), offered=(1.0,), gain_points=points
+        *ask, PostureRequest(seen_in=least, count=count), exposures=(1.0,), gain_points=points
     )
     assert nothing is None
     assert none == plain
@@ -503,10 +503,10 @@ def test_offering_exposures_never_takes_more_postures_for_a_target(world, seed):
     survey = replace(survey, table=drawn_patches(survey.table, int(rng.integers(60, 300))))
     lights, candidates = build_lights(rig), find_candidates(rig, step_deg=10.0)
     ask = (survey, survey, POSTURES, lights, candidates)
-    target = 0.9 * choose_postures(*ask, Wanted(count=3)).cover.share
-    plain = choose_postures(*ask, Wanted(target=target))
+    target = 0.9 * choose_postures(*ask, PostureRequest(count=3)).cover.share
+    plain = choose_postures(*ask, PostureRequest(target=target))
     choice, brackets = choose_with_exposures(
-        *ask, Wanted(target=target), offered=(1.0, 0.25, 0.0625), gain_points=1.0
+        *ask, PostureRequest(target=target), exposures=(1.0, 0.25, 0.0625), gain_points=1.0
     )
     assert choice.cover.share == pytest.approx(brackets.after)
     assert choice.cover.share >= target
@@ -515,8 +515,8 @@ def test_offering_exposures_never_takes_more_postures_for_a_target(world, seed):
 
 def test_a_target_that_nothing_offered_reaches_has_no_exposures(world):
     rig, survey = world
-    ask = (survey, survey, POSTURES, build_lights(rig), None, Wanted(target=1.0))
-    choice, brackets = choose_with_exposures(*ask, offered=(1.0, 0.25), gain_points=1.0)
+    ask = (survey, survey, POSTURES, build_lights(rig), None, PostureRequest(target=1.0))
+    choice, brackets = choose_with_exposures(*ask, exposures=(1.0, 0.25), gain_points=1.0)
     assert brackets is None
     assert choice.cover.share < 1.0
 
@@ -528,31 +528,33 @@ def test_a_number_and_a_target_that_takes_as_many_give_the_same_plan(world, leas
     rig, survey = world
     few = replace(survey, table=drawn_patches(survey.table, drawn))
     ask = (survey, few, POSTURES, build_lights(rig), find_candidates(rig, step_deg=10.0))
-    by_number = {n: choose_postures(*ask, Wanted(least=least, count=n)) for n in (1, 2, 3, 4)}
+    by_number = {n: choose_postures(*ask, PostureRequest(seen_in=least, count=n)) for n in (1, 2, 3, 4)}
     for n, choice in by_number.items():
-        found = choose_postures(*ask, Wanted(least=least, target=choice.cover.share))
+        found = choose_postures(*ask, PostureRequest(seen_in=least, target=choice.cover.share))
         assert len(found.postures) <= n
         same = by_number[len(found.postures)]
         assert (found.postures, found.lights) == (same.postures, same.lights)
         assert found.cover.share == same.cover.share >= choice.cover.share
-        capped = choose_postures(*ask, Wanted(least=least, count=n, target=choice.cover.share))
+        capped = choose_postures(*ask, PostureRequest(seen_in=least, count=n, target=choice.cover.share))
         assert (capped.postures, capped.lights) == (found.postures, found.lights)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_more_starts_are_never_worse_than_the_lights_as_they_stand_alone(world, count):
     rig, survey = world
-    wanted = Wanted(count=count)
+    wanted = PostureRequest(count=count)
     candidates = find_candidates(rig, step_deg=5.0)
-    turns = turning.Turns(survey, POSTURES, candidates, least=1, where="all patches", prove=True, tell=None)
-    alone = turns.settled(turns.begin(build_lights(rig), None, wanted), 6, wanted)
+    turns = turning.AlternatingSearch(
+        survey, POSTURES, candidates, seen_in=1, where="all patches", prove=True, progress=None
+    )
+    alone = turns.improve(turns.solution_for(build_lights(rig), None, wanted), 6, wanted)
     found = choose_postures(survey, survey, POSTURES, build_lights(rig), candidates, wanted)
     assert found.starts > 1
-    assert found.cover.reached >= alone.cover.reached
+    assert found.cover.covered >= alone.cover.covered
     # nor does any single other posture better it
     weights = heavy(survey)
     flags = [pairs_of(survey, posture, found.panels).any(axis=0) for posture in POSTURES]
     for out, other in product(found.postures, set(POSTURES) - set(found.postures)):
         some = [*(set(found.postures) - {out}), other]
         shown = np.any([flags[POSTURES.index(posture)] for posture in some], axis=0)
-        assert int(weights[shown].sum()) <= found.cover.reached
+        assert int(weights[shown].sum()) <= found.cover.covered

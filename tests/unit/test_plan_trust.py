@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lightopt.core.errors import InputError
-from lightopt.design import Tolerances, trust_of
+from lightopt.design import Tolerances, analyse_tolerances
 
 NAMES = ("left", "right", "top")
 
@@ -29,7 +29,7 @@ def assess(pose, lights):
 
 def test_worst_corner_is_that_of_trying_all():
     tolerances = Tolerances(light_deg=2.0, pose_deg=1.0, draws=20)
-    trust = trust_of(assess, NAMES, tolerances)
+    trust = analyse_tolerances(assess, NAMES, tolerances)
     offsets = list(product((-2.0, 2.0), repeat=2))
     tried = {
         (pose, lights): smooth(pose, lights)
@@ -51,7 +51,7 @@ def test_draws_are_seeded_and_within_the_tolerance():
         return assess(pose, lights)
 
     tolerances = Tolerances(light_deg=2.0, pose_deg=0.5, draws=40, seed=3)
-    trust = trust_of(watched, NAMES, tolerances)
+    trust = analyse_tolerances(watched, NAMES, tolerances)
     draws = seen[1:41]  # after the exact one
     scores = sorted(smooth(pose, lights) for pose, lights in draws)
     assert trust.quantile == scores[1]  # 5 % of 40 are two
@@ -60,13 +60,13 @@ def test_draws_are_seeded_and_within_the_tolerance():
     lights = np.array([lights for _, lights in draws])
     assert 0.4 < np.abs(poses).max() <= 0.5
     assert 1.9 < np.abs(lights).max() <= 2.0
-    assert trust == trust_of(assess, NAMES, tolerances)
-    other = trust_of(assess, NAMES, Tolerances(light_deg=2.0, pose_deg=0.5, draws=40, seed=4))
+    assert trust == analyse_tolerances(assess, NAMES, tolerances)
+    other = analyse_tolerances(assess, NAMES, Tolerances(light_deg=2.0, pose_deg=0.5, draws=40, seed=4))
     assert other.least_drawn != trust.least_drawn
 
 
 def test_widest_tolerances_are_those_of_a_fine_scan():
-    trust = trust_of(assess, NAMES, Tolerances(draws=1, target=0.995))
+    trust = analyse_tolerances(assess, NAMES, Tolerances(draws=1, target=0.995))
     least = 0.995 * trust.score
     exact = [(0.0, 0.0)] * 3
     for widest in trust.widest:
@@ -96,7 +96,7 @@ def test_widest_tolerances_are_those_of_a_fine_scan():
 
 
 def test_nothing_off_is_nothing_lost():
-    trust = trust_of(assess, NAMES, Tolerances(draws=3))
+    trust = analyse_tolerances(assess, NAMES, Tolerances(draws=3))
     assert trust.score == trust.worst == trust.quantile == trust.least_drawn
 
 
@@ -123,5 +123,5 @@ def test_more_lights_than_all_corners_can_be_tried_of_are_refused():
         return np.zeros(1, np.int64)
 
     with pytest.raises(InputError, match=r"at most 10 lights \(1,048,576 corners\), found 12"):
-        trust_of(watched, [f"light{i}" for i in range(12)], Tolerances(light_deg=1.0))
+        analyse_tolerances(watched, [f"light{i}" for i in range(12)], Tolerances(light_deg=1.0))
     assert not asked

@@ -9,6 +9,7 @@ from importlib.metadata import requires, version
 
 import numpy as np
 import pytest
+from designed import design
 from packaging.requirements import Requirement
 
 from lightopt import __version__
@@ -16,7 +17,6 @@ from lightopt.config import input_hashes, load_rig
 from lightopt.core import provenance
 from lightopt.core.errors import InputError
 from lightopt.design import OptimizeOptions
-from lightopt.design._optimize import optimize
 from lightopt.images import read_image_set, write_png
 from lightopt.inspection import read_calibration
 from lightopt.rendering import RenderOptions, render_image_set
@@ -296,7 +296,7 @@ def movable(bench):
 
 def run(bench, *, force=True, keep=True):
     options = KEPT if keep else OptimizeOptions(step_deg=20.0, patch_budget=500, images=False)
-    return optimize(bench.rig, bench.part, bench.out, options=options, force=force)
+    return design(bench.rig, bench.part, bench.out, options=options, force=force)
 
 
 @pytest.mark.parametrize("what", ["code", "package"])

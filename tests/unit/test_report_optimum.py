@@ -13,20 +13,22 @@ import pytest
 
 from lightopt.design import (
     BLIND_CLASSES,
-    Blind,
+    BlindReason,
     Curve,
+    LevelThresholds,
     OptimizeOptions,
-    Thresholds,
     area_text,
     area_units,
+    finish_design,
+    optimize,
     share_text,
+    write_design,
 )
-from lightopt.design._optimize import optimize
 from lightopt.report import _optimum_report, optimum_report
 from lightopt.report._optimum_answer import answer_blocks
 from lightopt.report._optimum_plan import posture_blocks
 from lightopt.report._optimum_report import optimum_page
-from lightopt.report._optimum_surface import SHOWN, shown_by_images
+from lightopt.report._optimum_surface import LEVEL_CLASSES, level_classes
 from lightopt.report._page import Answer, Facts, Gallery, Note, Picture, SurfaceView, Table
 from lightopt.report._page_html import page_html
 
@@ -51,15 +53,15 @@ def with_lights(bench):
 def done(shared_bench, tmp_path_factory):
     """A small optimisation, what its report was made of, and its files."""
     bench = with_lights(type(shared_bench).make(tmp_path_factory.mktemp("report") / "bench"))
-    drafts = []
+    options = OptimizeOptions(step_deg=10.0, patch_budget=400, report=True)
+    return bench, reported(bench, options)
 
-    def page(draft):
-        drafts.append(draft)
-        return optimum_report(draft)
 
-    options = OptimizeOptions(step_deg=10.0, patch_budget=400)
-    found = optimize(bench.rig, bench.part, bench.out, options=options, page=page)
-    return bench, drafts[0], found
+def reported(bench, options):
+    """A design that is written with its report."""
+    output = write_design(optimize(bench.rig, bench.part, bench.out, options=options))
+    finish_design(output, optimum_report(output))
+    return output
 
 
 @pytest.fixture(scope="module")
@@ -85,11 +87,11 @@ def result_of(folder: Path):
 
 @pytest.mark.slow
 def test_figures_are_those_of_the_result(done, blocks):
-    bench, _, found = done
+    bench, output = done
     result = result_of(bench.out)
     answers = [block for block in blocks if isinstance(block, Answer)]
     angles, areas, scores = (block for block in blocks if isinstance(block, Table))
-    assert found.written.report == bench.out / "report.html"
+    assert output.paths[-1] == bench.out / "report.html"
     assert result["files"] == [{"file": "report.html"}]
     for row, (answer, group) in enumerate(zip(answers, result["results"], strict=True)):
         best = group["objectives"][0]
@@ -119,20 +121,20 @@ def test_figures_are_those_of_the_result(done, blocks):
 
 
 def test_every_patch_is_painted_as_its_levels_say(done, blocks):
-    _, draft, _ = done
+    _, output = done
     view = next(block for block in blocks if isinstance(block, SurfaceView))
     assert [layer.name for layer in view.surface.layers] == [
         "the best of all postures",
         "posture (0°, 0°)",
         "posture (-10°, 170°)",
     ]
-    names = [label for label, _ in SHOWN]
+    names = [label for label, _ in LEVEL_CLASSES]
     for layer, result, posture in zip(
-        view.surface.layers[1:], draft.results, draft.table.postures, strict=True
+        view.surface.layers[1:], output.result.results, output.patches.postures, strict=True
     ):
-        row = draft.table.postures.index(posture)
-        grazing = draft.table.grazing[row]
-        visible = draft.table.visible[row] & ~grazing
+        row = output.patches.postures.index(posture)
+        grazing = output.patches.grazing[row]
+        visible = output.patches.visible[row] & ~grazing
         assert grazing.any()
         expected = []
         seen = iter(result.levels[0].T.tolist())
@@ -151,7 +153,7 @@ def test_every_patch_is_painted_as_its_levels_say(done, blocks):
                 expected.append("usable in one image only" if usable else "shaded: usable in no image")
         assert [names[k] for k in layer.of_face] == expected
         covered = np.array([name == "usable in two images or more" for name in expected])
-        units = area_units(draft.table.patches.areas[visible])
+        units = area_units(output.patches.patches.areas[visible])
         assert int(units[covered[visible]].sum()) == result.answers[0].scores["coverage"]
     together = np.min([layer.of_face for layer in view.surface.layers[1:]], axis=0)
     assert np.array_equal(view.surface.layers[0].of_face, together)
@@ -159,14 +161,14 @@ def test_every_patch_is_painted_as_its_levels_say(done, blocks):
 
 def test_classes_at_the_thresholds():
     levels = np.array([[9, 10, 254, 255, 10, 255], [9, 9, 10, 255, 255, 9]], np.uint8)
-    classes = shown_by_images(levels, Thresholds(shade=10, saturation=255))
+    classes = level_classes(levels, LevelThresholds(shade=10, saturation=255))
     assert classes.tolist() == [3, 1, 0, 2, 1, 3]
 
 
 def test_curves_pass_through_the_best_set_and_are_in_the_result(done, blocks):
-    bench, draft, _ = done
+    bench, output = done
     result = result_of(bench.out)
-    for group, found in zip(result["results"], draft.results, strict=True):
+    for group, found in zip(result["results"], output.result.results, strict=True):
         best = group["objectives"][0]
         at = {one["light"]: one for one in best["lights"]}
         assert [(c["light"], c["axis"], c["angles_deg"]) for c in group["curves"]] == [
@@ -185,12 +187,12 @@ def test_curves_pass_through_the_best_set_and_are_in_the_result(done, blocks):
 
 
 def test_all_that_it_rests_on_is_told(done, blocks):
-    bench, draft, _ = done
+    bench, output = done
     rows = dict(row for block in blocks if isinstance(block, Facts) for row in block.rows)
     assert rows["levels"].startswith("8 bit, black level 0; shaded below 10, saturated from 255 on")
     assert rows["sensor noise"] == "read noise 0.8 levels, 60 electrons per level; not part of the score"
     assert rows["reflectance"].startswith("R_d 45, R_s 12500, σ 0.0475 rad")
-    assert rows["patches"] == draft.table.message
+    assert rows["patches"] == output.patches.message
     result = result_of(bench.out)
     for name, found in result["provenance"]["inputs"].items():
         assert found["sha256"] in rows[name]
@@ -247,7 +249,7 @@ def test_a_part_that_nothing_lights_has_a_report_that_says_so(three, cli):
 
 @pytest.mark.slow
 def test_the_terminal_names_the_report(done, cli):
-    bench, _, _ = done
+    bench, _ = done
     ran = cli("optimize", bench.rig, bench.part, "-o", bench.out, *FEW[:4])
     assert (ran.status, ran.err) == (0, "")
     assert ran.out.splitlines()[-1] == str(bench.out / "report.html")
@@ -257,23 +259,18 @@ def test_the_terminal_names_the_report(done, cli):
 def inspected(shared_bench, tmp_path_factory):
     """The same with defects to be seen."""
     bench = with_lights(type(shared_bench).make(tmp_path_factory.mktemp("inspected") / "bench"))
-    drafts = []
-
-    def page(draft):
-        drafts.append(draft)
-        return optimum_report(draft)
-
-    options = OptimizeOptions(objectives=("detectability",), step_deg=20.0, patch_budget=400, images=False)
-    optimize(bench.rig, bench.part, bench.out, options=options, page=page)
-    return bench, drafts[0]
+    options = OptimizeOptions(
+        objectives=("detectability",), step_deg=20.0, patch_budget=400, images=False, report=True
+    )
+    return bench, reported(bench, options)
 
 
 @pytest.mark.slow
 def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
-    bench, draft = inspected
+    bench, output = inspected
     spots = result_of(bench.out)["blind_spots"]
-    page = optimum_page(draft)
-    first = next(block for block in answer_blocks(draft) if isinstance(block, Answer))
+    page = optimum_page(output)
+    first = next(block for block in answer_blocks(output) if isinstance(block, Answer))
     assert first.text.startswith("of the surface × defects (by weight) that the camera sees in posture (")
     assert first.text.endswith(" mm² by detectability")
     (table,) = next(s for s in page.sections if s.heading == "Blind spots").blocks
@@ -307,16 +304,16 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
     assert len(single) == 2
     labels = [kind.label for kind in reasons.classes]
     names = {
-        Blind.SEEN: "seen",
-        Blind.CAMERA: "never seen by the camera",
-        Blind.GRAZING: "left out: seen at a grazing angle",
-        Blind.SHADOWED: "shadowed",
-        Blind.CONTRAST: "contrast under noise",
+        BlindReason.SEEN: "seen",
+        BlindReason.CAMERA: "never seen by the camera",
+        BlindReason.GRAZING: "left out: seen at a grazing angle",
+        BlindReason.SHADOWED: "shadowed",
+        BlindReason.CONTRAST: "contrast under noise",
     }
-    for layer, found in ((reasons, draft.blind.chosen), (reachable, draft.blind.possible)):
+    for layer, found in ((reasons, output.result.blind.chosen), (reachable, output.result.blind.possible)):
         expected = [
             names.get(code, "saturated by a light")
-            + (", other defects seen" if code != Blind.SEEN and share > 0.0 else "")
+            + (", other defects seen" if code != BlindReason.SEEN and share > 0.0 else "")
             for code, share in zip(found.codes.tolist(), found.share, strict=True)
         ]
         assert [labels[k] for k in layer.of_face] == expected
@@ -329,7 +326,7 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
     # and the surface the colours of blind.ply
     colours = {one.label: "#{:02x}{:02x}{:02x}".format(*one.colour) for one in BLIND_CLASSES}
     assert {kind.label: kind.colour for kind in reasons.classes}.items() <= colours.items()
-    for k, share in zip(shares.of_face, draft.blind.chosen.share, strict=True):
+    for k, share in zip(shares.of_face, output.result.blind.chosen.share, strict=True):
         label = shares.classes[k].label
         low, high = {
             "none": (0.0, 0.0),
@@ -346,8 +343,8 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
 
 @pytest.mark.slow
 def test_defects_seen_are_those_of_the_result(inspected, undrawn):
-    bench, draft = inspected
-    section = next(s for s in optimum_page(draft).sections if s.heading == "Defects")
+    bench, output = inspected
+    section = next(s for s in optimum_page(output).sections if s.heading == "Defects")
     (table,) = section.blocks
     for row, group in zip(table.rows, result_of(bench.out)["results"], strict=True):
         answer = group["objectives"][0]
@@ -358,17 +355,17 @@ def test_defects_seen_are_those_of_the_result(inspected, undrawn):
         assert shown["walls seen worst lean to"] == f"{answer['worst_direction_deg']:g}°"
 
 
-def with_options(draft, options):
-    return {**draft.document, "provenance": {**draft.document["provenance"], "options": options}}
+def with_options(output, options):
+    return {**output.document, "provenance": {**output.document["provenance"], "options": options}}
 
 
 @pytest.mark.slow
 def test_what_was_assumed_of_defects_and_tolerances_is_told(inspected, done, undrawn):
-    _, draft = inspected
+    _, output = inspected
     tolerances = {"light_deg": 2.0, "pose_deg": 1.0, "target": 0.95, "draws": 100, "seed": 0}
-    options = {**draft.document["provenance"]["options"], "tolerances": tolerances}
-    told = assumed(replace(draft, document=with_options(draft, options)))
-    names = ", ".join(result_of(draft.folder)["results"][0]["objectives"][0]["defects"])
+    options = {**output.document["provenance"]["options"], "tolerances": tolerances}
+    told = assumed(replace(output, document=with_options(output, options)))
+    names = ", ".join(result_of(output.result.folder)["results"][0]["objectives"][0]["defects"])
     assert told["defects looked for"].startswith(f"{names}: ")
     assert told["directions of walls"] == "8, evenly around"
     seen_in, threshold = options["seen_in"], options["threshold"]
@@ -384,8 +381,8 @@ def test_what_was_assumed_of_defects_and_tolerances_is_told(inspected, done, und
     assert not {"defects looked for", "a defect is seen", "tolerances"} & set(other)
 
 
-def assumed(draft):
-    section = next(s for s in optimum_page(draft).sections if s.heading == "What was assumed")
+def assumed(output):
+    section = next(s for s in optimum_page(output).sections if s.heading == "What was assumed")
     return {name: text for block in section.blocks if isinstance(block, Facts) for name, text in block.rows}
 
 
@@ -480,8 +477,8 @@ PLANNED = {
 def test_a_plan_is_shown_as_the_result_has_it(done, undrawn):
     tolerances = {"light_deg": 2.0, "pose_deg": 1.0, "target": 0.95, "draws": 100, "seed": 0}
     options = {**done[1].document["provenance"]["options"], "tolerances": tolerances}
-    draft = replace(done[1], document={**with_options(done[1], options), **PLANNED})
-    sections = {section.heading: section.blocks for section in optimum_page(draft).sections}
+    output = replace(done[1], document={**with_options(done[1], options), **PLANNED})
+    sections = {section.heading: section.blocks for section in optimum_page(output).sections}
     table, facts, left, lead, command = sections["Postures"]
     assert "in the folder of this report" in lead.text
     # as they are captured
@@ -499,7 +496,7 @@ def test_a_plan_is_shown_as_the_result_has_it(done, undrawn):
     # the target was met by fewer than might be
     assert "postures that were asked for" not in told
     untargeted = {**PLANNED["chosen_postures"], "target": None}
-    facts = posture_blocks(replace(draft, document={**draft.document, "chosen_postures": untargeted}))[1]
+    facts = posture_blocks(replace(output, document={**output.document, "chosen_postures": untargeted}))[1]
     assert dict(facts.rows)["postures that were asked for"] == "3"
     assert told["each patch counts as its middle does"] == (
         "800 patches with edges up to 1.25 mm, where a pixel has 0.05 mm: shares may be off by some 2 points"
@@ -508,7 +505,7 @@ def test_a_plan_is_shown_as_the_result_has_it(done, undrawn):
     assert command.text == PLANNED["commands"][0]
     assert told["these postures have at least"] == "75 % of the best with these lights"
     assert "up to 2 of each; together, what is seen in 2 images" in table.caption
-    lead = optimum_page(draft).lead
+    lead = optimum_page(output).lead
     (answer,) = (block for block in lead if isinstance(block, Answer))
     assert answer.figure == "94 %"
     assert "in 2 images or more, by all planned images together, in (20°, 90°), (0°, 0°);" in answer.text
@@ -569,16 +566,16 @@ def test_exposures_that_the_target_takes_are_told(done, undrawn, why, expected):
     planned = PLANNED["exposures"]
     first, other = planned["shots"]
     planned = {**planned, "shots": [first, {**other, "planned": True, "planned_for": why}]}
-    draft = replace(done[1], document={**done[1].document, "exposures": planned})
-    note = next(s for s in optimum_page(draft).sections if s.heading == "Exposures").blocks[0]
+    output = replace(done[1], document={**done[1].document, "exposures": planned})
+    note = next(s for s in optimum_page(output).sections if s.heading == "Exposures").blocks[0]
     assert note.text.endswith(expected)
 
 
 def test_where_one_image_is_enough_the_greedy_bound_is_told(done, undrawn):
     one = {**PLANNED["chosen_postures"], "seen_in": 1, "every_combination_tried": False}
     one |= {"lights_best_for_postures": False, "turns_on_all_patches": False}
-    draft = replace(done[1], document={**done[1].document, "chosen_postures": one})
-    page = optimum_page(draft)
+    output = replace(done[1], document={**done[1].document, "chosen_postures": one})
+    page = optimum_page(output)
     table, facts, *_ = next(s for s in page.sections if s.heading == "Postures").blocks
     assert dict(facts.rows)["these postures have at least"] == "75 % of the best with these lights"
     assert "what each posture shows that those chosen before it do not" in table.caption
@@ -591,13 +588,13 @@ def test_the_best_of_all_sets_is_told_and_whether_it_is_the_plan(done, undrawn):
     chosen = {**PLANNED["chosen_postures"], "best_of_sets": 66, "seen_in": 1}
 
     def told(**more):
-        draft = replace(done[1], document={**done[1].document, "chosen_postures": {**chosen, **more}})
+        output = replace(done[1], document={**done[1].document, "chosen_postures": {**chosen, **more}})
         (proof,) = (
             block.text
-            for block in optimum_page(draft).lead
+            for block in optimum_page(output).lead
             if isinstance(block, Note) and "roven" in block.text
         )
-        return proof, dict(posture_blocks(draft)[1].rows)["the same number of others shows at most"]
+        return proof, dict(posture_blocks(output)[1].rows)["the same number of others shows at most"]
 
     proof, bound = told()
     whatever = ", at any of the exposures offered."

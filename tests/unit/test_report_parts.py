@@ -13,7 +13,6 @@ from PIL import Image
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import direction
 from lightopt.design import LegendRow
-from lightopt.report import with_legend
 from lightopt.report._charts import chart
 from lightopt.report._drawing import (
     Drawing,
@@ -25,6 +24,7 @@ from lightopt.report._drawing import (
     fixed_style,
     sub,
     text_width,
+    with_legend,
 )
 from lightopt.report._png import check_png_path, write_picture
 from lightopt.report._thumbnail import SATURATED_COLOUR, thumbnail, thumbnail_size

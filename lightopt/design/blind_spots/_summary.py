@@ -1,4 +1,4 @@
-"""The blind spots of an optimisation: of the chosen lights and of all that lights can do, per posture and in all."""
+"""Blind spots of a result: of the chosen lights and of all that lights can do, per posture and in all."""
 
 from __future__ import annotations
 
@@ -11,61 +11,48 @@ from numpy.typing import NDArray
 
 from lightopt.core.transforms import Posture
 from lightopt.design.blind_spots._blind_spots import (
-    Blind,
+    BlindReason,
     BlindSpots,
-    Shown,
+    DefectVisibility,
     blind_spots,
     blind_text,
-    shown_by,
+    defect_visibility,
 )
-from lightopt.design.objectives._detectability import Detectability
-from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Thresholds
+from lightopt.design.objectives._detectability import DetectabilityObjective
+from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
 
 BLIND_SHARES_OF = "the part's surface but what the camera sees at a grazing angle only, × defects by weight"
 """What shares of blind spots are shares of."""
 
 BLIND_LIGHTS = ("chosen", "best for each defect")
-"""Where the lights stand in the rows of the tables: at the chosen positions; or wherever each defect is seen, which no
-one set of positions need show."""
+"""Light positions in the rows of the tables: the chosen ones; or for each defect any that show it, which no one set of
+positions need do for all."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Looked:
-    """What a posture's images show.
+class PostureVisibility:
+    """What a posture's images show of defects.
 
-    Attributes
-    ----------
-    posture
-        The posture.
-    chosen, possible
-        With the chosen lights and exposures, and with all positions and exposures that there were to choose from.
+    `chosen` is with the chosen lights and exposures, `possible` with all that there were to choose from.
     """
 
     posture: Posture
-    chosen: Shown
-    possible: Shown
+    chosen: DefectVisibility
+    possible: DefectVisibility
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class BlindReport:
+class BlindSpotSummary:
     """Blind spots of the whole surface.
 
-    Attributes
-    ----------
-    objective
-        Whose defects they are.
-    lights
-        Names, in the rig's order.
-    postures
-        That were looked at.
-    chosen, possible
-        Over all postures, a defect being seen in enough of all their images: of the chosen lights, and of all that the
+    objective: Whose defects they are.
+    lights: Names, in the rig's order.
+    chosen, possible: Over all postures, by all their images together: of the chosen lights, and of all that the
         lights can do.
-    chosen_in, possible_in
-        The same of the images of each posture alone.
+    chosen_in, possible_in: The same of the images of each posture alone.
     """
 
-    objective: Detectability
+    objective: DetectabilityObjective
     lights: tuple[str, ...]
     postures: tuple[Posture, ...]
     chosen: BlindSpots
@@ -75,15 +62,18 @@ class BlindReport:
 
     @staticmethod
     def of(
-        looked: Sequence[Looked], areas: NDArray[np.float64], objective: Detectability, lights: Sequence[str]
-    ) -> BlindReport:
-        """Put postures together; areas are those of all patches of the run [mm²], shape (n,)."""
-        chosen = [one.chosen for one in looked]
-        possible = [one.possible for one in looked]
-        return BlindReport(
+        visibility: Sequence[PostureVisibility],
+        areas: NDArray[np.float64],
+        objective: DetectabilityObjective,
+        lights: Sequence[str],
+    ) -> BlindSpotSummary:
+        """Combine postures; `areas` are those of all patches of the run [mm²], shape (n,)."""
+        chosen = [one.chosen for one in visibility]
+        possible = [one.possible for one in visibility]
+        return BlindSpotSummary(
             objective=objective,
             lights=tuple(lights),
-            postures=tuple(one.posture for one in looked),
+            postures=tuple(one.posture for one in visibility),
             chosen=blind_spots(areas, chosen),
             possible=blind_spots(areas, possible),
             chosen_in=tuple(blind_spots(areas, [one]) for one in chosen),
@@ -125,37 +115,23 @@ class BlindReport:
         }
 
 
-def look_for_blind_spots(
+def posture_visibility(
     matrix: LuminanceMatrix,
     posture: Posture,
-    thresholds: Thresholds,
+    thresholds: LevelThresholds,
     *,
     seen_in: int,
     candidates: Sequence[int],
-) -> Looked:
-    """Blind spots of a posture under a combination of light positions, and under all of them.
-
-    Parameters
-    ----------
-    matrix
-        Of the posture, with its visibility.
-    posture
-        The posture.
-    thresholds
-        Black level and saturation.
-    seen_in
-        Images that must show a defect.
-    candidates
-        The combination.
-    """
-    return Looked(
+) -> PostureVisibility:
+    """What a posture's images show under a combination of light positions, and under all of them."""
+    return PostureVisibility(
         posture=posture,
-        chosen=shown_by([matrix], thresholds, least=seen_in, candidates=candidates),
-        possible=shown_by([matrix], thresholds, least=seen_in),
+        chosen=defect_visibility([matrix], thresholds, least=seen_in, candidates=candidates),
+        possible=defect_visibility([matrix], thresholds, least=seen_in),
     )
 
 
 def reason_names(lights: Sequence[str]) -> list[tuple[int, str]]:
     """All codes and their names."""
-    codes = [*Blind, *(Blind.SATURATED + light for light in range(1, len(lights)))]
+    codes = [*BlindReason, *(BlindReason.SATURATED + light for light in range(1, len(lights)))]
     return [(int(code), blind_text(int(code), lights)) for code in codes]

@@ -1,4 +1,4 @@
-"""Why a target is not reached."""
+"""The error where a target is not reached: the best that can be, and why no more."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ import numpy as np
 
 from lightopt.core.errors import CheckFailed, counted, percent
 from lightopt.core.transforms import Posture
-from lightopt.design.blind_spots._blind_spots import Blind, Shown, blind_spots, blind_text, shown_by
+from lightopt.design.blind_spots._blind_spots import (
+    BlindReason,
+    DefectVisibility,
+    blind_spots,
+    blind_text,
+    defect_visibility,
+)
 from lightopt.design.objectives._objective import share_text
-from lightopt.design.postures._choice import Choice
-from lightopt.design.postures._pair_visibility import Survey
-from lightopt.design.responses._luminance_matrix import Thresholds
+from lightopt.design.postures._choice import PostureChoice
+from lightopt.design.postures._image_evaluator import ImageEvaluator
+from lightopt.design.responses._luminance_matrix import LevelThresholds
 
 NEAR_SHARE = 0.01
-"""Postures that come this near to all of them are told where a target is not reached."""
+"""The message names how many postures come this near to all of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reach:
-    """What so many postures show, all with the same lights.
+class PostureCountStep:
+    """Share of the pairs that a number of postures shows, all with the same lights.
 
-    Attributes
-    ----------
-    posture
-        The last of them.
-    share
-        Of the pairs, what these postures show: others of as many, and other lights, may show more.
-    bound
-        No postures of as many show more with these lights.
+    `posture` is the last of them. Others of as many, or with other lights, may show more; with these lights none show
+    more than `bound`.
     """
 
     posture: Posture
@@ -39,54 +39,43 @@ class Reach:
     bound: float
 
 
-class TargetUnreached(CheckFailed):
+class TargetNotReached(CheckFailed):
     """A target that is not reached.
 
-    Parameters
-    ----------
-    *messages
-        What can be reached, and why no more.
-    target
-        Share of the pairs that was asked for.
-    steps
-        What each number of postures shows at least.
-    grain
-        How far shares may be off since a patch counts as its middle does.
+    `steps` say what each number of postures shows at least, `grain` how far shares may be off since a patch counts as
+    its middle does.
     """
 
-    def __init__(self, *messages: str, target: float, steps: tuple[Reach, ...], grain: float) -> None:
+    def __init__(
+        self, *messages: str, target: float, steps: tuple[PostureCountStep, ...], grain: float
+    ) -> None:
         super().__init__(*messages)
         self.target, self.steps, self.grain = target, steps, grain
 
 
-def unreached(target: float, choice: Choice, survey: Survey, *, least: int) -> TargetUnreached:
-    """What can be reached, by how many postures, and why no more.
+def target_not_reached(
+    target: float, choice: PostureChoice, survey: ImageEvaluator, *, least: int
+) -> TargetNotReached:
+    """What `choice`, which falls short of the target, can reach by how many postures, and why no more.
 
-    Parameters
-    ----------
-    target
-        Share of the pairs that was asked for.
-    choice
-        That falls short of it.
-    survey
-        The part in all candidate postures.
-    least
-        Images that must show a pair.
+    `survey` is of all candidate postures; `least` images must show a pair.
     """
     cover = choice.cover
     steps = tuple(
-        Reach(posture=posture, share=step.reached / max(1, cover.total), bound=cover.bound_of(number))
+        PostureCountStep(
+            posture=posture, share=step.covered / max(1, cover.total), bound=cover.bound_of(number)
+        )
         for number, (posture, step) in enumerate(zip(choice.postures, cover.steps, strict=True), start=1)
     )
-    return TargetUnreached(
+    return TargetNotReached(
         _text(target, choice, survey, least), target=target, steps=steps, grain=survey.table.grain
     )
 
 
-def _text(target: float, choice: Choice, survey: Survey, least: int) -> str:
+def _text(target: float, choice: PostureChoice, survey: ImageEvaluator, least: int) -> str:
     cover, offered = choice.cover, len(survey.table.postures)
     text = partial(share_text, grain=survey.table.grain, short_of=target)
-    most = cover.all_reached / max(1, cover.total)
+    most = cover.all_covered / max(1, cover.total)
     asked = f"{100.0 * target:.9g} %"
     if most >= target:
         return (
@@ -97,7 +86,7 @@ def _text(target: float, choice: Choice, survey: Survey, least: int) -> str:
         )
     lost = _lost(choice, survey, least)
     near = next(
-        (i for i, step in enumerate(cover.steps, 1) if step.reached >= (most - NEAR_SHARE) * cover.total),
+        (i for i, step in enumerate(cover.steps, 1) if step.covered >= (most - NEAR_SHARE) * cover.total),
         len(cover.steps),
     )
     return (
@@ -108,37 +97,37 @@ def _text(target: float, choice: Choice, survey: Survey, least: int) -> str:
     )
 
 
-def _which(choice: Choice) -> str:
-    return "the best lights found (others may show more)" if choice.turns else "the lights as they stand"
+def _which(choice: PostureChoice) -> str:
+    return "the best lights found (others may show more)" if choice.iterations else "the lights as they stand"
 
 
-def _hint(lost: Mapping[int, float], survey: Survey) -> str:
+def _hint(lost: Mapping[int, float], survey: ImageEvaluator) -> str:
     # more light helps where there is too little of it
-    dim = lost.get(Blind.CONTRAST, 0.0) + lost.get(Blind.SHADOWED, 0.0)
+    dim = lost.get(BlindReason.CONTRAST, 0.0) + lost.get(BlindReason.SHADOWED, 0.0)
     if max(survey.exposures) > 1.0 or dim <= 0.5 * sum(lost.values()):
         return ""
     return "Longer exposures may show some of it: offer them, such as --exposures 1,4,16. "
 
 
-def _lost(choice: Choice, survey: Survey, least: int) -> dict[int, float]:
+def _lost(choice: PostureChoice, survey: ImageEvaluator, least: int) -> dict[int, float]:
     # surface × defects by reason, over all candidate postures, under the chosen lights
-    thresholds = Thresholds.of_sensor(
+    thresholds = LevelThresholds.of_sensor(
         shade_share=0.0,
         max_level=survey.scene.sensor.max_level,
         saturated_from=survey.scene.sensor.saturated_from,
         black_level=survey.scene.sensor.black_level,
     )
-    seen: list[Shown] = []
+    seen: list[DefectVisibility] = []
     for posture in survey.table.postures:
         matrices = survey.matrices(posture, [[panel] for panel in choice.panels], exposures=survey.exposures)
-        seen.append(shown_by(matrices, thresholds, least=least))
+        seen.append(defect_visibility(matrices, thresholds, least=least))
     # the shares are of the surface that the camera sees in one of them
     areas = np.zeros(len(survey.table.patches))
     areas[survey.patches] = survey.table.patches.areas[survey.patches]
     return blind_spots(areas, seen).by_reason()
 
 
-def _reasons(lost: Mapping[int, float], choice: Choice) -> str:
+def _reasons(lost: Mapping[int, float], choice: PostureChoice) -> str:
     whole = max(sum(lost.values()), 1e-12)
     names = [panel.name for panel in choice.panels]
     ordered = sorted(lost.items(), key=lambda item: (-item[1], item[0]))

@@ -1,1 +1,1 @@
-"""Candidate positions of the lights."""
+"""Candidate positions of the lights: angles, positions that are possible, combinations that are allowed."""

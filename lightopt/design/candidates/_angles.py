@@ -22,49 +22,31 @@ def light_angles(
 ) -> list[tuple[float, float]]:
     """Candidate (elevation, azimuth) of a light [°], ascending by elevation, then azimuth.
 
-    Both ends of a range are candidates, and from the lower one on every `step_deg`. A light without a range stays in
-    that angle.
+    Both ends of a range are candidates, and from the lower one on every `step_deg`. A light without a range stays at
+    that angle. `elevations` replaces those of the light's range, for lights that share their elevation.
 
-    Parameters
-    ----------
-    rig
-        The rig.
-    index
-        Of the light.
-    step_deg
-        [°], above 0.
-    elevations
-        Instead of those of the light's range, where several lights share theirs.
-
-    Raises
-    ------
-    InputError
-        A step that is not a positive number, or that makes too many positions.
+    Raises InputError: A step that is not a positive number, or that makes too many positions.
     """
     if not (math.isfinite(step_deg) and step_deg > 0.0):
         raise InputError(f"--step: expected degrees above 0, found {step_deg:g}")
     light = rig.lights[index]
-    heights = _steps(light.elevation_range_deg, light.elevation_deg, step_deg)
-    if elevations is not None and light.elevation_range_deg is not None:
-        heights = list(elevations)
-    turns = _steps(light.azimuth_range_deg, light.azimuth_deg, step_deg)
-    if len(turns) > 1 and math.isclose(turns[-1] - turns[0], 360.0):
-        turns.pop()  # the full turn ends where it begins
-    if len(heights) * len(turns) > MOST_POSITIONS:
+    if elevations is None or light.elevation_range_deg is None:
+        elevations = _steps(light.elevation_range_deg, light.elevation_deg, step_deg)
+    azimuths = _steps(light.azimuth_range_deg, light.azimuth_deg, step_deg)
+    if len(azimuths) > 1 and math.isclose(azimuths[-1] - azimuths[0], 360.0):
+        azimuths.pop()  # the full turn ends where it begins
+    if len(elevations) * len(azimuths) > MOST_POSITIONS:
         raise InputError(
             f"{rig.source.at('lights', index)}: at --step {step_deg:g} light {light.name} has more than "
             f"{MOST_POSITIONS:,} positions, the most that are accepted; take a larger step"
         )
-    return [(height, turn) for height in heights for turn in turns]
+    return [(elevation, azimuth) for elevation in elevations for azimuth in azimuths]
 
 
 def common_elevations(rig: RigConfig, *, step_deg: float) -> list[float] | None:
     """The elevations that all lights with an elevation range can share [°]; None where no light has one.
 
-    Raises
-    ------
-    InputError
-        Ranges that do not overlap.
+    Raises InputError: Ranges that do not overlap.
     """
     movable = [light for light in rig.lights if light.elevation_range_deg is not None]
     if not movable:

@@ -1,4 +1,4 @@
-"""Candidate positions of the lights: which there are, which are left out and why, which cannot stand together."""
+"""Candidate positions of the lights: which are possible, which are excluded and why, and which collide."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.config import RigConfig
 from lightopt.core.errors import InputError, counted
+from lightopt.design._arrays import Flags
 from lightopt.design.candidates._angles import can_move, common_elevations, light_angles
-from lightopt.design.candidates._combination_space import Rows, Space
+from lightopt.design.candidates._combination_space import CombinationSpace, Rows
 from lightopt.rendering import panels_in_part
 from lightopt.scene import (
     PanelLight,
@@ -30,21 +30,11 @@ Angles = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class ExcludedPosition:
     """A position that a light cannot take.
 
-    Attributes
-    ----------
-    light
-        Its name.
-    elevation_deg, azimuth_deg
-        The position [°].
-    reason
-        For people.
-    kind
-        ``view``, ``table``, ``part`` or ``collision``.
-    amount
-        Pixels that are covered, or mm below the table top; None for the other kinds.
+    kind: ``view``, ``table``, ``part`` or ``collision``.
+    amount: Pixels covered, or mm below the table top; None for the other kinds.
     """
 
     light: str
@@ -59,28 +49,21 @@ class LeftOut:
 class Candidates:
     """The positions to choose from.
 
-    Attributes
-    ----------
-    names
-        Of the lights, in the rig's order.
-    angles
-        Of each light: (elevation, azimuth) [°], ascending.
-    panels
-        Of each light: the panels that stand there, world frame.
-    left_out
-        What the ranges offer and the machine cannot do.
-    space
-        Which combinations are allowed.
+    names: Of the lights, in the rig's order.
+    angles: Per light: (elevation, azimuth) [°], ascending.
+    panels: Per light: the panels at these positions, world frame.
+    left_out: Positions within the ranges that are not possible.
+    space: Which combinations are allowed.
     """
 
     names: tuple[str, ...]
     angles: tuple[tuple[Angles, ...], ...]
     panels: tuple[tuple[PanelLight, ...], ...]
-    left_out: tuple[LeftOut, ...]
-    space: Space
+    left_out: tuple[ExcludedPosition, ...]
+    space: CombinationSpace
 
     def panels_at(self, combination: Sequence[int]) -> tuple[PanelLight, ...]:
-        """The panels of one position of each light, given by its index."""
+        """The panels for one position index per light."""
         return tuple(some[k] for some, k in zip(self.panels, combination, strict=True))
 
 
@@ -95,37 +78,25 @@ def find_candidates(
 ) -> Candidates:
     """The positions that a rig's lights can take.
 
-    Left out are panels that stand in the camera's view, reach below the table top, are inside the part in one of its
-    postures, or collide with another light wherever that one stands. Panels that collide in some of their positions
-    only make combinations that are not allowed.
+    Excluded are panels in the camera's view, below the table top, inside the part in one of its postures, or colliding
+    with another light at all of its positions. Panels that collide at some positions only exclude combinations.
 
-    Parameters
-    ----------
-    rig
-        The rig.
-    step_deg
-        Of the angles [°].
-    common_elevation
-        Whether all lights that move in elevation stand at the same one.
-    points
-        Point lights per panel, instead of the rig's.
-    places
-        One position of each light [°] that was chosen before, and no others.
-    scene
-        The part in its postures; without it the part is not in the way.
-
-    Raises
-    ------
-    InputError
-        No light that moves, a light without any position left.
+    points: Point lights per panel, instead of the rig's.
+    places: One fixed position per light [°], instead of the ranges.
+    scene: The part in its postures; without it the part is not checked.
+    Raises InputError: No light that moves; a light without any position left.
     """
-    _check_movable(rig, chosen=places is not None)
+    if places is None and not any(map(can_move, rig.lights)):
+        raise InputError(
+            f"{rig.source.at('lights')}: no light can be moved; give one or more an elevation_range_deg or an "
+            "azimuth_range_deg"
+        )
     shared = common_elevations(rig, step_deg=step_deg) if common_elevation and places is None else None
     camera = build_camera(rig)
-    left_out: list[LeftOut] = []
-    kept: list[list[tuple[Angles, PanelLight]]] = []
+    left_out: list[ExcludedPosition] = []
+    possible: list[list[tuple[Angles, PanelLight]]] = []
     for index in range(len(rig.lights)):
-        standing: list[tuple[Angles, PanelLight]] = []
+        free: list[tuple[Angles, PanelLight]] = []
         angles = (
             light_angles(rig, index, step_deg=step_deg, elevations=shared)
             if places is None
@@ -134,29 +105,29 @@ def find_candidates(
         for at, panel in zip(angles, _panels(rig, index, angles, points), strict=True):
             reason = _reason(panel, camera) or _part_in_the_way(panel, scene)
             if reason is None:
-                standing.append((at, panel))
+                free.append((at, panel))
             else:
-                left_out.append(LeftOut(panel.name, *at, *reason))
-        kept.append(standing)
-    clashes = _clashes(kept)
-    hopeless = _always_colliding(kept, clashes)
-    for index, others in hopeless.items():
+                left_out.append(ExcludedPosition(panel.name, *at, *reason))
+        possible.append(free)
+    clashes = _clashes(possible)
+    always_colliding = _always_colliding(possible, clashes)
+    for index, others in always_colliding.items():
         for k, other in sorted(others.items()):
             name = rig.lights[index].name
             reason = f"collides with {rig.lights[other].name} wherever that one stands"
-            left_out.append(LeftOut(name, *kept[index][k][0], reason, "collision"))
-    rows = [[k for k in range(len(places)) if k not in hopeless[i]] for i, places in enumerate(kept)]
+            left_out.append(ExcludedPosition(name, *possible[index][k][0], reason, "collision"))
+    rows = [[k for k in range(len(some)) if k not in always_colliding[i]] for i, some in enumerate(possible)]
     _check_any(rig, rows, left_out)
-    angles_kept = tuple(tuple(kept[i][k][0] for k in row) for i, row in enumerate(rows))
+    angles_left = tuple(tuple(possible[i][k][0] for k in row) for i, row in enumerate(rows))
     sizes = tuple(len(row) for row in rows)
     return Candidates(
         names=tuple(light.name for light in rig.lights),
-        angles=angles_kept,
-        panels=tuple(tuple(kept[i][k][1] for k in row) for i, row in enumerate(rows)),
+        angles=angles_left,
+        panels=tuple(tuple(possible[i][k][1] for k in row) for i, row in enumerate(rows)),
         left_out=tuple(left_out),
-        space=Space(
+        space=CombinationSpace(
             sizes=sizes,
-            groups=_groups(rig, angles_kept, sizes, shared),
+            groups=_groups(rig, angles_left, sizes, shared),
             clashes={
                 pair: clash[np.ix_(rows[pair[0]], rows[pair[1]])]
                 for pair, clash in clashes.items()
@@ -166,15 +137,7 @@ def find_candidates(
     )
 
 
-def _check_movable(rig: RigConfig, *, chosen: bool) -> None:
-    if not chosen and not any(map(can_move, rig.lights)):
-        raise InputError(
-            f"{rig.source.at('lights')}: no light can be moved; give one or more an elevation_range_deg or an "
-            "azimuth_range_deg"
-        )
-
-
-def _check_any(rig: RigConfig, rows: Sequence[Sequence[int]], left_out: Sequence[LeftOut]) -> None:
+def _check_any(rig: RigConfig, rows: Sequence[Sequence[int]], left_out: Sequence[ExcludedPosition]) -> None:
     problems: list[str] = []
     for index, row in enumerate(rows):
         if not row:
@@ -201,7 +164,7 @@ Reason = tuple[str, str, float | None]
 """Text, kind and amount of a :class:`LeftOut`."""
 
 
-def _grouped(left_out: Sequence[LeftOut]) -> list[str]:
+def _grouped(left_out: Sequence[ExcludedPosition]) -> list[str]:
     # positions of one kind together, with the smallest and the largest amount
     texts: list[str] = []
     groups = dict.fromkeys((out.kind, "" if out.amount is not None else out.reason) for out in left_out)
@@ -242,37 +205,35 @@ def _part_in_the_way(panel: PanelLight, scene: Scene | None) -> Reason | None:
     return (f"is inside the part in posture {inside[0].posture}", "part", None) if inside else None
 
 
-def _clashes(
-    kept: Sequence[Sequence[tuple[Angles, PanelLight]]],
-) -> dict[tuple[int, int], NDArray[np.bool_]]:
-    clashes: dict[tuple[int, int], NDArray[np.bool_]] = {}
-    for i, j in itertools.combinations(range(len(kept)), 2):
-        clash = np.zeros((len(kept[i]), len(kept[j])), np.bool_)
+def _clashes(possible: Sequence[Sequence[tuple[Angles, PanelLight]]]) -> dict[tuple[int, int], Flags]:
+    clashes: dict[tuple[int, int], Flags] = {}
+    for i, j in itertools.combinations(range(len(possible)), 2):
+        clash = np.zeros((len(possible[i]), len(possible[j])), np.bool_)
         if clash.size:
-            # spheres around the panels tell apart most pairs at once
-            centres = [np.array([panel.centre for _, panel in kept[k]]) for k in (i, j)]
-            reach = sum(0.5 * float(np.hypot(*kept[k][0][1].size)) for k in (i, j))
+            # spheres around the panels exclude most pairs at once
+            centres = [np.array([panel.centre for _, panel in possible[k]]) for k in (i, j)]
+            radii = sum(0.5 * float(np.hypot(*possible[k][0][1].size)) for k in (i, j))
             for a, centre in enumerate(centres[0]):
                 apart = np.linalg.norm(centres[1] - centre, axis=1)
-                for b in map(int, np.flatnonzero(apart <= reach)):
-                    clash[a, b] = rectangles_meet(kept[i][a][1], kept[j][b][1])
+                for b in map(int, np.flatnonzero(apart <= radii)):
+                    clash[a, b] = rectangles_meet(possible[i][a][1], possible[j][b][1])
         if clash.any():
             clashes[i, j] = clash
     return clashes
 
 
 def _always_colliding(
-    kept: Sequence[Sequence[object]], clashes: dict[tuple[int, int], NDArray[np.bool_]]
+    possible: Sequence[Sequence[object]], clashes: dict[tuple[int, int], Flags]
 ) -> dict[int, dict[int, int]]:
     # of each light, its candidates that collide with all that is left of another light, and which light that is
-    gone: dict[int, dict[int, int]] = {i: {} for i in range(len(kept))}
+    gone: dict[int, dict[int, int]] = {i: {} for i in range(len(possible))}
     found = True
     while found:
         found = False
         for (i, j), clash in clashes.items():
             for light, other, table in ((i, j, clash), (j, i, clash.T)):
-                left = [k for k in range(len(kept[other])) if k not in gone[other]]
-                for k in range(len(kept[light])):
+                left = [k for k in range(len(possible[other])) if k not in gone[other]]
+                for k in range(len(possible[light])):
                     if left and k not in gone[light] and table[k, left].all():
                         gone[light][k] = other
                         found = True

@@ -1,4 +1,4 @@
-"""Which combinations of candidates are allowed."""
+"""Which combinations of candidate positions are allowed."""
 
 from __future__ import annotations
 
@@ -7,53 +7,45 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Int64 = NDArray[np.int64]
+from lightopt.design._arrays import Flags, Int64
+
 Rows = tuple[Int64, ...]
 """Candidates of each light, ascending: all their combinations are meant."""
 
 
-def _no_clashes() -> Mapping[tuple[int, int], NDArray[np.bool_]]:
+def _no_clashes() -> Mapping[tuple[int, int], Flags]:
     return {}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Space:
+class CombinationSpace:
     """The combinations to search.
 
-    Attributes
-    ----------
-    sizes
-        Number of candidates of each light.
-    groups
-        Disjoint sets of combinations; together they are the space. Lights that move on their own make one group of all
-        candidates.
-    clashes
-        For pairs of lights (i, j), i < j: which of their candidates cannot stand at the same time, shape (sizes[i],
-        sizes[j]).
+    sizes: Number of candidates per light.
+    groups: Disjoint sets of combinations; together they are the space. Lights that move independently make one group.
+    clashes: For pairs of lights (i, j), i < j: which of their candidates collide, shape (sizes[i], sizes[j]).
     """
 
     sizes: tuple[int, ...]
     groups: tuple[Rows, ...]
-    clashes: Mapping[tuple[int, int], NDArray[np.bool_]] = field(default_factory=_no_clashes)
+    clashes: Mapping[tuple[int, int], Flags] = field(default_factory=_no_clashes)
 
     @staticmethod
-    def of(sizes: Sequence[int]) -> Space:
-        """Every combination."""
-        return Space(sizes=tuple(sizes), groups=(tuple(np.arange(n) for n in sizes),))
+    def of(sizes: Sequence[int]) -> CombinationSpace:
+        return CombinationSpace(sizes=tuple(sizes), groups=(tuple(np.arange(n) for n in sizes),))
 
 
-def is_allowed(space: Space, combination: Sequence[int]) -> bool:
+def is_allowed(space: CombinationSpace, combination: Sequence[int]) -> bool:
     """Whether one combination, a candidate of each light, belongs to the space."""
     if any(clash[combination[i], combination[j]] for (i, j), clash in space.clashes.items()):
         return False
     return any(all(k in row for k, row in zip(combination, rows, strict=True)) for rows in space.groups)
 
 
-def allowed_mask(space: Space, rows: Rows) -> NDArray[np.bool_] | None:
+def allowed_mask(space: CombinationSpace, rows: Rows) -> Flags | None:
     """Which combinations of `rows` have no clash, the last light's varying fastest; None where all are allowed."""
-    mask: NDArray[np.bool_] | None = None
+    mask: Flags | None = None
     sizes = [len(r) for r in rows]
     for (i, j), clash in space.clashes.items():
         some = clash[np.ix_(rows[i], rows[j])]

@@ -1,1 +1,5 @@
-"""Which further exposures the images of a plan need."""
+"""Choice of exposures.
+
+`_plan_exposures` adds further exposures to given postures and lights, of which `_selection` takes those that show
+enough more. `_joint_choice` chooses postures, lights and exposures together. `_brackets` is the outcome.
+"""

@@ -1,4 +1,4 @@
-"""Which further exposures of a plan's postures were looked at, and which of them are planned, and why."""
+"""Which further exposures of a plan's postures were considered, and which of them are planned, and why."""
 
 from __future__ import annotations
 
@@ -7,61 +7,47 @@ from typing import Literal
 
 from lightopt.core.transforms import Posture
 
-Why = Literal["gain", "pair", "target"]
+Reason = Literal["gain", "pair", "target"]
 """A further exposure is planned: it adds as much as one has to; it does with another, the two twice as much; or less,
 and the target was not reached without it."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shot:
+class FurtherExposure:
     """A further exposure of a posture, all lights.
 
-    Attributes
-    ----------
-    posture
-        The posture.
-    exposure
-        Relative to exposure 1.
-    gain
-        Share of the pairs that it adds: to what is planned before it where it is planned, else to the whole plan.
-    why
-        It is planned: its gain is enough, or that of two together, or the target takes it; None where it is not.
+    exposure: Relative to exposure 1.
+    gain: Share of the pairs that it adds: to what is planned before it where it is planned, else to the whole plan.
+    reason: Why it is planned: see :data:`Reason`; None where it is not.
     """
 
     posture: Posture
     exposure: float
     gain: float
-    why: Why | None
+    reason: Reason | None
 
     @property
     def planned(self) -> bool:
-        """Whether it is."""
-        return self.why is not None
+        return self.reason is not None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Brackets:
-    """The further exposures that were looked at.
+    """The further exposures that were considered.
 
-    Attributes
-    ----------
-    before, after
-        Share of the pairs that is seen without them and with those that are planned.
-    shots
-        The planned ones in the order in which they were chosen, then the others.
-    least_gain
-        Share that one has to add.
-    grain
-        How far the shares may be off since a patch counts as its middle does.
+    before, after: Share of the pairs that is seen without them and with those that are planned.
+    further: The planned ones in the order in which they were chosen, then the others.
+    least_gain: Share that one has to add.
+    grain: How far the shares may be off since a patch counts as its middle does.
     """
 
     before: float
     after: float
-    shots: tuple[Shot, ...]
+    further: tuple[FurtherExposure, ...]
     least_gain: float
     grain: float = 0.0
 
     def of(self, posture: Posture) -> tuple[float, ...]:
         """Exposures of a posture in the plan, the longest first."""
-        further = [shot.exposure for shot in self.shots if shot.planned and shot.posture == posture]
+        further = [shot.exposure for shot in self.further if shot.planned and shot.posture == posture]
         return tuple(sorted([1.0, *further], reverse=True))

@@ -1,7 +1,7 @@
-"""Scores that depend on classes of levels only, counted in packed bits: for patches whose classes change all the time.
+"""Scores that depend on classes of levels only, counted in packed bits: for patches whose classes change very often.
 
 64 patches share a word. Usable and saturated images are counted by saturating bit counters, light after light; the
-weights of what is covered are added up bit by bit, each bit of the weights being a plane of words of its own.
+weights of covered patches are added up bit by bit, each bit of the weights being a plane of words of its own.
 """
 
 from __future__ import annotations
@@ -11,15 +11,13 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.core.kernels import kernel
 from lightopt.core.progress import Share, Work, pieces
 from lightopt.core.threads import Task, run_all
-from lightopt.design.responses._luminance_matrix import Levels, Thresholds
-from lightopt.design.responses._packed_bits import Words, common_bits, count_flags, packed
-
-Int64 = NDArray[np.int64]
+from lightopt.design._arrays import Int64
+from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds
+from lightopt.design.responses._packed_bits import Words, common_bits, count_flags, pack_flags
 
 BLOCK_LEVELS = 1 << 25
 """Levels that are packed at once."""
@@ -28,14 +26,14 @@ LEAST_PATCHES = 4096
 """Of a block, however many candidates there are."""
 
 TASK_WORDS = 100_000_000
-"""Words that a task looks at, at most: some 0.1 s of a thread, so that Ctrl-C is heard."""
+"""Words that a task reads, at most: some 0.1 s of a thread, so that Ctrl-C is heard."""
 
 
 def bit_scores(
     levels: Sequence[Levels],
     chosen: Int64,
     weights: Int64,
-    thresholds: Thresholds,
+    thresholds: LevelThresholds,
     *,
     rule: tuple[int, int],
     threads: int,
@@ -61,12 +59,12 @@ class _Block:
         levels: Sequence[Levels],
         some: Int64,
         heavy: Int64,
-        thresholds: Thresholds,
+        thresholds: LevelThresholds,
         rule: tuple[int, int],
     ) -> None:
         self.patches = len(some)
         bits = max(1, int(heavy.max(initial=0)).bit_length())
-        self.planes = packed(np.stack([(heavy >> k) & 1 == 1 for k in range(bits)]))
+        self.planes = pack_flags(np.stack([(heavy >> k) & 1 == 1 for k in range(bits)]))
         self.lengths = np.array([-(-int((heavy >= (1 << k)).sum()) // 64) for k in range(bits)], np.int64)
         self.words = self.planes.shape[1]
         # row k: usable in more than k images so far; first those under lights that stand still
@@ -80,8 +78,8 @@ class _Block:
         self.inner: list[tuple[Words, Words]] = []
         for i, layer in enumerate(levels):
             taken = layer.take(some, axis=1)
-            usable = packed((taken >= thresholds.shade) & (taken < thresholds.saturation))
-            saturated = packed(taken >= thresholds.saturation)
+            usable = pack_flags((taken >= thresholds.shade) & (taken < thresholds.saturation))
+            saturated = pack_flags(taken >= thresholds.saturation)
             if i in inner:
                 self.inner.append((usable, saturated))
             elif len(layer) > 1:

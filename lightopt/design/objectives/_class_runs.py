@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from lightopt.core.kernels import kernel
 from lightopt.core.progress import Share, Work
 from lightopt.core.threads import run_all
+from lightopt.design._arrays import Int64
 from lightopt.design.objectives._difference_tables import Differences
-from lightopt.design.responses._luminance_matrix import Levels, Thresholds
-
-Int64 = NDArray[np.int64]
+from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds
 
 SATURATED = 1 << 16
 """Added to a cell's count of usable images for each image in which it is saturated."""
@@ -33,7 +32,7 @@ CHUNK_BOXES = 1e6
 """Most of their boxes: less than 0.1 s, so that Ctrl-C is heard."""
 
 
-def run_products(levels: Sequence[Levels], thresholds: Thresholds) -> NDArray[np.float64]:
+def run_products(levels: Sequence[Levels], thresholds: LevelThresholds) -> NDArray[np.float64]:
     """Number of boxes of each patch: the product over the lights of its numbers of runs, shape (p,)."""
     product = np.ones(levels[0].shape[1])
     for layer in levels:
@@ -45,7 +44,7 @@ def run_scores(
     levels: Sequence[Levels],
     chosen: Int64,
     weights: Int64,
-    thresholds: Thresholds,
+    thresholds: LevelThresholds,
     *,
     rule: tuple[int, int],
     threads: int,
@@ -53,27 +52,10 @@ def run_scores(
 ) -> Int64:
     """Σ weight · [usable in at least `rule[0]` images, saturated in at most `rule[1]`], for all combinations.
 
-    Parameters
-    ----------
-    levels
-        One array per light, shape (candidates, p).
-    chosen
-        Indices of the patches that count.
-    weights
-        Of all patches, shape (p,).
-    thresholds
-        Between the classes.
-    rule
-        Least number of usable images, most saturated ones.
-    threads
-        Number of threads; the sums do not depend on it.
-    progress
-        Called with the share that is done.
-
-    Returns
-    -------
-    NDArray
-        One number per combination, the last light's candidates varying fastest.
+    levels: One array per light, shape (candidates, p).
+    chosen: Indices of the patches that count.
+    weights: Of all patches, shape (p,).
+    Returns one number per combination, the last light's candidates varying fastest.
     """
     sizes = [len(layer) for layer in levels]
     products = run_products(levels, thresholds)[chosen]

@@ -1,7 +1,7 @@
-"""What pairs of patch and trial are worth by the number of images that show them, for all combinations, as differences.
+"""Values of pairs of patch and hypothesis by the number of images that show them, for all combinations, as differences.
 
 Along the candidates of a light the number of images that show a pair changes a few times. Let b_lj say that light l has
-more than j of them, and v(n) be the worth of n images. With the lights' numbers n_l,
+more than j of them, and v(n) be the value of n images. With the lights' numbers n_l,
 
     v(Σ n_l) = Σ over j_1, j_2, … of Δ(m, s) · Π_l [n_l ≥ j_l],
     Δ(m, s) = Σ_{i ≤ m} (−1)^i · binomial(m, i) · v(s − i),
@@ -9,8 +9,8 @@ more than j of them, and v(n) be the worth of n images. With the lights' numbers
 m being how many of the j_l are above 0 and s their sum. With one image per light and v(n) = [n ≥ 2] that is e₂ − 2·e₃
 + 3·e₄ − … in elementary symmetric sums of the b_l. A product of m flags that rise or fall at places c_l is, in the
 array of its mixed differences along the lights' candidates, ±1 at the place of those c_l, with 0 for the other lights
-(:mod:`lightopt.design.objectives._difference_tables`). All trials of a patch are looked at as one word: those that
-rise at the same places cost no more than one. Lights with one candidate only shift v for the trials that they show.
+(:mod:`lightopt.design.objectives._difference_tables`). All hypotheses of a patch are processed as one word: those that
+rise at the same places cost no more than one. Lights with one candidate only shift v for the hypotheses they show.
 """
 
 from __future__ import annotations
@@ -19,15 +19,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.core.kernels import kernel
 from lightopt.core.progress import Share, Work, pieces
 from lightopt.core.threads import run_all
+from lightopt.design._arrays import Flags, Int64
 from lightopt.design.objectives._difference_tables import Differences
 from lightopt.design.responses._packed_bits import Words, add_image, word_weight
-
-Int64 = NDArray[np.int64]
 
 CHUNK_PATCHES = 1 << 12
 """Patches of one task of a thread: some 0.01 s."""
@@ -41,12 +39,12 @@ LEAST_NODES = 1 << 10
 
 
 def at_least(least: int) -> Int64:
-    """A pair is worth 1 where `least` images or more show it, as values of :func:`count_run_sums`."""
+    """Values for :func:`count_run_sums`: 1 where `least` images or more show a pair."""
     return np.array([0] * least + [1], np.int64)
 
 
 def up_to(most: int) -> Int64:
-    """A pair is worth the number of images that show it, up to `most`."""
+    """Values for :func:`count_run_sums`: the number of images that show a pair, up to `most`."""
     return np.arange(most + 1, dtype=np.int64)
 
 
@@ -58,32 +56,17 @@ def count_run_sums(
     *,
     threads: int,
     progress: Share | None = None,
-) -> tuple[Int64, NDArray[np.bool_]]:
-    """Σ weight of the patch · weight of the trial · worth of the number of images, for all combinations.
+) -> tuple[Int64, Flags]:
+    """Σ weight of the patch · weight of the hypothesis · value of the number of images, for all combinations.
 
-    Parameters
-    ----------
-    counts
-        One array per light, shape (candidates, levels, p, ⌈t / 64⌉): flag j of a trial says that a candidate's images
-        show it more than j times. A light shows nothing more often than it has levels, nor more often than matters.
-    weights
-        Of the patches, shape (p,).
-    planes
-        The trials' weights: masks of those that share a factor, and the factors; see
-        :func:`lightopt.design.responses._visibility.trial_planes`.
-    values
-        What 0, 1, … images are worth; more than the last are worth as much as it. One row per table, shape (v, n + 1).
-    threads
-        Number of threads; the sums do not depend on it.
-    progress
-        Called with the share that is done.
-
-    Returns
-    -------
-    tables
-        Shape (v, combinations), the last light's candidates varying fastest.
-    left
-        Patches that the tables leave out since their flags change at too many places, shape (p,).
+    counts: One array per light, shape (candidates, levels, p, ⌈t / 64⌉): flag j of a hypothesis says that a
+        candidate's images show it more than j times. A light has as many levels as images, or as many as matter.
+    weights: Of the patches, shape (p,).
+    planes: Masks of the hypotheses that share a factor, and the factors; see
+        :func:`lightopt.design.responses._visibility.weight_planes`.
+    values: Of 0, 1, … images; more than the last have its value. One row per table, shape (v, n + 1).
+    Returns tables: Shape (v, combinations), the last light's candidates varying fastest.
+    Returns left: Patches that the tables omit since their flags change at too many places, shape (p,).
     """
     sizes = [len(layer) for layer in counts]
     fixed = [layer for layer in counts if len(layer) == 1]
@@ -127,7 +110,7 @@ def count_run_sums(
 
 
 def _coefficients(values: Int64, lights: int, levels: int) -> Int64:
-    # entry (v, j, m, s): Δ(m, s) of table v where the lights without a choice show a trial j times
+    # entry (v, j, m, s): Δ(m, s) of table v where the lights without a choice show a hypothesis j times
     tables, length = values.shape
     found = np.zeros((tables, length, lights + 1, lights * levels + 1), np.int64)
     for j in range(length):
@@ -139,7 +122,7 @@ def _coefficients(values: Int64, lights: int, levels: int) -> Int64:
     return found
 
 
-def _matters(coefficients: Int64, lights: int, levels: int) -> NDArray[np.bool_]:
+def _matters(coefficients: Int64, lights: int, levels: int) -> Flags:
     # entry (j, r, m, s): whether a product may still come to a coefficient other than 0 with r more lights
     here = (coefficients != 0).any(axis=0)
     found = np.zeros((here.shape[0], lights + 1, *here.shape[1:]), np.bool_)
@@ -152,7 +135,7 @@ def _matters(coefficients: Int64, lights: int, levels: int) -> NDArray[np.bool_]
 
 
 def _shown_by_fixed(images: Sequence[Words], shape: tuple[int, int], most: int) -> Words:
-    # row j: trials that the lights without a choice show exactly j times; the last row has those of `most` and more
+    # row j: hypotheses that the lights without a choice show exactly j times; the last row has those of `most` and more
     above = np.zeros((most, *shape), np.uint64)
     for image in images:
         add_image(above, image)
@@ -170,15 +153,15 @@ def _scatter(
     masks: Words,
     factors: Int64,
     coefficients: Int64,
-    matters: NDArray[np.bool_],
+    matters: Flags,
     most: int,
-    left: NDArray[np.bool_],
+    left: Flags,
 ) -> None:
     zero = np.uint64(0)
-    # products of changes: place in the table, trials, sign, number of lights, sum of their levels
-    at, trials = np.empty(most, np.int64), np.empty(most, np.uint64)
+    # products of changes: place in the table, hypotheses, sign, number of lights, sum of their levels
+    at, hypotheses = np.empty(most, np.int64), np.empty(most, np.uint64)
     sign, order, total = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.int64)
-    # the changes of each light: where, which trials, rising or falling, of which level
+    # the changes of each light: where, which hypotheses, rising or falling, of which level
     size = 2 * rows.shape[2] * rows.shape[3]
     places, signs, levels = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.int64)
     changed, ends = np.empty(size, np.uint64), np.empty(len(strides) + 1, np.int64)
@@ -187,29 +170,29 @@ def _scatter(
         for w in range(rows.shape[1]):
             for j in range(len(shown)):
                 starts += shown[j, p, w] != zero
-        # a patch with too many products is left out whole: where there are several words, they are looked at before
+        # a patch with too many products is left out whole: where there are several words, a first pass counts them
         passes = 1 if starts == 1 else 2
-        for turn in range(passes):
+        for attempt in range(passes):
             for w in range(rows.shape[1]):
                 _changes(rows[p, w], strides, first, places, changed, signs, levels, ends)
                 for j in range(len(shown)):
                     if shown[j, p, w] == zero:
                         continue
-                    at[0], trials[0], sign[0], order[0], total[0] = 0, shown[j, p, w], 1, 0, 0
+                    at[0], hypotheses[0], sign[0], order[0], total[0] = 0, shown[j, p, w], 1, 0, 0
                     number = _products(
-                        places, changed, signs, levels, ends, matters[j], at, trials, sign, order, total
+                        places, changed, signs, levels, ends, matters[j], at, hypotheses, sign, order, total
                     )
                     if number < 0:
                         left[p] = True
                         break
-                    if turn < passes - 1:
+                    if attempt < passes - 1:
                         continue
                     for node in range(number):
                         for v in range(len(differences)):
                             c = coefficients[v, j, order[node], total[node]] * sign[node]
                             if c != 0:
-                                worth = weights[p] * word_weight(trials[node], w, masks, factors)
-                                differences[v, at[node]] += c * worth
+                                weight = weights[p] * word_weight(hypotheses[node], w, masks, factors)
+                                differences[v, at[node]] += c * weight
                 if left[p]:
                     break
             if left[p]:
@@ -257,9 +240,9 @@ def _products(
     signs: Int64,
     levels: Int64,
     ends: Int64,
-    matters: NDArray[np.bool_],
+    matters: Flags,
     at: Int64,
-    trials: Words,
+    hypotheses: Words,
     sign: Int64,
     order: Int64,
     total: Int64,
@@ -272,12 +255,12 @@ def _products(
         rest = matters[lights - light - 1]
         for node in range(size):
             for k in range(ends[light], ends[light + 1]):
-                both = trials[node] & changed[k]
+                both = hypotheses[node] & changed[k]
                 if both == np.uint64(0) or not rest[order[node] + 1, total[node] + levels[k]]:
                     continue
                 if more == len(at):
                     return -1
-                at[more], trials[more] = at[node] + places[k], both
+                at[more], hypotheses[more] = at[node] + places[k], both
                 sign[more], order[more] = sign[node] * signs[k], order[node] + 1
                 total[more] = total[node] + levels[k]
                 more += 1

@@ -19,17 +19,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.core.progress import Share, part_of, pieces
+from lightopt.design._arrays import Float64, Int64
 from lightopt.design.objectives._bit_sums import bit_scores
 from lightopt.design.objectives._class_runs import run_products, run_scores
 from lightopt.design.objectives._objective import INSPECTABLE_SURFACE, area_text
-from lightopt.design.objectives._upper_bounds import reach
-from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Thresholds, area_units
-
-Float64 = NDArray[np.float64]
-Int64 = NDArray[np.int64]
+from lightopt.design.objectives._upper_bounds import level_range
+from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, area_units
 
 LEAST_USABLE = 2
 """Images that must show a patch usably."""
@@ -44,23 +41,21 @@ BITS_SHARE = 512
 ways take about the same time."""
 
 BOUND_PATCHES = 1 << 16
-"""Patches whose bound is worked out at once."""
+"""Patches whose bound is computed at once."""
 
 
 @dataclass(frozen=True)
-class Coverage:
+class CoverageObjective:
     """Usable area; see the module's text."""
 
     name: str = "coverage"
     unit: str = "µm²"
     share_of: str = INSPECTABLE_SURFACE
 
-    def shown(self, score: int, grain: float) -> str:
-        """In mm²."""
+    def format_score(self, score: int, grain: float) -> str:
         return area_text(score, grain)
 
-    def whole(self, area: int) -> int | None:
-        """All of the area."""
+    def full_score(self, area: int) -> int | None:
         return area
 
     def refusal(self, lights: int) -> str | None:
@@ -73,11 +68,9 @@ class Coverage:
         )
 
     def weights(self, areas: Float64) -> Int64:
-        """Each patch counts by its area."""
         return area_units(areas)
 
-    def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
-        """Count images, compare, add areas."""
+    def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
         levels = np.concatenate(matrix.levels)
         saturated = levels >= thresholds.saturation
         usable = (levels >= thresholds.shade) & ~saturated
@@ -88,7 +81,7 @@ class Coverage:
         self,
         matrix: LuminanceMatrix,
         weights: Int64,
-        thresholds: Thresholds,
+        thresholds: LevelThresholds,
         *,
         threads: int,
         progress: Share | None = None,
@@ -98,10 +91,10 @@ class Coverage:
         products = run_products(levels, thresholds)
         cells = math.prod(len(layer) for layer in levels)
         simple = products <= max(64.0, cells / BITS_SHARE)
-        # of the work that there is, in boxes
+        # the work of each way, in boxes
         by_runs = float(products[simple].sum())
         by_bits = float(np.count_nonzero(~simple)) * cells / BITS_SHARE
-        turn = by_runs / max(1.0, by_runs + by_bits)
+        share = by_runs / max(1.0, by_runs + by_bits)
         table = run_scores(
             levels,
             np.flatnonzero(simple),
@@ -109,7 +102,7 @@ class Coverage:
             thresholds,
             rule=RULE,
             threads=threads,
-            progress=part_of(progress, 0.0, turn),
+            progress=part_of(progress, 0.0, share),
         )
         if not simple.all():
             table += bit_scores(
@@ -119,18 +112,18 @@ class Coverage:
                 thresholds,
                 rule=RULE,
                 threads=threads,
-                progress=part_of(progress, turn, 1.0),
+                progress=part_of(progress, share, 1.0),
             )
         return table
 
-    def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
+    def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
         """Patches that could be usable under two lights and need not be saturated under more than one."""
         total = 0
         for start, end in pieces(len(weights), BOUND_PATCHES):
             can_use = np.zeros(end - start, np.int64)
             must_saturate = np.zeros(end - start, np.int64)
             for layer in matrix.levels:
-                light = reach(layer, thresholds, start, end)
+                light = level_range(layer, thresholds, start, end)
                 can_use += light.usable >= 0
                 must_saturate += light.least >= thresholds.saturation
             could = (can_use >= LEAST_USABLE) & (must_saturate <= MOST_SATURATED)
@@ -138,9 +131,8 @@ class Coverage:
         return total
 
     def details(self, matrices: Sequence[LuminanceMatrix], weights: Sequence[Int64]) -> Mapping[str, Any]:
-        """Nothing."""
         del matrices, weights
         return {}
 
 
-COVERAGE = Coverage()
+COVERAGE = CoverageObjective()

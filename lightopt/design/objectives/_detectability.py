@@ -1,7 +1,7 @@
 """Objective ``detectability``: of the defects that the inspection is planned for, those that enough images show.
 
-With the trials t of the part's catalogue (:mod:`lightopt.design.responses._defect_hypotheses`), n(p, t) the number of
-images in which trial t is visible on patch p (:mod:`lightopt.design.responses._contrast`), and k from ``--seen-in``,
+With the hypotheses t of the part's catalogue (:mod:`lightopt.design.responses._defect_hypotheses`), n(p, t) the number
+of images in which t is visible on patch p (:mod:`lightopt.design.responses._contrast`), and k from ``--seen-in``,
 
     score = Σ_p area(p) · Σ_t weight(t) · [n(p, t) ≥ k],
 
@@ -18,19 +18,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.core.errors import InputError, counted
 from lightopt.core.progress import Share
-from lightopt.design.objectives._bit_runs import bit_run_scores, flags_of
+from lightopt.design._arrays import Flags, Float64, Int64
+from lightopt.design.objectives._bit_runs import bit_run_scores
 from lightopt.design.objectives._objective import INSPECTABLE_SURFACE, area_text
-from lightopt.design.responses._defect_hypotheses import Trial
-from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Thresholds, area_units
+from lightopt.design.responses._defect_hypotheses import DefectHypothesis
+from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, area_units
+from lightopt.design.responses._packed_bits import unpack_flags
 from lightopt.design.responses._visibility import Visibility
-
-Float64 = NDArray[np.float64]
-Int64 = NDArray[np.int64]
-
 
 SCORE_IS = (
     "sum over patches and defects that are seen of area [µm²] × weight of the defect; where all are seen it is "
@@ -47,21 +44,15 @@ def seen_in_problem(seen_in: int) -> str | None:
 
 
 @dataclass(frozen=True)
-class Detectability:
+class DetectabilityObjective:
     """Defects that enough images show; see the module's text.
 
-    Attributes
-    ----------
-    trials
-        The defects.
-    seen_in
-        Images that must show a defect.
-    across_postures
-        Whether images of other postures confirm, so that a posture may have fewer lights than that; the score of its
-        own images is then 0.
+    seen_in: Images that must show a defect.
+    across_postures: Whether images of other postures count, so that a posture may have fewer lights than that; the
+        score of its own images is then 0.
     """
 
-    trials: tuple[Trial, ...]
+    hypotheses: tuple[DefectHypothesis, ...]
     seen_in: int = 1
     across_postures: bool = False
     name: str = "detectability"
@@ -74,15 +65,13 @@ class Detectability:
 
     @property
     def total_weight(self) -> int:
-        """Sum of the trials' weights."""
-        return sum(trial.weight for trial in self.trials)
+        return sum(hypothesis.weight for hypothesis in self.hypotheses)
 
-    def shown(self, score: int, grain: float) -> str:
+    def format_score(self, score: int, grain: float) -> str:
         """In mm², of the mean defect."""
         return area_text(score / self.total_weight, grain)
 
-    def whole(self, area: int) -> int | None:
-        """All (patch, defect) pairs, by area and weight."""
+    def full_score(self, area: int) -> int | None:
         return area * self.total_weight
 
     def refusal(self, lights: int) -> str | None:
@@ -95,20 +84,18 @@ class Detectability:
         )
 
     def weights(self, areas: Float64) -> Int64:
-        """Each patch counts by its area."""
         return area_units(areas)
 
-    def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
-        """Count images, compare, add weights."""
+    def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
         del thresholds
         per_trial = weights @ self._seen(_visibility(matrix))
-        return int(per_trial @ self._trial_weights())
+        return int(per_trial @ self._hypothesis_weights())
 
     def scores(
         self,
         matrix: LuminanceMatrix,
         weights: Int64,
-        thresholds: Thresholds,
+        thresholds: LevelThresholds,
         *,
         threads: int,
         progress: Share | None = None,
@@ -120,14 +107,14 @@ class Detectability:
             visibility.words,
             weights,
             visibility.planes,
-            self._trial_weights(),
+            self._hypothesis_weights(),
             least=self.seen_in,
             threads=threads,
             progress=progress,
         )
 
-    def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
-        """What could be seen if each light stood where it serves each defect best."""
+    def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
+        """What could be seen if each light stood where it shows each defect best."""
         del thresholds
         visibility = _visibility(matrix)
         return int(weights @ visibility.weights(visibility.reachable(self.seen_in)))
@@ -137,14 +124,14 @@ class Detectability:
         area = sum(int(own.sum()) for own in weights)
         seen = sum(
             (own @ self._seen(_visibility(matrix)) for matrix, own in zip(matrices, weights, strict=True)),
-            start=np.zeros(len(self.trials), np.int64),
+            start=np.zeros(len(self.hypotheses), np.int64),
         )
         return self.facts(seen, area)
 
     def facts(self, seen_areas: Int64, area: int) -> Mapping[str, Any]:
-        """The same of the areas on which each trial is seen, shape (t,), and the area that they are shares of [µm²]."""
+        """The same for areas on which each hypothesis is seen, shape (t,), as shares of an area [µm²]."""
         seen = seen_areas / max(1, area)
-        kinds = self._mean_shares([trial.name for trial in self.trials], seen)
+        kinds = self._mean_shares([hypothesis.name for hypothesis in self.hypotheses], seen)
         facts: dict[str, Any] = {
             "score_is": SCORE_IS,
             "area_um2": area,
@@ -153,28 +140,27 @@ class Detectability:
             "defects": kinds,
             "worst_defect": min(kinds, key=lambda name: kinds[name]),
         }
-        leaning = [k for k, trial in enumerate(self.trials) if trial.slope > 0.0]
+        leaning = [k for k, hypothesis in enumerate(self.hypotheses) if hypothesis.slope > 0.0]
         if leaning:
             around = self._mean_shares(
-                [f"{round(math.degrees(self.trials[k].direction), 6):g}" for k in leaning],
-                seen[leaning],
+                [f"{round(math.degrees(self.hypotheses[k].direction), 6):g}" for k in leaning], seen[leaning]
             )
             worst = min(around, key=lambda name: around[name])
             facts["directions_deg"] = around
             facts["worst_direction_deg"] = float(worst)
         return facts
 
-    def _seen(self, visibility: Visibility) -> NDArray[np.bool_]:
-        # of one position of each light: which trials enough images show, shape (p, t)
-        count = len(self.trials)
-        images = sum((flags_of(layer[0], count) for layer in visibility.words), start=np.uint8(0))
+    def _seen(self, visibility: Visibility) -> Flags:
+        # for one position of each light: which hypotheses enough images show, shape (p, t)
+        count = len(self.hypotheses)
+        images = sum((unpack_flags(layer[0], count) for layer in visibility.words), start=np.uint8(0))
         return np.asarray(images >= self.seen_in)
 
-    def _trial_weights(self) -> Int64:
-        return np.array([trial.weight for trial in self.trials], np.int64)
+    def _hypothesis_weights(self) -> Int64:
+        return np.array([hypothesis.weight for hypothesis in self.hypotheses], np.int64)
 
     def _mean_shares(self, names: Sequence[str], shares: Float64) -> dict[str, float]:
-        # mean over the trials of a name, in the order of the names
+        # mean over the hypotheses of a name, in the order of the names
         return {
             name: round(float(np.mean([x for n, x in zip(names, shares, strict=True) if n == name])), 6)
             for name in dict.fromkeys(names)

@@ -1,7 +1,7 @@
-"""Tables that are added up as differences: each thread scatters into an array of its own, and running sums end it.
+"""Tables summed from mixed differences: each thread scatters into an array of its own; running sums complete them.
 
 Where a number c fills the box [a, b) × [a', b') × … of a table, the array of its mixed differences has ±c at the box's
-corners and 0 elsewhere. So whatever fills boxes costs a few numbers, however many cells the table has.
+corners and 0 elsewhere. So a box costs a few numbers, however many cells it has.
 """
 
 from __future__ import annotations
@@ -12,32 +12,18 @@ from contextlib import contextmanager
 from queue import Empty, SimpleQueue
 
 import numpy as np
-from numpy.typing import NDArray
 
-Int64 = NDArray[np.int64]
+from lightopt.design._arrays import Int64
 
 MOST_DIFFERENCES = 1 << 25
 """Most numbers in the arrays of all threads: 256 MiB."""
 
 
 class Differences:
-    """Arrays of mixed differences of tables over the same axes, made as threads ask for them.
+    """Arrays of mixed differences of `tables` tables over axes of `sizes`, one per thread on demand.
 
-    Parameters
-    ----------
-    sizes
-        Of the tables' axes.
-    threads
-        That may ask at the same time, as far as memory allows.
-    tables
-        How many tables each array is of.
-
-    Attributes
-    ----------
-    workers
-        Threads that memory allows, at least 1.
-    strides
-        Of the axes in a table as one row, shape (axes,).
+    workers: Threads that memory allows, at least 1.
+    strides: Of the axes in a table as one row, shape (axes,).
     """
 
     def __init__(self, sizes: Sequence[int], threads: int, *, tables: int = 1) -> None:
@@ -50,7 +36,7 @@ class Differences:
 
     @contextmanager
     def borrowed(self) -> Generator[Int64, None, None]:
-        """An array to add differences to that no other thread has, shape (tables, cells)."""
+        """An array for differences that no other thread uses, shape (tables, cells)."""
         try:
             array = self._free.get_nowait()
         except Empty:
@@ -60,7 +46,7 @@ class Differences:
         self._free.put(array)
 
     def summed(self) -> Int64:
-        """The tables, shape (tables, cells), the last axis varying fastest; the arrays are used up."""
+        """The tables, shape (tables, cells), the last axis varying fastest; the arrays are consumed."""
         total = self._made[0] if self._made else np.zeros(self._shape, np.int64)
         for array in self._made[1:]:
             total += array

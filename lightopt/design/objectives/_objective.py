@@ -1,4 +1,4 @@
-"""What an objective has to offer, so that the search can find its optimum."""
+"""What the search needs of an objective, and how its scores read."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lightopt.core.errors import percent
 from lightopt.core.progress import Share
-from lightopt.design.responses._luminance_matrix import AREA_UNIT_MM2, LuminanceMatrix, Thresholds
+from lightopt.design._arrays import Float64, Int64
+from lightopt.design.responses._luminance_matrix import AREA_UNIT_MM2, LevelThresholds, LuminanceMatrix
 from lightopt.rendering import GRAZING_DEG
 
 INSPECTABLE_SURFACE = (
@@ -20,8 +18,6 @@ INSPECTABLE_SURFACE = (
 )
 """What shares of area are shares of."""
 
-Float64 = NDArray[np.float64]
-Int64 = NDArray[np.int64]
 
 NEAR_PER_MILLE = 5
 """How near to the best a score is near [thousandths of the inspectable area, where a score is an area; else of the best
@@ -30,23 +26,20 @@ score]: half a point, less than what placement and reflectance are known to."""
 
 def share_of_whole(objective: Objective, score: int, area: int) -> float | None:
     """A score as a share of the inspectable area [µm²]; None where it is no area."""
-    whole = objective.whole(area)
+    whole = objective.full_score(area)
     return None if whole is None else score / max(1, whole)
 
 
 def near_margin(objective: Objective, best: int, area: int) -> int:
-    """By how much a score may be below the best one and still be near it: see :data:`NEAR_PER_MILLE`."""
-    whole = objective.whole(area)
+    """How far a score may be below the best one and still be near it: see :data:`NEAR_PER_MILLE`."""
+    whole = objective.full_score(area)
     return NEAR_PER_MILLE * (best if whole is None else whole) // 1000
 
 
 def area_text(area: float, grain: float) -> str:
-    """An area in mm², to the digit that its grain supports, hundredths at most.
+    """An area [µm²] in mm², to the digit that its grain supports, hundredths at most.
 
-    Parameters
-    ----------
-    area, grain
-        The area, and how far it may be off since each patch counts as its middle does [µm²].
+    The grain is how far the area may be off since each patch counts as its middle does [µm²].
 
     Examples
     --------
@@ -66,12 +59,8 @@ def area_text(area: float, grain: float) -> str:
 def share_text(share: float, grain: float, *, short_of: float = 1.0) -> str:
     """A share of the surface to the decimals that its grain supports, one at most.
 
-    Parameters
-    ----------
-    share, grain
-        The share, and how far it may be off since each patch counts as its middle does.
-    short_of
-        As for :func:`lightopt.core.errors.percent`.
+    The grain is how far the share may be off since each patch counts as its middle does; `short_of` is as for
+    :func:`lightopt.core.errors.percent`.
 
     Examples
     --------
@@ -89,14 +78,9 @@ def share_text(share: float, grain: float, *, short_of: float = 1.0) -> str:
 class Objective(Protocol):
     """A score of a combination of light positions, in whole numbers; larger is better, 0 is nothing gained.
 
-    Attributes
-    ----------
-    name
-        As on the command line.
-    unit
-        What one unit of the score is.
-    share_of
-        What a score is a share of, in words; None where it is no area.
+    name: As on the command line.
+    unit: Of one unit of the score.
+    share_of: What a score is a share of, in words; None where it is no area.
     """
 
     @property
@@ -108,73 +92,48 @@ class Objective(Protocol):
     @property
     def share_of(self) -> str | None: ...
 
-    def shown(self, score: int, grain: float) -> str:
+    def format_score(self, score: int, grain: float) -> str:
         """A score, or a difference of two, for people, with its unit; areas to the digits of their grain [µm²]."""
         ...
 
-    def whole(self, area: int) -> int | None:
-        """The score of an inspectable area [µm²] that is won wholly; None where a score is no area."""
+    def full_score(self, area: int) -> int | None:
+        """The score of a fully covered inspectable area [µm²]; None where a score is no area."""
         ...
 
     def refusal(self, lights: int) -> str | None:
-        """Why the objective says nothing of this number of lights; None where it does."""
+        """Why the objective is undefined for this number of lights; None where it is defined."""
         ...
 
     def weights(self, areas: Float64) -> Int64:
         """How much each patch counts in the score and in its ties, shape (p,); areas in [mm²]."""
         ...
 
-    def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
-        """Score of one combination, straight from its definition.
-
-        Parameters
-        ----------
-        matrix
-            With one candidate of each light.
-        weights
-            From :meth:`weights`.
-        thresholds
-            Which levels are usable.
-        """
+    def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
+        """Score of one combination, directly from its definition; `matrix` has one candidate of each light."""
         ...
 
     def scores(
         self,
         matrix: LuminanceMatrix,
         weights: Int64,
-        thresholds: Thresholds,
+        thresholds: LevelThresholds,
         *,
         threads: int,
         progress: Share | None = None,
     ) -> Int64:
         """Scores of all combinations, exact: one number each, the last light's candidates varying fastest.
 
-        Parameters
-        ----------
-        matrix
-            With all candidates.
-        weights, thresholds
-            As in :meth:`score`.
-        threads
-            Number of threads; the scores do not depend on it.
-        progress
-            Called often from the calling thread with the share that is done; an exception that it raises ends the work
-            soon.
+        `progress` is called often, from the calling thread; an exception that it raises ends the work soon.
         """
         ...
 
-    def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
-        """A score that no combination exceeds; parameters as in :meth:`scores`."""
+    def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
+        """A score that no combination exceeds."""
         ...
 
     def details(self, matrices: Sequence[LuminanceMatrix], weights: Sequence[Int64]) -> Mapping[str, Any]:
-        """What else there is to say of one combination, as JSON; nothing for most objectives.
+        """Further facts on one combination, as JSON; nothing for most objectives.
 
-        Parameters
-        ----------
-        matrices
-            With one candidate of each light; one per posture.
-        weights
-            From :meth:`weights`, of each.
+        `matrices` have one candidate of each light; one matrix and one array of weights per posture.
         """
         ...

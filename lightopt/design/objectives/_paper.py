@@ -16,8 +16,7 @@ even n the term of all n lights cancels likewise. There are 2ⁿ sets: with many
 
     h(x_2) + … + h(x_{n−1}) = Σ_l h(level under light l) − h(x_1) − h(x_n)
 
-is the cheaper way, in which lights with one candidate only are looked at once. Whichever looks at fewer levels is
-taken.
+is the cheaper way, in which lights with one candidate only are read once. The way that reads fewer levels is taken.
 """
 
 from __future__ import annotations
@@ -30,18 +29,14 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.core.errors import counted
 from lightopt.core.progress import Share, Work, pieces
 from lightopt.core.threads import Task, run_all
-from lightopt.design.objectives._extreme_sums import extreme_tasks
-from lightopt.design.objectives._minimum_sums import Capped, minimum_tasks
-from lightopt.design.objectives._upper_bounds import reach
-from lightopt.design.responses._luminance_matrix import Levels, LuminanceMatrix, Thresholds, usable_sums
-
-Float64 = NDArray[np.float64]
-Int64 = NDArray[np.int64]
+from lightopt.design._arrays import Float64, Int64
+from lightopt.design.objectives._level_sums import Capped, extreme_tasks, minimum_tasks
+from lightopt.design.objectives._upper_bounds import level_range
+from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds, LuminanceMatrix, usable_sums
 
 BLOCK_LEVELS = 1 << 24
 """Levels that are capped at once: the only copies of levels that are made."""
@@ -57,20 +52,19 @@ MOST_LIGHTS_IN_SETS = 16
 
 
 @dataclass(frozen=True)
-class Paper:
+class PaperObjective:
     """The paper's evaluation value; see the module's text."""
 
     name: str = "paper"
     unit: str = "sensor level"
     share_of: None = None
 
-    def shown(self, score: int, grain: float) -> str:
+    def format_score(self, score: int, grain: float) -> str:
         """A plain number: sums of levels have no other unit."""
         del grain
         return f"{score:,}"
 
-    def whole(self, area: int) -> int | None:
-        """None: levels are no area."""
+    def full_score(self, area: int) -> int | None:
         del area
 
     def refusal(self, lights: int) -> str | None:
@@ -86,7 +80,7 @@ class Paper:
         """Every patch counts the same, as every polygon does in the paper."""
         return np.ones(len(areas), np.int64)
 
-    def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
+    def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
         """Sort, drop the ends, zero what is not usable, sum."""
         middle = np.sort(np.concatenate(matrix.levels), axis=0)[1:-1].astype(np.int64)
         usable = (middle >= thresholds.shade) & (middle < thresholds.saturation)
@@ -96,7 +90,7 @@ class Paper:
         self,
         matrix: LuminanceMatrix,
         weights: Int64,
-        thresholds: Thresholds,
+        thresholds: LevelThresholds,
         *,
         threads: int,
         progress: Share | None = None,
@@ -131,7 +125,7 @@ class Paper:
             )
         return result
 
-    def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: Thresholds) -> int:
+    def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
         """The lesser of two limits of each patch: its n − 2 largest usable levels, and its middle greatest levels.
 
         The second holds since the j-th level of any combination is at most the j-th of the lights' greatest levels.
@@ -139,7 +133,7 @@ class Paper:
         del weights  # all 1
         levels, total, black = matrix.levels, 0, thresholds.black
         for start, end in pieces(levels[0].shape[1], max(1, BLOCK_LEVELS // len(levels))):
-            some = [reach(layer, thresholds, start, end) for layer in levels]
+            some = [level_range(layer, thresholds, start, end) for layer in levels]
             usable = np.sort([np.maximum(one.usable - black, 0) for one in some], axis=0)[2:]
             greatest = np.sort([one.greatest for one in some], axis=0)[1:-1]
             lit = np.minimum(greatest, thresholds.saturation - 1) - black
@@ -148,13 +142,12 @@ class Paper:
         return total
 
     def details(self, matrices: Sequence[LuminanceMatrix], weights: Sequence[Int64]) -> Mapping[str, Any]:
-        """Nothing."""
         del matrices, weights
         return {}
 
 
 def _tables(sizes: Sequence[int]) -> list[tuple[tuple[int, ...], int, Int64]]:
-    # sets of lights, their coefficients and tables; none where the combinations themselves are fewer levels to look at
+    # sets of lights, their coefficients and tables; none where the combinations themselves read fewer levels
     lights = len(sizes)
     if lights > MOST_LIGHTS_IN_SETS:
         return []
@@ -169,7 +162,7 @@ def _tables(sizes: Sequence[int]) -> list[tuple[tuple[int, ...], int, Int64]]:
     return [(chosen, c, np.zeros(tuple(sizes[i] for i in chosen), np.int64)) for chosen, c in sets]
 
 
-def _all_usable(levels: Sequence[Levels], weights: Int64, thresholds: Thresholds) -> Int64:
+def _all_usable(levels: Sequence[Levels], weights: Int64, thresholds: LevelThresholds) -> Int64:
     # sum over the lights of their usable levels, for all combinations
     total = np.zeros(1, np.int64)
     for layer in levels:
@@ -183,10 +176,10 @@ def _coefficients(lights: int) -> list[int]:
     return [sum((-1) ** (m - k) * math.comb(m, k) * wanted[k] for k in range(m + 1)) for m in range(lights)]
 
 
-def _capped(layer: Levels, thresholds: Thresholds) -> Levels:
+def _capped(layer: Levels, thresholds: LevelThresholds) -> Levels:
     zero, black = layer.dtype.type(0), layer.dtype.type(thresholds.black)
     cap = layer.dtype.type(min(thresholds.saturation, np.iinfo(layer.dtype).max))
     return np.where(layer >= thresholds.shade, np.minimum(layer, cap) - black, zero)
 
 
-PAPER = Paper()
+PAPER = PaperObjective()

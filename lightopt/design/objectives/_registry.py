@@ -1,4 +1,4 @@
-"""The objectives by name."""
+"""The objectives by name: add an objective here."""
 
 from __future__ import annotations
 
@@ -7,42 +7,35 @@ from functools import partial
 
 from lightopt.core.errors import InputError
 from lightopt.design.objectives._coverage import COVERAGE
-from lightopt.design.objectives._detectability import Detectability
+from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.objectives._paper import PAPER
 
 OBJECTIVES: dict[str, Objective] = {objective.name: objective for objective in (COVERAGE, PAPER)}
-"""Those that need levels alone, in the order in which they are computed unless asked otherwise; the first one decides
-where the lights go."""
+"""Those that need levels alone, in default order; the first one decides where the lights go."""
 
 
 def objectives_named(
-    names: Sequence[str], detectability: Callable[[], Detectability] | None = None
+    names: Sequence[str], detectability: Callable[[], DetectabilityObjective] | None = None
 ) -> tuple[Objective, ...]:
-    """The objectives of these names; all that need levels alone for none.
+    """The objectives of these names; without names, all that need levels alone.
 
-    Parameters
-    ----------
-    names
-        As on the command line.
-    detectability
-        Makes the objective of that name, which depends on a part's catalogue of defects.
+    `detectability` creates the objective of that name, which depends on a part's catalogue of defects.
 
-    Raises
-    ------
-    InputError
-        An unknown name, or one given twice.
+    Raises InputError: An unknown name, or one given twice.
     """
-    makers: dict[str, Callable[[], Objective]] = {
+    factories: dict[str, Callable[[], Objective]] = {
         name: partial(OBJECTIVES.__getitem__, name) for name in OBJECTIVES
     }
     if detectability is not None:
-        makers["detectability"] = detectability
+        factories["detectability"] = detectability
     problems = [
-        f'--objective: expected {" or ".join(makers)}, found "{name}"' for name in names if name not in makers
+        f'--objective: expected {" or ".join(factories)}, found "{name}"'
+        for name in names
+        if name not in factories
     ]
     if len(set(names)) < len(names):
         problems.append("--objective: the same objective was given twice")
     if problems:
         raise InputError(*problems)
-    return tuple(makers[name]() for name in names) or tuple(OBJECTIVES.values())
+    return tuple(factories[name]() for name in names) or tuple(OBJECTIVES.values())

@@ -1,28 +1,22 @@
-"""What a light can do at each patch, whichever of its candidates is taken: what bounds are made of."""
+"""Extreme levels of each patch over all candidates of a light, from which bounds are computed."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.core.kernels import kernel
-from lightopt.design.responses._luminance_matrix import Levels, Thresholds
-
-Int64 = NDArray[np.int64]
+from lightopt.design._arrays import Int64
+from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reach:
+class LevelRange:
     """Levels at patches over all candidates of a light, each of shape (p,).
 
-    Attributes
-    ----------
-    usable
-        The greatest usable level; −1 where none is usable.
-    greatest, least
-        The greatest and the least level.
+    usable: The greatest usable level; −1 where none is usable.
+    greatest, least: The greatest and the least level.
     """
 
     usable: Int64
@@ -30,10 +24,10 @@ class Reach:
     least: Int64
 
 
-def reach(layer: Levels, thresholds: Thresholds, start: int, end: int) -> Reach:
-    """What a light can do at the patches from `start` to `end`."""
+def level_range(layer: Levels, thresholds: LevelThresholds, start: int, end: int) -> LevelRange:
+    """The range of a light's levels at the patches from `start` to `end`."""
     usable, greatest, least = _reach(layer, thresholds.shade, thresholds.saturation, start, end)
-    return Reach(usable=usable, greatest=greatest, least=least)
+    return LevelRange(usable=usable, greatest=greatest, least=least)
 
 
 @kernel

@@ -1,8 +1,8 @@
-"""Postures and lights that take turns, until neither shows more for the other.
+"""Alternating search for postures and lights, until neither improves the other.
 
-The lights are placed for the postures by trying every combination of their positions, the postures are chosen for the
-lights by greedy cover and exchanges. No turn shows less than the one before, so that they come to an end: a local
-optimum, which depends on where it began.
+The lights are placed for the postures by trying every combination of their positions; the postures are chosen for the
+lights by greedy cover and exchanges. No step shows less than the one before, so that the search ends: in a local
+optimum, which depends on the start.
 """
 
 from __future__ import annotations
@@ -15,194 +15,187 @@ from lightopt.core.transforms import Posture
 from lightopt.design._plan_progress import Tell
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.postures._best_set import best_set
-from lightopt.design.postures._choice import Wanted
-from lightopt.design.postures._combinations import PlaceCounts
-from lightopt.design.postures._common_lights import best_places
+from lightopt.design.postures._choice import PostureRequest
+from lightopt.design.postures._combinations import PositionCounts
 from lightopt.design.postures._counts import Counts
 from lightopt.design.postures._cover import Cover
-from lightopt.design.postures._exchange import exchanged
+from lightopt.design.postures._exchange import improve_by_exchange
 from lightopt.design.postures._greedy_cover import greedy_cover
-from lightopt.design.postures._light_positions import Places
-from lightopt.design.postures._pair_visibility import Survey
+from lightopt.design.postures._image_evaluator import ImageEvaluator
+from lightopt.design.postures._light_positions import LightPositions, best_positions
 from lightopt.scene import PanelLight
 
-KEPT_BYTES = 400_000_000
-"""Of the counts that are kept for lights to which turns may come back, and of those of all places of the last turn."""
+CACHED_BYTES = 400_000_000
+"""Of the counts that are cached: for recent lights, and for all positions in the last postures."""
 
 Lights = tuple[int, ...] | None
-"""Candidate of each light; None where they stand as the rig has them."""
+"""Candidate of each light; None for the rig's own positions."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class State:
-    """Lights, and the postures chosen for them.
+class Solution:
+    """Light positions, and the postures chosen for them.
 
-    Attributes
-    ----------
-    panels, lights
-        Where the lights stand, world frame, and which of their candidates that is.
-    cover
-        Postures.
-    exact
-        Whether every combination of the lights was tried at every turn.
-    turns
-        How often the lights were placed.
-    settled
-        Whether the last of these found no positions that show more in these postures.
+    panels, lights: The lights, world frame, and the index of each one's candidate.
+    exact: Whether every combination of the lights was tried in every iteration.
+    iterations: How often the lights were placed.
+    converged: Whether the last iteration found no positions that show more in these postures.
     """
 
     panels: tuple[PanelLight, ...]
     cover: Cover
     lights: Lights = None
     exact: bool = True
-    turns: int = 0
-    settled: bool = True
+    iterations: int = 0
+    converged: bool = True
 
 
-def merit(cover: Cover, wanted: Wanted) -> tuple[float, ...]:
-    """What makes one cover better than another: reaching the target with few first; without one, more seen."""
-    if wanted.target is not None and cover.share >= wanted.target:
-        return (1.0, -len(cover.steps), cover.reached, cover.worth)
-    return (0.0, cover.reached, cover.worth)
+def merit(cover: Cover, request: PostureRequest) -> tuple[float, ...]:
+    """Sort key of a cover: reaching the target with few postures first; without a target, more seen."""
+    if request.target is not None and cover.share >= request.target:
+        return (1.0, -len(cover.steps), cover.covered, cover.benefit)
+    return (0.0, cover.covered, cover.benefit)
 
 
-class Turns:
-    """Turns on the patches of a survey; what was worked out for lights or postures is not worked out again.
+class AlternatingSearch:
+    """Alternating search on the patches of an evaluator; results for lights or postures are cached.
 
-    Parameters
-    ----------
-    survey
-        The part, its images taken with the survey's exposures.
-    postures
-        To choose from.
-    candidates
-        Positions of the lights to choose from; None where no light moves.
-    least
-        Images that must show a pair, of all postures together.
-    where
-        The patches, for people.
-    prove
-        Whether all sets of postures are gone through where that is little work.
-    tell
-        Called with what is going on and the share of that which is done.
+    postures: To choose from.
+    candidates: Positions of the lights to choose from; None where no light moves.
+    seen_in: Images that must show a pair, of all postures together.
+    where: The patches, for progress messages.
+    prove: Whether all sets of postures are searched where that is little work.
     """
 
     def __init__(
         self,
-        survey: Survey,
+        evaluator: ImageEvaluator,
         postures: Sequence[Posture],
         candidates: Candidates | None,
         *,
-        least: int,
+        seen_in: int,
         where: str,
         prove: bool,
-        tell: Tell | None,
+        progress: Tell | None,
     ) -> None:
         self.prove = prove
-        self.survey, self.postures, self.candidates, self.least = survey, postures, candidates, least
-        self._where, self._tell, self._passes = where, tell, 0
+        self.evaluator, self.postures, self.candidates, self.seen_in = (
+            evaluator,
+            postures,
+            candidates,
+            seen_in,
+        )
+        self._where, self._progress, self._passes = where, progress, 0
         self._counts: dict[Lights, list[Counts]] = {}
-        self._places: dict[tuple[int, ...], Places] = {}
-        self._placed: tuple[tuple[int, ...], list[PlaceCounts]] | None = None
+        self._positions: dict[tuple[int, ...], LightPositions] = {}
+        self._last_counts: tuple[tuple[int, ...], list[PositionCounts]] | None = None
 
     def panels(self, lights: Sequence[int]) -> tuple[PanelLight, ...]:
-        """The lights at these of their candidates."""
+        """The panels for one candidate index per light."""
         assert self.candidates is not None
         return self.candidates.panels_at(lights)
 
-    def begin(self, panels: Sequence[PanelLight], lights: Lights, wanted: Wanted) -> State:
+    def solution_for(self, panels: Sequence[PanelLight], lights: Lights, request: PostureRequest) -> Solution:
         """The postures for lights."""
-        return State(
-            panels=tuple(panels), lights=lights, cover=self.cover(panels, lights, wanted), settled=False
+        return Solution(
+            panels=tuple(panels), lights=lights, cover=self.cover(panels, lights, request), converged=False
         )
 
-    def settled(self, now: State, most: int, wanted: Wanted) -> State:
-        """Lights for the postures, and postures for the lights, until nothing is gained or after so many turns."""
+    def improve(self, solution: Solution, most: int, request: PostureRequest) -> Solution:
+        """Place lights for the postures and choose postures for the lights, while that gains; `most` times at most."""
         if self.candidates is None:
-            return replace(now, settled=True)
+            return replace(solution, converged=True)
         for _ in range(most):
-            places = self.lights(now.cover.chosen, wanted)
-            now = replace(
-                now,
-                exact=now.exact and places.exact,
-                turns=now.turns + 1,
-                settled=places.reached <= now.cover.reached,
+            positions = self.lights(solution.cover.chosen, request)
+            solution = replace(
+                solution,
+                exact=solution.exact and positions.exact,
+                iterations=solution.iterations + 1,
+                converged=positions.covered <= solution.cover.covered,
             )
-            if places.candidates == now.lights:
-                return now
-            panels = self.panels(places.candidates)
-            better = self.cover(panels, places.candidates, wanted, before=now.cover.chosen)
-            gained = merit(better, wanted) > merit(now.cover, wanted)
-            # positions of the grid are taken before the lights as they stand where they serve as well
-            as_good = merit(better, wanted) == merit(now.cover, wanted)
-            if not gained and not (as_good and now.lights is None):
-                return now
-            now = replace(now, panels=panels, cover=better, lights=places.candidates, settled=False)
-        return now
+            if positions.candidates == solution.lights:
+                return solution
+            panels = self.panels(positions.candidates)
+            better = self.cover(panels, positions.candidates, request, before=solution.cover.chosen)
+            gained = merit(better, request) > merit(solution.cover, request)
+            # positions of the grid are preferred to the rig's own where they are as good
+            as_good = merit(better, request) == merit(solution.cover, request)
+            if not gained and not (as_good and solution.lights is None):
+                return solution
+            solution = replace(
+                solution, panels=panels, cover=better, lights=positions.candidates, converged=False
+            )
+        return solution
 
     def cover(
-        self, panels: Sequence[PanelLight], lights: Lights, wanted: Wanted, before: Sequence[int] = ()
+        self,
+        panels: Sequence[PanelLight],
+        lights: Lights,
+        request: PostureRequest,
+        before: Sequence[int] = (),
     ) -> Cover:
-        """Postures for lights: a greedy choice and those of the turn before, both bettered by exchanges.
+        """Postures for lights: a greedy choice and those of the previous iteration, both improved by exchanges.
 
-        On all patches, the best of all sets of as many, where that takes no more work than is meant for it.
+        With `prove` and a fixed number, the best of all sets of as many, where the search for it completes.
         """
-        counts, weights = self._seen(panels, lights), self.survey.weights
-        greedy = partial(greedy_cover, counts, weights, count=wanted.count, target=wanted.target)
+        counts, weights = self._counts_under(panels, lights), self.evaluator.weights
+        greedy = partial(greedy_cover, counts, weights, count=request.count, target=request.target)
         covers = [greedy()]
         sets = [covers[0].chosen, tuple(before)]
-        if wanted.target is None:
-            sets = [exchanged(counts, weights, some, threads=self.survey.threads) for some in sets]
-        covers += [greedy(among=some) for some in sets if some and some != covers[0].chosen]
-        best = max(covers, key=lambda cover: merit(cover, wanted))
-        if self.prove and wanted.target is None and wanted.count is not None:
-            size = min(wanted.count, len(counts))
-            chosen, most, sets = best_set(counts, weights, best.chosen, size, threads=self.survey.threads)
+        if request.target is None:
+            sets = [improve_by_exchange(counts, weights, one, threads=self.evaluator.threads) for one in sets]
+        covers += [greedy(among=one) for one in sets if one and one != covers[0].chosen]
+        best = max(covers, key=lambda cover: merit(cover, request))
+        if self.prove and request.target is None and request.count is not None:
+            size = min(request.count, len(counts))
+            chosen, max_covered, sets = best_set(
+                counts, weights, best.chosen, size, threads=self.evaluator.threads
+            )
             if chosen != best.chosen:
                 covers.append(greedy(among=chosen))
                 best = covers[-1]
-            best = best.searched(most, sets)
+            best = best.with_search(max_covered, sets)
         same = [cover.bounds for cover in covers if len(cover.bounds) == len(best.bounds)]
-        return replace(best, bounds=tuple(min(some) for some in zip(*same, strict=True)))
+        return replace(best, bounds=tuple(min(bounds) for bounds in zip(*same, strict=True)))
 
-    def lights(self, chosen: Sequence[int], wanted: Wanted) -> Places:
+    def lights(self, chosen: Sequence[int], request: PostureRequest) -> LightPositions:
         """The best positions of the lights for postures."""
         assert self.candidates is not None
         key = tuple(sorted(chosen))
-        if key not in self._places:
+        if key not in self._positions:
             self._passes += 1
-            self._places[key], counts = best_places(
-                self.survey,
-                [(self.postures[i], self.survey.exposures) for i in key],
+            self._positions[key], counts = best_positions(
+                self.evaluator,
+                [(self.postures[i], self.evaluator.exposures) for i in key],
                 self.candidates,
-                least=self.least,
-                limit=wanted.limit,
-                tell=lambda share: self._say("lights for postures", share),
+                seen_in=self.seen_in,
+                limit=request.limit,
+                progress=lambda share: self._report("lights for postures", share),
             )
-            small = sum(some.nbytes for some in counts) <= KEPT_BYTES
-            self._placed = (key, counts) if small else None
-        return self._places[key]
+            small = sum(one.nbytes for one in counts) <= CACHED_BYTES
+            self._last_counts = (key, counts) if small else None
+        return self._positions[key]
 
-    def placed(self, chosen: Sequence[int]) -> tuple[PlaceCounts, ...] | None:
-        """What each position of each light shows in postures, where the lights were placed for these last."""
-        if self._placed is None or self._placed[0] != tuple(sorted(chosen)):
+    def position_counts(self, chosen: Sequence[int]) -> tuple[PositionCounts, ...] | None:
+        """What each position of each light shows in postures; None unless the lights were last placed for these."""
+        if self._last_counts is None or self._last_counts[0] != tuple(sorted(chosen)):
             return None
-        return tuple(self._placed[1])
+        return tuple(self._last_counts[1])
 
-    def _seen(self, panels: Sequence[PanelLight], lights: Lights) -> list[Counts]:
+    def _counts_under(self, panels: Sequence[PanelLight], lights: Lights) -> list[Counts]:
         # what every posture shows under these lights, once for as many as there is room for
         if lights not in self._counts:
             counts: list[Counts] = []
             self._passes += 1
             for i, posture in enumerate(self.postures):
-                counts.append(self.survey.counts(posture, panels, least=self.least))
-                self._say("postures for lights", (i + 1) / len(self.postures))
-            size = sum(some.nbytes for some in counts)
-            while self._counts and (len(self._counts) + 1) * size > KEPT_BYTES:
+                counts.append(self.evaluator.counts(posture, panels, seen_in=self.seen_in))
+                self._report("postures for lights", (i + 1) / len(self.postures))
+            size = sum(one.nbytes for one in counts)
+            while self._counts and (len(self._counts) + 1) * size > CACHED_BYTES:
                 del self._counts[next(iter(self._counts))]
             self._counts[lights] = counts
         return self._counts[lights]
 
-    def _say(self, stage: str, share: float) -> None:
-        if self._tell is not None:
-            self._tell(f"{stage}, {self._where}, pass {self._passes}", share)
+    def _report(self, stage: str, share: float) -> None:
+        if self._progress is not None:
+            self._progress(f"{stage}, {self._where}, pass {self._passes}", share)

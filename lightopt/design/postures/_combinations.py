@@ -1,10 +1,10 @@
-"""All combinations of the lights' places at once: how many pairs they show in k images or more, over several postures.
+"""For all combinations of light positions: the pairs that k images or more show, over several postures.
 
-The postures' images of a place are counted before (see :mod:`lightopt.design.postures._counts`), so that a
-combination adds up one count per light, whatever the number of postures. Along the places of a light these counts
-change a few times, and the sums come from where they do: :func:`lightopt.design.count_run_sums`. Patches whose counts
-change nearly everywhere are added up combination by combination, light after light; the last light's places share the
-sum of the others.
+The postures' images of a position are counted before (see :mod:`lightopt.design.postures._counts`), so that a
+combination adds up one count per light, whatever the number of postures. Along the positions of a light these counts
+change a few times, and the sums come from the changes: :func:`lightopt.design.objectives._count_runs.count_run_sums`.
+Patches whose counts change nearly everywhere are added up combination by combination, light after light; the last
+light's positions share the sum of the others.
 """
 
 from __future__ import annotations
@@ -16,84 +16,72 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.kernels import kernel
+from lightopt.core.progress import Share
 from lightopt.core.threads import available_processors, run_all
-from lightopt.design._plan_progress import Share
+from lightopt.design._arrays import Int64
 from lightopt.design.objectives._count_runs import at_least, count_run_sums, up_to
-from lightopt.design.postures._counts import Counts, PairWeights, Words, added, no_counts
-from lightopt.design.responses._packed_bits import word_weight
+from lightopt.design.postures._counts import Counts, PairWeights, add_counts, zero_counts
+from lightopt.design.responses._packed_bits import Words, word_weight
 
-Int64 = NDArray[np.int64]
-
-PlaceCounts = NDArray[np.uint64]
+PositionCounts = NDArray[np.uint64]
 """Counts of every place of a light, shape (places, k, p, words)."""
 
 TASK_WORDS = 100_000_000
-"""Words that a task of plain additions looks at, at most: some 0.1 s of a thread, so that Ctrl-C is heard."""
+"""Words that a task of plain additions reads, at most: some 0.1 s of a thread, so that Ctrl-C is heard."""
 
 
 def combination_sums(
-    lights: Sequence[PlaceCounts],
+    lights: Sequence[PositionCounts],
     weights: PairWeights,
     *,
     threads: int | None = None,
     progress: Share | None = None,
 ) -> tuple[Int64, Int64]:
-    """Weight reached and worth of every combination of places, the last light's varying fastest.
-
-    Parameters
-    ----------
-    lights
-        Of each light, counts of each place over all postures.
-    weights
-        Of the pairs.
-    threads
-        All the machine's by default; the sums do not depend on it.
-    progress
-        Called with the share that is done.
-    """
+    """Covered weight and benefit of every combination of positions, the last light's varying fastest."""
     k = lights[0].shape[1]
     count = threads or available_processors()
-    # where one image is enough, what is reached is what it is worth
+    # where one image is enough, the covered weight is the benefit
     values = np.stack([at_least(k), up_to(k)][: min(k, 2)])
     tables, left = count_run_sums(
-        lights,
-        weights.areas,
-        (weights.masks, weights.factors),
-        values,
-        threads=count,
-        progress=progress,
+        lights, weights.areas, (weights.masks, weights.factors), values, threads=count, progress=progress
     )
-    top, whole = tables[0], tables[-1]
+    covered, benefit = tables[0], tables[-1]
     if left.any():
         rest = PairWeights(areas=weights.areas[left], masks=weights.masks, factors=weights.factors)
-        plain = _added_up([places[:, :, left] for places in lights], rest, count, progress)
+        plain = _added_up([positions[:, :, left] for positions in lights], rest, count, progress)
         # not in place: with k = 1 both are the same table
-        top, whole = top + plain[0], whole + plain[1]
-    return top, whole
+        covered, benefit = covered + plain[0], benefit + plain[1]
+    return covered, benefit
 
 
 def _added_up(
-    lights: Sequence[PlaceCounts], weights: PairWeights, threads: int, progress: Share | None
+    lights: Sequence[PositionCounts], weights: PairWeights, threads: int, progress: Share | None
 ) -> tuple[Int64, Int64]:
-    sizes = [len(places) for places in lights]
+    sizes = [len(positions) for positions in lights]
     inner = math.prod(sizes[1:])
     k, patches = lights[0].shape[1:3]
-    tops, wholes = np.zeros((sizes[0], inner), np.int64), np.zeros((sizes[0], inner), np.int64)
+    covers, benefits = np.zeros((sizes[0], inner), np.int64), np.zeros((sizes[0], inner), np.int64)
     step = max(1, TASK_WORDS // (inner * lights[0][0, :, 0].size))
 
     def of_first(first: int, start: int, end: int) -> None:
-        some = [places[:, :, start:end] for places in lights]
+        some = [positions[:, :, start:end] for positions in lights]
         own = PairWeights(areas=weights.areas[start:end], masks=weights.masks, factors=weights.factors)
         if len(some) == 1:
-            _last(no_counts(own, k), some[0][first : first + 1], *_numbers(own), tops[first], wholes[first])
+            _last(
+                zero_counts(own, k),
+                some[0][first : first + 1],
+                *_numbers(own),
+                covers[first],
+                benefits[first],
+            )
         else:
-            _through(some, 1, some[0][first], 0, own, tops[first], wholes[first])
+            _through(some, 1, some[0][first], 0, own, covers[first], benefits[first])
 
     for start in range(0, patches, step):
         # a row of the tables is written by one task at a time
         tasks = ((of_first, (first, start, min(start + step, patches))) for first in range(sizes[0]))
         run_all(tasks, threads=threads, done=None if progress is None else lambda: progress(1.0))
-    return tops.ravel(), wholes.ravel()
+    return covers.ravel(), benefits.ravel()
 
 
 def _numbers(weights: PairWeights) -> tuple[Int64, Words, Int64]:
@@ -101,47 +89,47 @@ def _numbers(weights: PairWeights) -> tuple[Int64, Words, Int64]:
 
 
 def _through(
-    lights: Sequence[PlaceCounts],
+    lights: Sequence[PositionCounts],
     light: int,
     so_far: Counts,
     start: int,
     weights: PairWeights,
-    top: Int64,
-    whole: Int64,
+    covered: Int64,
+    benefit: Int64,
 ) -> int:
     # sums of the combinations of the lights from `light` on, written from `start` on; where the next ones go
     if light == len(lights) - 1:
         end = start + len(lights[light])
-        _last(so_far, lights[light], *_numbers(weights), top[start:end], whole[start:end])
+        _last(so_far, lights[light], *_numbers(weights), covered[start:end], benefit[start:end])
         return end
-    for places in lights[light]:
-        start = _through(lights, light + 1, added(so_far, places), start, weights, top, whole)
+    for positions in lights[light]:
+        start = _through(lights, light + 1, add_counts(so_far, positions), start, weights, covered, benefit)
     return start
 
 
 @kernel
 def _last(
     counts: Counts,
-    places: PlaceCounts,
+    positions: PositionCounts,
     areas: Int64,
     masks: Words,
     factors: Int64,
-    top: Int64,
-    whole: Int64,
+    covered: Int64,
+    benefit: Int64,
 ) -> None:
     k = counts.shape[0]
-    for c in range(len(places)):
+    for c in range(len(positions)):
         for p in range(counts.shape[1]):
             most, each = np.int64(0), np.int64(0)
             for w in range(counts.shape[2]):
                 for level in range(k):
-                    flags = counts[level, p, w] | places[c, level, p, w]
+                    flags = counts[level, p, w] | positions[c, level, p, w]
                     for low in range(level):
-                        flags |= counts[low, p, w] & places[c, level - 1 - low, p, w]
+                        flags |= counts[low, p, w] & positions[c, level - 1 - low, p, w]
                     if flags:
                         value = word_weight(flags, w, masks, factors)
                         each += value
                         if level == k - 1:
                             most += value
-            top[c] += areas[p] * most
-            whole[c] += areas[p] * each
+            covered[c] += areas[p] * most
+            benefit[c] += areas[p] * each

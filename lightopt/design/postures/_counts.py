@@ -1,11 +1,12 @@
 """In how many images each pair of patch and defect is seen, counted up to k, in packed bits.
 
-A *pair* is a patch and a trial defect on it. Word w of patch p holds the flags of 64 trials. A count of images from 0
-to k takes k words of each: flag l − 1 says "seen in l images or more". Adding two counts is
+A *pair* is a patch and a defect hypothesis on it. Word w of patch p holds the flags of 64 hypotheses. A count of images
+from 0 to k takes k words of each: flag l − 1 says "seen in l images or more". Adding two counts is
 
-    (a + b ≥ l) = (a ≥ l) or (b ≥ l) or (a ≥ 1 and b ≥ l − 1) or … or (a ≥ l − 1 and b ≥ 1),
+    (a + b ≥ l) = (a ≥ l) or (b ≥ l) or (a ≥ 1 and b ≥ l − 1) or … or (a ≥ l − 1 and b ≥ 1).
 
-and what a count is worth is the sum of its flags, each times its pair's weight.
+The *benefit* of a count is the sum of its flags, each times its pair's weight; the weight *covered* is that of the
+pairs with the last flag.
 """
 
 from __future__ import annotations
@@ -18,29 +19,23 @@ from numpy.typing import NDArray
 
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
-from lightopt.design.responses._defect_hypotheses import Trial
-from lightopt.design.responses._packed_bits import add_image, added, word_weight
-from lightopt.design.responses._visibility import trial_planes
+from lightopt.core.threads import run_all
+from lightopt.design._arrays import Int64, read_only
+from lightopt.design.responses._defect_hypotheses import DefectHypothesis
+from lightopt.design.responses._packed_bits import Words, add_counts, add_image, word_weight
+from lightopt.design.responses._visibility import weight_planes
 
 Counts = NDArray[np.uint64]
 """Shape (k, p, words): flag l says that a pair is seen in l + 1 images or more."""
 
-Int64 = NDArray[np.int64]
-Words = NDArray[np.uint64]
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PairWeights:
-    """How much each pair of patch and trial counts: the patch's area times the trial's factor.
+    """Weight of each pair of patch and hypothesis: the patch's area times the hypothesis's factor.
 
-    Attributes
-    ----------
-    areas
-        Of the patches [µm²], shape (p,).
-    masks
-        The trials of one factor each, as flags; shape (groups, words).
-    factors
-        Of those trials, whole numbers, shape (groups,).
+    areas: Of the patches [µm²], shape (p,).
+    masks: The hypotheses of one factor each, as flags; shape (groups, words).
+    factors: Whole numbers, shape (groups,).
     """
 
     areas: Int64
@@ -54,48 +49,39 @@ class PairWeights:
                 f"{self.masks.shape} and {self.factors.shape}"
             )
         for name in ("areas", "masks", "factors"):
-            view = getattr(self, name).view()
-            view.flags.writeable = False
-            object.__setattr__(self, name, view)
+            object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @staticmethod
-    def of_trials(trials: Sequence[Trial], areas: Int64) -> PairWeights:
-        """Each patch by its area [µm²], each trial by its own weight."""
-        masks, factors = trial_planes(trials)
+    def of_hypotheses(hypotheses: Sequence[DefectHypothesis], areas: Int64) -> PairWeights:
+        """Each patch by its area [µm²], each hypothesis by its own weight."""
+        masks, factors = weight_planes(hypotheses)
         return PairWeights(areas=areas, masks=masks, factors=factors)
 
     @property
     def total(self) -> int:
-        """Weight of all pairs."""
-        trials = sum(
+        hypotheses = sum(
             int(factor) * sum(int(word).bit_count() for word in mask)
             for factor, mask in zip(self.factors, self.masks, strict=True)
         )
-        return int(self.areas.sum()) * trials
+        return int(self.areas.sum()) * hypotheses
 
 
-def no_counts(weights: PairWeights, k: int) -> Counts:
-    """Nothing is seen yet."""
+def zero_counts(weights: PairWeights, k: int) -> Counts:
     return np.zeros((k, len(weights.areas), weights.masks.shape[1]), np.uint64)
 
 
-def together(some: Iterable[Counts], weights: PairWeights, k: int) -> Counts:
-    """In how many images of several counts each pair is seen, up to k, shape (k, p, words)."""
-    now = no_counts(weights, k)
+def sum_counts(some: Iterable[Counts], weights: PairWeights, k: int) -> Counts:
+    """The sum of several counts, up to k, shape (k, p, words)."""
+    now = zero_counts(weights, k)
     for counts in some:
-        now = added(now, counts)
+        now = add_counts(now, counts)
     return now
 
 
 def counts_of_images(images: Sequence[Words], k: int) -> Counts:
-    """In how many of some images each pair is seen, up to k.
+    """In how many of some images each pair is seen, up to k, shape (k, p, words).
 
-    Parameters
-    ----------
-    images
-        Flags of each image, shape (p, words); at least one.
-    k
-        Where counting ends.
+    `images` are the flags of each image, shape (p, words); at least one.
     """
     total = np.zeros((k, *images[0].shape), np.uint64)
     for flags in images:
@@ -103,36 +89,49 @@ def counts_of_images(images: Sequence[Words], k: int) -> Counts:
     return total
 
 
-def worth(counts: Counts, weights: PairWeights) -> int:
+def total_benefit(counts: Counts, weights: PairWeights) -> int:
     """Σ weight · min(k, count)."""
     return int(sum(_sum(flags, weights.areas, weights.masks, weights.factors) for flags in counts))
 
 
-def reached(counts: Counts, weights: PairWeights) -> int:
+def covered_weight(counts: Counts, weights: PairWeights) -> int:
     """Σ weight · [count ≥ k]."""
     return int(_sum(counts[-1], weights.areas, weights.masks, weights.factors))
 
 
-def gain_of(counts: Counts, more: Counts, weights: PairWeights) -> int:
-    """By how much :func:`worth` grows when `more` is added to `counts`."""
-    return gains_of(counts, more, weights)[1]
+def marginal_benefit(counts: Counts, more: Counts, weights: PairWeights) -> int:
+    """By how much :func:`total_benefit` grows when `more` is added to `counts`."""
+    return marginal_gains(counts, more, weights)[1]
 
 
-def gains_of(counts: Counts, more: Counts, weights: PairWeights) -> tuple[int, int]:
-    """By how much :func:`reached` and :func:`worth` grow when `more` is added to `counts`."""
-    top, whole = _gains(counts, more, weights.areas, weights.masks, weights.factors)
-    return int(top), int(whole)
+def marginal_gains(counts: Counts, more: Counts, weights: PairWeights) -> tuple[int, int]:
+    """By how much :func:`covered_weight` and :func:`total_benefit` grow when `more` is added to `counts`."""
+    covered, benefit = _gains(counts, more, weights.areas, weights.masks, weights.factors)
+    return int(covered), int(benefit)
+
+
+def all_marginal_gains(
+    counts: Counts, candidates: Sequence[Counts], weights: PairWeights, *, threads: int
+) -> list[tuple[int, int]]:
+    """:func:`marginal_gains` of each of some candidates."""
+    gains: list[tuple[int, int]] = [(0, 0)] * len(candidates)
+
+    def add(i: int) -> None:
+        gains[i] = marginal_gains(counts, candidates[i], weights)
+
+    run_all(((add, (i,)) for i in range(len(candidates))), threads=threads)
+    return gains
 
 
 @kernel
 def _sum(flags: Words, areas: Int64, masks: Words, factors: Int64) -> np.int64:
     total = np.int64(0)
     for p in range(flags.shape[0]):
-        trials = np.int64(0)
+        hypotheses = np.int64(0)
         for w in range(flags.shape[1]):
             if flags[p, w]:
-                trials += word_weight(flags[p, w], w, masks, factors)
-        total += areas[p] * trials
+                hypotheses += word_weight(flags[p, w], w, masks, factors)
+        total += areas[p] * hypotheses
     return total
 
 
@@ -140,7 +139,7 @@ def _sum(flags: Words, areas: Int64, masks: Words, factors: Int64) -> np.int64:
 def _gains(
     counts: Counts, more: Counts, areas: Int64, masks: Words, factors: Int64
 ) -> tuple[np.int64, np.int64]:
-    top, whole = np.int64(0), np.int64(0)
+    covered, benefit = np.int64(0), np.int64(0)
     k = counts.shape[0]
     for p in range(counts.shape[1]):
         most, each = np.int64(0), np.int64(0)
@@ -156,6 +155,6 @@ def _gains(
                         each += value
                         if level == k - 1:
                             most += value
-        top += areas[p] * most
-        whole += areas[p] * each
-    return top, whole
+        covered += areas[p] * most
+        benefit += areas[p] * each
+    return covered, benefit

@@ -1,78 +1,57 @@
-"""Candidates of a cover exchanged one at a time, for as long as that shows more.
+"""Local search: exchange one candidate of a cover at a time, for as long as that covers more.
 
-A greedy choice never takes back what it chose. Here each chosen candidate is tried against every other one, the best
-exchange is made, and so on: what is left is a set that no single exchange betters. It is seldom far from the best of
-its size; that it is the best is not said.
+A greedy choice is never revised. Here each chosen candidate is tried against every other one, the best exchange is
+made, and so on: the result is a set that no single exchange improves. It is not proven to be the best of its size.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from lightopt.core.threads import available_processors, run_all
-from lightopt.design.postures._counts import Counts, PairWeights, gains_of, reached, together, worth
+from lightopt.core.threads import available_processors
+from lightopt.design.postures._counts import (
+    Counts,
+    PairWeights,
+    all_marginal_gains,
+    covered_weight,
+    sum_counts,
+    total_benefit,
+)
 
 Merit = tuple[int, int]
-"""Weight reached, worth: see :mod:`lightopt.design.postures._counts`."""
+"""Covered weight, benefit: see :mod:`lightopt.design.postures._counts`."""
 
 
-def exchanged(
+def improve_by_exchange(
     candidates: Sequence[Counts], weights: PairWeights, chosen: Sequence[int], *, threads: int | None = None
 ) -> tuple[int, ...]:
-    """As many candidates that show as much or more, none of which is better exchanged for another.
+    """As many candidates that cover as much or more, and that no single exchange improves.
 
-    The best exchange is made first; of equals the one that takes out the earliest chosen for the first candidate.
-
-    Parameters
-    ----------
-    candidates
-        Counts of each, shape (k, p, words), all of one k.
-    weights
-        Of the pairs.
-    chosen
-        Indices of those to begin with.
-    threads
-        All the machine's by default; the answer does not depend on it.
+    The best exchange is made first; of equals the one that replaces the earliest chosen by the first candidate.
     """
     now = list(chosen)
     if not now:
         return ()
-    merit = _merit(_together(candidates, now, weights), weights)
+    k = len(candidates[0])
+    merit = _merit(sum_counts((candidates[i] for i in now), weights, k), weights)
     while True:
-        found: tuple[Merit, int, int] | None = None
+        best: tuple[Merit, int, int] | None = None
+        others = [i for i in range(len(candidates)) if i not in now]
         for place in range(len(now)):
-            rest = _together(candidates, [*now[:place], *now[place + 1 :]], weights)
-            merits = _merits(rest, candidates, weights, skip=now, threads=threads)
-            for i, other in merits.items():
-                if other > (merit if found is None else found[0]):
-                    found = other, place, i
-        if found is None:
+            rest = sum_counts((candidates[i] for i in [*now[:place], *now[place + 1 :]]), weights, k)
+            covered, benefit = _merit(rest, weights)
+            gains = all_marginal_gains(
+                rest, [candidates[i] for i in others], weights, threads=threads or available_processors()
+            )
+            for i, gain in zip(others, gains, strict=True):
+                other = covered + gain[0], benefit + gain[1]
+                if other > (merit if best is None else best[0]):
+                    best = other, place, i
+        if best is None:
             return tuple(now)
-        merit, place, i = found
+        merit, place, i = best
         now[place] = i
 
 
-def _merits(
-    rest: Counts,
-    candidates: Sequence[Counts],
-    weights: PairWeights,
-    *,
-    skip: Sequence[int],
-    threads: int | None,
-) -> dict[int, Merit]:
-    base = _merit(rest, weights)
-    gains: dict[int, Merit] = {i: (0, 0) for i in range(len(candidates)) if i not in skip}
-
-    def add(i: int) -> None:
-        gains[i] = gains_of(rest, candidates[i], weights)
-
-    run_all(((add, (i,)) for i in list(gains)), threads=threads or available_processors())
-    return {i: (base[0] + top, base[1] + whole) for i, (top, whole) in gains.items()}
-
-
-def _together(candidates: Sequence[Counts], some: Sequence[int], weights: PairWeights) -> Counts:
-    return together((candidates[one] for one in some), weights, len(candidates[0]))
-
-
 def _merit(counts: Counts, weights: PairWeights) -> Merit:
-    return reached(counts, weights), worth(counts, weights)
+    return covered_weight(counts, weights), total_benefit(counts, weights)

@@ -1,11 +1,11 @@
-"""Which few of many candidates see most: greedy cover with counts, and how far from the best it can be.
+"""Greedy cover with counts: which few of many candidates cover most, with a bound on the optimum.
 
-Each candidate (a posture, or a posture at a further exposure) sees each pair in some number of images. The worth of a
-set S is Σ weight · min(k, Σ counts of its members): monotone and submodular, what one more candidate adds never grows
-with the set. So, after any steps of the greedy choice with set S' and remaining gains g, no N candidates are worth more
-than worth(S') + the sum of the N largest g; and N greedy steps reach at least the share 1 − (1 − 1/N)^N > 1 − 1/e of
-the best (Nemhauser, Wolsey, Fisher 1978, doi:10.1007/BF01588971). The least of the first counts, and is never looser
-than the second.
+Each candidate (a posture, or a posture at a further exposure) shows each pair in some number of images. The benefit of
+a set S is Σ weight · min(k, Σ counts of its members): monotone and submodular, what one more candidate adds never grows
+with the set. So, after any steps of the greedy choice with set S' and remaining gains g, no N candidates have more
+benefit than benefit(S') + the sum of the N largest g; and N greedy steps reach at least the share 1 − (1 − 1/N)^N >
+1 − 1/e of the best (Nemhauser, Wolsey, Fisher 1978, doi:10.1007/BF01588971). The least of the first is used; it is
+never looser than the second.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from lightopt.core.errors import InputError
 from lightopt.design.postures._counts import (
     Counts,
     PairWeights,
-    added,
-    gain_of,
-    no_counts,
-    reached,
-    together,
-    worth,
+    add_counts,
+    covered_weight,
+    marginal_benefit,
+    sum_counts,
+    total_benefit,
+    zero_counts,
 )
-from lightopt.design.postures._cover import Cover, steps_of
+from lightopt.design.postures._cover import Cover, cover_steps
 
 
 def greedy_cover(
@@ -38,26 +38,14 @@ def greedy_cover(
 ) -> Cover:
     """Choose candidates one after the other, each time the one that adds most; the earlier one where two add the same.
 
-    Stops after `count`, when the share `target` of the weight is seen in k images, or when nothing adds anything. Those
-    that the later ones make redundant are dropped, and the choice goes on as far as it may.
+    Stops after `count`, when the share `target` of the weight is seen in k images, or when nothing adds anything.
+    Candidates that later ones make redundant are dropped, and the choice continues as far as it may.
 
-    Parameters
-    ----------
-    candidates
-        Counts of each, shape (k, p, words), all of one k.
-    weights
-        Of the pairs.
-    count
-        Most candidates to choose; as many as are needed by default.
-    target
-        Share of all pairs to be seen in k images or more, above 0 and up to 1.
-    among
-        Only these may be chosen; the bound is that of all.
-
-    Raises
-    ------
-    InputError
-        No candidate, a count below 1, a target out of range.
+    candidates: Counts of each, shape (k, p, words), all of one k.
+    count: Most candidates to choose; as many as are needed by default.
+    target: Share of all pairs to be seen in k images or more, above 0 and up to 1.
+    among: Only these may be chosen; the bound is that of all.
+    Raises InputError: No candidate, a count below 1, a target out of range.
     """
     if not candidates:
         raise InputError("cover: expected at least one candidate, found none")
@@ -74,9 +62,9 @@ def greedy_order(candidates: Mapping[int, Counts], weights: PairWeights) -> tupl
     ordered: list[int] = []
     now: Counts | None = None
     while left:
-        before = no_counts(weights, len(next(iter(left.values())))) if now is None else now
-        best = max(left, key=lambda i, before=before: gain_of(before, left[i], weights))
-        now = added(before, left.pop(best))
+        before = zero_counts(weights, len(next(iter(left.values())))) if now is None else now
+        best = max(left, key=lambda i, before=before: marginal_benefit(before, left[i], weights))
+        now = add_counts(before, left.pop(best))
         ordered.append(best)
     return tuple(ordered)
 
@@ -99,12 +87,15 @@ class _Greedy:
         self.goal = None if target is None else target * self.total
         self.chosen: list[int] = []
         self.dropped: list[int] = []
-        # worth before a step and the gains then left, largest first: what bounds are made of
+        # benefit before a step and the gains then left, largest first: from these bounds are computed
         self.seen: list[tuple[int, list[int]]] = []
 
     def cover(self) -> Cover:
         everything = self._together(range(len(self.candidates)))
-        all_worth, all_reached = worth(everything, self.weights), reached(everything, self.weights)
+        all_benefit, all_covered = (
+            total_benefit(everything, self.weights),
+            covered_weight(everything, self.weights),
+        )
         while True:
             self._choose()
             redundant = self._redundant()
@@ -113,47 +104,47 @@ class _Greedy:
             self.chosen.remove(redundant)
             self.dropped.append(redundant)
         cover = Cover(
-            steps=steps_of([(i, self.candidates[i]) for i in self.chosen], self.weights),
+            steps=cover_steps([(i, self.candidates[i]) for i in self.chosen], self.weights),
             dropped=tuple(one for one in self.dropped if one not in self.chosen),
             k=self.k,
             total=self.total,
-            bounds=tuple(min(all_worth, self._bound(size)) for size in range(len(self.chosen) + 1)),
-            all_worth=all_worth,
-            all_reached=all_reached,
-            least=None,
+            bounds=tuple(min(all_benefit, self._bound(size)) for size in range(len(self.chosen) + 1)),
+            all_benefit=all_benefit,
+            all_covered=all_covered,
+            min_size=None,
         )
-        return cover if self.target is None else replace(cover, least=cover.fewest(self.target))
+        return cover if self.target is None else replace(cover, min_size=cover.fewest(self.target))
 
     def _choose(self) -> None:
         now = self._together(self.chosen)
         while True:
-            here = worth(now, self.weights)
+            here = total_benefit(now, self.weights)
             gains = [
-                0 if i in self.chosen else gain_of(now, candidate, self.weights)
+                0 if i in self.chosen else marginal_benefit(now, candidate, self.weights)
                 for i, candidate in enumerate(self.candidates)
             ]
             self.seen.append((here, sorted(gains, reverse=True)))
             best = max(self.allowed, key=lambda i: gains[i], default=None)
-            met = self.goal is not None and reached(now, self.weights) >= self.goal
+            met = self.goal is not None and covered_weight(now, self.weights) >= self.goal
             if met or len(self.chosen) >= self.most or best is None or gains[best] == 0:
                 return
             self.chosen.append(best)
-            now = added(now, self.candidates[best])
+            now = add_counts(now, self.candidates[best])
 
     def _redundant(self) -> int | None:
         # the one whose loss costs least, the latest of those: nothing at all, or what the target can spare
-        whole = worth(self._together(self.chosen), self.weights)
+        whole = total_benefit(self._together(self.chosen), self.weights)
         spare: list[tuple[int, int, int]] = []
         for place, one in enumerate(self.chosen):
             rest = self._together([other for other in self.chosen if other != one])
-            loss = whole - worth(rest, self.weights)
-            enough = self.goal is not None and reached(rest, self.weights) >= self.goal
+            loss = whole - total_benefit(rest, self.weights)
+            enough = self.goal is not None and covered_weight(rest, self.weights) >= self.goal
             if loss == 0 or enough:
                 spare.append((loss, -place, one))
         return min(spare)[2] if spare else None
 
     def _together(self, some: Sequence[int]) -> Counts:
-        return together((self.candidates[one] for one in some), self.weights, self.k)
+        return sum_counts((self.candidates[one] for one in some), self.weights, self.k)
 
     def _bound(self, size: int) -> int:
         return min(here + sum(heapq.nlargest(size, gains)) for here, gains in self.seen)

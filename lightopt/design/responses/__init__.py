@@ -1,1 +1,1 @@
-"""What the camera would deliver of every patch, with and without defects, under every candidate position."""
+"""Responses of the surface to each candidate light: delivered levels, and which defects each image shows."""

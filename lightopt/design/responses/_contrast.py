@@ -1,43 +1,42 @@
-"""When a defect is visible in an image: its level is off that of the good surface by more than the sensor's noise.
+"""When a defect is visible in an image: its level differs from the good surface's by more than the sensor's noise.
 
 With v the level that the sensor would deliver before rounding, ``black + exposure · scale · I`` clipped at the
-saturation level, of the good surface v₀ and of the defect v_d, a trial is visible where
+saturation level, v₀ of the good surface and v_d of the defect, a hypothesis is visible where
 
     |v_d − v₀| ≥ threshold · √(read noise² + (v₀ − black) / electrons per level + 1/12),
 
 the noise of read-out, of photons and of rounding (EMVA Standard 1288, release 4.0, section 2) at the good surface's
-level: what decides how often a good surface is taken for a defect. Where both are saturated the difference is 0. A
-pixel that the defect does not fill sees it and what lies around; walls that face each other cancel in part:
+level: it decides how often a good surface is taken for a defect. Where both are saturated the difference is 0. A
+pixel that the defect does not fill sees the defect and its surroundings; walls that face each other cancel in part:
 
     I_d = I₀ + F · (D − M) + A · M,   D = I_wall − I₀,
 
-with M the mean of D over the directions that the defect's walls lean to, and the shares F and A of the two pixels that
-may show it best (:mod:`lightopt.defects._pixel`); a trial is visible where one of them shows it. The shares depend on
-the side of the pixel's footprint over the defect's width. The footprint is taken as a square of its area on the
-surface, its side is that of a plane facing the camera / √cosθ, with θ between normal and view. Surface seen at a
-grazing angle (:data:`lightopt.rendering.GRAZING_DEG`) is left out before.
+with M the mean of D over the directions of the defect's walls, and the shares F and A of the two pixels that may show
+it best (:mod:`lightopt.defects._pixel`); a hypothesis is visible where one of them shows it. The shares depend on the
+side of the pixel's footprint over the defect's width. The footprint is taken as a square of its area on the surface;
+its side is that on a plane facing the camera / √cosθ, with θ between normal and view. Surface seen at a grazing angle
+(:data:`lightopt.rendering.GRAZING_DEG`) is excluded before.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
-from lightopt.defects import PIXEL_RATIOS
+from lightopt.defects import PIXEL_RATIOS, DefectShape, pixel_shares
+from lightopt.design._arrays import Flags, Float64, Int64
+from lightopt.design.responses._defect_hypotheses import DefectHypothesis
 from lightopt.design.responses._packed_bits import Words
-from lightopt.design.responses._pixel_filling import Fillings
 from lightopt.optics import Sensor
 
-Float64 = NDArray[np.float64]
-Int64 = NDArray[np.int64]
-
 DEFAULT_CONTRAST = 5.0
-"""Times the noise that a level must be off, unless asked otherwise. Of the two million pixels of an image noise alone
+"""Default multiple of the noise by which a level must be off. Of the two million pixels of an image noise alone
 takes one for a defect at 5, and five thousand at 3. Rose found the same 5 for what people make out in pictures (J. Opt.
 Soc. Am. 38, 1948, doi:10.1364/JOSA.38.000196)."""
 
@@ -55,21 +54,11 @@ def threshold_problem(threshold: float) -> str | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Contrast:
-    """The sensor's side of the question whether a defect is visible.
+    """The contrast at which a defect is visible to the sensor.
 
-    Attributes
-    ----------
-    sensor
-        Of the camera.
-    full_scale
-        Grey level that makes a full-scale sensor level at exposure 1.
-    threshold
-        Times the noise.
-
-    Raises
-    ------
-    InputError
-        A threshold that is not above 0.
+    full_scale: Grey level that makes a full-scale sensor level at exposure 1.
+    threshold: Multiple of the noise.
+    Raises InputError: A threshold that is not above 0.
     """
 
     sensor: Sensor
@@ -85,34 +74,25 @@ class Contrast:
         good: Float64,
         varied: Float64,
         *,
-        fillings: Fillings,
+        pixel_fill: PixelFill,
         footprints: Float64,
         cosines: Float64,
         exposure: float,
     ) -> Words:
-        """Bits of the trials that are visible, shape (k, ⌈t / 64⌉).
+        """Bits of the visible hypotheses, shape (k, ⌈t / 64⌉).
 
-        Parameters
-        ----------
-        good, varied
-            Linear levels of the good surface and of the trials where they fill the pixel [grey level at exposure 1],
-            shapes (k,) and (k, t).
-        fillings
-            How far they fill it.
-        footprints
-            Side of a pixel's footprint on a plane that faces the camera [mm], shape (k,).
-        cosines
-            Of the angle between normal and view, above 0, shape (k,).
-        exposure
-            Of the image.
+        good, varied: Linear levels of the good surface and of the hypotheses where they fill the pixel [grey level at
+            exposure 1], shapes (k,) and (k, t).
+        footprints: Side of a pixel's footprint on a plane that faces the camera [mm], shape (k,).
+        cosines: Of the angle between normal and view, above 0, shape (k,).
         """
         return _contrast_words(
             good,
             varied,
-            fillings.first,
-            fillings.facing,
-            fillings.width,
-            fillings.shares,
+            pixel_fill.first,
+            pixel_fill.facing,
+            pixel_fill.width,
+            pixel_fill.shares,
             footprints,
             cosines,
             exposure * self.sensor.max_level / self.full_scale,
@@ -124,12 +104,49 @@ class Contrast:
         )
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PixelFill:
+    """How far e defects fill a pixel; the hypotheses of a defect are adjacent.
+
+    first: Index of each defect's first hypothesis, and the number of hypotheses; shape (e + 1,).
+    facing: Whether only walls that face each other share a pixel, as a scratch's two do; else those of all directions
+        do.
+    width: [mm], shape (e,).
+    shares: From :func:`lightopt.defects.pixel_shares`, shape (e, n, 4).
+    """
+
+    first: Int64
+    facing: Flags
+    width: Float64
+    shares: Float64
+
+
+def pixel_fill(hypotheses: Sequence[DefectHypothesis]) -> PixelFill:
+    """How far the defects of hypotheses fill a pixel, in their order."""
+    # hypotheses of a defect differ by weight and direction only
+    groups = [
+        list(some) for _, some in groupby(hypotheses, key=lambda one: replace(one, weight=0, direction=0.0))
+    ]
+    defects = [some[0] for some in groups]
+    return PixelFill(
+        first=np.cumsum([0, *(len(some) for some in groups)]).astype(np.int64),
+        facing=np.array([defect.kind == "scratch" for defect in defects], np.bool_),
+        width=np.array([defect.width for defect in defects]),
+        shares=np.stack(
+            [
+                pixel_shares(DefectShape(kind=one.kind, length=one.length, width=one.width, slope=one.slope))
+                for one in defects
+            ]
+        ),
+    )
+
+
 @kernel
 def _contrast_words(
     good: Float64,
     varied: Float64,
     first: Int64,
-    facing: NDArray[np.bool_],
+    facing: Flags,
     widths: Float64,
     shares: Float64,
     footprints: Float64,
@@ -170,7 +187,7 @@ def _contrast_words(
 
 @kernel
 def _shares(table: Float64, ratio: float) -> tuple[float, float, float, float]:
-    # between the ratios that were worked out, linear in their logarithm; below them the defect fills the pixel, beyond
+    # between the tabulated ratios, linear in their logarithm; below them the defect fills the pixel, beyond
     # them its share falls as the pixel's area grows
     place = PER_OCTAVE * math.log2(ratio / LEAST_RATIO)
     if place < 0.0:

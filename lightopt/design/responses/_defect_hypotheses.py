@@ -1,4 +1,4 @@
-"""The defects that an inspection is planned for, unrolled: one trial per slope and direction, stain and haze."""
+"""The defects that an inspection is planned for: one hypothesis per slope and direction, stain and haze."""
 
 from __future__ import annotations
 
@@ -17,29 +17,19 @@ MOST_TRIALS = 1024
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trial:
-    """What a defect makes of the place of the surface that it lies on.
+class DefectHypothesis:
+    """What a defect makes of the surface at the place where it lies.
 
     A scratch, dent, bump, pit or blister is its wall where that is steepest: a surface whose normal leans by the slope
-    to one of several directions around. A stain and a haze leave the normal and change what is reflected.
+    in one of several directions. A stain and a haze keep the normal and change the reflectance.
 
-    Attributes
-    ----------
-    name
-        Of the catalogue's entry.
-    kind
-        Of the defect.
-    weight
-        How much it counts, a whole number: the trials of each entry of the catalogue have the same sum of weights.
-    length, width
-        Of the defect's outline [mm].
-    slope
-        By which the normal leans [rad]; 0 for stains and hazes.
-    direction
-        To which it leans, in the tangent plane from the part's X axis, counterclockwise seen from outside [rad], as
-        :func:`lightopt.defects.tangent_direction` counts.
-    R_d_factor, sigma_factor
-        By which R_d and σ are multiplied.
+    name: Of the catalogue's entry.
+    weight: A whole number; the hypotheses of each entry of the catalogue have the same sum of weights.
+    length, width: Of the defect's outline [mm].
+    slope: By which the normal leans [rad]; 0 for stains and hazes.
+    direction: In which it leans, in the tangent plane from the part's X axis, counterclockwise seen from outside
+        [rad]; see :func:`lightopt.defects.tangent_direction`.
+    R_d_factor, sigma_factor: By which R_d and σ are multiplied.
     """
 
     name: str
@@ -54,26 +44,20 @@ class Trial:
 
     @property
     def label(self) -> str:
-        """Name, and slope and direction where it has them."""
+        """Name, with slope and direction where it has them."""
         if self.slope == 0.0:
             return self.name
         return f"{self.name} {math.degrees(self.slope):.3g}° to {math.degrees(self.direction):.3g}°"
 
 
-def unroll(catalogue: Sequence[CatalogueEntry], *, directions: int = DIRECTIONS) -> tuple[Trial, ...]:
-    """The trials of a catalogue, entry after entry, directions counterclockwise from the reference axis.
+def defect_hypotheses(
+    catalogue: Sequence[CatalogueEntry], *, directions: int = DIRECTIONS
+) -> tuple[DefectHypothesis, ...]:
+    """The hypotheses of a catalogue, entry after entry, directions counterclockwise from the reference axis.
 
-    Parameters
-    ----------
-    catalogue
-        From :func:`lightopt.scene.build_catalogue`.
-    directions
-        Number of directions around, even, 8 or more: each wall has one that faces it.
+    `directions` is even and 8 or more, so that each wall has one that faces it.
 
-    Raises
-    ------
-    InputError
-        No entry, a slope of 0 or above 60°, fewer than 8 or odd directions, more trials than are meant.
+    Raises InputError: No entry, a slope of 0 or above 60°, fewer than 8 or odd directions, too many hypotheses.
     """
     problems: list[str] = []
     if not catalogue:
@@ -96,12 +80,12 @@ def unroll(catalogue: Sequence[CatalogueEntry], *, directions: int = DIRECTIONS)
         )
     if problems:
         raise InputError(*problems)
-    trials: list[Trial] = []
+    hypotheses: list[DefectHypothesis] = []
     for entry in catalogue:
         shape = entry.shape
         leaning = shape.kind in SHAPE_KINDS
-        trials += [
-            Trial(
+        hypotheses += [
+            DefectHypothesis(
                 name=entry.name,
                 kind=shape.kind,
                 weight=1 if leaning else directions,
@@ -114,4 +98,4 @@ def unroll(catalogue: Sequence[CatalogueEntry], *, directions: int = DIRECTIONS)
             )
             for turn in range(directions if leaning else 1)
         ]
-    return tuple(trials)
+    return tuple(hypotheses)

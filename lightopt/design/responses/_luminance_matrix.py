@@ -1,21 +1,19 @@
-"""The luminance matrix: what the camera would deliver of every patch under every candidate position of a light."""
+"""The luminance matrix: what the camera would deliver for every patch under every candidate position of a light."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
-from lightopt.design.responses._visibility import Visibility, taken_rows
+from lightopt.design._arrays import Float64, Int64, read_only
+from lightopt.design.responses._visibility import Visibility, select_rows
 
-Float64 = NDArray[np.float64]
-Int64 = NDArray[np.int64]
 Levels = NDArray[np.uint8 | np.uint16]
 
 AREA_UNIT_MM2 = 1e-6
@@ -23,22 +21,12 @@ AREA_UNIT_MM2 = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Thresholds:
+class LevelThresholds:
     """Which delivered levels count as usable: ``shade ≤ level < saturation`` (paper, section 5.2, step 4).
 
-    Attributes
-    ----------
-    shade
-        Levels below it are shaded [sensor level].
-    saturation
-        Levels from it on are specular [sensor level].
-    black
-        Delivered without light; sums are of what is above it [sensor level].
-
-    Raises
-    ------
-    InputError
-        Where no level is left between the first two, or what is delivered without light would not be shaded.
+    shade, saturation: Levels below the first are shaded, levels from the second on are specular [sensor level].
+    black: Delivered without light; sums are of what is above it [sensor level].
+    Raises InputError: No level is usable, or what is delivered without light would not be shaded.
     """
 
     shade: int
@@ -56,21 +44,10 @@ class Thresholds:
     @staticmethod
     def of_sensor(
         *, shade_share: float, max_level: int, saturated_from: float, black_level: float = 0.0
-    ) -> Thresholds:
-        """Thresholds of a sensor: shaded is what has less light than ``black + share · full scale`` delivers.
+    ) -> LevelThresholds:
+        """Thresholds of a sensor: shaded is what has less light than ``black + shade_share · full scale`` delivers.
 
-        What is delivered without light is shaded whatever the share.
-
-        Parameters
-        ----------
-        shade_share
-            Share of full scale, above black, below which a level is shaded.
-        max_level
-            Full scale [sensor level].
-        saturated_from
-            Level from which the sensor counts as saturated.
-        black_level
-            Level without light.
+        What is delivered without light is shaded whatever the share. Levels are in [sensor level].
         """
         if not (math.isfinite(shade_share) and 0.0 <= shade_share <= 1.0):
             raise InputError(
@@ -79,7 +56,7 @@ class Thresholds:
         # the least whole level that is not below the share; a share such as 10/255 must not round past its level
         shade = math.ceil(black_level + shade_share * max_level - 1e-9)
         black = math.floor(black_level + 0.5)
-        return Thresholds(shade=max(shade, black + 1), saturation=math.ceil(saturated_from), black=black)
+        return LevelThresholds(shade=max(shade, black + 1), saturation=math.ceil(saturated_from), black=black)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,16 +65,11 @@ class LuminanceMatrix:
 
     Inspectable are those that the camera sees, not at a grazing angle (:data:`lightopt.rendering.GRAZING_DEG`).
 
-    Attributes
-    ----------
-    levels
-        One array per light, in the rig's order: quantised levels at exposure 1, shape (candidates of the light, p).
-    areas
-        Of the patches [mm²], shape (p,).
-    visibility
-        Which defects the same images show on the same patches; None where nobody asked.
-    grazing_mm2
-        Area that the camera sees at a grazing angle, which is left out [mm²].
+    levels: One array per light, in the rig's order: quantised levels at exposure 1, shape (candidates of the light,
+        p).
+    areas: Of the patches [mm²], shape (p,).
+    visibility: Which defects the same images show on the same patches; None where images are not tested for defects.
+    grazing_mm2: Area that the camera sees at a grazing angle, which is excluded [mm²].
     """
 
     levels: tuple[Levels, ...]
@@ -123,8 +95,8 @@ class LuminanceMatrix:
                     f"luminance matrix: light {index}: expected uint8 or uint16 of shape (candidates, "
                     f"{len(self.areas)}), found {layer.dtype} {layer.shape}"
                 )
-        object.__setattr__(self, "levels", tuple(_frozen(layer) for layer in self.levels))
-        object.__setattr__(self, "areas", _frozen(self.areas))
+        object.__setattr__(self, "levels", tuple(map(read_only, self.levels)))
+        object.__setattr__(self, "areas", read_only(self.areas))
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -132,20 +104,18 @@ class LuminanceMatrix:
         return tuple(len(layer) for layer in self.levels)
 
     def rows(self, rows: Sequence[Int64]) -> LuminanceMatrix:
-        """Some candidates of each light, ascending."""
+        """Some candidates of each light, given by ascending indices."""
         return LuminanceMatrix(
-            levels=tuple(taken_rows(layer, some) for layer, some in zip(self.levels, rows, strict=True)),
+            levels=tuple(select_rows(layer, some) for layer, some in zip(self.levels, rows, strict=True)),
             areas=self.areas,
             visibility=None if self.visibility is None else self.visibility.rows(rows),
             grazing_mm2=self.grazing_mm2,
         )
 
     def combination(self, candidates: Sequence[int]) -> LuminanceMatrix:
-        """One candidate of each light."""
         return self.rows([np.array([index]) for index in candidates])
 
     def patches(self, start: int, end: int) -> LuminanceMatrix:
-        """The patches from `start` to `end`."""
         return LuminanceMatrix(
             levels=tuple(layer[:, start:end] for layer in self.levels),
             areas=self.areas[start:end],
@@ -153,29 +123,18 @@ class LuminanceMatrix:
         )
 
 
-def _frozen(array: Any) -> Any:
-    view = array.view()
-    view.flags.writeable = False
-    return view
-
-
 def area_units(areas: Float64) -> Int64:
-    """Areas in whole units of :data:`AREA_UNIT_MM2`, shape (p,).
+    """Areas [mm²] in whole units of :data:`AREA_UNIT_MM2`, shape (p,).
 
     Running sums are rounded, not single areas: any run of patches has its area to within one unit, so that patches far
-    smaller than a unit still count, and patches that are split where they stand keep their sum.
-
-    Parameters
-    ----------
-    areas
-        [mm²], shape (p,).
+    smaller than a unit still count, and patches that are split in place keep their sum.
     """
     ends = np.rint(np.cumsum(areas) / AREA_UNIT_MM2).astype(np.int64)
     return np.diff(ends, prepend=np.int64(0))
 
 
-def usable_sums(layer: Levels, weights: Int64, thresholds: Thresholds) -> Int64:
-    """Sum of a light's usable levels above black, each times its patch's weight, for every candidate; (candidates,)."""
+def usable_sums(layer: Levels, weights: Int64, thresholds: LevelThresholds) -> Int64:
+    """Sum of a light's usable levels above black, each times its patch's weight, shape (candidates,)."""
     return _usable_sums(layer, weights, thresholds.shade, thresholds.saturation, thresholds.black)
 
 

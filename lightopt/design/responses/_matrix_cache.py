@@ -13,7 +13,7 @@ A kept matrix is an ``.npz`` with the arrays
 ``angles_0_deg``, ``angles_1_deg``, …
     Elevation and azimuth of those candidates, shape (candidates, 2).
 ``defects_0``, ``defects_1``, …
-    Where defects were looked for: bits of those that are visible, uint64, shape (candidates, p, words).
+    Where images are tested for defects: bits of those that are visible, uint64, shape (candidates, p, words).
 ``patch``, ``grazing``
     With them: indices of the patches, shape (p,), and of those that the camera sees at a grazing angle.
 """
@@ -29,24 +29,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.design.responses._defect_hypotheses import Trial
+from lightopt.design.responses._defect_hypotheses import DefectHypothesis
 from lightopt.design.responses._luminance_matrix import LuminanceMatrix
 from lightopt.design.responses._visibility import Visibility
 from lightopt.images import write_npz_atomic
 
 
 def matrix_key(facts: Mapping[str, Any]) -> str:
-    """SHA-256 of facts that are JSON, whatever their order."""
+    """SHA-256 of JSON facts, independent of their order."""
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
 
 
-def keep_matrix(
+def write_matrix(
     path: Path, matrix: LuminanceMatrix, angles: Sequence[Sequence[tuple[float, float]]], *, key: str
 ) -> str:
-    """Write a matrix, whole or not at all; returns the file's SHA-256.
-
-    A matrix is only ever a saving of time, so that one of other inputs is replaced without asking.
-    """
+    """Write a matrix atomically, over one of other inputs if need be; returns the file's SHA-256."""
     arrays: dict[str, NDArray[Any]] = {
         "key": np.array(key),
         "areas_mm2": matrix.areas,
@@ -63,21 +60,9 @@ def keep_matrix(
 
 
 def read_matrix(
-    path: Path, *, key: str, lights: int, trials: Sequence[Trial] | None = None
+    path: Path, *, key: str, lights: int, hypotheses: Sequence[DefectHypothesis] | None = None
 ) -> LuminanceMatrix | None:
-    """A kept matrix; None where there is none, it is damaged, or it depends on other inputs.
-
-    Parameters
-    ----------
-    path
-        The file.
-    key
-        Of what the matrix is to depend on.
-    lights
-        Number of lights.
-    trials
-        The defects that it is to have the visibility of; None for levels alone.
-    """
+    """A cached matrix; None where there is none, it is damaged, or it depends on other inputs."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             # reading an array leaves the check of its sum out where it stops before the end of its file
@@ -85,9 +70,9 @@ def read_matrix(
                 return None
             seen = (
                 None
-                if trials is None
+                if hypotheses is None
                 else Visibility(
-                    trials=tuple(trials),
+                    hypotheses=tuple(hypotheses),
                     words=tuple(arrays[f"defects_{i}"] for i in range(lights)),
                     areas=arrays["areas_mm2"],
                     patch=arrays["patch"],

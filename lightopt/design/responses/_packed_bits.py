@@ -1,4 +1,4 @@
-"""Flags packed into words, 64 to a word: counted over images, weighed, and how many are set in two rows at once."""
+"""Flags packed into words of 64: counted over images, weighted, and counted where two rows share them."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.kernels import kernel
+from lightopt.design._arrays import Flags
 
 Words = NDArray[np.uint64]
 
 
-def packed(rows: NDArray[np.bool_]) -> Words:
+def pack_flags(rows: Flags) -> Words:
     """Rows of flags, shape (n, p), as words of 64 flags, shape (n, ⌈p / 64⌉); unused bits are 0."""
     octets = np.packbits(rows, axis=1)
     padded = np.zeros((len(octets), -(-octets.shape[1] // 8) * 8), np.uint8)
@@ -18,21 +19,22 @@ def packed(rows: NDArray[np.bool_]) -> Words:
     return padded.view(np.uint64)
 
 
-def add_image(counters: Words, image: Words) -> None:
-    """Count one image more: entry j of the counters has the flags that are set in more than j images.
+def unpack_flags(words: Words, count: int) -> NDArray[np.uint8]:
+    """Bits as flags 0 and 1: words of shape (…, ⌈t / 64⌉) to shape (…, t)."""
+    octets = np.ascontiguousarray(words).astype("<u8", copy=False).view(np.uint8)
+    return np.unpackbits(octets, axis=-1, bitorder="little")[..., :count]
 
-    Parameters
-    ----------
-    counters
-        Shape (k, …), changed; contiguous.
-    image
-        Shape (…).
+
+def add_image(counters: Words, image: Words) -> None:
+    """Count one image more: entry j of `counters` (k, …) has the flags that are set in more than j images.
+
+    `counters` is contiguous and changed in place; `image` has shape (…).
     """
     assert counters.flags.c_contiguous
     count_flags(counters.reshape(len(counters), -1), image.reshape(-1))
 
 
-def added(one: Words, other: Words) -> Words:
+def add_counts(one: Words, other: Words) -> Words:
     """The sum of two counts of images as :func:`add_image` makes them, up to k; shape (k, …).
 
     (a + b ≥ l) = (a ≥ l) or (b ≥ l) or (a ≥ 1 and b ≥ l − 1) or … or (a ≥ l − 1 and b ≥ 1).
@@ -46,7 +48,7 @@ def added(one: Words, other: Words) -> Words:
 
 @kernel
 def count_flags(counters: Words, more: Words) -> None:
-    """As :func:`add_image`, of rows: shapes (k, w) and (w,)."""
+    """As :func:`add_image`, for rows: shapes (k, w) and (w,)."""
     for w in range(counters.shape[1]):
         carry = more[w]
         for k in range(len(counters)):
@@ -66,18 +68,10 @@ def _count_bits(word: np.uint64) -> np.uint64:
 
 @kernel
 def word_weight(flags: np.uint64, word: int, masks: Words, factors: NDArray[np.int64]) -> np.int64:
-    """Sum of the factors of the flags that are set in word number `word`.
+    """Sum of the factors of the flags that are set in `flags`, which is word number `word`.
 
-    Parameters
-    ----------
-    flags
-        The word.
-    word
-        Its number.
-    masks
-        The flags that share a factor, shape (groups, words); a flag in several counts with their sum.
-    factors
-        Shape (groups,).
+    `masks` are the flags that share a factor, shape (groups, words); a flag in several counts with the sum of
+    `factors`, shape (groups,).
     """
     total = np.int64(0)
     for g in range(len(factors)):

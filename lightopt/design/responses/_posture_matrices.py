@@ -1,11 +1,11 @@
-"""The luminance matrices of a run's postures: made, or taken where an earlier run kept them; and the patches."""
+"""The luminance matrices of a run's postures, computed or read from the cache; and the patches."""
 
 from __future__ import annotations
 
 import hashlib
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +16,17 @@ from lightopt.core.provenance import computed_by, file_sha256
 from lightopt.core.transforms import Posture
 from lightopt.design._options import OptimizeOptions
 from lightopt.design.candidates._candidates import Candidates
-from lightopt.design.responses._defect_evaluation import Inspection
-from lightopt.design.responses._luminance import MOST_BYTES, luminance_matrix
+from lightopt.design.responses._detection import DetectionModel
 from lightopt.design.responses._luminance_matrix import LuminanceMatrix
-from lightopt.design.responses._matrix_cache import keep_matrix, matrix_key, read_matrix
+from lightopt.design.responses._matrix_cache import matrix_key, read_matrix, write_matrix
+from lightopt.design.responses._matrix_computation import MOST_BYTES, luminance_matrix
 from lightopt.geometry import RayCaster
 from lightopt.images import make_folder, posture_folder
 from lightopt.rendering import PatchTable, RenderProgress, build_patches, patches_for_edge
 from lightopt.scene import PanelLight, Scene, chord_tolerance, pixel_footprint
 
 COARSE_SHARE = 0.15
-"""Edges longer than this share of the part's diagonal are worth a warning."""
+"""Edges longer than this share of the part's diagonal cause a warning."""
 
 MATRIX_NAME = "matrix.npz"
 
@@ -38,62 +38,38 @@ _NOT_OF_LEVELS: Any = {
     "defect_catalogue": True,
     "inspection": True,
 }
-"""What of a part no level depends on; of the catalogue's defects the trials have a key of their own."""
+"""What of a part no level depends on; the hypotheses of the catalogue's defects have a key of their own."""
 
 
-class Matrices:
-    """Makes the luminance matrices, or takes kept ones where that was asked for; patches are cut only when needed.
+@dataclass(eq=False)
+class PostureMatrices:
+    """Computes the luminance matrices or reads cached ones; patches are made only when needed.
 
-    Parameters
-    ----------
-    rig, part, scene, candidates, options
-        Of the run.
-    folder
-        Of the run, where matrices are kept.
-    caster
-        Of the scene's part.
-    inspection
-        The defects that are looked for; None for none.
-    table
-        Patches that were cut before, of the scene's postures; None to cut them when they are needed.
-
-    Attributes
-    ----------
-    reused
-        How many were taken from an earlier run.
-    table
-        The patches; None as long as they were not needed.
+    table: The patches; None as long as they were not needed.
+    reused: How many matrices were read from the cache.
     """
 
-    def __init__(
-        self,
-        rig: RigConfig,
-        part: PartConfig,
-        scene: Scene,
-        candidates: Candidates,
-        options: OptimizeOptions,
-        folder: Path,
-        caster: RayCaster,
-        inspection: Inspection | None,
-        table: PatchTable | None = None,
-    ) -> None:
-        self.rig = rig
-        self.part = part
-        self.scene = scene
-        self.candidates = candidates
-        self.options = options
-        self.folder = folder
-        self.caster = caster
-        self.reused = 0
-        self.table = table
-        self.inspection = inspection
-        self._facts = _matrix_facts(rig, part, scene, candidates, options, inspection)
-        if table is not None:
-            self._facts["patches"] = hashlib.sha256(table.patches.centroids.tobytes()).hexdigest()
+    rig: RigConfig
+    part: PartConfig
+    scene: Scene
+    candidates: Candidates
+    options: OptimizeOptions
+    folder: Path
+    caster: RayCaster
+    detection: DetectionModel | None
+    table: PatchTable | None = None
+    reused: int = 0
+
+    def __post_init__(self) -> None:
+        self._facts = _matrix_facts(
+            self.rig, self.part, self.scene, self.candidates, self.options, self.detection
+        )
+        if self.table is not None:
+            self._facts["patches"] = hashlib.sha256(self.table.patches.centroids.tobytes()).hexdigest()
 
     @property
-    def coarse(self) -> str | None:
-        """A warning where patches are so large that what happens within one matters; None where they are not."""
+    def coarse_warning(self) -> str | None:
+        """A warning where patches are so large that variation within one matters; None where they are not."""
         if self.table is None:
             return None
         low, high = self.scene.mesh.bounds
@@ -107,9 +83,9 @@ class Matrices:
         )
 
     def _advice(self, longest: float) -> str:
-        # how many patches it takes; where the mesh itself has more triangles than were asked for, how fewer are had
+        # how many patches are needed; where the mesh itself has more triangles, how to get fewer
         assert self.table is not None
-        # cutting may end somewhat before all that were asked for are made
+        # refinement may end somewhat before the budget is used up
         needed = 1.02 * patches_for_edge(self.table, self.scene.mesh, 0.8 * longest)
         step = 10 ** max(0, math.floor(math.log10(needed)) - 1)
         text = f"--patches {step * math.ceil(needed / step)} cuts them to {longest:.2g} mm or less"
@@ -133,33 +109,33 @@ class Matrices:
 
     @property
     def message(self) -> str | None:
-        """What the patch refinement reached."""
+        """The outcome of the patch refinement."""
         return None if self.table is None else self.table.message
 
     def patches(self) -> PatchTable:
-        """The patches, cut when first needed."""
+        """The patches, made when first needed."""
         if self.table is None:
             self.table = build_patches(self.scene, caster=self.caster, budget=self.options.patch_budget)
         return self.table
 
     def matrix(self, posture: Posture, report: RenderProgress | None, *, held: int) -> LuminanceMatrix:
-        """The luminance matrix of a posture, one of so many that are held together."""
+        """The luminance matrix of a posture, one of `held` that are in memory together."""
         key = matrix_key({**self._facts, "posture": posture.as_dict()})
         path = self.folder / posture_folder(posture) / MATRIX_NAME
-        trials = None if self.inspection is None else self.inspection.trials
+        hypotheses = None if self.detection is None else self.detection.hypotheses
         if self.options.keep_matrix:
-            kept = read_matrix(path, key=key, lights=len(self.candidates.names), trials=trials)
-            if kept is not None:
+            cached = read_matrix(path, key=key, lights=len(self.candidates.names), hypotheses=hypotheses)
+            if cached is not None:
                 self.reused += 1
-                return kept
-        made = self._made(posture, self.candidates.panels, self.inspection, report, held)
+                return cached
+        matrix = self._compute(posture, self.candidates.panels, self.detection, report, held)
         if self.options.keep_matrix:
             make_folder(path.parent)
-            keep_matrix(path, made, self.candidates.angles, key=key)
-        return made
+            write_matrix(path, matrix, self.candidates.angles, key=key)
+        return matrix
 
-    def holds(self, candidates: Candidates) -> bool:
-        """Whether there is room for the levels of other candidates, in all postures together."""
+    def fits_memory(self, candidates: Candidates) -> bool:
+        """Whether memory suffices for the levels of other candidates, in all postures together."""
         dtype = 1 if self.scene.sensor.bit_depth <= 8 else 2
         positions = sum(candidates.space.sizes)
         table = self.patches()
@@ -169,18 +145,18 @@ class Matrices:
     def levels(
         self, posture: Posture, candidates: Candidates, report: RenderProgress | None
     ) -> LuminanceMatrix:
-        """The levels of a posture under other candidates, of whom :meth:`holds` says that there is room."""
-        return self._made(posture, candidates.panels, None, report, 1)
+        """The levels of a posture under other candidates; check :meth:`fits_memory` first."""
+        return self._compute(posture, candidates.panels, None, report, 1)
 
-    def of_places(self, posture: Posture, panels: Sequence[PanelLight]) -> LuminanceMatrix:
-        """The matrix of a posture with each light in one place."""
-        return self._made(posture, [[panel] for panel in panels], self.inspection, None, 1)
+    def at_positions(self, posture: Posture, panels: Sequence[PanelLight]) -> LuminanceMatrix:
+        """The matrix of a posture with each light in one position."""
+        return self._compute(posture, [[panel] for panel in panels], self.detection, None, 1)
 
-    def _made(
+    def _compute(
         self,
         posture: Posture,
         panels: Sequence[Sequence[PanelLight]],
-        inspection: Inspection | None,
+        detection: DetectionModel | None,
         report: RenderProgress | None,
         held: int,
     ) -> LuminanceMatrix:
@@ -190,7 +166,7 @@ class Matrices:
             posture,
             panels,
             caster=self.caster,
-            inspection=inspection,
+            detection=detection,
             shadows=self.options.shadows,
             threads=self.options.threads,
             most_bytes=MOST_BYTES // held,
@@ -204,22 +180,22 @@ def _matrix_facts(
     scene: Scene,
     candidates: Candidates,
     options: OptimizeOptions,
-    inspection: Inspection | None,
+    detection: DetectionModel | None,
 ) -> dict[str, Any]:
     # all that a level depends on, and nothing else: not the names and ranges of the lights, nor the sensor's noise and
     # saturation, which thresholds are made of
     moving = {"name", "elevation_deg", "azimuth_deg", "elevation_range_deg", "azimuth_range_deg"}
     mesh = part.source.resolve(part.mesh.file)
-    looked_for: dict[str, Any] = {}
-    if inspection is not None:
+    defects: dict[str, Any] = {}
+    if detection is not None:
         # what is visible depends on the sensor's noise and saturation, too
-        looked_for = {
-            "defects": [asdict(trial) for trial in inspection.trials],
-            "noise": asdict(inspection.contrast),
+        defects = {
+            "defects": [asdict(hypothesis) for hypothesis in detection.hypotheses],
+            "noise": asdict(detection.contrast),
             "defects narrower than a pixel": "F (D - M) + A M in two pixels",
         }
     return {
-        **looked_for,
+        **defects,
         "camera": rig.camera.model_dump(mode="json", exclude={"sensor"}),
         "sensor": {"bit_depth": scene.sensor.bit_depth, "black_level": scene.sensor.black_level},
         "light_source": rig.light_source.model_dump(mode="json"),

@@ -1,4 +1,4 @@
-"""How the score goes with one angle, all others as in the best set: for people who want to know how flat the top is."""
+"""Score along one angle, all others as in the best set: shows how flat the optimum is."""
 
 from __future__ import annotations
 
@@ -18,18 +18,11 @@ MOST_POINTS = 31
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """Scores along one angle.
+    """Scores along one angle, all else as in the best set.
 
-    Attributes
-    ----------
-    name
-        Of the light that is moved, or :data:`TOGETHER`.
-    axis
-        ``elevation`` or ``azimuth``.
-    angles_deg
-        Ascending [°].
-    scores
-        With the light there and all else as in the best set.
+    name: Of the light that is moved, or :data:`TOGETHER`.
+    axis: ``elevation`` or ``azimuth``.
+    angles_deg: Ascending [°].
     """
 
     name: str
@@ -38,7 +31,6 @@ class Curve:
     scores: tuple[int, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         return {
             "light": None if self.name == TOGETHER else self.name,
             "axis": self.axis,
@@ -52,16 +44,8 @@ def score_curves(
 ) -> tuple[Curve, ...]:
     """The curves through a best set: all movable lights at one elevation, then each light's elevation and azimuth.
 
-    Combinations that are not allowed, and angles that a light cannot take, are left out; so are curves of one point.
-
-    Parameters
-    ----------
-    candidates
-        The positions that there were to choose from.
-    best
-        The set that the curves go through, but for the first, which may pass beside it.
-    score
-        Exact score of one combination.
+    Combinations that are not allowed, and angles that a light cannot take, are omitted; so are curves of one point. The
+    first curve may not contain the best set.
     """
     curves: list[Curve] = []
     lights = range(len(candidates.names))

@@ -1,4 +1,4 @@
-"""The best combinations of a table of scores, in the order that decides ties."""
+"""The best combinations of a table of scores, with ties in a fixed order."""
 
 from __future__ import annotations
 
@@ -7,11 +7,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.design._arrays import Flags, Int64
 from lightopt.design.candidates._combination_space import Rows
-
-Int64 = NDArray[np.int64]
 
 MOST_NEAR = 1 << 24
 """Scores near the best that are held at a time: 128 MiB."""
@@ -19,14 +17,10 @@ MOST_NEAR = 1 << 24
 
 @dataclass(frozen=True, order=True)
 class Ranked:
-    """A combination and what it is ranked by: smaller comes first.
+    """A combination with its sort key: smaller comes first.
 
-    Attributes
-    ----------
-    negative_score, negative_usable
-        Minus the score, minus the sum of usable levels.
-    candidates
-        One per light, in the rig's order; candidates ascend by elevation, then azimuth.
+    negative_score, negative_usable: Minus the score, minus the sum of usable levels.
+    candidates: One per light, in the rig's order; candidates ascend by elevation, then azimuth.
     """
 
     negative_score: int
@@ -35,7 +29,6 @@ class Ranked:
 
     @property
     def score(self) -> int:
-        """Score of the objective."""
         return -self.negative_score
 
     @property
@@ -48,14 +41,9 @@ class Ranked:
 class Ranking:
     """The first of some combinations, and how many share the best score.
 
-    Attributes
-    ----------
-    best
-        Ordered; as many as were asked for or there are.
-    ties
-        Number of combinations with the best score.
-    count
-        Number of combinations looked at.
+    best: Ordered; as many as were requested or there are.
+    ties: Number of combinations with the best score.
+    count: Number of combinations evaluated.
     """
 
     best: tuple[Ranked, ...] = ()
@@ -63,7 +51,6 @@ class Ranking:
     count: int = 0
 
     def merged(self, other: Ranking, limit: int) -> Ranking:
-        """The ranking of both sets of combinations."""
         best = tuple(sorted((*self.best, *other.best))[:limit])
         score = best[0].score if best else 0
         ties = sum(r.ties for r in (self, other) if r.best and r.best[0].score == score)
@@ -71,15 +58,11 @@ class Ranking:
 
 
 class NearBest:
-    """Counts the scores near the best, table after table, of which only the last tells how high the best is.
+    """Counts the scores near the best, table after table, while the best may still rise.
 
-    Parameters
-    ----------
-    margin
-        Of a best score: by how much another may be below it and still be near. Best less margin never falls as the best
+    margin: How far a score may be below a given best and still be near. Best less margin never falls as the best
         rises.
-    most
-        Scores that are held at a time; of more, the lower half is let go, and the count may be too low.
+    most: Scores that are held at a time; of more, the lower half is dropped, and the count may be too low.
     """
 
     def __init__(self, margin: Callable[[int], int], *, most: int = MOST_NEAR) -> None:
@@ -94,7 +77,7 @@ class NearBest:
 
     @property
     def exact(self) -> bool:
-        """Whether no score that is near was let go."""
+        """Whether no score that is near was dropped."""
         return self._lost_below <= self.least
 
     @property
@@ -117,23 +100,13 @@ class NearBest:
             self._held = [held]
 
 
-def rank(
-    table: Int64, rows: Rows, usable: Sequence[Int64], *, allowed: NDArray[np.bool_] | None, limit: int
-) -> Ranking:
+def rank(table: Int64, rows: Rows, usable: Sequence[Int64], *, allowed: Flags | None, limit: int) -> Ranking:
     """Rank by score, then by the sum of usable levels, then by lower candidates in the order of the lights.
 
-    Parameters
-    ----------
-    table
-        Scores, one per combination of `rows`, the last light's varying fastest.
-    rows
-        Candidates of each light.
-    usable
-        Sum of usable levels of each candidate of each light, whatever the table's rows.
-    allowed
-        Of the same combinations; None for all.
-    limit
-        How many to keep.
+    table: Scores, one per combination of `rows`, the last light's varying fastest.
+    usable: Sum of usable levels of each candidate of each light, whatever the table's rows.
+    allowed: Of the same combinations; None for all.
+    limit: How many to keep.
     """
     places = None if allowed is None else np.flatnonzero(allowed)
     scores = table if places is None else table[places]

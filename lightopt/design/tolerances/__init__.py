@@ -1,1 +1,5 @@
-"""How far lights and part may be off."""
+"""Tolerance analysis: how far a score falls when lights or part are misaligned.
+
+`_analysis` is the analysis, `_assessments` scores misaligned lights and parts, `_tolerances` are the request and the
+misalignments to try.
+"""

@@ -1,62 +1,42 @@
-"""What may be off in a plan, what is tried of it, and what scores that."""
+"""The tolerances to analyse, and the misalignments that are tried."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.core.errors import InputError
+from lightopt.design._arrays import Int64
 
 Offset = tuple[float, float]
 """Elevation and azimuth of a light, or tilt and rotation of the part, off by so much [°]."""
 
+ScoreFunction = Callable[[Offset, Sequence[Sequence[Offset]]], Int64]
+"""Scores of all combinations of offsets, the last light's varying fastest, for an offset of the part, the same in all
+postures, and offsets of each light."""
+
 DEFAULT_TOLERANCE_TARGET = 0.95
-"""Share of the score that the widest tolerances keep, unless asked otherwise."""
+"""Share of the score that the widest tolerances keep by default."""
 
 LARGEST_TOLERANCE = 16.0
-"""The widest tolerance that is looked for, and the largest that may be asked about [°]."""
+"""The widest tolerance that is tried, and the largest that may be requested [°]."""
 
 MOST_LIGHTS = 10
 """Of which all corners are tried: 4 per light, some million in all. Two lights more would be sixteen times as many."""
 
 
-class Assess(Protocol):
-    """Scores of lights and part that are off."""
-
-    def __call__(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> NDArray[np.int64]:
-        """Scores of all combinations of offsets, the last light's varying fastest.
-
-        Parameters
-        ----------
-        pose
-            Of the part, the same in all postures.
-        lights
-            Of each light, offsets to try.
-        """
-        ...
-
-
 @dataclass(frozen=True, kw_only=True)
 class Tolerances:
-    """What may be off, and what is to be kept.
+    """How far angles may be off, and what is to be kept.
 
-    Attributes
-    ----------
-    light_deg
-        Elevation and azimuth of each light [°].
-    pose_deg
-        Tilt and rotation of the part [°].
-    target
-        Share of the score that the widest tolerances keep.
-    draws
-        Number of random draws.
-    seed
-        Of the random numbers.
+    light_deg: Elevation and azimuth of each light [°].
+    pose_deg: Tilt and rotation of the part [°].
+    target: Share of the score that the widest tolerances keep.
+    draws: Number of random draws.
+    seed: Random seed.
     """
 
     light_deg: float = 0.0
@@ -103,7 +83,7 @@ def corners(tolerance: float) -> Iterator[Offset]:
 
 
 def draws(lights: int, tolerances: Tolerances) -> Iterator[tuple[Offset, list[Offset]]]:
-    """Random offsets of the part and of each light, even within the tolerances."""
+    """Uniformly random offsets of the part and of each light, within the tolerances."""
     numbers = np.random.default_rng(tolerances.seed).uniform(-1.0, 1.0, (tolerances.draws, lights + 1, 2))
     for draw in numbers:
         pose, *rest = draw

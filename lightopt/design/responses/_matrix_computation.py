@@ -1,12 +1,11 @@
-"""The luminance matrix from a scene (paper, section 5.2, step 1): one layer of delivered levels per candidate position.
+"""The luminance matrix of a scene (paper, section 5.2, step 1): one layer of delivered levels per candidate position.
 
 Rays go from the centroid of every inspectable patch, one that the camera sees and not at a grazing angle
-(:data:`lightopt.rendering.GRAZING_DEG`), to the point lights of every candidate panel. The panel's
-light is computed as for images, then exposed at exposure 1 without noise, so that a level here is what the camera would
-deliver of the patch. With ``points: auto`` shadows at a patch are told by its own five rays, since patches have no
-neighbours in a grid.
+(:data:`lightopt.rendering.GRAZING_DEG`), to the point lights of every candidate panel. The panel's light is computed as
+for images, then exposed at exposure 1 without noise: a level here is what the camera would deliver for the patch. With
+``points: auto`` each patch's own five rays decide on shadows, since patches have no neighbours in a grid.
 
-Where the images are inspected for defects, the same rays tell which defects each image shows.
+Where images are tested for defects, the same rays decide which defects each image shows.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from lightopt.core.errors import InputError, counted
 from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
-from lightopt.design.responses._defect_evaluation import Inspected, Inspection
+from lightopt.design.responses._detection import DetectionModel, PatchDetection
 from lightopt.design.responses._luminance_matrix import Levels, LuminanceMatrix
 from lightopt.design.responses._packed_bits import Words
 from lightopt.design.responses._visibility import Visibility
@@ -38,17 +37,7 @@ search the process then stays below 2 GB."""
 
 
 def patch_points(scene: Scene, table: PatchTable, posture: Posture) -> tuple[SurfacePoints, NDArray[np.intp]]:
-    """The inspectable patches of a posture, as surface points in the part's frame, and their indices.
-
-    Parameters
-    ----------
-    scene
-        The scene.
-    table
-        Its patches; the posture is one of theirs.
-    posture
-        Of the part.
-    """
+    """The inspectable patches of a posture as surface points in the part's frame, and their indices."""
     patches = table.patches
     seen = table.inspectable(posture)
     eye = view_from_part(scene, posture).camera.position
@@ -71,7 +60,7 @@ def luminance_matrix(
     panels: Sequence[Sequence[PanelLight]],
     *,
     caster: RayCaster,
-    inspection: Inspection | None = None,
+    detection: DetectionModel | None = None,
     shadows: bool = True,
     threads: int | None = None,
     most_bytes: int = MOST_BYTES,
@@ -79,33 +68,12 @@ def luminance_matrix(
 ) -> LuminanceMatrix:
     """Delivered levels of the inspectable patches under every candidate panel of every light, at exposure 1.
 
-    Parameters
-    ----------
-    scene
-        The scene; its own lights do not matter.
-    table
-        Its patches.
-    posture
-        One of the table's.
-    panels
-        Of each light, the panels at its candidate positions; world frame.
-    caster
-        Of the scene's part.
-    inspection
-        The defects whose visibility in the same images is wanted; None for levels alone.
-    shadows
-        Whether the part casts shadows on itself.
-    threads
-        All the machine's by default. The levels do not depend on it.
-    most_bytes
-        Of the levels and the defects' bits.
-    progress
-        Called with the share that is done and the number of rays cast so far.
-
-    Raises
-    ------
-    InputError
-        More positions than memory is meant for.
+    scene, table, posture: The scene, its patches, and one of their postures. The scene's own lights are ignored.
+    panels: Per light, the panels at its candidate positions; world frame.
+    detection: The defects whose visibility in the same images is wanted; None for levels alone.
+    most_bytes: Limit for the levels and the defects' bits.
+    progress: Called with the share that is done and the number of rays cast so far.
+    Raises InputError: More positions than memory is meant for.
     """
     return luminance_matrices(
         scene,
@@ -114,7 +82,7 @@ def luminance_matrix(
         panels,
         exposures=(1.0,),
         caster=caster,
-        inspection=inspection,
+        detection=detection,
         shadows=shadows,
         threads=threads,
         most_bytes=most_bytes,
@@ -122,22 +90,10 @@ def luminance_matrix(
     )[0]
 
 
-def matrix_bytes(scene: Scene, patches: int, exposures: int, inspection: Inspection | None) -> int:
-    """What :func:`luminance_matrices` holds for one position of a light: levels, and the defects' bits.
-
-    Parameters
-    ----------
-    scene
-        The scene.
-    patches
-        That are inspectable in the posture.
-    exposures
-        Number of them.
-    inspection
-        The defects; None for levels alone.
-    """
+def matrix_bytes(scene: Scene, patches: int, exposures: int, detection: DetectionModel | None) -> int:
+    """Memory of :func:`luminance_matrices` for one position of a light: levels, and the defects' bits."""
     level = 1 if scene.sensor.bit_depth <= 8 else 2
-    width = 0 if inspection is None else -(-len(inspection.trials) // 64)
+    width = 0 if detection is None else -(-len(detection.hypotheses) // 64)
     return patches * exposures * (level + 8 * width)
 
 
@@ -149,7 +105,7 @@ def luminance_matrices(
     *,
     exposures: Sequence[float],
     caster: RayCaster,
-    inspection: Inspection | None = None,
+    detection: DetectionModel | None = None,
     shadows: bool = True,
     threads: int | None = None,
     most_bytes: int = MOST_BYTES,
@@ -159,8 +115,8 @@ def luminance_matrices(
     surface, seen = patch_points(scene, table, posture)
     dtype = np.uint8 if scene.sensor.bit_depth <= 8 else np.uint16
     positions = sum(len(some) for some in panels)
-    width = 0 if inspection is None else -(-len(inspection.trials) // 64)
-    size = positions * matrix_bytes(scene, len(seen), len(exposures), inspection)
+    width = 0 if detection is None else -(-len(detection.hypotheses) // 64)
+    size = positions * matrix_bytes(scene, len(seen), len(exposures), detection)
     if size > most_bytes:
         raise InputError(
             f"luminance matrix: {counted(positions, 'position')} × {len(seen):,} patches are {size / 1e9:.2f} GB, and "
@@ -172,7 +128,7 @@ def luminance_matrices(
     words: list[list[Words]] = [
         [np.zeros((len(some), len(seen), width), np.uint64) for some in panels] for _ in exposures
     ]
-    view = None if inspection is None else Inspected(scene, surface, posture, inspection)
+    view = None if detection is None else PatchDetection(scene, surface, posture, detection)
     blocks = [
         (start, surface.take(np.arange(start, min(start + BLOCK_PATCHES, len(seen)))))
         for start in range(0, len(seen), BLOCK_PATCHES)
@@ -188,7 +144,7 @@ def luminance_matrices(
         if view is None:
             level = _levels(scene, block, panel, caster, blocker)
         else:
-            level, bits = view.look(block, panel, here, caster, blocker, exposures)
+            level, bits = view.evaluate(block, panel, here, caster, blocker, exposures)
             for index, some in enumerate(bits):
                 words[index][light][k, here] = some
         for index, exposure in enumerate(exposures):
@@ -223,7 +179,7 @@ def luminance_matrices(
             visibility=None
             if view is None
             else Visibility(
-                trials=view.inspection.trials,
+                hypotheses=view.detection.hypotheses,
                 words=tuple(words[index]),
                 areas=areas,
                 patch=seen.astype(np.int32),

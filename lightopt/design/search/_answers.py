@@ -11,16 +11,22 @@ import numpy as np
 from lightopt.core.errors import InputError, LightoptError
 from lightopt.core.progress import pieces
 from lightopt.core.transforms import Posture
-from lightopt.design._result import Answer, SetResult
+from lightopt.design._plan_progress import of_stage
+from lightopt.design._result import ObjectiveResult, SetResult
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.objectives._objective import Objective
-from lightopt.design.responses._luminance_matrix import AREA_UNIT_MM2, LuminanceMatrix, Thresholds, area_units
+from lightopt.design.responses._luminance_matrix import (
+    AREA_UNIT_MM2,
+    LevelThresholds,
+    LuminanceMatrix,
+    area_units,
+)
 from lightopt.design.search._curves import score_curves
-from lightopt.design.search._search import Found, search
+from lightopt.design.search._exact_search import SearchResult, search
 from lightopt.rendering import GRAZING_DEG, grain_of
 
 PIECE_PATCHES = 1 << 15
-"""Patches that an objective's definition is given at once."""
+"""Patches for which an objective's definition is evaluated at once."""
 
 
 def answer_set(
@@ -28,7 +34,7 @@ def answer_set(
     postures: Sequence[Posture],
     candidates: Candidates,
     objectives: Sequence[Objective],
-    thresholds: Thresholds,
+    thresholds: LevelThresholds,
     *,
     rows: int,
     limit: int,
@@ -37,25 +43,8 @@ def answer_set(
 ) -> SetResult:
     """The best light positions for postures that share them.
 
-    Parameters
-    ----------
-    matrices, postures
-        One matrix per posture.
-    candidates
-        What the matrices' rows stand for.
-    objectives
-        Each is optimised, and each best set is scored under all.
-    thresholds
-        Which levels are usable.
-    rows, limit, threads
-        As for :func:`lightopt.design.search`: its `keep`, `limit` and `threads`.
-    progress
-        Called with what is searched for and the share of that which is done.
-
-    Raises
-    ------
-    InputError
-        As :func:`lightopt.design.search`.
+    Each objective is optimised, and each best set is scored under all. `rows`, `limit` and `threads` are `keep`,
+    `limit` and `threads` of :func:`lightopt.design.search`, which says what is raised.
     """
     for matrix, posture in zip(matrices, postures, strict=True):
         if not len(matrix.areas):
@@ -64,19 +53,11 @@ def answer_set(
                 f"posture {posture}: {sight if matrix.grazing_mm2 else 'the camera sees no patch'}, so that no "
                 "position of the lights is better than another; check the part's placement and the posture"
             )
-    answers: list[Answer] = []
+    find = partial(search, space=candidates.space, keep=rows, limit=limit, threads=threads)
+    answers: list[ObjectiveResult] = []
     for objective in objectives:
         stage = f"{objective.name}, {', '.join(map(str, postures))}"
-        found = search(
-            matrices,
-            objective,
-            thresholds,
-            space=candidates.space,
-            keep=rows,
-            limit=limit,
-            threads=threads,
-            progress=None if progress is None else partial(progress, stage),
-        )
+        found = find(matrices, objective, thresholds, progress=of_stage(progress, stage))
         best = found.best.candidates
         scores = {other.name: _score(matrices, other, best, thresholds) for other in objectives}
         if scores[objective.name] != found.best.score:
@@ -84,13 +65,13 @@ def answer_set(
                 f"internal error: objective {objective.name} scores the best set {found.best.score:,} in the search "
                 f"and {scores[objective.name]:,} by its definition; please report it with the rig and the part"
             )
-        nothing = _nothing(matrices, thresholds, found) if found.best.score == 0 else None
+        nothing = _reason_for_zero(matrices, thresholds, found) if found.best.score == 0 else None
         details = objective.details(
             [matrix.combination(best) for matrix in matrices],
             [objective.weights(matrix.areas) for matrix in matrices],
         )
         answers.append(
-            Answer(objective=objective, found=found, scores=scores, details=details, nothing=nothing)
+            ObjectiveResult(objective=objective, found=found, scores=scores, details=details, nothing=nothing)
         )
     first = answers[0]
     return SetResult(
@@ -114,70 +95,47 @@ def answer_set(
     )
 
 
-def answers_beside(
+def answer_others(
     chosen: SetResult,
     at: tuple[int, ...],
     levels: Sequence[LuminanceMatrix],
     objectives: Sequence[Objective],
-    thresholds: Thresholds,
+    thresholds: LevelThresholds,
     *,
     candidates: Candidates,
-    look: Callable[[tuple[int, ...]], Sequence[LuminanceMatrix]],
+    evaluate: Callable[[tuple[int, ...]], Sequence[LuminanceMatrix]],
     rows: int,
     limit: int,
     threads: int | None,
     progress: Callable[[str, float], None] | None = None,
 ) -> SetResult:
-    """The best light positions of other objectives beside those that were chosen before for the first.
+    """The best light positions of other objectives, beside those that were chosen before for the first.
 
-    Parameters
-    ----------
-    chosen
-        The answer of the first objective, with one position of each light.
-    at
-        These positions among the candidates.
-    levels
-        Of all candidates, one matrix per posture; not used where there are no others.
-    objectives
-        The first, and the others.
-    thresholds
-        Which levels are usable.
-    candidates
-        What the matrices' rows stand for.
-    look
-        Makes the matrices of one combination, one per posture, with all that the first objective needs.
-    rows, limit, threads, progress
-        As for :func:`answer_set`.
+    chosen: The answer of the first objective, with one position of each light.
+    at: These positions among the candidates.
+    levels: Of all candidates, one matrix per posture.
+    evaluate: Computes the matrices of one combination, one per posture, with all that the first objective needs.
     """
     first = chosen.answers[0]
-    own = replace(first.found, ranking=(replace(first.found.best, candidates=at),))
-    postures = ", ".join(map(str, chosen.postures))
-    answers: list[Answer] = []
+    find = partial(search, space=candidates.space, keep=rows, limit=limit, threads=threads)
+    answers: list[ObjectiveResult] = []
     for objective in objectives:
-        stage = f"{objective.name}, {postures}"
-        found = (
-            own
-            if objective is objectives[0]
-            else search(
-                levels,
-                objective,
-                thresholds,
-                space=candidates.space,
-                keep=rows,
-                limit=limit,
-                threads=threads,
-                progress=None if progress is None else partial(progress, stage),
-            )
-        )
-        matrices = look(found.best.candidates)
+        if objective is objectives[0]:
+            found = replace(first.found, ranking=(replace(first.found.best, candidates=at),))
+        else:
+            stage = f"{objective.name}, {', '.join(map(str, chosen.postures))}"
+            found = find(levels, objective, thresholds, progress=of_stage(progress, stage))
+        matrices = evaluate(found.best.candidates)
         only = (0,) * len(candidates.names)
         answers.append(
-            Answer(
+            ObjectiveResult(
                 objective=objective,
                 found=found,
                 scores={other.name: _score(matrices, other, only, thresholds) for other in objectives},
                 details=objective.details(matrices, [objective.weights(matrix.areas) for matrix in matrices]),
-                nothing=_nothing(levels or matrices, thresholds, found) if found.best.score == 0 else None,
+                nothing=_reason_for_zero(levels or matrices, thresholds, found)
+                if found.best.score == 0
+                else None,
             )
         )
     return replace(chosen, answers=tuple(answers))
@@ -187,7 +145,7 @@ def _score(
     matrices: Sequence[LuminanceMatrix],
     objective: Objective,
     combination: tuple[int, ...],
-    thresholds: Thresholds,
+    thresholds: LevelThresholds,
 ) -> int:
     total = 0
     for matrix in matrices:
@@ -198,7 +156,9 @@ def _score(
     return total
 
 
-def _nothing(matrices: Sequence[LuminanceMatrix], thresholds: Thresholds, found: Found) -> str:
+def _reason_for_zero(
+    matrices: Sequence[LuminanceMatrix], thresholds: LevelThresholds, found: SearchResult
+) -> str:
     layers = [layer for matrix in matrices for layer in matrix.levels]
     count = sum(layer.size for layer in layers)
     dark = sum(int(np.count_nonzero(layer < thresholds.shade)) for layer in layers)

@@ -1,4 +1,4 @@
-"""The postures that there are to choose from: a grid over what the stage reaches, without those that are of no use."""
+"""The candidate postures: a grid over the stage's ranges, without postures that cannot be used."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from lightopt.rendering import panels_in_part
 from lightopt.scene import PanelLight, Scene, frame_part, part_postures, view_from_part
 
 DEFAULT_POSTURE_STEP = 22.5
-"""Of tilt and rotation [°], unless asked otherwise: a stage of ±45° and a full turn then has 80 postures."""
+"""Of tilt and rotation [°], by default: a stage of ±45° and a full turn then has 80 postures."""
 
 DEFAULT_OUTSIDE_PX = 10.0
-"""How far the part may leave the view in a posture to choose from [px], unless asked otherwise: no further than a part
+"""How far the part may leave the view in a posture to choose from [px] by default: no further than a part
 may be off its place, so that its rim is near the image's border anyway. What is outside is not seen in that posture."""
 
 MOST_POSTURES = 2000
@@ -26,18 +26,8 @@ _SIDES = ("left", "top", "right", "bottom")
 
 
 @dataclass(frozen=True)
-class LeftOutPosture:
-    """A posture that the stage reaches and that cannot be planned.
-
-    Attributes
-    ----------
-    posture
-        The posture.
-    reason
-        For people.
-    kind
-        ``view`` or ``part``.
-    """
+class ExcludedPosture:
+    """A posture in the stage's range that cannot be planned; `kind` is ``view`` or ``part``."""
 
     posture: Posture
     reason: str
@@ -45,30 +35,21 @@ class LeftOutPosture:
 
 
 def posture_grid(rig: RigConfig, part: PartConfig, *, step_deg: float) -> tuple[Posture, ...]:
-    """Postures to choose from: the part's own ones, then tilts and rotations at a step.
+    """Candidate postures: the part's own ones that the stage reaches, then tilts and rotations at a step.
 
-    Each angle takes the multiples of the step that the stage reaches, 0 among them, and both ends of its range; a range
-    of a full turn or more takes one turn, without its end. An axis that the rig's stage does not have stays at 0.
+    Each angle takes the multiples of the step within the stage's range, 0 among them, and both ends of the range; a
+    range of a full turn or more takes one turn, without its end. An axis that the rig's stage does not have stays at
+    0.
 
-    Parameters
-    ----------
-    rig, part
-        The stage and the part's own postures, of which those count that the stage reaches.
-    step_deg
-        [°], above 0.
-
-    Raises
-    ------
-    InputError
-        A step that is not a positive number, or that makes too many postures.
+    Raises InputError: A step that is not a positive number, or that makes too many postures.
     """
     if not (math.isfinite(step_deg) and step_deg > 0.0):
         raise InputError(f"--posture-step: expected degrees above 0, found {step_deg:g}")
     ranges = _reach(rig)
-    tilts, turns = (_angles(_one_turn(ends), step_deg) for ends in ranges)
-    if len(tilts) * len(turns) > MOST_POSTURES:
+    tilts, rotations = (_angles(_one_turn(ends), step_deg) for ends in ranges)
+    if len(tilts) * len(rotations) > MOST_POSTURES:
         raise InputError(
-            f"--posture-step: at {step_deg:g}° the stage has {len(tilts):,} × {len(turns):,} postures, more than "
+            f"--posture-step: at {step_deg:g}° the stage has {len(tilts):,} × {len(rotations):,} postures, more than "
             f"{MOST_POSTURES:,}, the most that are accepted; take a larger step, or narrow the stage's ranges"
         )
     (lowest, highest), (first, last) = ranges
@@ -77,36 +58,28 @@ def posture_grid(rig: RigConfig, part: PartConfig, *, step_deg: float) -> tuple[
         for p in part_postures(part)
         if lowest <= p.elevation_deg <= highest and first <= p.rotation_deg <= last
     ]
-    return tuple(dict.fromkeys([*own, *(Posture(tilt, turn) for tilt in tilts for turn in turns)]))
+    return tuple(
+        dict.fromkeys([*own, *(Posture(tilt, rotation) for tilt in tilts for rotation in rotations)])
+    )
 
 
 def usable_postures(
     scene: Scene, panels: Sequence[PanelLight], *, allow_outside_px: float = DEFAULT_OUTSIDE_PX
-) -> tuple[tuple[Posture, ...], tuple[LeftOutPosture, ...]]:
-    """Those of a scene's postures that keep the part in view and clear of the lights, and the others with the reason.
+) -> tuple[tuple[Posture, ...], tuple[ExcludedPosture, ...]]:
+    """The scene's postures that keep the part in view and clear of the lights, and the others with the reason.
 
-    Parameters
-    ----------
-    scene
-        With the postures to look at; its own lights do not matter.
-    panels
-        Every place where a light may stand, world frame.
-    allow_outside_px
-        How far the part may leave the view at a side of the image [px].
-
-    Raises
-    ------
-    InputError
-        No posture is left.
+    panels: Every position of a light, world frame; the scene's own lights are ignored.
+    allow_outside_px: How far the part may leave the view at a side of the image [px].
+    Raises InputError: No posture is left.
     """
     kept: list[Posture] = []
-    left_out: list[LeftOutPosture] = []
+    left_out: list[ExcludedPosture] = []
     for posture in scene.postures:
         found = _out_of_view(scene, posture, allow_outside_px) or _in_the_way(scene, posture, panels)
         if found is None:
             kept.append(posture)
         else:
-            left_out.append(LeftOutPosture(posture, *found))
+            left_out.append(ExcludedPosture(posture, *found))
     if not kept:
         first = left_out[0]
         raise InputError(

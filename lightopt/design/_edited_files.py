@@ -1,13 +1,14 @@
-"""The rig's file with new angles, its comments kept."""
+"""Rig and part files with new angles and postures: the user's own text, comments kept."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from lightopt.config import RigConfig, copied_text
+from lightopt.config import PartConfig, RigConfig, copied_text, with_list
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
+from lightopt.design._commands import degrees_text
 from lightopt.design._previous_result import RIG_NAME
 from lightopt.design._result import SetResult, angles_of
 from lightopt.design.candidates._candidates import Candidates
@@ -15,19 +16,13 @@ from lightopt.images import posture_folder
 
 
 def check_editable(rig: RigConfig) -> None:
-    """See that the angles of a rig's file can be changed, before any work.
-
-    Raises
-    ------
-    InputError
-        The rig was not read from a file, or anchors and aliases are in the way.
-    """
+    """Refuse a rig whose angles cannot be changed in its file: built in code, or with anchors and aliases."""
     if not rig.source.text:
         raise InputError(
             f"{rig.source.path}: the rig was built in code, so that there is no file to write the new angles into; "
             "load it from one"
         )
-    _edited(rig, [(light.elevation_deg, light.azimuth_deg) for light in rig.lights], rig.source.path.parent)
+    _rig_text(rig, [(light.elevation_deg, light.azimuth_deg) for light in rig.lights], rig.source.path.parent)
 
 
 def rig_texts(
@@ -43,16 +38,16 @@ def rig_texts(
         for result, answer in answered
     ]
     if sets and len(answered) == len(results) and len({angles for angles, _, _ in sets}) == 1:
-        together = tuple(posture for _, postures, _ in sets for posture in postures)
-        sets = [(sets[0][0], together, Path())]
+        all_postures = tuple(posture for _, postures, _ in sets for posture in postures)
+        sets = [(sets[0][0], all_postures, Path())]
     elif len(results) == 1:
         sets = [(angles, postures, Path()) for angles, postures, _ in sets]
     return [
-        (home / RIG_NAME, postures, _edited(rig, angles, folder / home)) for angles, postures, home in sets
+        (home / RIG_NAME, postures, _rig_text(rig, angles, folder / home)) for angles, postures, home in sets
     ]
 
 
-def _edited(rig: RigConfig, angles: Sequence[tuple[float, float]], home: Path) -> str:
+def _rig_text(rig: RigConfig, angles: Sequence[tuple[float, float]], home: Path) -> str:
     values: dict[tuple[str | int, ...], str] = {}
     for index, (light, (elevation, azimuth)) in enumerate(zip(rig.lights, angles, strict=True)):
         if light.elevation_range_deg is not None:
@@ -65,6 +60,25 @@ def _edited(rig: RigConfig, angles: Sequence[tuple[float, float]], home: Path) -
         raise InputError(*(f"{rig.source.path}: {text}" for text in error.messages)) from None
 
 
-def degrees_text(angle: float) -> str:
-    """An angle as a file is to say it: at most nine decimals, which is finer than any stage, and no exponent."""
-    return f"{round(angle, 9):.9f}".rstrip("0").rstrip(".")
+def planned_part_text(part: PartConfig, postures: Sequence[Posture], *, folder: Path, comment: str) -> str:
+    """Text of a part file with other postures, below a comment; the mesh is named relative to `folder`.
+
+    Raises
+    ------
+    InputError
+        The part was not read from a file, or its file is written so that its postures cannot be replaced.
+    """
+    if not part.source.text:
+        raise InputError(
+            f"{part.source.path}: the part was built in code, so that there is no file to write the planned postures "
+            "into; load it from one"
+        )
+    entries = [
+        f"{{elevation_deg: {degrees_text(p.elevation_deg)}, rotation_deg: {degrees_text(p.rotation_deg)}}}"
+        for p in postures
+    ]
+    try:
+        text = copied_text(part, folder)
+        return with_list(text, "postures", entries, comment=comment, replace=True)
+    except InputError as error:
+        raise InputError(*(f"{part.source.path}: {text}" for text in error.messages)) from None

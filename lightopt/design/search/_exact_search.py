@@ -1,11 +1,10 @@
-"""The exact search: all combinations scored, or shown by a bound to be no better.
+"""The exact search: every combination is scored, or excluded by a bound.
 
-Combinations are taken in boxes, some candidates of every light. A box that is small enough is enumerated: the objective
-scores all of it at once. A larger one is halved along the light with the most candidates, and the half that promises
-more by the objective's bound is looked into first. A box whose bound is below the last combination of the ranking holds
-none of those that are asked for, nor a tie of the best, and is left out. So the answer is the global optimum, unless
-the search comes to its limit on how many combinations to score: then the largest bound of what is left is part of the
-answer.
+Branch and bound: combinations are taken in boxes, some candidates of every light. A box that is small enough is
+enumerated: the objective scores all of it at once. A larger one is halved along the light with the most candidates, and
+the half with the larger bound is searched first. A box whose bound is below the last combination of the ranking holds
+none of the requested combinations, nor a tie of the best, and is excluded. So the answer is the global optimum, unless
+the search reaches its limit on scored combinations: then the largest bound of what is left is part of the answer.
 """
 
 from __future__ import annotations
@@ -17,17 +16,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.core.errors import InputError
 from lightopt.core.progress import Share, part_of
 from lightopt.core.threads import available_processors
-from lightopt.design.candidates._combination_space import Rows, Space, allowed_mask
+from lightopt.design._arrays import Int64
+from lightopt.design.candidates._combination_space import CombinationSpace, Rows, allowed_mask
 from lightopt.design.objectives._objective import Objective, near_margin
-from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Thresholds, area_units, usable_sums
+from lightopt.design.responses._luminance_matrix import (
+    LevelThresholds,
+    LuminanceMatrix,
+    area_units,
+    usable_sums,
+)
 from lightopt.design.search._ranking import NearBest, Ranked, Ranking, rank
-
-Int64 = NDArray[np.int64]
 
 TABLE_CELLS = 1 << 22
 """Most combinations that are enumerated at once: 32 MiB of scores."""
@@ -39,34 +41,23 @@ BOX_COST = 20_000
 """Combinations that take about as long to score as a box takes to halve; counts against the limit."""
 
 DEFAULT_LIMIT = 200_000_000
-"""Combinations that are scored unless asked otherwise, before the search stops with a bound; bounds count, too."""
+"""Default number of combinations to score before the search stops with a bound; bounds count, too."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
-    """What a search found.
+class SearchResult:
+    """The outcome of a search.
 
-    Attributes
-    ----------
-    ranking
-        The best combinations in order, the first being the optimum; of those looked at where some are left.
-    ties
-        Number of other combinations with the optimum's score; of those looked at where some are left.
-    near
-        Number of other combinations whose score is near the optimum's, ties among them; see
+    ranking: The best combinations in order, the first being the optimum; of those evaluated where some are left.
+    ties: Number of other combinations with the optimum's score; of those evaluated where some are left.
+    near: Number of other combinations whose score is near the optimum's, ties among them; see
         :data:`lightopt.design.NEAR_PER_MILLE`.
-    near_exact
-        Whether there are no more of them among those that were left, that a bound excluded, or that were too many.
-    scored
-        Combinations that were enumerated.
-    excluded
-        Combinations that a bound shows to be worse than all of the ranking.
-    left
-        Combinations not looked at, since the limit was reached.
-    clashing
-        Combinations whose panels would collide.
-    bound
-        A score that no allowed combination exceeds: that of the optimum where it is proven.
+    near_exact: Whether `near` is complete: none was left, excluded by a bound, or dropped for memory.
+    scored: Combinations that were enumerated.
+    excluded: Combinations that a bound shows to be worse than all of the ranking.
+    left: Combinations not evaluated, since the limit was reached.
+    clashing: Combinations whose panels would collide.
+    bound: A score that no allowed combination exceeds: that of the optimum where it is proven.
     """
 
     ranking: tuple[Ranked, ...]
@@ -81,7 +72,6 @@ class Found:
 
     @property
     def best(self) -> Ranked:
-        """The best combination."""
         return self.ranking[0]
 
     @property
@@ -91,7 +81,7 @@ class Found:
 
     @property
     def gap(self) -> int | None:
-        """How much the runner-up's score is below the best; no more than this where combinations are left."""
+        """How far the runner-up's score is below the best; no more than this where combinations are left."""
         return None if self.runner_up is None else self.best.score - self.runner_up.score
 
     @property
@@ -108,52 +98,34 @@ class Found:
 def search(
     matrices: Sequence[LuminanceMatrix],
     objective: Objective,
-    thresholds: Thresholds,
+    thresholds: LevelThresholds,
     *,
-    space: Space | None = None,
+    space: CombinationSpace | None = None,
     keep: int = 100,
     limit: int = DEFAULT_LIMIT,
     table_cells: int = TABLE_CELLS,
     threads: int | None = None,
     progress: Share | None = None,
-) -> Found:
+) -> SearchResult:
     """Find the best combination of light positions.
 
-    Parameters
-    ----------
-    matrices
-        One, or one per posture where the lights stand the same for all: then the sum over the postures decides.
-    objective
-        What is scored.
-    thresholds
-        Which levels are usable.
-    space
-        Which combinations are allowed; all by default.
-    keep
-        How many of the best to return, at least 2.
-    limit
-        About how many combinations to score before the search stops with a bound; a box that is halved counts as
+    matrices: One, or one per posture that share the lights: then the sum over the postures decides.
+    space: Which combinations are allowed; all by default.
+    keep: How many of the best to return, at least 2.
+    limit: About how many combinations to score before the search stops with a bound; a box that is halved counts as
         :data:`BOX_COST` of them.
-    table_cells
-        Most combinations to enumerate at once; no more than `limit`.
-    threads
-        All the machine's by default. The answer does not depend on it.
-    progress
-        Called often with the share of combinations, or of the limit, that is done: what is left takes at most as long
-        as that makes it look. An exception that it raises ends the search soon.
-
-    Raises
-    ------
-    InputError
-        No visible patch, an objective that says nothing of this number of lights, no allowed combination, more
-        combinations than numbers are meant for.
+    table_cells: Most combinations to enumerate at once; no more than `limit`.
+    progress: Called often with the share of combinations, or of the limit, that is done; an upper estimate of what is
+        left. An exception that it raises ends the search soon.
+    Raises InputError: No visible patch, an objective that is undefined for this number of lights, no allowed
+        combination, too many combinations.
     """
-    space = space or Space.of(matrices[0].shape)
-    posed = _Posed(matrices, objective, thresholds, threads or available_processors())
-    _check(posed, space)
+    space = space or CombinationSpace.of(matrices[0].shape)
+    scorer = _BoxScorer(matrices, objective, thresholds, threads or available_processors())
+    _check(scorer, space)
     total = sum(map(_cells, space.groups))
 
-    def tell(more: float = 0.0) -> None:
+    def report(more: float = 0.0) -> None:
         if progress is not None:
             seen = ranking.count + clashing
             counted = seen + BOX_COST * boxes.halved
@@ -161,10 +133,10 @@ def search(
 
     keep = max(2, keep)
     ranking = Ranking()
-    near = NearBest(lambda best: near_margin(objective, best, posed.area))
+    near = NearBest(lambda best: near_margin(objective, best, scorer.area))
     excluded = clashing = 0
     excluded_bound = -1
-    boxes = _Boxes(posed, space.groups, max(1, min(table_cells, limit)))
+    boxes = _Boxes(scorer, space.groups, max(1, min(table_cells, limit)))
     while boxes:
         if len(ranking.best) == keep and boxes.bound < ranking.best[-1].score:
             excluded += boxes.cells
@@ -173,24 +145,24 @@ def search(
             break
         if ranking.best and ranking.count + clashing + BOX_COST * boxes.halved >= limit:
             break
-        bound, rows = boxes.take(tell)
+        bound, rows = boxes.take(report)
         if len(ranking.best) == keep and bound < ranking.best[-1].score:
             excluded += _cells(rows)
             excluded_bound = max(excluded_bound, bound)
             continue
         cells = _cells(rows)
-        scores = posed.scores(rows, lambda share, cells=cells: tell(share * cells))
+        scores = scorer.scores(rows, lambda share, cells=cells: report(share * cells))
         allowed = allowed_mask(space, rows)
         near.add(scores if allowed is None else scores[allowed])
-        ranking = ranking.merged(rank(scores, rows, posed.usable, allowed=allowed, limit=keep), keep)
+        ranking = ranking.merged(rank(scores, rows, scorer.usable, allowed=allowed, limit=keep), keep)
         clashing += 0 if allowed is None else int(allowed.size - np.count_nonzero(allowed))
-        tell()
+        report()
     if not ranking.best:
         raise InputError(
             "no combination of the lights' positions is left: in each, panels collide; widen their ranges or take "
             "smaller panels"
         )
-    return Found(
+    return SearchResult(
         ranking=ranking.best,
         ties=ranking.ties - 1,
         near=near.count - 1,
@@ -204,10 +176,10 @@ def search(
 
 
 class _Boxes:
-    """The boxes that are left, the one that promises most first."""
+    """The boxes that are left, ordered by bound."""
 
-    def __init__(self, posed: _Posed, groups: Sequence[Rows], table_cells: int) -> None:
-        self._posed = posed
+    def __init__(self, scorer: _BoxScorer, groups: Sequence[Rows], table_cells: int) -> None:
+        self._scorer = scorer
         self._table_cells = table_cells
         self._serial = itertools.count()
         self._heap: list[tuple[int, int, Rows]] = []
@@ -215,20 +187,20 @@ class _Boxes:
         self.cells = 0
         for rows in groups:
             # a single box that is enumerated anyway needs no bound
-            self._push(rows, 0 if len(groups) == 1 and _cells(rows) <= table_cells else posed.bound(rows))
+            self._push(rows, 0 if len(groups) == 1 and _cells(rows) <= table_cells else scorer.bound(rows))
 
     def __bool__(self) -> bool:
         return bool(self._heap)
 
     @property
     def bound(self) -> int:
-        """A score that nothing in the boxes exceeds."""
+        """A score that no combination in the boxes exceeds."""
         return -self._heap[0][0]
 
-    def take(self, tell: Callable[[], None]) -> tuple[int, Rows]:
-        """Take out a box to enumerate, with its bound: of the most promising one the more promising half, and so on.
+    def take(self, report: Callable[[], None]) -> tuple[int, Rows]:
+        """Take out a box to enumerate, with its bound: the box with the largest bound, halved until it is small enough.
 
-        `tell` is called whenever a box was halved.
+        `report` is called whenever a box was halved.
         """
         negative, _, rows = heapq.heappop(self._heap)
         bound = -negative
@@ -236,14 +208,13 @@ class _Boxes:
         while _cells(rows) > self._table_cells:
             self.halved += 1
             # a half's bound is no looser than that of the whole
-            low, high = ((min(bound, self._posed.bound(half)), half) for half in _halves(rows))
+            low, high = ((min(bound, self._scorer.bound(half)), half) for half in _halves(rows))
             (bound, rows), (worse, rest) = (low, high) if low[0] >= high[0] else (high, low)
             self._push(rest, worse)
-            tell()
+            report()
         return bound, rows
 
     def clear(self) -> None:
-        """Take all out."""
         self._heap.clear()
         self.cells = 0
 
@@ -252,11 +223,15 @@ class _Boxes:
         self.cells += _cells(rows)
 
 
-class _Posed:
+class _BoxScorer:
     """The matrices of the postures together, as the objective sees them."""
 
     def __init__(
-        self, matrices: Sequence[LuminanceMatrix], objective: Objective, thresholds: Thresholds, threads: int
+        self,
+        matrices: Sequence[LuminanceMatrix],
+        objective: Objective,
+        thresholds: LevelThresholds,
+        threads: int,
     ) -> None:
         self.matrices = matrices
         self.objective = objective
@@ -298,16 +273,16 @@ class _Posed:
         )
 
 
-def _check(posed: _Posed, space: Space) -> None:
+def _check(scorer: _BoxScorer, space: CombinationSpace) -> None:
     lights = len(space.sizes)
-    if reason := posed.objective.refusal(lights):
+    if reason := scorer.objective.refusal(lights):
         raise InputError(reason)
     if sum(map(_cells, space.groups)) > MOST_COMBINATIONS:
         raise InputError(
             f"search: {lights} lights of up to {max(space.sizes):,} positions make more than 10^300 combinations; take "
             "a larger --step, or leave only those lights a range that are to be moved"
         )
-    for matrix in posed.matrices:
+    for matrix in scorer.matrices:
         if matrix.shape != space.sizes:
             raise InputError(
                 f"search: expected candidates {space.sizes} in every posture, found {matrix.shape}"
@@ -327,5 +302,8 @@ def _halves(rows: Rows) -> tuple[Rows, Rows]:
     widest = max(range(len(rows)), key=lambda i: len(rows[i]))
     middle = len(rows[widest]) // 2
     low, high = list(rows), list(rows)
-    low[widest], high[widest] = rows[widest][:middle], rows[widest][middle:]
+    low[widest], high[widest] = (
+        rows[widest][:middle],
+        rows[widest][middle:],
+    )
     return tuple(low), tuple(high)

@@ -1,7 +1,7 @@
-"""Scores of a plan whose lights or part are off: exact evaluations, image by image.
+"""Scores of a plan whose lights or part are misaligned: exact evaluations, image by image.
 
-Each image is worked out once: of a posture, with the part off by so much, under one light that is off by so much. The
-scores of all combinations are put together from them.
+Each image is computed once: of a posture, with the part off by so much, under one light that is off by so much. The
+scores of all combinations are composed of them.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -18,37 +17,30 @@ from numpy.typing import NDArray
 from lightopt.config import RigConfig
 from lightopt.core.threads import available_processors
 from lightopt.core.transforms import Posture
+from lightopt.design._arrays import Int64
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.postures._combinations import combination_sums
-from lightopt.design.postures._counts import added, counts_of_images, no_counts
-from lightopt.design.postures._pair_visibility import Survey, scattered_flags
-from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Thresholds
+from lightopt.design.postures._counts import add_counts, counts_of_images, zero_counts
+from lightopt.design.postures._image_evaluator import ImageEvaluator, scattered_flags
+from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
 from lightopt.design.tolerances._tolerances import Offset
 from lightopt.geometry import face_normals
 from lightopt.rendering import PatchTable, sight_of
 from lightopt.scene import PanelLight, build_lights, view_from_part
 
-Int64 = NDArray[np.int64]
-
 EXACT: Offset = (0.0, 0.0)
+
+ImageKey = tuple[int, Offset, int, Offset]
+"""A posture, the offset of the part, a light, and its offset."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """Postures that are judged together, and where the lights stand in them.
+    """Postures that are judged together, and the positions of the lights in them.
 
-    Attributes
-    ----------
-    rig
-        Whose lights they are.
-    postures
-        One or more.
-    angles
-        Elevation and azimuth of each light, posture by posture [°].
-    exposures
-        Posture by posture, 1 among them.
-    points
-        Point lights per panel, instead of the rig's.
+    angles: Elevation and azimuth of each light, posture by posture [°].
+    exposures: Posture by posture, 1 among them.
+    points: Point lights per panel, instead of the rig's.
     """
 
     rig: RigConfig
@@ -65,44 +57,29 @@ class Setup:
         )
         return build_lights(self.rig.model_copy(update={"lights": (config,)}), None, self.points)[0]
 
-    def off(self, posture: int, pose: Offset) -> Posture:
-        """How the part lies where it is off by so much."""
+    def misaligned_posture(self, posture: int, pose: Offset) -> Posture:
+        """The posture of a part that is off by so much."""
         there = self.postures[posture]
         return Posture(there.elevation_deg + pose[0], there.rotation_deg + pose[1])
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Image:
-    """Which posture, how far the part is off, which light, how far that is off."""
-
-    posture: int
-    pose: Offset
-    light: int
-    offset: Offset
-
-
 class _Assessment(ABC):
-    """Scores of combinations of offsets, from images that are worked out once; see :class:`lightopt.design.Assess`.
+    """Scores of combinations of offsets, from images that are computed once: a `ScoreFunction`.
 
-    Parameters
-    ----------
-    survey
-        The part; its patches stay the same, those in view do not.
-    setup
-        Postures and lights.
+    The patches of the evaluator stay the same; which of them are visible does not.
     """
 
-    def __init__(self, survey: Survey, setup: Setup) -> None:
-        self.survey, self.setup = survey, setup
-        self.patches = survey.patches
-        self.kept: dict[_Image, Any] = {}
-        self._facets = face_normals(survey.scene.mesh)[survey.table.patches.face[self.patches]]
+    def __init__(self, evaluator: ImageEvaluator, setup: Setup) -> None:
+        self.evaluator, self.setup = evaluator, setup
+        self.patches = evaluator.patches
+        self.images: dict[ImageKey, Any] = {}
+        self._facets = face_normals(evaluator.scene.mesh)[evaluator.table.patches.face[self.patches]]
 
     def __call__(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:
-        # images of other poses than this one and the exact one are not asked for again
-        self.kept = {image: kept for image, kept in self.kept.items() if image.pose in (pose, EXACT)}
+        # images of other poses than this one and the exact one are not needed again
+        self.images = {key: image for key, image in self.images.items() if key[1] in (pose, EXACT)}
         for posture in range(len(self.setup.postures)):
-            self._look(posture, pose, lights)
+            self._compute_images(posture, pose, lights)
         return self.scores(pose, lights)
 
     @abstractmethod
@@ -113,17 +90,16 @@ class _Assessment(ABC):
     def keep(self, matrices: Sequence[LuminanceMatrix], light: int, at: int) -> Any:
         """What is kept of an image: row `at` of a light, in matrices of all exposures."""
 
-    def _look(self, posture: int, pose: Offset, lights: Sequence[Sequence[Offset]]) -> None:
+    def _compute_images(self, posture: int, pose: Offset, lights: Sequence[Sequence[Offset]]) -> None:
         # the images that are not known yet, those of all lights in one go
-        image = partial(_Image, posture=posture, pose=pose)
         missing = [
-            [offset for offset in offsets if image(light=light, offset=offset) not in self.kept]
+            [offset for offset in offsets if (posture, pose, light, offset) not in self.images]
             for light, offsets in enumerate(lights)
         ]
         if not any(missing):
             return
-        there = self.setup.off(posture, pose)
-        matrices = replace(self.survey, table=self._table(there)).matrices(
+        there = self.setup.misaligned_posture(posture, pose)
+        matrices = replace(self.evaluator, table=self._table(there)).matrices(
             there,
             [
                 [self.setup.panel(posture, light, offset) for offset in offsets]
@@ -133,71 +109,58 @@ class _Assessment(ABC):
         )
         for light, offsets in enumerate(missing):
             for at, offset in enumerate(offsets):
-                self.kept[image(light=light, offset=offset)] = self.keep(matrices, light, at)
+                self.images[posture, pose, light, offset] = self.keep(matrices, light, at)
 
     def _table(self, posture: Posture) -> PatchTable:
-        table = self.survey.table
+        table = self.evaluator.table
         visible, grazing = np.zeros((2, 1, len(table.patches)), np.bool_)
         visible[0, self.patches], grazing[0, self.patches] = sight_of(
             table.patches.centroids[self.patches],
             table.patches.normals[self.patches],
             self._facets,
-            view_from_part(self.survey.scene, posture),
-            self.survey.caster,
+            view_from_part(self.evaluator.scene, posture),
+            self.evaluator.caster,
         )
         return replace(table, postures=(posture,), visible=visible, grazing=grazing)
 
 
 class PairAssessment(_Assessment):
-    """Weight of the pairs of patch and defect that all postures together show in enough images.
+    """Weight of the pairs of patch and defect that all postures together show in `seen_in` images or more."""
 
-    Parameters
-    ----------
-    survey, setup
-        Part, postures and lights.
-    least
-        Images that must show a pair.
-    """
-
-    def __init__(self, survey: Survey, setup: Setup, *, least: int) -> None:
-        super().__init__(survey, setup)
-        self._least = least
-        self._weights = survey.weights
+    def __init__(self, evaluator: ImageEvaluator, setup: Setup, *, seen_in: int) -> None:
+        super().__init__(evaluator, setup)
+        self._seen_in = seen_in
+        self._weights = evaluator.weights
 
     def keep(self, matrices: Sequence[LuminanceMatrix], light: int, at: int) -> Any:
         """One image, whatever the number of its exposures."""
-        return counts_of_images([scattered_flags(matrices, self.patches, light=light, place=at)], self._least)
+        return counts_of_images(
+            [scattered_flags(matrices, self.patches, light=light, place=at)], self._seen_in
+        )
 
     def scores(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:
         """Add up the postures, then all combinations of the lights."""
         totals: list[NDArray[np.uint64]] = []
         for light, offsets in enumerate(lights):
-            total = np.stack([no_counts(self._weights, self._least)] * len(offsets))
+            total = np.stack([zero_counts(self._weights, self._seen_in)] * len(offsets))
             for at, offset in enumerate(offsets):
                 for posture in range(len(self.setup.postures)):
-                    image = _Image(posture=posture, pose=pose, light=light, offset=offset)
-                    total[at] = added(total[at], self.kept[image])
+                    total[at] = add_counts(total[at], self.images[posture, pose, light, offset])
             totals.append(total)
-        return combination_sums(totals, self._weights, threads=self.survey.threads)[0]
+        return combination_sums(totals, self._weights, threads=self.evaluator.threads)[0]
 
 
 class ObjectiveAssessment(_Assessment):
-    """Score of an objective of levels, summed over the postures.
+    """Score of an objective of levels at exposure 1, summed over the postures."""
 
-    Parameters
-    ----------
-    survey, setup
-        Part, postures and lights; exposure 1 counts.
-    objective, thresholds
-        What is scored, and which levels are usable.
-    """
-
-    def __init__(self, survey: Survey, setup: Setup, *, objective: Objective, thresholds: Thresholds) -> None:
-        super().__init__(survey, setup)
+    def __init__(
+        self, evaluator: ImageEvaluator, setup: Setup, *, objective: Objective, thresholds: LevelThresholds
+    ) -> None:
+        super().__init__(evaluator, setup)
         self._objective, self._thresholds = objective, thresholds
 
     def keep(self, matrices: Sequence[LuminanceMatrix], light: int, at: int) -> Any:
-        """Levels, and the areas of the patches that they are of."""
+        """Levels, and the areas of their patches."""
         return matrices[0].levels[light][at], matrices[0].areas
 
     def scores(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:
@@ -205,7 +168,7 @@ class ObjectiveAssessment(_Assessment):
         total = np.zeros(int(np.prod([len(offsets) for offsets in lights])), np.int64)
         for posture in range(len(self.setup.postures)):
             images = [
-                [self.kept[_Image(posture=posture, pose=pose, light=light, offset=o)] for o in offsets]
+                [self.images[posture, pose, light, offset] for offset in offsets]
                 for light, offsets in enumerate(lights)
             ]
             matrix = LuminanceMatrix(
@@ -216,6 +179,6 @@ class ObjectiveAssessment(_Assessment):
                 matrix,
                 self._objective.weights(matrix.areas),
                 self._thresholds,
-                threads=self.survey.threads or available_processors(),
+                threads=self.evaluator.threads or available_processors(),
             )
         return total

@@ -1,4 +1,4 @@
-"""What the images of chosen lights, postures and exposures show of the part's surface, in one numbering of patches."""
+"""Which pairs of patch and defect are shown by images with given lights, postures and exposures."""
 
 from __future__ import annotations
 
@@ -10,46 +10,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.transforms import Posture
-from lightopt.design.postures._counts import Counts, PairWeights, Words, counts_of_images
-from lightopt.design.responses._defect_evaluation import Inspection
-from lightopt.design.responses._luminance import MOST_BYTES, luminance_matrices, matrix_bytes
+from lightopt.design.postures._counts import Counts, PairWeights, counts_of_images
+from lightopt.design.responses._detection import DetectionModel
 from lightopt.design.responses._luminance_matrix import LuminanceMatrix, area_units
+from lightopt.design.responses._matrix_computation import MOST_BYTES, luminance_matrices, matrix_bytes
+from lightopt.design.responses._packed_bits import Words
 from lightopt.geometry import RayCaster
 from lightopt.rendering import PatchTable
 from lightopt.scene import PanelLight, Scene
 
-Int64 = NDArray[np.int64]
-
 DRAWN_PATCHES = 20_000
-"""Patches that stand for all where much is tried: turns of postures and lights, and what tolerances cost."""
+"""Patches that represent all where much is tried: the first iterations of the search, and tolerances."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Survey:
-    """A part, its patches, and what the images are looked at for.
+class ImageEvaluator:
+    """A part, its patches, and the defects that its images are tested for.
 
-    Attributes
-    ----------
-    scene
-        Its lights do not matter.
-    table
-        The patches; their pairs with the trials are what is counted.
-    caster
-        Of the scene's part.
-    inspection
-        The trials, and when one is visible; None where levels alone are wanted.
-    shadows
-        Whether the part casts shadows on itself.
-    threads
-        All the machine's by default; the results do not depend on it.
-    exposures
-        That an image may be taken with: it shows what it shows with one of them.
+    scene: Its lights are ignored.
+    table: The patches; their pairs with the hypotheses are counted.
+    detection: The hypotheses, and when one is visible; None where levels alone are wanted.
+    shadows: Whether the part casts shadows on itself.
+    exposures: That an image may be taken with: it shows what it shows with any of them.
     """
 
     scene: Scene
     table: PatchTable
     caster: RayCaster
-    inspection: Inspection | None
+    detection: DetectionModel | None
     shadows: bool = True
     threads: int | None = None
     exposures: tuple[float, ...] = (1.0,)
@@ -61,10 +49,10 @@ class Survey:
 
     @property
     def weights(self) -> PairWeights:
-        """Weights of the pairs of these patches and the trials."""
-        assert self.inspection is not None
+        """Weights of the pairs of these patches and the hypotheses."""
+        assert self.detection is not None
         units = area_units(self.table.patches.areas[self.patches])
-        return PairWeights.of_trials(self.inspection.trials, units)
+        return PairWeights.of_hypotheses(self.detection.hypotheses, units)
 
     def table_of(self, postures: Sequence[Posture]) -> PatchTable:
         """The same patches in some of the postures."""
@@ -81,7 +69,7 @@ class Survey:
         exposures: Sequence[float] = (1.0,),
         progress: Callable[[float, int], None] | None = None,
     ) -> tuple[LuminanceMatrix, ...]:
-        """Levels and visible trials of a posture's images under places of each light, one matrix per exposure."""
+        """Levels and visible hypotheses of a posture's images for all positions of each light, per exposure."""
         return luminance_matrices(
             self.scene,
             self.table,
@@ -89,32 +77,32 @@ class Survey:
             panels,
             exposures=exposures,
             caster=self.caster,
-            inspection=self.inspection,
+            detection=self.detection,
             shadows=self.shadows,
             threads=self.threads,
             progress=progress,
         )
 
-    def places_at_once(self, posture: Posture, exposures: Sequence[float]) -> int:
-        """How many places of lights :meth:`matrices` has room for."""
+    def positions_at_once(self, posture: Posture, exposures: Sequence[float]) -> int:
+        """How many positions of lights :meth:`matrices` has memory for."""
         seen = len(self.table.inspectable(posture))
-        return max(1, MOST_BYTES // max(1, matrix_bytes(self.scene, seen, len(exposures), self.inspection)))
+        return max(1, MOST_BYTES // max(1, matrix_bytes(self.scene, seen, len(exposures), self.detection)))
 
     def in_pieces(
         self, posture: Posture, places: Sequence[PanelLight], *, exposures: Sequence[float] = (1.0,)
     ) -> Iterator[tuple[LuminanceMatrix, ...]]:
-        """As :meth:`matrices` of one light, of as many of its places at a time as there is room for."""
+        """As :meth:`matrices` of one light, for as many of its positions at a time as memory allows."""
         # what was given out before is held while the next is made
-        most = max(1, self.places_at_once(posture, exposures) // 2)
+        most = max(1, self.positions_at_once(posture, exposures) // 2)
         if len(places) <= 2 * most:
             most = len(places)
         for start in range(0, len(places), most):
             yield self.matrices(posture, [places[start : start + most]], exposures=exposures)
 
     def flags(self, posture: Posture, panels: Sequence[Sequence[PanelLight]]) -> tuple[Words, ...]:
-        """Which pairs the images show: of each light an array of shape (places, p, words)."""
+        """Which pairs the images show: of each light an array of shape (positions, p, words)."""
         patches = self.patches
-        if sum(map(len, panels)) <= self.places_at_once(posture, self.exposures):
+        if sum(map(len, panels)) <= self.positions_at_once(posture, self.exposures):
             matrices = self.matrices(posture, panels, exposures=self.exposures)
             return tuple(
                 np.stack(
@@ -133,25 +121,19 @@ class Survey:
             for some in panels
         )
 
-    def counts(self, posture: Posture, panels: Sequence[PanelLight], *, least: int) -> Counts:
-        """In how many images of a posture, one of each light where it stands, each pair is seen, up to `least`."""
+    def counts(self, posture: Posture, panels: Sequence[PanelLight], *, seen_in: int) -> Counts:
+        """In how many images of a posture, one of each light, each pair is seen, up to `seen_in`."""
         images = self.flags(posture, [[panel] for panel in panels])
-        return counts_of_images([layer[0] for layer in images], least)
+        return counts_of_images([layer[0] for layer in images], seen_in)
 
 
 def scattered_flags(
     matrices: Sequence[LuminanceMatrix], patches: NDArray[np.intp], *, light: int, place: int
 ) -> Words:
-    """An image's visible trials in another numbering of the patches, shape (p, words).
+    """An image's visible hypotheses in another numbering of the patches, shape (p, words).
 
-    Parameters
-    ----------
-    matrices
-        With visibility, of some of the patches; one for each exposure of the image, which shows what one of them does.
-    patches
-        Ascending indices of the patches that count, shape (p,).
-    light, place
-        Of the image.
+    `matrices` have the visibility of some of the patches, one for each exposure of the image, which shows what any of
+    them shows. `patches` are the ascending indices of the patches that count, shape (p,).
     """
     first = matrices[0].visibility
     assert first is not None
@@ -164,18 +146,11 @@ def scattered_flags(
 
 
 def drawn_patches(table: PatchTable, count: int) -> PatchTable:
-    """Some of the patches for all, every part of the surface by its area: the others are seen from nowhere.
+    """A sample of the patches, every part of the surface by its area; the others become invisible.
 
-    Along the running sum of the inspectable patches' areas a mark stands at every so much area; a patch with marks
-    stands for as much area as it has marks. The order of patches is that of the mesh, so that marks spread over the
-    surface.
-
-    Parameters
-    ----------
-    table
-        All patches.
-    count
-        Number of marks; with as many inspectable patches or fewer, all stay as they are.
+    Along the running sum of the inspectable patches' areas, `count` marks stand at equal distances; a patch with marks
+    represents their share of the area. The order of patches is that of the mesh, so that marks spread over the surface.
+    With `count` inspectable patches or fewer, all stay as they are.
     """
     seen = np.flatnonzero(table.inspectable_anywhere)
     if len(seen) <= count:
@@ -188,8 +163,4 @@ def drawn_patches(table: PatchTable, count: int) -> PatchTable:
     chosen[seen[marks > 0.0]] = True
     drawn = np.zeros(len(table.patches))
     drawn[seen] = marks * each
-    return replace(
-        table,
-        patches=replace(table.patches, areas=drawn),
-        visible=table.visible & chosen,
-    )
+    return replace(table, patches=replace(table.patches, areas=drawn), visible=table.visible & chosen)

@@ -1,29 +1,26 @@
-"""The postures of a plan, from a rig and a part."""
+"""Choose the postures of a plan, from a rig and a part: the entry to this package."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import CheckFailed, counted
+from lightopt.design._arrays import Flags
 from lightopt.design._commands import way_through
-from lightopt.design._options import OptimizeOptions
-from lightopt.design._plan_options import PlanOptions
+from lightopt.design._options import OptimizeOptions, PlanOptions
 from lightopt.design._plan_progress import Tell
 from lightopt.design._plan_result import ChosenPostures
-from lightopt.design.blind_spots._unreachable_target import unreached
+from lightopt.design.blind_spots._unreachable_target import target_not_reached
 from lightopt.design.candidates._candidates import Candidates, find_candidates
 from lightopt.design.exposures._joint_choice import choose_with_exposures
-from lightopt.design.postures._choice import Choice, Wanted
-from lightopt.design.postures._grid import posture_grid, usable_postures
-from lightopt.design.postures._pair_visibility import DRAWN_PATCHES, Survey, drawn_patches
+from lightopt.design.postures._choice import PostureChoice, PostureRequest
+from lightopt.design.postures._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
+from lightopt.design.postures._posture_grid import posture_grid, usable_postures
 from lightopt.design.responses._contrast import Contrast
-from lightopt.design.responses._defect_evaluation import Inspection
-from lightopt.design.responses._defect_hypotheses import unroll
+from lightopt.design.responses._defect_hypotheses import defect_hypotheses
+from lightopt.design.responses._detection import DetectionModel
 from lightopt.rendering import PatchTable, build_patches, cast_rays_at
 from lightopt.scene import Scene, build_catalogue, build_lights, build_scene, pace_text
 
@@ -33,50 +30,37 @@ def plan_postures(
     part: PartConfig,
     options: OptimizeOptions,
     wanted: PlanOptions,
-    tell: Callable[[str], None] | None,
-    searching: Tell | None,
-) -> tuple[ChosenPostures, Survey]:
-    """Choose the postures, and the places of the lights that go with them; and the part that they were chosen on.
+    report: Callable[[str], None] | None,
+    progress: Tell | None,
+) -> tuple[ChosenPostures, ImageEvaluator]:
+    """Choose the postures, and the light positions that go with them; also returns the evaluator of all patches.
 
-    Parameters
-    ----------
-    rig, part, options, wanted
-        What is planned.
-    tell
-        Called with how many postures there are.
-    searching
-        Called with what is going on and the share of that which is done.
-
-    Raises
-    ------
-    InputError
-        Whatever is wrong with the files or the options.
-    CheckFailed
-        A target that cannot be reached, or no defect that any posture shows.
+    Raises InputError: Whatever is wrong with the files or the options.
+    Raises CheckFailed: A target that cannot be reached, or no defect that any posture shows.
     """
     candidates = candidates_of(rig, options)
     scene = build_scene(rig, part, points=options.points, defects=False)
     grid = posture_grid(rig, part, step_deg=wanted.posture_step_deg)
     caster = cast_rays_at(scene)
     lights = build_lights(rig, None, options.points)
-    places = lights if candidates is None else tuple(p for some in candidates.panels for p in some)
+    positions = lights if candidates is None else tuple(p for some in candidates.panels for p in some)
     postures, left_out = usable_postures(
-        replace(scene, postures=grid), places, allow_outside_px=wanted.allow_outside_px
+        replace(scene, postures=grid), positions, allow_outside_px=wanted.allow_outside_px
     )
-    if tell is not None:
+    if report is not None:
         few = wanted.postures is not None and len(postures) < wanted.postures
-        asked = f", fewer than the {wanted.postures} that were asked for" if few else ""
-        tell(
-            f"{counted(len(postures), 'posture')} to choose from{asked}, {len(left_out)} left out; patches are cut for "
-            "all of them"
+        shortfall = f", fewer than the {wanted.postures} that were asked for" if few else ""
+        report(
+            f"{counted(len(postures), 'posture')} to choose from{shortfall}, {len(left_out)} left out; patches are cut "
+            "for all of them"
         )
     scene = replace(scene, postures=postures)
     table = build_patches(scene, caster=caster, budget=options.patch_budget)
-    whole = Survey(
+    whole = ImageEvaluator(
         scene=scene,
         table=table,
         caster=caster,
-        inspection=inspection_of(scene, part, options),
+        detection=detection_model_of(scene, part, options),
         shadows=options.shadows,
         threads=options.threads,
     )
@@ -87,14 +71,16 @@ def plan_postures(
         postures,
         lights,
         candidates,
-        Wanted(least=options.seen_in, count=wanted.postures, target=wanted.target, limit=options.limit),
-        offered=wanted.all_exposures,
+        PostureRequest(
+            seen_in=options.seen_in, count=wanted.postures, target=wanted.target, limit=options.limit
+        ),
+        exposures=wanted.all_exposures,
         gain_points=wanted.exposure_gain,
-        tell=searching,
+        progress=progress,
     )
     if wanted.target is not None and choice.cover.share < wanted.target:
         offered = replace(drawn, exposures=wanted.all_exposures)
-        raise unreached(wanted.target, choice, offered, least=options.seen_in)
+        raise target_not_reached(wanted.target, choice, offered, least=options.seen_in)
     if not choice.postures:
         raise CheckFailed(
             f"no posture of {len(postures)} shows any defect of {part.source.path}'s catalogue in "
@@ -105,12 +91,12 @@ def plan_postures(
     chosen = ChosenPostures(
         choice=choice,
         brackets=brackets,
-        offered=len(postures),
+        candidate_count=len(postures),
         left_out=left_out,
         way=way_through(rig, choice.postures),
         pace=pace_text(rig),
         least=options.seen_in,
-        asked=wanted.postures,
+        requested=wanted.postures,
         target=wanted.target,
         drawn=len(drawn.patches),
         patches=len(whole.patches),
@@ -124,12 +110,14 @@ def plan_postures(
     return chosen, whole
 
 
-def _area_share(table: PatchTable, which: NDArray[np.bool_]) -> float:
+def _area_share(table: PatchTable, which: Flags) -> float:
     areas = table.patches.areas
     return float(areas[which].sum() / areas.sum())
 
 
-def places_of(rig: RigConfig, choice: Choice, options: OptimizeOptions) -> tuple[tuple[float, float], ...]:
+def chosen_angles(
+    rig: RigConfig, choice: PostureChoice, options: OptimizeOptions
+) -> tuple[tuple[float, float], ...]:
     """Elevation and azimuth of each light in a choice [°]."""
     if choice.lights is None:
         return tuple((light.elevation_deg, light.azimuth_deg) for light in rig.lights)
@@ -138,10 +126,10 @@ def places_of(rig: RigConfig, choice: Choice, options: OptimizeOptions) -> tuple
     return tuple(places[k] for places, k in zip(angles.angles, choice.lights, strict=True))
 
 
-def inspection_of(scene: Scene, part: PartConfig, options: OptimizeOptions) -> Inspection:
-    """What the images are looked at for: the part's catalogue, with the sensor's noise."""
-    return Inspection(
-        trials=unroll(build_catalogue(part)),
+def detection_model_of(scene: Scene, part: PartConfig, options: OptimizeOptions) -> DetectionModel:
+    """The part's defect catalogue, with the sensor's noise."""
+    return DetectionModel(
+        hypotheses=defect_hypotheses(build_catalogue(part)),
         contrast=Contrast(
             sensor=scene.sensor, full_scale=scene.reflectance.full_scale, threshold=options.contrast
         ),
@@ -149,12 +137,9 @@ def inspection_of(scene: Scene, part: PartConfig, options: OptimizeOptions) -> I
 
 
 def candidates_of(rig: RigConfig, options: OptimizeOptions) -> Candidates | None:
-    """The places that the lights are chosen from; None where no light moves."""
+    """The positions that the lights are chosen from; None where no light moves."""
     if all(light.elevation_range_deg is None and light.azimuth_range_deg is None for light in rig.lights):
         return None
     return find_candidates(
-        rig,
-        step_deg=options.step_deg,
-        common_elevation=options.common_elevation,
-        points=options.points,
+        rig, step_deg=options.step_deg, common_elevation=options.common_elevation, points=options.points
     )

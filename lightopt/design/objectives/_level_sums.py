@@ -1,7 +1,11 @@
-"""Sums over patches of the least usable level under a set of lights, for all their candidates: tables of minima.
+"""Sums over patches of the usable part of the least, or of least and greatest, levels under lights, for all candidates.
 
 Levels are *capped*: 0 where they are shaded, else what is above black, at most the saturation level above black. The
-usable level of a capped one is itself, or 0 where it is at the cap.
+usable part of a capped level is the level itself, or 0 where it is at the cap.
+
+Two ways: tables of minima for every set of lights (:func:`minimum_tasks`); or, for many lights with few candidates,
+combination by combination in order, where the lights before the one that changes are not compared again
+(:func:`extreme_tasks`).
 """
 
 from __future__ import annotations
@@ -12,38 +16,35 @@ from dataclasses import dataclass
 from threading import Lock
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.core.kernels import kernel
 from lightopt.core.progress import Work, pieces
 from lightopt.core.threads import Task
+from lightopt.design._arrays import Flags, Int64
 from lightopt.design.responses._luminance_matrix import Levels
-
-Int64 = NDArray[np.int64]
 
 CACHE_PATCHES = 8192
 """Patches that a kernel works on at once: the rows of one light stay in the second-level cache, and 32 bits hold the
 sum of twice as many 16-bit levels."""
 
 TASK_LEVELS = 2_000_000_000
-"""Levels that a task looks at, at most: some 0.1 s of a thread, so that Ctrl-C is heard."""
+"""Levels that a task of minima reads, at most: some 0.1 s of a thread, so that Ctrl-C is heard."""
+
+WALK_LEVELS = 500_000_000
+"""Levels that a task of least and greatest levels reads, at most: less than 0.1 s, so that Ctrl-C is heard."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Capped:
     """A light's capped levels of a block of patches.
 
-    Attributes
-    ----------
-    levels
-        Shape (candidates, p).
-    lit, capped
-        Which patches it reaches at all, and which it can bring to the cap; shape (p,).
+    levels: Shape (candidates, p).
+    lit, capped: Which patches any candidate lights, and which any candidate brings to the cap; shape (p,).
     """
 
     levels: Levels
-    lit: NDArray[np.bool_]
-    capped: NDArray[np.bool_]
+    lit: Flags
+    capped: Flags
 
     @staticmethod
     def of(levels: Levels, top: int) -> Capped:
@@ -53,20 +54,10 @@ class Capped:
 
 
 def minimum_tasks(lights: Sequence[Capped], top: int, table: Int64, lock: Lock, work: Work) -> Iterator[Task]:
-    """Tasks that add Σ over patches of usable(min(levels under k lights)) to a table, for every combination.
+    """Tasks that add Σ over patches of usable(min(levels under k ≥ 2 lights)) to a table with one axis per light.
 
-    Parameters
-    ----------
-    lights
-        k ≥ 2.
-    top
-        The highest usable capped level.
-    table
-        One axis per light.
-    lock
-        Held while the table is changed.
-    work
-        Counts combinations times patches.
+    `top` is the highest usable capped level, `lock` is held while the table changes, `work` counts combinations times
+    patches.
     """
     # a patch that one of the lights never reaches adds nothing; at the cap the least level is only where all can be
     lit = np.logical_and.reduce([light.lit for light in lights])
@@ -156,4 +147,85 @@ def _usable_minima(left: Levels, right: Levels, top: int) -> np.int64:
     for i in range(len(left)):
         least = left[i] if left[i] < right[i] else right[i]
         total = np.uint32(total + np.uint32(least if least <= top else 0))
+    return np.int64(total)
+
+
+def extreme_tasks(layers: Sequence[Levels], top: int, table: Int64, lock: Lock, work: Work) -> Iterator[Task]:
+    """Tasks that add Σ over patches of usable(min) + usable(max) of the levels under all lights, for each combination.
+
+    `layers` are capped levels, shape (candidates, p), all of one type; `table` has one number per combination, the last
+    light's candidates varying fastest. The others are as for :func:`minimum_tasks`.
+    """
+    patches, dtype = layers[0].shape[1], layers[0].dtype
+    low = np.full(patches, np.iinfo(dtype).max, dtype)
+    high = np.zeros(patches, dtype)
+    moving = [layer for layer in layers if len(layer) > 1] or [layers[0]]
+    for layer in layers:
+        if len(layer) == 1:
+            np.minimum(low, layer[0], out=low)
+            np.maximum(high, layer[0], out=high)
+    sizes = np.array([len(layer) for layer in moving], np.int64)
+    offset = np.cumsum(sizes) - sizes
+    rows = np.concatenate(moving)
+    limit = dtype.type(top)
+
+    def add(start: int, end: int) -> None:
+        sums = np.zeros(end - start, np.int64)
+        _walk(rows, offset, sizes, low, high, limit, start, sums)
+        with lock:
+            table[start:end] += sums
+        work.add(len(sums) * patches)
+
+    for piece in pieces(len(table), max(1, WALK_LEVELS // max(1, patches))):
+        yield add, piece
+
+
+@kernel
+def _walk(
+    rows: Levels, offset: Int64, sizes: Int64, low: Levels, high: Levels, top: int, begin: int, sums: Int64
+) -> None:
+    lights, patches = len(sizes), rows.shape[1]
+    # least and greatest level under the lights that stand still and the first k of those that move
+    lows = np.empty((lights, CACHE_PATCHES), rows.dtype)
+    highs = np.empty((lights, CACHE_PATCHES), rows.dtype)
+    digits = np.empty(lights, np.int64)
+    for start in range(0, patches, CACHE_PATCHES):
+        end = min(start + CACHE_PATCHES, patches)
+        n = end - start
+        lows[0, :n] = low[start:end]
+        highs[0, :n] = high[start:end]
+        rest = begin
+        for k in range(lights - 1, -1, -1):
+            digits[k] = rest % sizes[k]
+            rest //= sizes[k]
+        changed = 0
+        for cell in range(len(sums)):
+            for k in range(changed, lights - 1):
+                row = rows[offset[k] + digits[k], start:end]
+                _extremes(lows[k, :n], highs[k, :n], row, lows[k + 1, :n], highs[k + 1, :n])
+            row = rows[offset[lights - 1] + digits[lights - 1], start:end]
+            sums[cell] += _usable_extremes(lows[lights - 1, :n], highs[lights - 1, :n], row, top)
+            changed = lights - 1
+            digits[changed] += 1
+            while changed > 0 and digits[changed] == sizes[changed]:
+                digits[changed] = 0
+                changed -= 1
+                digits[changed] += 1
+
+
+@kernel
+def _extremes(low: Levels, high: Levels, row: Levels, lower: Levels, higher: Levels) -> None:
+    for i in range(len(row)):
+        lower[i] = low[i] if low[i] < row[i] else row[i]
+        higher[i] = high[i] if high[i] > row[i] else row[i]
+
+
+@kernel
+def _usable_extremes(low: Levels, high: Levels, row: Levels, top: int) -> np.int64:
+    total = np.uint32(0)
+    for i in range(len(row)):
+        least = low[i] if low[i] < row[i] else row[i]
+        greatest = high[i] if high[i] > row[i] else row[i]
+        total = np.uint32(total + np.uint32(least if least <= top else 0))
+        total = np.uint32(total + np.uint32(greatest if greatest <= top else 0))
     return np.int64(total)

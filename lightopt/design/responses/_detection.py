@@ -1,53 +1,44 @@
-"""Images looked at for defects: which trials each of them shows on the patches of a posture."""
+"""Detection of defects: which hypotheses the images of a posture show on its patches."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.transforms import Posture
 from lightopt.defects import tangent_references
-from lightopt.design.responses._contrast import Contrast
-from lightopt.design.responses._defect_hypotheses import Trial
+from lightopt.design.responses._contrast import Contrast, PixelFill, pixel_fill
+from lightopt.design.responses._defect_hypotheses import DefectHypothesis
 from lightopt.design.responses._packed_bits import Words
-from lightopt.design.responses._pixel_filling import Fillings, fillings_of
 from lightopt.geometry import RayCaster
 from lightopt.rendering import SurfacePoints, converged_panel, shade_variants, surface_variants
 from lightopt.scene import PanelLight, Scene, pixel_footprint, view_from_part
 
 
 @dataclass(frozen=True, kw_only=True)
-class Inspection:
-    """What the images are looked at for.
+class DetectionModel:
+    """The defect hypotheses that images are tested for, and the contrast at which one is visible."""
 
-    Attributes
-    ----------
-    trials
-        The defects.
-    contrast
-        When one is visible.
-    fillings
-        How far the defects fill a pixel.
-    """
-
-    trials: tuple[Trial, ...]
+    hypotheses: tuple[DefectHypothesis, ...]
     contrast: Contrast
-    fillings: Fillings = field(init=False, repr=False, compare=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "fillings", fillings_of(self.trials))
+    @cached_property
+    def pixel_fill(self) -> PixelFill:
+        """How far the defects fill a pixel."""
+        return pixel_fill(self.hypotheses)
 
 
-class Inspected:
-    """The visible patches of a posture, looked at for defects."""
+class PatchDetection:
+    """The inspectable patches of a posture, tested for defects."""
 
     def __init__(
-        self, scene: Scene, surface: SurfacePoints, posture: Posture, inspection: Inspection
+        self, scene: Scene, surface: SurfacePoints, posture: Posture, detection: DetectionModel
     ) -> None:
-        self.inspection = inspection
+        self.detection = detection
         self.reflectance = scene.reflectance
         self.cosines = np.einsum("ij,ij->i", surface.normals, surface.views)
         camera = view_from_part(scene, posture).camera
@@ -56,16 +47,16 @@ class Inspected:
         # the mesh file's axes in the part's frame
         axes = scene.placement.rotation
         self._references = tangent_references(surface.normals, x_axis=axes[:, 0], y_axis=axes[:, 1])
-        trials = inspection.trials
+        hypotheses = detection.hypotheses
         self._variants = surface_variants(
-            slope=np.array([trial.slope for trial in trials]),
-            direction=np.array([trial.direction for trial in trials]),
-            R_d_factor=np.array([trial.R_d_factor for trial in trials]),
-            sigma_factor=np.array([trial.sigma_factor for trial in trials]),
+            slope=np.array([hypothesis.slope for hypothesis in hypotheses]),
+            direction=np.array([hypothesis.direction for hypothesis in hypotheses]),
+            R_d_factor=np.array([hypothesis.R_d_factor for hypothesis in hypotheses]),
+            sigma_factor=np.array([hypothesis.sigma_factor for hypothesis in hypotheses]),
             reflectance=scene.reflectance,
         )
 
-    def look(
+    def evaluate(
         self,
         block: SurfacePoints,
         panel: PanelLight,
@@ -74,7 +65,7 @@ class Inspected:
         blocker: RayCaster | None,
         exposures: Sequence[float],
     ) -> tuple[NDArray[np.float32], list[Words]]:
-        """Levels of a block of patches, and which trials an image of each exposure shows on them."""
+        """Levels of a block of patches, and which hypotheses an image at each exposure shows on them."""
         shaded = shade_variants(
             block,
             self._references[here],
@@ -86,10 +77,10 @@ class Inspected:
             caster=blocker,
         )
         return shaded.plain, [
-            self.inspection.contrast.words(
+            self.detection.contrast.words(
                 shaded.good,
                 shaded.varied,
-                fillings=self.inspection.fillings,
+                pixel_fill=self.detection.pixel_fill,
                 footprints=self._footprint * self._depths[here],
                 cosines=self.cosines[here],
                 exposure=exposure,

@@ -1,0 +1,276 @@
+"""How a design reads as JSON and CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from lightopt.design._commands import Way
+from lightopt.design._design_result import DesignResult
+from lightopt.design._plan_result import SHARES_OF, ChosenPostures, PlanResult, ToleranceResult
+from lightopt.design._result import ObjectiveResult, SetResult, angles_of
+from lightopt.design.candidates._candidates import Candidates
+from lightopt.design.exposures._brackets import Brackets
+from lightopt.design.objectives._objective import NEAR_PER_MILLE, share_of_whole
+from lightopt.design.search._ranking import Ranked
+from lightopt.design.tolerances._tolerances import Offset
+from lightopt.images import Overlap
+
+INITIAL_SHARE_OF = "the drawn patches, in postures chosen for these lights, at exposure 1"
+"""What the share of the initial light positions is of."""
+
+
+def result_document(
+    result: DesignResult, listed: Mapping[str, Sequence[Mapping[str, Any]]], overlaps: Sequence[Overlap]
+) -> dict[str, Any]:
+    """What result.json says; `listed` has its lists of files, `overlaps` go with those of overlap maps."""
+    thresholds, choice = result.thresholds, result.all_candidates
+    return {
+        "format": "lightopt-optimum/1",
+        "provenance": dict(result.provenance),
+        "thresholds": {
+            "black": thresholds.black,
+            "shaded_below": thresholds.shade,
+            "saturated_from": thresholds.saturation,
+        },
+        "candidates": [
+            {"light": name, "positions_deg": [list(at) for at in angles]}
+            for name, angles in zip(choice.names, choice.angles, strict=True)
+        ],
+        "left_out": [vars(out) for out in choice.left_out],
+        "results": _set_dicts(result.results, result.candidates),
+        **({} if result.blind is None else {"blind_spots": result.blind.as_dict()}),
+        **_plan_dict(result.plan, [light.name for light in result.rig.lights]),
+        "rigs": listed["rigs"],
+        "files": listed["files"],
+        "images": listed["images"],
+        "overlaps": [
+            {**where, **overlap.as_dict()}
+            for where, overlap in zip(listed["overlaps"], overlaps, strict=True)
+        ],
+    }
+
+
+def _set_dicts(results: tuple[SetResult, ...], candidates: Candidates) -> list[dict[str, Any]]:
+    return [
+        {
+            "postures": [posture.as_dict() for posture in result.postures],
+            "inspectable_patches": result.patches,
+            "inspectable_area_um2": result.area,
+            "grazing_area_um2": result.grazing_area,
+            "left_out_of_visible_area": round(result.left_out, 6),
+            "grain": round(result.grain, 6),
+            "objectives": [_answer_dict(answer, result, candidates) for answer in result.answers],
+            "curves": [curve.as_dict() for curve in result.curves],
+        }
+        for result in results
+    ]
+
+
+def _answer_dict(answer: ObjectiveResult, result: SetResult, candidates: Candidates) -> dict[str, Any]:
+    found = answer.found
+    runner_up = found.runner_up
+    combinations = {
+        "total": found.scored + found.clashing + found.excluded + found.left,
+        "scored": found.scored,
+        "excluded_by_bound": found.excluded,
+        "colliding": found.clashing,
+        "left": found.left,
+    }
+    facts: dict[str, Any] = {"objective": answer.objective.name, "unit": answer.objective.unit}
+    if answer.nothing is not None:
+        return {**facts, "lights": None, "score": 0, "reason": answer.nothing, "combinations": combinations}
+    share = share_of_whole(answer.objective, found.best.score, result.area)
+    return {
+        **facts,
+        "lights": _lights(candidates, found.best),
+        "score": found.best.score,
+        "share_of_inspectable_area": None if share is None else round(share, 6),
+        "share_of": answer.objective.share_of,
+        "usable_sum": found.best.usable,
+        "runner_up": None
+        if runner_up is None
+        else {"lights": _lights(candidates, runner_up), "score": runner_up.score},
+        "gap": found.gap,
+        "ties": found.ties if answer.proven_of is None else None,
+        "near_best": None if answer.proven_of is not None else _near_dict(answer),
+        "combinations": combinations if answer.proven_of is None else None,
+        "bound": found.bound,
+        "proven": found.proven,
+        **({"complete": found.complete} if answer.proven_of is None else {"proven_of": answer.proven_of}),
+        "scores_under": dict(answer.scores),
+        **answer.details,
+    }
+
+
+def _near_dict(answer: ObjectiveResult) -> dict[str, Any]:
+    found = answer.found
+    points = answer.objective.share_of is not None
+    return {
+        "combinations": found.near,
+        "at_least": not found.near_exact,
+        "within": NEAR_PER_MILLE / 1000,
+        "of": "the inspectable area" if points else "the best score",
+    }
+
+
+def _lights(candidates: Candidates, ranked: Ranked) -> list[dict[str, Any]]:
+    return [
+        {"light": name, "elevation_deg": elevation, "azimuth_deg": azimuth}
+        for name, (elevation, azimuth) in zip(candidates.names, angles_of(candidates, ranked), strict=True)
+    ]
+
+
+def _plan_dict(result: PlanResult, names: Sequence[str]) -> dict[str, Any]:
+    # the sections of a plan; `names` are those of the lights
+    sections: dict[str, Any] = {}
+    if result.chosen is not None:
+        sections["chosen_postures"] = _chosen_dict(result.chosen)
+    if result.brackets is not None:
+        sections["exposures"] = _brackets_dict(result.brackets, result.shares_of)
+    if result.tolerances:
+        sections["trust"] = [_tolerance_dict(one, names) for one in result.tolerances]
+    if result.commands:
+        sections["commands"] = [command.text for command in result.commands]
+        sections["rounds"] = [
+            {"command": command.text, **_way_dict(command.way)} for command in result.commands if command.way
+        ]
+    return sections
+
+
+def _way_dict(way: Way) -> dict[str, Any]:
+    return {
+        "order_of_travel": [posture.as_dict() for posture in way.order],
+        "travel_s": round(way.seconds, 3),
+    }
+
+
+def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
+    cover = chosen.choice.cover
+    total = max(1, cover.total)
+    before = chosen.choice.initial_if_moved
+    return {
+        "seen_in": chosen.least,
+        "asked": chosen.requested,
+        "target": chosen.target,
+        "share": round(cover.share, 6),
+        "shares_of": SHARES_OF,
+        "optimum": "proven" if chosen.proven else "local",
+        "bound": round(cover.bound_share, 6),
+        "best_of_sets": cover.sets,
+        "proven_with_these_lights": cover.proven,
+        "greedy_guarantee": round(cover.guarantee, 6),
+        "fewest_possible": cover.min_size,
+        "all_candidates": round(cover.all_covered / total, 6),
+        "lights_as_they_stand": None
+        if before is None
+        else {"share": round(before.share, 6), "postures": before.postures, "share_of": INITIAL_SHARE_OF},
+        "postures": [
+            {
+                **posture.as_dict(),
+                "exposures": list(chosen.exposures_of(posture)),
+                "gain": round(step.gain / (cover.k * total), 6),
+                "share": round(step.covered / total, 6),
+            }
+            for posture, step in zip(chosen.choice.postures, cover.steps, strict=True)
+        ],
+        "postures_to_a_tenth_of_a_point": chosen.sufficient,
+        **_way_dict(chosen.way),
+        "travel_pace": chosen.pace,
+        "candidates": chosen.candidate_count,
+        "left_out": [
+            {**out.posture.as_dict(), "kind": out.kind, "reason": out.reason} for out in chosen.left_out
+        ],
+        "turns": chosen.choice.iterations,
+        "starts": chosen.choice.starts,
+        "every_combination_tried": chosen.choice.exact,
+        "turns_on_all_patches": chosen.choice.on_all_patches,
+        "lights_best_for_postures": chosen.choice.exact and chosen.choice.converged,
+        "patches": {
+            "drawn": chosen.drawn,
+            "all": chosen.patches,
+            "max_edge_mm": round(chosen.max_edge, 6),
+            "footprint_mm": round(chosen.footprint, 6),
+            "grain": round(chosen.grain, 6),
+        },
+        "inspectable_share_of_surface": round(chosen.inspectable_share, 6),
+        "left_out_share_of_surface": round(chosen.left_out_share, 6),
+        "bounds_with_any_of_exposures": list(chosen.exposures),
+    }
+
+
+def _brackets_dict(brackets: Brackets, shares_of: str) -> dict[str, Any]:
+    return {
+        "shares_of": shares_of,
+        "share_without": round(brackets.before, 6),
+        "share": round(brackets.after, 6),
+        "least_gain": brackets.least_gain,
+        "grain": round(brackets.grain, 6),
+        "shots": [
+            {
+                "posture": shot.posture.as_dict(),
+                "exposure": shot.exposure,
+                "gain": round(shot.gain, 6),
+                "planned": shot.planned,
+                "planned_for": shot.reason,
+            }
+            for shot in brackets.further
+        ],
+    }
+
+
+def _tolerance_dict(one: ToleranceResult, names: Sequence[str]) -> dict[str, Any]:
+    robustness = one.robustness
+
+    def share(score: int) -> float:
+        return round(score / max(1, robustness.score), 6)
+
+    return {
+        "postures": [posture.as_dict() for posture in one.postures],
+        "patches": one.patches,
+        "grain": round(one.grain, 6),
+        "score": robustness.score,
+        "unit": one.unit,
+        "worst_corner": {
+            "share_of_score": share(robustness.worst),
+            "part": _offset_dict(robustness.worst_pose, "tilt_deg", "rotation_deg"),
+            "lights": [
+                {"light": name, **_offset_dict(offset, "elevation_deg", "azimuth_deg")}
+                for name, offset in zip(names, robustness.worst_lights, strict=True)
+            ],
+        },
+        "quantile_5_percent": share(robustness.quantile),
+        "least_drawn": share(robustness.least_drawn),
+        "widest": [
+            {
+                "what": widest.what,
+                "angle": widest.angle,
+                "degrees": round(widest.degrees, 4),
+                "or_more": widest.open_ended,
+            }
+            for widest in robustness.widest
+        ],
+    }
+
+
+def _offset_dict(offset: Offset, first: str, second: str) -> dict[str, float]:
+    return {first: offset[0], second: offset[1]}
+
+
+def ranking_csv(results: tuple[SetResult, ...], candidates: Candidates) -> str:
+    """The best combinations of each posture and objective, one a line."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    angles = [f"{name}_{axis}_deg" for name in candidates.names for axis in ("elevation", "azimuth")]
+    table.writerow(["postures", "objective", "rank", "score", "usable_sum", *angles])
+    for result in results:
+        postures = " ".join(f"{p.elevation_deg:g},{p.rotation_deg:g}" for p in result.postures)
+        for answer in result.answers:
+            if answer.nothing is not None:
+                continue
+            for rank, ranked in enumerate(answer.found.ranking, start=1):
+                flat = [f"{angle:.9g}" for pair in angles_of(candidates, ranked) for angle in pair]
+                table.writerow([postures, answer.objective.name, rank, ranked.score, ranked.usable, *flat])
+    return text.getvalue()

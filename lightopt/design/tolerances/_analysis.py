@@ -1,0 +1,168 @@
+"""Tolerance analysis: how far a score falls when the lights or the part are misaligned.
+
+Each light is off by up to so many degrees in elevation and in azimuth, the part by up to so many in tilt and in
+rotation. Three results: the worst *corner*, where every angle is off by the full tolerance one way or the other; the
+5 % quantile over draws where every angle is off by a uniformly random amount within its tolerance; and angle by angle
+the widest tolerance that keeps the score.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lightopt.core.errors import InputError
+from lightopt.core.progress import Share
+from lightopt.design.tolerances._tolerances import (
+    LARGEST_TOLERANCE,
+    Offset,
+    ScoreFunction,
+    Tolerances,
+    corners,
+    draws,
+    lights_problem,
+)
+
+QUANTILE = 0.05
+
+STEPS_PER_DEG = 20
+"""Steps of the widest tolerances: they are multiples of 0.05°, and a step more does not keep the score."""
+
+RUNGS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, LARGEST_TOLERANCE)
+"""Tolerances that are tried before the first that costs too much is bisected [°]."""
+
+Angle = tuple[str, str, int | None]
+"""What is off, in which angle, and which light that is: the index, None for all of them or the part."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WidestTolerance:
+    """How far one angle, or all of the lights', may be off.
+
+    what: Name of the light, ``all lights``, or ``part``.
+    angle: ``elevation``, ``azimuth``, ``both angles at once``, ``tilt`` or ``rotation``.
+    degrees: The widest tolerance that keeps the score, every angle but these being exact [°]; of those that were
+        tried: the rungs, and multiples of 0.05° between the last that keeps it and the first that does not.
+    open_ended: Whether that is the widest that was tried.
+    """
+
+    what: str
+    angle: str
+    degrees: float
+    open_ended: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToleranceAnalysis:
+    """Scores under misalignment.
+
+    score: Where all angles are exact.
+    worst: The least over all corners.
+    worst_pose, worst_lights: The corner: offsets of the part and of each light [°].
+    quantile: 5 % of the draws score this or less.
+    least_drawn: The least of the draws.
+    widest: Angle by angle.
+    """
+
+    score: int
+    worst: int
+    worst_pose: Offset
+    worst_lights: tuple[Offset, ...]
+    quantile: int
+    least_drawn: int
+    widest: tuple[WidestTolerance, ...]
+
+
+def analyse_tolerances(
+    score: ScoreFunction, names: Sequence[str], tolerances: Tolerances, *, progress: Share | None = None
+) -> ToleranceAnalysis:
+    """Find how far a score falls, for lights of these names.
+
+    Raises InputError: More lights than all corners can be tried of.
+    """
+    if problem := lights_problem(len(names)):
+        raise InputError(problem)
+    varied = list(_varied_angles(names))
+    pose_corners = list(corners(tolerances.pose_deg))
+    total, done = len(pose_corners) + tolerances.draws + len(varied), 0
+
+    def report() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done / total)
+
+    exact: list[Sequence[Offset]] = [[(0.0, 0.0)]] * len(names)
+    nominal = int(score((0.0, 0.0), exact)[0])
+    light_corners = list(corners(tolerances.light_deg))
+    worst: tuple[int, Offset, tuple[Offset, ...]] | None = None
+    for pose in pose_corners:
+        table = score(pose, [light_corners] * len(names))
+        least = int(table.argmin())
+        if worst is None or table[least] < worst[0]:
+            at = np.unravel_index(least, [len(light_corners)] * len(names))
+            worst = int(table[least]), pose, tuple(light_corners[int(i)] for i in at)
+        report()
+    assert worst is not None
+    drawn: list[int] = []
+    for pose, lights in draws(len(names), tolerances):
+        drawn.append(int(score(pose, [[offset] for offset in lights])[0]))
+        report()
+    widest: list[WidestTolerance] = []
+    for angle in varied:
+        widest.append(_widest_tolerance(score, exact, angle, tolerances.target * nominal))
+        report()
+    return ToleranceAnalysis(
+        score=nominal,
+        worst=worst[0],
+        worst_pose=worst[1],
+        worst_lights=worst[2],
+        quantile=sorted(drawn)[max(0, math.ceil(QUANTILE * len(drawn)) - 1)],
+        least_drawn=min(drawn),
+        widest=tuple(widest),
+    )
+
+
+def _varied_angles(names: Sequence[str]) -> Iterator[Angle]:
+    """Every angle that may be off alone, and those of all lights at once."""
+    for light, name in enumerate(names):
+        yield name, "elevation", light
+        yield name, "azimuth", light
+    yield "all lights", "both angles at once", None
+    yield "part", "tilt", None
+    yield "part", "rotation", None
+
+
+def _widest_tolerance(
+    score: ScoreFunction, exact: Sequence[Sequence[Offset]], varied: Angle, least: float
+) -> WidestTolerance:
+    """How far an angle may be off while the score is at least `least`."""
+    what, angle, light = varied
+
+    def keeps(degrees: float) -> bool:
+        either: list[Offset] = [
+            (sign * degrees, 0.0) if angle in ("elevation", "tilt") else (0.0, sign * degrees)
+            for sign in (-1.0, 1.0)
+        ]
+        if angle == "both angles at once":
+            return score((0.0, 0.0), [list(corners(degrees))] * len(exact)).min() >= least
+        if light is None:
+            return all(score(pose, exact)[0] >= least for pose in either)
+        return score((0.0, 0.0), [either if i == light else o for i, o in enumerate(exact)]).min() >= least
+
+    kept = 0.0
+    for rung in RUNGS:
+        if not keeps(rung):
+            break
+        kept = rung
+    else:
+        return WidestTolerance(what=what, angle=angle, degrees=kept, open_ended=True)
+    # rungs are multiples of a step
+    low, high = round(kept * STEPS_PER_DEG), round(rung * STEPS_PER_DEG)
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if keeps(middle / STEPS_PER_DEG) else (low, middle)
+    return WidestTolerance(what=what, angle=angle, degrees=low / STEPS_PER_DEG, open_ended=False)
