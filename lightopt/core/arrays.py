@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,3 +15,10 @@ Int64 = NDArray[np.int64]
 Index = NDArray[np.intp]
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
+
+
+def read_only(array: Any) -> Any:
+    """A view of an array that cannot be written to."""
+    view = array.view()
+    view.flags.writeable = False
+    return view

@@ -11,10 +11,8 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
+from lightopt.core.arrays import Bool, Float64
 
 TUKEY = 4.685
 HUBER = 1.345

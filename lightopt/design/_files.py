@@ -12,10 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lightopt.config import load_rig
+from lightopt.core.arrays import UInt8
 from lightopt.core.transforms import Posture
 from lightopt.design._design_result import DesignResult
 from lightopt.design._edited_files import planned_part_text, rig_texts
@@ -81,7 +79,7 @@ class DesignOutput:
 def write_design(
     result: DesignResult,
     *,
-    blind_pictures: Mapping[Posture, NDArray[np.uint8]] | None = None,
+    blind_pictures: Mapping[Posture, UInt8] | None = None,
     force: bool = False,
     run: RunContext | None = None,
 ) -> DesignOutput:
@@ -150,8 +148,8 @@ def finish_design(output: DesignOutput, report: str | None = None) -> None:
 
 
 def _further_files(
-    result: DesignResult, blind_pictures: Mapping[Posture, NDArray[np.uint8]]
-) -> Iterator[tuple[str, str | bytes | NDArray[np.uint8]]]:
+    result: DesignResult, blind_pictures: Mapping[Posture, UInt8]
+) -> Iterator[tuple[str, str | bytes | UInt8]]:
     """Names in the folder and contents; the names must be known to :mod:`lightopt.design._previous_result`."""
     if result.blind is not None and result.patches is not None:
         yield from blind_files(result.blind, result.patches.patches, result.scene.placement).items()
@@ -165,7 +163,7 @@ def _further_files(
         )
 
 
-def _write(path: Path, content: str | bytes | NDArray[np.uint8], force: bool) -> None:
+def _write(path: Path, content: str | bytes | UInt8, force: bool) -> None:
     make_folder(path.parent)
     if isinstance(content, str):
         write_text_atomic(path, content, overwrite=force)

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float32
 from lightopt.core.errors import InputError
 from lightopt.images._atomic import write_atomically
 from lightopt.images._oiio import (
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import OpenImageIO
 
 
-Channel = NDArray[np.float32]
+Channel = Float32
 
 _COMPRESSION = "zip:4"
 """Lossless and readable everywhere. Measured on smooth data, 1600 × 1200, two cores: Y 23 ms and 3.1 MB

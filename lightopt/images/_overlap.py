@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float32, Float64, UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
@@ -41,8 +41,8 @@ class Overlap:
     exposure: float
     saturated: Mapping[str, int]
     pairs: Mapping[tuple[str, str], int]
-    count: NDArray[np.uint8]
-    mean: NDArray[np.float32]
+    count: UInt8
+    mean: Float32
 
     @property
     def pixels(self) -> int:
@@ -77,8 +77,8 @@ def _overlap(images: ImageSet, posture: Posture, exposure: float, entries: list[
     where = f"{images.folder}: posture {posture}, exposure {exposure:g}"
     if len(entries) < 2:
         raise InputError(f"{where}: expected images under two lights or more, found one ({entries[0].light})")
-    masks: dict[str, NDArray[np.bool_]] = {}
-    total: NDArray[np.float64] | None = None
+    masks: dict[str, Bool] = {}
+    total: Float64 | None = None
     full = images.manifest.full_scale / exposure
     for entry in entries:
         image = images.load(entry)

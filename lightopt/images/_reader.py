@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float32, UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256, files_sha256
 from lightopt.images._exr import read_exr
@@ -31,9 +32,9 @@ class LoadedImage:
     sensor: Sensor levels as delivered, uint8 or uint16; None for an image without PNG.
     """
 
-    levels: NDArray[np.float32]
-    saturated: NDArray[np.bool_]
-    sensor: NDArray[np.uint8] | NDArray[np.uint16] | None
+    levels: Float32
+    saturated: Bool
+    sensor: UInt8 | NDArray[np.uint16] | None
     source: Literal["png", "exr"]
 
 
@@ -82,7 +83,7 @@ class ImageSet:
                 array.flags.writeable = False
         return image
 
-    def load_geometry(self, entry: GeometryEntry) -> dict[str, NDArray[np.float32]]:
+    def load_geometry(self, entry: GeometryEntry) -> dict[str, Float32]:
         """Read a geometry image: channels by name, each (H, W), world frame [mm]."""
         return read_exr(self.path(entry.exr))
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float32, UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256
 from lightopt.core.transforms import Posture
@@ -107,8 +108,8 @@ class ImageSetWriter:
         self,
         entry: ImageEntry,
         *,
-        png: NDArray[np.uint8] | NDArray[np.uint16] | None = None,
-        exr: Mapping[str, NDArray[np.float32]] | None = None,
+        png: UInt8 | NDArray[np.uint16] | None = None,
+        exr: Mapping[str, Float32] | None = None,
     ) -> ImageEntry:
         """Write an image's files, then list it; returns the entry as listed, which replaces one of the same key.
 
@@ -145,7 +146,7 @@ class ImageSetWriter:
             self._save(images=tuple({**entries, listed.key: listed}.values()))
         return listed
 
-    def add_linear(self, light: str, posture: Posture, channels: Mapping[str, NDArray[np.float32]]) -> None:
+    def add_linear(self, light: str, posture: Posture, channels: Mapping[str, Float32]) -> None:
         """Write the linear image that listed exposures of a light and posture share, then list it with each of them.
 
         `channels` are (H, W) at exposure 1 [grey level], as :func:`write_exr` takes them.
@@ -167,7 +168,7 @@ class ImageSetWriter:
             )
 
     def add_levels(
-        self, name: str, levels: NDArray[np.uint8] | NDArray[np.uint16], *, metadata: Mapping[str, Any]
+        self, name: str, levels: UInt8 | NDArray[np.uint16], *, metadata: Mapping[str, Any]
     ) -> None:
         """Write camera levels (H, W) that are no image of a light (a dark frame) as a further file, then list it."""
         path = self._further_file(name)
@@ -177,7 +178,7 @@ class ImageSetWriter:
     def add_geometry(
         self,
         posture: Posture,
-        channels: Mapping[str, NDArray[np.float32]],
+        channels: Mapping[str, Float32],
         *,
         metadata: Mapping[str, Any] | None = None,
     ) -> GeometryEntry:

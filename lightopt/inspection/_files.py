@@ -100,7 +100,7 @@ class InspectionFolder(ResultFolder):
 
     def clear(self) -> None:
         """Remove the files of a previous inspection, and the folder where nothing else is in it."""
-        self._remove_earlier()
+        self._remove_previous()
         for folder in (*self.folder.glob("posture_*"), self.folder):
             with suppress(OSError):  # something else is in it
                 folder.rmdir()

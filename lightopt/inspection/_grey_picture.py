@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from lightopt.core.arrays import Bool, Float32, UInt8
 
 DARK, LIFTED, LEAST_POWER = 0.1, 0.25, 0.2
 """Where the middle level of the part is less than this share of white, levels are raised to the power that takes it to
@@ -21,7 +22,7 @@ class GreyPicture:
     black, white: the levels that are shown black and white [grey level].
     """
 
-    grey: NDArray[np.uint8]
+    grey: UInt8
     black: float
     white: float
     power: float
@@ -44,7 +45,7 @@ class GreyPicture:
         }
 
 
-def grey_picture(level: NDArray[np.float32], mask: NDArray[np.bool_]) -> GreyPicture:
+def grey_picture(level: Float32, mask: Bool) -> GreyPicture:
     """Show an image: white is the level that one in a thousand pixels exceeds, and dark images are stretched.
 
     Parameters

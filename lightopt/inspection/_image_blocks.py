@@ -9,9 +9,9 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float32
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
-from lightopt.inspection._arrays import Float32
 
 T = TypeVar("T")
 
@@ -44,7 +44,7 @@ def in_image_blocks(
     in_threads(lambda block: work(*blocks[block]), range(len(blocks)), threads)
 
 
-def mask_window(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
+def mask_window(mask: Bool) -> tuple[slice, slice]:
     """Rows and columns that hold a mask of shape (H, W); empty slices for an empty mask."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if not len(rows):

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, RigConfig
+from lightopt.core.arrays import Bool, Int32
 from lightopt.core.errors import InputError, counted
 from lightopt.defects import (
     CatalogueEntry,
@@ -18,7 +18,6 @@ from lightopt.defects import (
     tangent_direction,
 )
 from lightopt.geometry import SurfaceFinder, face_areas, surface_place
-from lightopt.inspection._arrays import Bool
 from lightopt.rendering import PosturePixels, cast_rays_at, trace_pixels
 from lightopt.scene import Scene, build_catalogue, build_scene, pixel_footprint, project
 
@@ -194,7 +193,7 @@ def _overlap(one: PlacedDefect, other: PlacedDefect) -> bool:
     return float(np.linalg.norm(one.position - other.position)) < (1.0 + GAP) * radii
 
 
-def _is_visible(defect: PlacedDefect, pixels: PosturePixels, index: NDArray[np.int32]) -> bool:
+def _is_visible(defect: PlacedDefect, pixels: PosturePixels, index: Int32) -> bool:
     # whether an image shows all of a defect and a margin around it, off silhouettes, creases and grazing views; `index`
     # has the number of each pixel among `pixels`, or −1
     camera, surface = pixels.view.camera, pixels.surface

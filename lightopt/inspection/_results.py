@@ -7,13 +7,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lightopt.config import InspectionConfig
+from lightopt.core.arrays import Float32, Int32
 from lightopt.core.errors import counted
 from lightopt.estimate.registration import Placement, Registration
-from lightopt.inspection._arrays import Float32
 from lightopt.inspection.detection._coverage import PostureCoverage
 from lightopt.inspection.detection._defects import Detection, FoundDefect
 from lightopt.inspection.detection._surface_coverage import REFERENCE_CONTRAST, SurfaceCoverage
@@ -35,7 +32,7 @@ class InspectedPosture:
     view: PostureView
     make_synthetic: Callable[[], SyntheticImage] | None
     score: Float32
-    labels: NDArray[np.int32]
+    labels: Int32
     threshold: float
     detections: tuple[Detection, ...]
     coverage: PostureCoverage

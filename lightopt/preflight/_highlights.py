@@ -20,16 +20,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64
 from lightopt.geometry import TriangleMesh, face_normals, mesh_edges
 from lightopt.optics import Sensor
 from lightopt.preflight._findings import Finding
 from lightopt.preflight._inputs import CheckedScene
 from lightopt.rendering import highlight_level
 from lightopt.scene import COARSE_SHARE, PanelLight, coarse_points, like_panels, point_spacing, points_advice
-
-Float64 = NDArray[np.float64]
 
 NEGLIGIBLE_ERROR = 0.015
 
@@ -223,9 +221,7 @@ def _angle(radians: float) -> str:
     return f"{math.degrees(radians):.2g}°"
 
 
-def _summary(
-    error: Float64, angle: Float64, length: Float64, counts: NDArray[np.bool_]
-) -> NormalErrors | None:
+def _summary(error: Float64, angle: Float64, length: Float64, counts: Bool) -> NormalErrors | None:
     if not counts.any():
         return None
     error, angle, length = error[counts], angle[counts], length[counts]

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.core.errors import counted
 from lightopt.geometry import (
     Patches,
@@ -165,7 +165,7 @@ def check_unseen_surface(checked: CheckedScene) -> Iterator[Finding]:
     yield Finding(level, "unseen surface", text, where, values)
 
 
-def facing(mean: NDArray[np.float64]) -> str:
+def facing(mean: Float64) -> str:
     """Direction of an area-weighted mean of unit normals in words; world frame at posture (0, 0), shape (3,).
 
     Examples

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError, counted
 from lightopt.core.transforms import Posture
 from lightopt.images import ImageEntry, ImageSet, ImageSetWriter, Manifest, read_image_set, sheet_name
@@ -303,7 +303,7 @@ def _draw_legend(drawing: Drawing, manifest: Manifest) -> None:
     averaged = "averaged over cells of pixels"
     ramp = np.linspace(0.0, 1.0, 180)
     tint = shade_of_saturation(ramp)[:, None]
-    bars: tuple[tuple[NDArray[np.float64], tuple[str, str]], ...] = (
+    bars: tuple[tuple[Float64, tuple[str, str]], ...] = (
         (
             np.repeat(255.0 * ramp[:, None], 3, axis=1),
             (

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
+from lightopt.core.arrays import Float64, UInt8
 from lightopt.core.errors import percent
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ SMALLEST_LEGEND, LARGEST_LEGEND = 13, 26
 
 _MATH = "$\\mathdefault{"
 
-Points = NDArray[np.float64]
+Points = Float64
 """Places on the picture [px], x to the right and y down, shape (n, 2)."""
 
 Box = tuple[float, float, float, float]
@@ -194,7 +194,7 @@ class Drawing:
             )
         )  # fmt: skip
 
-    def picture(self, picture: NDArray[np.uint8], left: int, top: int) -> None:
+    def picture(self, picture: UInt8, left: int, top: int) -> None:
         """Lay an RGB or RGBA picture over the drawing, pixel on pixel."""
         below = self.height - top - len(picture)
         self._figure.figimage(picture, left, below, zorder=next(self._depths), origin="upper")
@@ -270,15 +270,13 @@ _INK_COST, _SIDE_COST = 450.0, 16.0
 """What a label wholly on lines, or on the side opposite to the preferred one, costs in px of distance."""
 
 
-def _ink(image: Image.Image) -> NDArray[np.float64]:
+def _ink(image: Image.Image) -> Float64:
     # how much is drawn at each pixel, 0 to 1; pale areas are as good as paper
     darkness = 255.0 - np.asarray(image).min(axis=2)
     return np.clip((darkness - 24.0) / 100.0, 0.0, 1.0)
 
 
-def _best_box(
-    label: Label, size: float, sums: NDArray[np.float64], bounds: Box, taken: Sequence[Box]
-) -> Box | None:
+def _best_box(label: Label, size: float, sums: Float64, bounds: Box, taken: Sequence[Box]) -> Box | None:
     """The best place for a label, given the integral image of the ink and the boxes of other labels."""
     radius, angle = np.meshgrid(_RADII, 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS, indexing="ij")
     ux, uy = np.cos(angle), np.sin(angle)
@@ -304,7 +302,7 @@ def _best_box(
 
 
 @fixed_style()
-def with_legend(picture: NDArray[np.uint8], title: str, rows: Sequence[LegendRow]) -> NDArray[np.uint8]:
+def with_legend(picture: UInt8, title: str, rows: Sequence[LegendRow]) -> UInt8:
     """A picture with a title and a legend below it, on white; it is made wider where they need more room.
 
     Parameters

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float32, UInt8
 from lightopt.estimate.reflectance import FitResult, PaperDiffuse, PaperSpecular
 from lightopt.report._charts import LINE, MARK, SHADE, chart, label_whole_numbers
 from lightopt.report._drawing import SOFT, Drawing, figure_image, fixed_style
@@ -118,8 +119,8 @@ def _paper_sweep(record: PaperSpecular) -> Figure:
 def residual_picture(
     path: str | Path,
     *,
-    measured: NDArray[np.float32],
-    predicted: NDArray[np.float32],
+    measured: Float32,
+    predicted: Float32,
     saturated_from: float,
     full: float,
 ) -> Path:
@@ -147,7 +148,7 @@ def residual_picture(
     return write_picture(Path(path), drawing.image())
 
 
-def _diverging(shares: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
+def _diverging(shares: NDArray[np.floating[Any]]) -> UInt8:
     channels = [
         np.interp(shares, [-1.0, 0.0, 1.0], [low, middle, high])
         for low, middle, high in zip(_BELOW, _EQUAL, _ABOVE, strict=True)

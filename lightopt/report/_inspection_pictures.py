@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from lightopt.core.arrays import Bool
 from lightopt.inspection import (
     KIND_COLOURS,
     FoundDefect,
@@ -109,7 +109,7 @@ def _label_place(
     return min(max(x, LABEL_GAP_PX), image.width - width), baseline
 
 
-def _rim(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _rim(mask: Bool) -> Bool:
     padded = np.pad(mask, 1)
     inner = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
     return mask & ~inner

@@ -7,13 +7,11 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Int32
 from lightopt.inspection import KIND_COLOURS, FoundDefect, InspectionResult, Kind
 from lightopt.report._page import SurfaceView
 from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer, first_view
-
-Float64 = NDArray[np.float64]
 
 PART_COLOUR = "#c9ced6"
 WORDS: Final[Mapping[Kind, str]] = {
@@ -33,7 +31,7 @@ def marked_part(result: InspectionResult, name: str) -> SurfaceView:
     mesh, place = result.nominal.mesh, result.nominal.placement
     size = float(np.linalg.norm(mesh.vertices.max(axis=0) - mesh.vertices.min(axis=0)))
     vertices: list[Float64] = [np.asarray(mesh.vertices, np.float64)]
-    triangles: list[NDArray[np.int32]] = [np.asarray(mesh.faces, np.int32)]
+    triangles: list[Int32] = [np.asarray(mesh.faces, np.int32)]
     classes = [np.zeros(len(mesh.faces), np.uint8)]
     ball, faces = _ball()
     count = len(mesh.vertices)
@@ -71,7 +69,7 @@ def _legend(defects: Sequence[FoundDefect]) -> tuple[SurfaceClass, ...]:
     return (SurfaceClass(label="the part", colour=PART_COLOUR), *kinds)
 
 
-def _ball() -> tuple[Float64, NDArray[np.int32]]:
+def _ball() -> tuple[Float64, Int32]:
     # unit sphere of rings from pole to pole
     down = np.linspace(0.0, math.pi, RINGS + 1)[:, None]
     around = np.linspace(0.0, 2.0 * math.pi, SECTORS, endpoint=False)[None, :]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import UInt8
 from lightopt.core.transforms import Posture
 from lightopt.design import (
     BLIND_CLASSES,
@@ -44,7 +44,7 @@ BLOCK_ROWS = 64
 """Of a picture, traced at once."""
 
 
-def blind_pictures(result: DesignResult) -> dict[Posture, NDArray[np.uint8]]:
+def blind_pictures(result: DesignResult) -> dict[Posture, UInt8]:
     """What the camera sees in each posture, coloured by what the chosen lights show of the defects, with a legend.
 
     Pictures have the shape (height, width, 3); none where no defects were looked for.
@@ -52,7 +52,7 @@ def blind_pictures(result: DesignResult) -> dict[Posture, NDArray[np.uint8]]:
     if result.blind is None or result.patches is None:
         return {}
     patches, scene = result.patches.patches, result.scene
-    pictures: dict[Posture, NDArray[np.uint8]] = {}
+    pictures: dict[Posture, UInt8] = {}
     for posture, spots in zip(result.blind.postures, result.blind.chosen_in, strict=True):
         camera = view_from_part(scene, posture).camera
         colours = blind_colours(spots).astype(np.float64)

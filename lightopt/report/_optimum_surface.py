@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import UInt8
 from lightopt.core.transforms import Posture
 from lightopt.design import DesignOutput, Levels, LevelThresholds, area_text, area_units, share_text
 from lightopt.rendering import GRAZING_DEG, grain_of
@@ -41,13 +41,13 @@ class PostureClasses:
     """
 
     posture: Posture
-    classes: NDArray[np.uint8]
+    classes: UInt8
     areas: tuple[int, ...]
     left_out: float
     grain: float
 
 
-def level_classes(levels: Levels, thresholds: LevelThresholds) -> NDArray[np.uint8]:
+def level_classes(levels: Levels, thresholds: LevelThresholds) -> UInt8:
     """Class of each inspectable patch (:data:`LEVEL_CLASSES`) by its levels under each light, shape (lights, p)."""
     saturated = levels >= thresholds.saturation
     usable = ((levels >= thresholds.shade) & ~saturated).sum(axis=0)
@@ -132,7 +132,7 @@ def _layer(shown: PostureClasses) -> SurfaceLayer:
     return SurfaceLayer(name=f"posture {shown.posture}", classes=kinds, of_face=shown.classes)
 
 
-def _best_classes(shown: list[PostureClasses]) -> NDArray[np.uint8]:
+def _best_classes(shown: list[PostureClasses]) -> UInt8:
     # what one posture does not show another may
     return np.min([one.classes for one in shown], axis=0)
 
@@ -147,7 +147,7 @@ def _combined_layer(output: DesignOutput, shown: list[PostureClasses]) -> Surfac
     return SurfaceLayer(name="the best of all postures", classes=kinds, of_face=best)
 
 
-def _shares(output: DesignOutput, classes: NDArray[np.uint8]) -> list[str]:
+def _shares(output: DesignOutput, classes: UInt8) -> list[str]:
     # in words: of each class, of the part's surface without what is left out; the latter is of the whole surface
     own = output.patches.patches.areas
     areas, grain = np.bincount(classes, weights=own, minlength=len(LEVEL_CLASSES)), grain_of(own)

@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
+from lightopt.core.arrays import Bool, Float64, UInt8
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
 from lightopt.rendering import trace_samples
 from lightopt.report._drawing import Drawing
 from lightopt.report._view import ParallelView
 from lightopt.scene import PinholeCamera, Scene
-
-Float64 = NDArray[np.float64]
 
 FINE = 3
 """The part is cast at so many times the resolution of the drawing."""
@@ -44,7 +42,7 @@ class PartPicture:
     view: ParallelView
     left: int
     top: int
-    picture: NDArray[np.uint8]
+    picture: UInt8
     nearness: Float64
 
     def draw(self, drawing: Drawing) -> None:
@@ -53,7 +51,7 @@ class PartPicture:
         whole = np.pad(self.picture, ((above, 0), (before, 0), (0, 0)))
         drawing.picture(np.asarray(Image.fromarray(whole).reduce(FINE)), left, top)
 
-    def hides(self, points: Float64) -> NDArray[np.bool_]:
+    def hides(self, points: Float64) -> Bool:
         """Whether the part stands before world points [mm], shape (n, 3); shape (n,)."""
         flat = self.view.place(points) * FINE
         columns = np.floor(flat[:, 0]).astype(int) - self.left
@@ -101,7 +99,7 @@ def cast_part(scene: Scene, caster: RayCaster, posture: Posture, view: ParallelV
     return PartPicture(view, int(middle[0]) - half, int(middle[1]) - half, picture, nearness)
 
 
-def _shade(view: ParallelView, nearness: Float64, normals: Float64) -> NDArray[np.uint8]:
+def _shade(view: ParallelView, nearness: Float64, normals: Float64) -> UInt8:
     hit = np.isfinite(nearness)
     lamp = view.toward + 0.9 * view.up - 0.7 * view.right
     light = 0.62 + 0.38 * np.clip(normals @ (lamp / np.linalg.norm(lamp)), 0.0, 1.0)
@@ -111,7 +109,7 @@ def _shade(view: ParallelView, nearness: Float64, normals: Float64) -> NDArray[n
     return np.floor(np.concatenate([colours, alpha[..., None]], axis=2) + 0.5).astype(np.uint8)
 
 
-def _edges(hit: NDArray[np.bool_], nearness: Float64, normals: Float64, *, step: float) -> NDArray[np.bool_]:
+def _edges(hit: Bool, nearness: Float64, normals: Float64, *, step: float) -> Bool:
     # outline, jumps in depth and creases, FINE pixels wide
     edge = np.zeros(hit.shape, dtype=bool)
     depth = np.where(hit, nearness, 0.0)

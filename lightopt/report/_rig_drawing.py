@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from lightopt.core.transforms import Posture
@@ -30,8 +29,6 @@ from lightopt.report._rig_shapes import (
 from lightopt.report._rig_side import SIDE_WIDTH, draw_stage, side_height, write_numbers
 from lightopt.report._view import ParallelView, fit_view
 from lightopt.scene import PanelLight, Scene
-
-Float64 = NDArray[np.float64]
 
 MAIN_WIDTH, LEAST_HEIGHT, MARGIN = 1060, 1080, 40
 MOST_ARCS, FEW_ARCS = 6, 3

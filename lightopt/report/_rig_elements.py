@@ -6,15 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.report._drawing import INK, SOFT, Drawing, Label, sub
 from lightopt.report._part_picture import PartPicture
 from lightopt.report._rig_shapes import CameraShape, foot_direction, nice_step, panel_corners, square
 from lightopt.report._view import ORIGIN, ParallelView, X, Y, Z, arc
 from lightopt.scene import PanelLight, PinholeCamera, panel_grid
-
-Float64 = NDArray[np.float64]
 
 GRID = "#dfe3e8"
 CAMERA, LIGHT, THETA, PHI, STAGE = "#45535f", "#b07d04", "#7a2f9b", "#0a8580", "#a8324a"

@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture, rigid_transform
 from lightopt.scene import PanelLight, PinholeCamera, Scene, pixel_directions
-
-Float64 = NDArray[np.float64]
 
 _BORDER_STEPS = 24
 """Points per side of the image's border; a distorted lens bends it on the table."""

@@ -7,12 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Int32, UInt8
 from lightopt.core.errors import InputError
 from lightopt.scene import PinholeCamera
-
-Float64 = NDArray[np.float64]
 
 MOST_TRIANGLES = 500_000
 """Of more than these a report shows a simplified surface, so that the file stays small and the view turns smoothly."""
@@ -41,7 +39,7 @@ class SurfaceLayer:
 
     name: str
     classes: tuple[SurfaceClass, ...]
-    of_face: NDArray[np.uint8]
+    of_face: UInt8
     group: str = ""
 
     def __post_init__(self) -> None:
@@ -66,7 +64,7 @@ class ColouredSurface:
     """
 
     vertices: Float64
-    triangles: NDArray[np.int32]
+    triangles: Int32
     layers: tuple[SurfaceLayer, ...]
     up: Float64
     toward: Float64

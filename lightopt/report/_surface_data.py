@@ -15,6 +15,7 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.report._surface import ColouredSurface
 from lightopt.report._surface_still import eye_distance
 
@@ -54,7 +55,7 @@ def _differences(values: NDArray[np.signedinteger]) -> NDArray[np.signedinteger]
     return np.diff(columns, axis=1, prepend=np.zeros((3, 1), columns.dtype))
 
 
-def _middle(surface: ColouredSurface) -> NDArray[np.float64]:
+def _middle(surface: ColouredSurface) -> Float64:
     return 0.5 * (surface.vertices.min(axis=0) + surface.vertices.max(axis=0))
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageColor
 
+from lightopt.core.arrays import Float64
 from lightopt.geometry import RayCaster, TriangleMesh, face_normals
 from lightopt.report._surface import ColouredSurface
 
@@ -59,7 +59,7 @@ def surface_still(surface: ColouredSurface) -> Image.Image:
     return Image.fromarray(picture).reduce(FINE)
 
 
-def _span(places: NDArray[np.float64], size: int) -> tuple[int, int]:
+def _span(places: Float64, size: int) -> tuple[int, int]:
     # the pixels of a row or column that have all of some places
     low, high = math.floor(places.min()), math.floor(places.max()) + 1
     return min(max(low, 0), size), min(max(high, 0), size)

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, UInt8
+
 SATURATED_COLOUR = (225, 29, 42)
 """Of a cell all of whose pixels are saturated."""
 
@@ -22,7 +24,7 @@ class Thumbnail:
     saturated, pixels : number of saturated pixels and of all pixels in the image
     """
 
-    picture: NDArray[np.uint8]
+    picture: UInt8
     saturated: int
     pixels: int
 
@@ -33,7 +35,7 @@ def thumbnail_size(width: int, height: int, limit: int) -> tuple[int, int]:
     return math.ceil(width / shrink) * enlarge, math.ceil(height / shrink) * enlarge
 
 
-def thumbnail(level: NDArray[np.floating], saturated: NDArray[np.bool_], *, limit: int) -> Thumbnail:
+def thumbnail(level: NDArray[np.floating], saturated: Bool, *, limit: int) -> Thumbnail:
     """Shrink an image by averaging square cells of whole pixels; small images are enlarged by repeating pixels.
 
     Parameters
@@ -56,14 +58,14 @@ def thumbnail(level: NDArray[np.floating], saturated: NDArray[np.bool_], *, limi
     return Thumbnail(picture, int(np.count_nonzero(saturated)), saturated.size)
 
 
-def shrunk(picture: NDArray[np.uint8] | NDArray[np.uint8 | np.uint16], *, limit: int) -> NDArray[np.uint8]:
+def shrunk(picture: UInt8 | NDArray[np.uint8 | np.uint16], *, limit: int) -> UInt8:
     """A colour picture of 8 bits, shape (rows, columns, 3), by means of square cells; no side longer than `limit`."""
     shrink, _ = _factors(picture.shape[1], picture.shape[0], limit)
     channels = [_cell_means(picture[..., k].astype(np.float64), shrink) for k in range(3)]
     return np.floor(np.stack(channels, axis=-1) + 0.5).astype(np.uint8)
 
 
-def shade_of_saturation(share: NDArray[np.float64]) -> NDArray[np.float64]:
+def shade_of_saturation(share: Float64) -> Float64:
     """How strongly :data:`SATURATED_COLOUR` covers a cell, 0 to 1, by the share of its pixels that are saturated."""
     return np.where(share > 0.0, FAINTEST_MARK + (1.0 - FAINTEST_MARK) * share, 0.0)
 
@@ -73,16 +75,16 @@ def _factors(width: int, height: int, limit: int) -> tuple[int, int]:
     return max(1, math.ceil(longest / limit)), max(1, limit // longest)
 
 
-def _cell_means(values: NDArray[np.floating] | NDArray[np.bool_], side: int) -> NDArray[np.float64]:
+def _cell_means(values: NDArray[np.floating] | Bool, side: int) -> Float64:
     """Means over cells of side × side pixels; cells cut by the border are averaged over what is there of them."""
     rows = np.arange(0, values.shape[0], side)
     columns = np.arange(0, values.shape[1], side)
     cells = np.add.reduceat(values.astype(np.float64), rows, axis=0)
-    sums: NDArray[np.float64] = np.add.reduceat(cells, columns, axis=1)
+    sums: Float64 = np.add.reduceat(cells, columns, axis=1)
     counts = np.outer(_widths(values.shape[0], side), _widths(values.shape[1], side))
     return sums / counts
 
 
-def _widths(length: int, side: int) -> NDArray[np.float64]:
+def _widths(length: int, side: int) -> Float64:
     """Widths of the cells along a border of `length` pixels; the last one may be narrower."""
     return np.minimum(side, length - np.arange(0.0, length, side))

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.core.transforms import azimuth_tangent, direction, elevation_tangent
-
-Float64 = NDArray[np.float64]
 
 
 def _fixed(x: float, y: float, z: float) -> Float64:

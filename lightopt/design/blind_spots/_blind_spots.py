@@ -24,6 +24,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
 from lightopt.design.responses._packed_bits import Words, add_counts, add_image
 from lightopt.design.responses._visibility import Visibility
@@ -51,8 +52,8 @@ class BlindSpots:
     """
 
     codes: NDArray[np.int16]
-    share: NDArray[np.float64]
-    areas: NDArray[np.float64]
+    share: Float64
+    areas: Float64
 
     @property
     def seen(self) -> float:
@@ -110,8 +111,8 @@ class DefectVisibility:
 
     visibility: Visibility
     counts: Words
-    usable: NDArray[np.int32]
-    saturated: NDArray[np.int32]
+    usable: Int32
+    saturated: Int32
     first: NDArray[np.int16]
 
 
@@ -132,7 +133,7 @@ def defect_visibility(
     first_light: The matrices' first light, in the rig's order.
     """
     shown: DefectVisibility | None = None
-    images: list[tuple[Words, NDArray[np.bool_], NDArray[np.bool_]]] = []
+    images: list[tuple[Words, Bool, Bool]] = []
     for matrix in matrices:
         visibility = matrix.visibility
         assert visibility is not None
@@ -168,7 +169,7 @@ def _without_images(visibility: Visibility, least: int) -> DefectVisibility:
     )
 
 
-def _dark_image(shown: DefectVisibility) -> tuple[Words, NDArray[np.bool_], NDArray[np.bool_]]:
+def _dark_image(shown: DefectVisibility) -> tuple[Words, Bool, Bool]:
     """An image without light: trials that it shows, and where it is usable and saturated."""
     count = shown.counts.shape[1]
     return np.zeros(shown.counts.shape[1:], np.uint64), np.zeros(count, np.bool_), np.zeros(count, np.bool_)
@@ -185,7 +186,7 @@ def combined_visibility(one: DefectVisibility, other: DefectVisibility) -> Defec
     )
 
 
-def blind_spots(areas: NDArray[np.float64], postures: Sequence[DefectVisibility]) -> BlindSpots:
+def blind_spots(areas: Float64, postures: Sequence[DefectVisibility]) -> BlindSpots:
     """Blind spots over one posture or several: seen is what enough images of all of them show.
 
     `areas` are those of all patches of the run [mm²], shape (n,).

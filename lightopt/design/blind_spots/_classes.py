@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import UInt8
 from lightopt.design.blind_spots._blind_spots import BlindReason, BlindSpots
 from lightopt.design.objectives._objective import share_text
 
@@ -77,7 +77,7 @@ def blind_class(code: int) -> BlindClass:
     return next(one for one in BLIND_CLASSES if one.code == min(code, BlindReason.SATURATED))
 
 
-def blind_classes(spots: BlindSpots) -> NDArray[np.uint8]:
+def blind_classes(spots: BlindSpots) -> UInt8:
     """Class of each patch, indices into :data:`BLIND_CLASSES`, shape (n,)."""
     codes, some = np.minimum(spots.codes, BlindReason.SATURATED), spots.share > 0.0
     classes = np.zeros(len(codes), np.uint8)
@@ -86,7 +86,7 @@ def blind_classes(spots: BlindSpots) -> NDArray[np.uint8]:
     return classes
 
 
-def blind_colours(spots: BlindSpots) -> NDArray[np.uint8]:
+def blind_colours(spots: BlindSpots) -> UInt8:
     """Colour of each patch, shape (n, 3)."""
     return np.array([one.colour for one in BLIND_CLASSES], np.uint8)[blind_classes(spots)]
 

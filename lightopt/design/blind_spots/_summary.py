@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture
 from lightopt.design.blind_spots._blind_spots import (
     BlindReason,
@@ -63,7 +61,7 @@ class BlindSpotSummary:
     @staticmethod
     def of(
         visibility: Sequence[PostureVisibility],
-        areas: NDArray[np.float64],
+        areas: Float64,
         objective: DetectabilityObjective,
         lights: Sequence[str],
     ) -> BlindSpotSummary:

@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 
 from lightopt.config import RigConfig
+from lightopt.core.arrays import Bool
 from lightopt.core.errors import InputError, counted
-from lightopt.design._arrays import Flags
 from lightopt.design.candidates._angles import can_move, common_elevations, light_angles
 from lightopt.design.candidates._combination_space import CombinationSpace, Rows
 from lightopt.rendering import panels_in_part
@@ -205,8 +205,8 @@ def _part_in_the_way(panel: PanelLight, scene: Scene | None) -> Reason | None:
     return (f"is inside the part in posture {inside[0].posture}", "part", None) if inside else None
 
 
-def _clashes(possible: Sequence[Sequence[tuple[Angles, PanelLight]]]) -> dict[tuple[int, int], Flags]:
-    clashes: dict[tuple[int, int], Flags] = {}
+def _clashes(possible: Sequence[Sequence[tuple[Angles, PanelLight]]]) -> dict[tuple[int, int], Bool]:
+    clashes: dict[tuple[int, int], Bool] = {}
     for i, j in itertools.combinations(range(len(possible)), 2):
         clash = np.zeros((len(possible[i]), len(possible[j])), np.bool_)
         if clash.size:
@@ -223,7 +223,7 @@ def _clashes(possible: Sequence[Sequence[tuple[Angles, PanelLight]]]) -> dict[tu
 
 
 def _always_colliding(
-    possible: Sequence[Sequence[object]], clashes: dict[tuple[int, int], Flags]
+    possible: Sequence[Sequence[object]], clashes: dict[tuple[int, int], Bool]
 ) -> dict[int, dict[int, int]]:
     # of each light, its candidates that collide with all that is left of another light, and which light that is
     gone: dict[int, dict[int, int]] = {i: {} for i in range(len(possible))}

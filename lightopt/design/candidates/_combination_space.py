@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lightopt.design._arrays import Flags, Int64
+from lightopt.core.arrays import Bool, Int64
 
 Rows = tuple[Int64, ...]
 """Candidates of each light, ascending: all their combinations are meant."""
 
 
-def _no_clashes() -> Mapping[tuple[int, int], Flags]:
+def _no_clashes() -> Mapping[tuple[int, int], Bool]:
     return {}
 
 
@@ -29,7 +29,7 @@ class CombinationSpace:
 
     sizes: tuple[int, ...]
     groups: tuple[Rows, ...]
-    clashes: Mapping[tuple[int, int], Flags] = field(default_factory=_no_clashes)
+    clashes: Mapping[tuple[int, int], Bool] = field(default_factory=_no_clashes)
 
     @staticmethod
     def of(sizes: Sequence[int]) -> CombinationSpace:
@@ -43,9 +43,9 @@ def is_allowed(space: CombinationSpace, combination: Sequence[int]) -> bool:
     return any(all(k in row for k, row in zip(combination, rows, strict=True)) for rows in space.groups)
 
 
-def allowed_mask(space: CombinationSpace, rows: Rows) -> Flags | None:
+def allowed_mask(space: CombinationSpace, rows: Rows) -> Bool | None:
     """Which combinations of `rows` have no clash, the last light's varying fastest; None where all are allowed."""
-    mask: Flags | None = None
+    mask: Bool | None = None
     sizes = [len(r) for r in rows]
     for (i, j), clash in space.clashes.items():
         some = clash[np.ix_(rows[i], rows[j])]

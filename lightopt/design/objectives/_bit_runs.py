@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from lightopt.core.arrays import Int64
 from lightopt.core.progress import Share, part_of, pieces
-from lightopt.design._arrays import Int64
 from lightopt.design.objectives._bit_sums import bit_scores
 from lightopt.design.objectives._count_runs import at_least, count_run_sums
 from lightopt.design.responses._luminance_matrix import LevelThresholds

@@ -12,10 +12,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from lightopt.core.arrays import Int64
 from lightopt.core.kernels import kernel
 from lightopt.core.progress import Share, Work, pieces
 from lightopt.core.threads import Task, run_all
-from lightopt.design._arrays import Int64
 from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds
 from lightopt.design.responses._packed_bits import Words, common_bits, count_flags, pack_flags
 

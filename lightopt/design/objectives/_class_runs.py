@@ -10,12 +10,11 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Int32, Int64
 from lightopt.core.kernels import kernel
 from lightopt.core.progress import Share, Work
 from lightopt.core.threads import run_all
-from lightopt.design._arrays import Int64
 from lightopt.design.objectives._difference_tables import Differences
 from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds
 
@@ -32,7 +31,7 @@ CHUNK_BOXES = 1e6
 """Most of their boxes: less than 0.1 s, so that Ctrl-C is heard."""
 
 
-def run_products(levels: Sequence[Levels], thresholds: LevelThresholds) -> NDArray[np.float64]:
+def run_products(levels: Sequence[Levels], thresholds: LevelThresholds) -> Float64:
     """Number of boxes of each patch: the product over the lights of its numbers of runs, shape (p,)."""
     product = np.ones(levels[0].shape[1])
     for layer in levels:
@@ -82,7 +81,7 @@ def run_scores(
     return differences.summed()[0]
 
 
-def _chunks(products: NDArray[np.float64], most: int) -> list[int]:
+def _chunks(products: Float64, most: int) -> list[int]:
     # where pieces of patches begin and end: at most so many patches, and boxes as far as a patch has fewer itself
     ends = [0]
     boxes = np.cumsum(products)
@@ -110,7 +109,7 @@ def _run_counts(layer: Levels, shade: int, saturation: int) -> Int64:
 
 
 @kernel
-def _runs(layer: Levels, shade: int, saturation: int) -> tuple[Int64, NDArray[np.int32], NDArray[np.int32]]:
+def _runs(layer: Levels, shade: int, saturation: int) -> tuple[Int64, Int32, Int32]:
     # where each patch's runs begin and their classes: patch p has those from first[p] to first[p + 1]
     counts = _run_counts(layer, shade, saturation)
     first = np.zeros(layer.shape[1] + 1, np.int64)
@@ -136,8 +135,8 @@ def _scatter(
     strides: Int64,
     first: Int64,
     offset: Int64,
-    place: NDArray[np.int32],
-    kind: NDArray[np.int32],
+    place: Int32,
+    kind: Int32,
     weights: Int64,
     least_usable: int,
     most_saturated: int,

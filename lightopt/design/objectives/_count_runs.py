@@ -20,10 +20,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from lightopt.core.arrays import Bool, Int64
 from lightopt.core.kernels import kernel
 from lightopt.core.progress import Share, Work, pieces
 from lightopt.core.threads import run_all
-from lightopt.design._arrays import Flags, Int64
 from lightopt.design.objectives._difference_tables import Differences
 from lightopt.design.responses._packed_bits import Words, add_image, word_weight
 
@@ -56,7 +56,7 @@ def count_run_sums(
     *,
     threads: int,
     progress: Share | None = None,
-) -> tuple[Int64, Flags]:
+) -> tuple[Int64, Bool]:
     """Σ weight of the patch · weight of the hypothesis · value of the number of images, for all combinations.
 
     counts: One array per light, shape (candidates, levels, p, ⌈t / 64⌉): flag j of a hypothesis says that a
@@ -122,7 +122,7 @@ def _coefficients(values: Int64, lights: int, levels: int) -> Int64:
     return found
 
 
-def _matters(coefficients: Int64, lights: int, levels: int) -> Flags:
+def _matters(coefficients: Int64, lights: int, levels: int) -> Bool:
     # entry (j, r, m, s): whether a product may still come to a coefficient other than 0 with r more lights
     here = (coefficients != 0).any(axis=0)
     found = np.zeros((here.shape[0], lights + 1, *here.shape[1:]), np.bool_)
@@ -153,9 +153,9 @@ def _scatter(
     masks: Words,
     factors: Int64,
     coefficients: Int64,
-    matters: Flags,
+    matters: Bool,
     most: int,
-    left: Flags,
+    left: Bool,
 ) -> None:
     zero = np.uint64(0)
     # products of changes: place in the table, hypotheses, sign, number of lights, sum of their levels
@@ -240,7 +240,7 @@ def _products(
     signs: Int64,
     levels: Int64,
     ends: Int64,
-    matters: Flags,
+    matters: Bool,
     at: Int64,
     hypotheses: Words,
     sign: Int64,

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
+from lightopt.core.arrays import Float64, Int64
 from lightopt.core.progress import Share, part_of, pieces
-from lightopt.design._arrays import Float64, Int64
 from lightopt.design.objectives._bit_sums import bit_scores
 from lightopt.design.objectives._class_runs import run_products, run_scores
 from lightopt.design.objectives._objective import INSPECTABLE_SURFACE, area_text

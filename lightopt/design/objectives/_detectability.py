@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from lightopt.core.arrays import Bool, Float64, Int64
 from lightopt.core.errors import InputError, counted
 from lightopt.core.progress import Share
-from lightopt.design._arrays import Flags, Float64, Int64
 from lightopt.design.objectives._bit_runs import bit_run_scores
 from lightopt.design.objectives._objective import INSPECTABLE_SURFACE, area_text
 from lightopt.design.responses._defect_hypotheses import DefectHypothesis
@@ -150,7 +150,7 @@ class DetectabilityObjective:
             facts["worst_direction_deg"] = float(worst)
         return facts
 
-    def _seen(self, visibility: Visibility) -> Flags:
+    def _seen(self, visibility: Visibility) -> Bool:
         # for one position of each light: which hypotheses enough images show, shape (p, t)
         count = len(self.hypotheses)
         images = sum((unpack_flags(layer[0], count) for layer in visibility.words), start=np.uint8(0))

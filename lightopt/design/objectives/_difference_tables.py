@@ -13,7 +13,7 @@ from queue import Empty, SimpleQueue
 
 import numpy as np
 
-from lightopt.design._arrays import Int64
+from lightopt.core.arrays import Int64
 
 MOST_DIFFERENCES = 1 << 25
 """Most numbers in the arrays of all threads: 256 MiB."""

@@ -17,10 +17,10 @@ from threading import Lock
 
 import numpy as np
 
+from lightopt.core.arrays import Bool, Int64
 from lightopt.core.kernels import kernel
 from lightopt.core.progress import Work, pieces
 from lightopt.core.threads import Task
-from lightopt.design._arrays import Flags, Int64
 from lightopt.design.responses._luminance_matrix import Levels
 
 CACHE_PATCHES = 8192
@@ -43,8 +43,8 @@ class Capped:
     """
 
     levels: Levels
-    lit: Flags
-    capped: Flags
+    lit: Bool
+    capped: Bool
 
     @staticmethod
     def of(levels: Levels, top: int) -> Capped:

@@ -30,10 +30,10 @@ from typing import Any
 
 import numpy as np
 
+from lightopt.core.arrays import Float64, Int64
 from lightopt.core.errors import counted
 from lightopt.core.progress import Share, Work, pieces
 from lightopt.core.threads import Task, run_all
-from lightopt.design._arrays import Float64, Int64
 from lightopt.design.objectives._level_sums import Capped, extreme_tasks, minimum_tasks
 from lightopt.design.objectives._upper_bounds import level_range
 from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds, LuminanceMatrix, usable_sums

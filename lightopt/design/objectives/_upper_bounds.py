@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lightopt.core.arrays import Int64
 from lightopt.core.kernels import kernel
-from lightopt.design._arrays import Int64
 from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds
 
 

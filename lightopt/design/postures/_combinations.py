@@ -13,17 +13,16 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Int64, UInt64
 from lightopt.core.kernels import kernel
 from lightopt.core.progress import Share
 from lightopt.core.threads import available_processors, run_all
-from lightopt.design._arrays import Int64
 from lightopt.design.objectives._count_runs import at_least, count_run_sums, up_to
 from lightopt.design.postures._counts import Counts, PairWeights, add_counts, zero_counts
 from lightopt.design.responses._packed_bits import Words, word_weight
 
-PositionCounts = NDArray[np.uint64]
+PositionCounts = UInt64
 """Counts of every place of a light, shape (places, k, p, words)."""
 
 TASK_WORDS = 100_000_000

@@ -15,17 +15,16 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Int64, UInt64, read_only
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import run_all
-from lightopt.design._arrays import Int64, read_only
 from lightopt.design.responses._defect_hypotheses import DefectHypothesis
 from lightopt.design.responses._packed_bits import Words, add_counts, add_image, word_weight
 from lightopt.design.responses._visibility import weight_planes
 
-Counts = NDArray[np.uint64]
+Counts = UInt64
 """Shape (k, p, words): flag l says that a pair is seen in l + 1 images or more."""
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Index
 from lightopt.core.transforms import Posture
 from lightopt.design.postures._counts import Counts, PairWeights, counts_of_images
 from lightopt.design.responses._detection import DetectionModel
@@ -43,7 +43,7 @@ class ImageEvaluator:
     exposures: tuple[float, ...] = (1.0,)
 
     @cached_property
-    def patches(self) -> NDArray[np.intp]:
+    def patches(self) -> Index:
         """Indices of the patches that are inspectable in one posture or more, ascending, shape (p,)."""
         return np.flatnonzero(self.table.inspectable_anywhere)
 
@@ -127,9 +127,7 @@ class ImageEvaluator:
         return counts_of_images([layer[0] for layer in images], seen_in)
 
 
-def scattered_flags(
-    matrices: Sequence[LuminanceMatrix], patches: NDArray[np.intp], *, light: int, place: int
-) -> Words:
+def scattered_flags(matrices: Sequence[LuminanceMatrix], patches: Index, *, light: int, place: int) -> Words:
     """An image's visible hypotheses in another numbering of the patches, shape (p, words).
 
     `matrices` have the visibility of some of the patches, one for each exposure of the image, which shows what any of

@@ -11,8 +11,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Int64
 from lightopt.core.errors import InputError
 from lightopt.core.progress import Share, part_of
 from lightopt.core.transforms import Posture
@@ -24,7 +24,7 @@ from lightopt.design.postures._image_evaluator import ImageEvaluator
 from lightopt.design.responses._visibility import select_rows
 from lightopt.design.search._exact_search import DEFAULT_LIMIT, TABLE_CELLS
 
-Rows = Sequence[NDArray[np.int64]]
+Rows = Sequence[Int64]
 
 MOST_COUNT_BYTES = 1_500_000_000
 """Of the counts of all candidate postures, and of all positions of the lights, that are held at a time."""

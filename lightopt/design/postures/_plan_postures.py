@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from lightopt.config import PartConfig, RigConfig
+from lightopt.core.arrays import Bool
 from lightopt.core.errors import CheckFailed, counted
-from lightopt.design._arrays import Flags
 from lightopt.design._commands import way_through
 from lightopt.design._options import OptimizeOptions, PlanOptions
 from lightopt.design._plan_progress import Tell
@@ -110,7 +110,7 @@ def plan_postures(
     return chosen, whole
 
 
-def _area_share(table: PatchTable, which: Flags) -> float:
+def _area_share(table: PatchTable, which: Bool) -> float:
     areas = table.patches.areas
     return float(areas[which].sum() / areas.sum())
 

@@ -27,10 +27,10 @@ from itertools import groupby
 
 import numpy as np
 
+from lightopt.core.arrays import Bool, Float64, Int64
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
 from lightopt.defects import PIXEL_RATIOS, DefectShape, pixel_shares
-from lightopt.design._arrays import Flags, Float64, Int64
 from lightopt.design.responses._defect_hypotheses import DefectHypothesis
 from lightopt.design.responses._packed_bits import Words
 from lightopt.optics import Sensor
@@ -116,7 +116,7 @@ class PixelFill:
     """
 
     first: Int64
-    facing: Flags
+    facing: Bool
     width: Float64
     shares: Float64
 
@@ -146,7 +146,7 @@ def _contrast_words(
     good: Float64,
     varied: Float64,
     first: Int64,
-    facing: Flags,
+    facing: Bool,
     widths: Float64,
     shares: Float64,
     footprints: Float64,

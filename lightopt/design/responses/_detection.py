@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float32
 from lightopt.core.transforms import Posture
 from lightopt.defects import tangent_references
 from lightopt.design.responses._contrast import Contrast, PixelFill, pixel_fill
@@ -64,7 +64,7 @@ class PatchDetection:
         caster: RayCaster,
         blocker: RayCaster | None,
         exposures: Sequence[float],
-    ) -> tuple[NDArray[np.float32], list[Words]]:
+    ) -> tuple[Float32, list[Words]]:
         """Levels of a block of patches, and which hypotheses an image at each exposure shows on them."""
         shaded = shade_variants(
             block,

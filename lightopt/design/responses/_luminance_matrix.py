@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Int64, read_only
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
-from lightopt.design._arrays import Float64, Int64, read_only
 from lightopt.design.responses._visibility import Visibility, select_rows
 
 Levels = NDArray[np.uint8 | np.uint16]

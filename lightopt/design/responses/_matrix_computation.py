@@ -14,8 +14,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float32, Index
 from lightopt.core.errors import InputError, counted
 from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
@@ -36,7 +36,7 @@ MOST_BYTES = 1_000_000_000
 search the process then stays below 2 GB."""
 
 
-def patch_points(scene: Scene, table: PatchTable, posture: Posture) -> tuple[SurfacePoints, NDArray[np.intp]]:
+def patch_points(scene: Scene, table: PatchTable, posture: Posture) -> tuple[SurfacePoints, Index]:
     """The inspectable patches of a posture as surface points in the part's frame, and their indices."""
     patches = table.patches
     seen = table.inspectable(posture)
@@ -193,7 +193,7 @@ def luminance_matrices(
 
 def _levels(
     scene: Scene, surface: SurfacePoints, panel: PanelLight, caster: RayCaster, blocker: RayCaster | None
-) -> NDArray[np.float32]:
+) -> Float32:
     reflectance = scene.reflectance
     if panel.points == "auto":
         diffuse, specular, _ = shade_converged(

@@ -1,17 +1,16 @@
-"""Flags packed into words of 64: counted over images, weighted, and counted where two rows share them."""
+"""Bool packed into words of 64: counted over images, weighted, and counted where two rows share them."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Int64, UInt8, UInt64
 from lightopt.core.kernels import kernel
-from lightopt.design._arrays import Flags
 
-Words = NDArray[np.uint64]
+Words = UInt64
 
 
-def pack_flags(rows: Flags) -> Words:
+def pack_flags(rows: Bool) -> Words:
     """Rows of flags, shape (n, p), as words of 64 flags, shape (n, ⌈p / 64⌉); unused bits are 0."""
     octets = np.packbits(rows, axis=1)
     padded = np.zeros((len(octets), -(-octets.shape[1] // 8) * 8), np.uint8)
@@ -19,7 +18,7 @@ def pack_flags(rows: Flags) -> Words:
     return padded.view(np.uint64)
 
 
-def unpack_flags(words: Words, count: int) -> NDArray[np.uint8]:
+def unpack_flags(words: Words, count: int) -> UInt8:
     """Bits as flags 0 and 1: words of shape (…, ⌈t / 64⌉) to shape (…, t)."""
     octets = np.ascontiguousarray(words).astype("<u8", copy=False).view(np.uint8)
     return np.unpackbits(octets, axis=-1, bitorder="little")[..., :count]
@@ -67,7 +66,7 @@ def _count_bits(word: np.uint64) -> np.uint64:
 
 
 @kernel
-def word_weight(flags: np.uint64, word: int, masks: Words, factors: NDArray[np.int64]) -> np.int64:
+def word_weight(flags: np.uint64, word: int, masks: Words, factors: Int64) -> np.int64:
     """Sum of the factors of the flags that are set in `flags`, which is word number `word`.
 
     `masks` are the flags that share a factor, shape (groups, words); a flag in several counts with the sum of

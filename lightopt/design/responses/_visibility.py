@@ -13,11 +13,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Int32, Int64, read_only
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
-from lightopt.design._arrays import Float64, Int64, read_only
 from lightopt.design.responses._defect_hypotheses import DefectHypothesis
 from lightopt.design.responses._packed_bits import Words, add_image, word_weight
 
@@ -36,8 +35,8 @@ class Visibility:
     hypotheses: tuple[DefectHypothesis, ...]
     words: tuple[Words, ...]
     areas: Float64
-    patch: NDArray[np.int32]
-    grazing: NDArray[np.int32]
+    patch: Int32
+    grazing: Int32
     exposure: float = 1.0
 
     def __post_init__(self) -> None:

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lightopt.core.arrays import Int64
 from lightopt.core.errors import InputError
 from lightopt.core.progress import Share, part_of
 from lightopt.core.threads import available_processors
-from lightopt.design._arrays import Int64
 from lightopt.design.candidates._combination_space import CombinationSpace, Rows, allowed_mask
 from lightopt.design.objectives._objective import Objective, near_margin
 from lightopt.design.responses._luminance_matrix import (

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lightopt.design._arrays import Flags, Int64
+from lightopt.core.arrays import Bool, Int64
 from lightopt.design.candidates._combination_space import Rows
 
 MOST_NEAR = 1 << 24
@@ -100,7 +100,7 @@ class NearBest:
             self._held = [held]
 
 
-def rank(table: Int64, rows: Rows, usable: Sequence[Int64], *, allowed: Flags | None, limit: int) -> Ranking:
+def rank(table: Int64, rows: Rows, usable: Sequence[Int64], *, allowed: Bool | None, limit: int) -> Ranking:
     """Rank by score, then by the sum of usable levels, then by lower candidates in the order of the lights.
 
     table: Scores, one per combination of `rows`, the last light's varying fastest.

@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.config import RigConfig
+from lightopt.core.arrays import Int64, UInt64
 from lightopt.core.threads import available_processors
 from lightopt.core.transforms import Posture
-from lightopt.design._arrays import Int64
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.postures._combinations import combination_sums
 from lightopt.design.postures._counts import add_counts, counts_of_images, zero_counts
@@ -140,7 +139,7 @@ class PairAssessment(_Assessment):
 
     def scores(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:
         """Add up the postures, then all combinations of the lights."""
-        totals: list[NDArray[np.uint64]] = []
+        totals: list[UInt64] = []
         for light, offsets in enumerate(lights):
             total = np.stack([zero_counts(self._weights, self._seen_in)] * len(offsets))
             for at, offset in enumerate(offsets):

@@ -8,8 +8,8 @@ from itertools import product
 
 import numpy as np
 
+from lightopt.core.arrays import Int64
 from lightopt.core.errors import InputError
-from lightopt.design._arrays import Int64
 
 Offset = tuple[float, float]
 """Elevation and azimuth of a light, or tilt and rotation of the part, off by so much [°]."""

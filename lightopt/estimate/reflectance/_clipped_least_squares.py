@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.estimate.reflectance._criterion import (
     FIRST_GAIN,
@@ -25,8 +25,6 @@ from lightopt.estimate.reflectance._criterion import (
 )
 from lightopt.estimate.reflectance._likelihood import lagrange
 from lightopt.estimate.reflectance._samples import Samples
-
-Float64 = NDArray[np.float64]
 
 LEAST_SIGMA, MOST_SIGMA = 0.0007, 0.3
 """Widths of lobes that are tried [rad]: somewhat beyond the documented range, so that an edge is seen as one."""
@@ -95,7 +93,7 @@ class LeastSquares:
         """Pixels of the images that each observation stands for, on average 1, shape (N,)."""
         return self._weight
 
-    def without(self, left_out: NDArray[np.bool_]) -> LeastSquares:
+    def without(self, left_out: Bool) -> LeastSquares:
         """The same of other samples: those not marked in `left_out`, shape (N,)."""
         return LeastSquares(self.samples.select(~left_out), self.table)
 
@@ -136,9 +134,9 @@ class LeastSquares:
 
 @kernel
 def _accumulate(
-    sample: NDArray[np.int32],
-    level: NDArray[np.float32],
-    image: NDArray[np.int32],
+    sample: Int32,
+    level: Float32,
+    image: Int32,
     start: int,
     end: int,
     weights: Float64,
@@ -147,7 +145,7 @@ def _accumulate(
     c: Float64,
     dc: Float64,
     factors: Float64,
-    lights: NDArray[np.int32],
+    lights: Int32,
     black: float,
     top: float,
     x: Float64,

@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.estimate.reflectance._samples import Samples
-
-Float64 = NDArray[np.float64]
 
 R_D, LOG_R_S, LOG_SIGMA, DARK, FIRST_GAIN = 0, 1, 2, 3, 4
 """Places in the vector of parameters: R_d, ln R_s, ln σ, dark level, then ln gain per light, ln τ², logit ε."""
@@ -89,7 +87,7 @@ def sum_in_chunks(
 
 
 @kernel
-def image_factors(factors: Float64, lights: NDArray[np.int32], x: Float64) -> Float64:
+def image_factors(factors: Float64, lights: Int32, x: Float64) -> Float64:
     """Levels per unit of light in each image at the gains of the parameters `x`; all of shape (M,)."""
     return np.array([factors[m] * math.exp(x[4 + lights[m]]) for m in range(len(factors))])
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.estimate.reflectance._estimate import Estimate
 from lightopt.estimate.reflectance._predicted_images import predict_images
 from lightopt.estimate.reflectance._samples import Samples, subsample
@@ -27,7 +27,7 @@ MOST_BORDER_PIXELS = 4000
 POOR_SHARE = 5.0 / 255.0
 """A prediction that is further off than this share of the sensor's full scale is reported."""
 
-SavePrediction = Callable[[Observation, NDArray[np.float32]], None]
+SavePrediction = Callable[[Observation, Float32], None]
 """Gets each image that was left out and the sensor levels that were predicted for it."""
 
 
@@ -151,7 +151,7 @@ def validation_warnings(left_out: tuple[LeftOut, ...], sensor: Sensor) -> tuple[
 
 
 def compare_image(
-    seen: Observation, levels: NDArray[np.float32], hit: NDArray[np.bool_], sensor: Sensor, full_scale: float
+    seen: Observation, levels: Float32, hit: Bool, sensor: Sensor, full_scale: float
 ) -> Comparison:
     """Compare a measured image with the sensor levels predicted for it.
 
@@ -175,21 +175,21 @@ def compare_image(
     )
 
 
-def _border_distance(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float | None:
+def _border_distance(first: Bool, second: Bool) -> float | None:
     a, b = _border(first), _border(second)
     if not len(a) or not len(b):
         return None
     return 0.5 * (_mean_nearest(a, b) + _mean_nearest(b, a))
 
 
-def _border(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _border(mask: Bool) -> Float64:
     padded = np.pad(mask, 1)
     inner = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
     places = np.argwhere(mask & ~inner).astype(np.float64)
     return places[:: max(1, len(places) // MOST_BORDER_PIXELS)]
 
 
-def _mean_nearest(places: NDArray[np.float64], targets: NDArray[np.float64]) -> float:
+def _mean_nearest(places: Float64, targets: Float64) -> float:
     nearest = [
         np.sqrt(((places[i : i + 256, None] - targets[None]) ** 2).sum(axis=2).min(axis=1))
         for i in range(0, len(places), 256)

@@ -6,14 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from lightopt.core.arrays import Float64
 from lightopt.estimate.reflectance._criterion import LOG_R_S, LOG_SIGMA, R_D, Criterion
 from lightopt.estimate.reflectance._lack_of_fit import LackOfFit
 from lightopt.estimate.reflectance._newton import Maximum
-
-Float64 = NDArray[np.float64]
 
 Interval = tuple[float | None, float | None]
 """95 %; None for an end that the images do not bound."""

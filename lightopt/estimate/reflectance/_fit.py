@@ -8,9 +8,9 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, RigConfig
+from lightopt.core.arrays import Float64
 from lightopt.estimate.reflectance._comparisons import evenly_lit_warnings, paper_result
 from lightopt.estimate.reflectance._criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._cross_validation import (
@@ -51,8 +51,6 @@ from lightopt.estimate.reflectance._warnings import (
 )
 from lightopt.images import ImageSet
 from lightopt.scene import coarse_points
-
-Float64 = NDArray[np.float64]
 
 
 def fit_diffuse(

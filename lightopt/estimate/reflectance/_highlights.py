@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64
 from lightopt.core.errors import InputError
 from lightopt.estimate.reflectance._criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA
 from lightopt.estimate.reflectance._samples import Samples
-
-Float64 = NDArray[np.float64]
 
 HIGHLIGHT_LEVEL = 0.1
 """Pixels that a highlight lights by less than this are diffuse only [grey level at exposure 1]."""
@@ -43,7 +41,7 @@ def diffuse_only(samples: Samples, x: Float64) -> tuple[Samples, float]:
     )
 
 
-def _beyond(samples: Samples, x: Float64, widening: float) -> NDArray[np.bool_]:
+def _beyond(samples: Samples, x: Float64, widening: float) -> Bool:
     peak = max(math.exp(x[LOG_R_S]), LEAST_R_S) * float(np.exp(np.max(np.abs(x[FIRST_GAIN:-2]))))
     reach = math.sqrt(2.0 * math.log(max(peak / HIGHLIGHT_LEVEL, 1.0)))
     return samples.deflection[samples.sample] > widening * math.exp(x[LOG_SIGMA]) * reach

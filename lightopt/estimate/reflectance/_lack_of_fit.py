@@ -6,15 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Index
 from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares
 from lightopt.estimate.reflectance._criterion import DARK
 from lightopt.estimate.reflectance._likelihood import clipped_levels, predicted
 from lightopt.estimate.reflectance._noise import image_noise
 from lightopt.estimate.reflectance._samples import Samples
-
-Float64 = NDArray[np.float64]
 
 RINGS = 3
 DIFFUSE_STEPS = 10
@@ -51,7 +49,7 @@ class LackOfFit:
         return self.ratio > MOST_MISFIT
 
 
-def find_dust(samples: Samples, mean: Float64) -> NDArray[np.bool_]:
+def find_dust(samples: Samples, mean: Float64) -> Bool:
     """Observations that are far from all others of a like geometry, shape (N,).
 
     A model that is wrong is wrong alike there, so that its misfit is not taken for dust.
@@ -95,7 +93,7 @@ def measure_lack_of_fit(criterion: LeastSquares, x: Float64, *, dust: float) -> 
     return LackOfFit(ratio=ratio, dust=dust)
 
 
-def _medians(key: NDArray[np.intp], values: Float64) -> tuple[Float64, NDArray[np.intp]]:
+def _medians(key: Index, values: Float64) -> tuple[Float64, Index]:
     # per value, the median and the number of those with its key
     order = np.lexsort((values, key))
     sorted_key = key[order]

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from lightopt.core.arrays import Float64, Index
 from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares
 from lightopt.estimate.reflectance._criterion import FIRST_GAIN, LOG_SIGMA
 from lightopt.estimate.reflectance._estimate import Estimate
@@ -22,8 +22,6 @@ from lightopt.estimate.reflectance._newton import Maximum, has_settled, maximise
 from lightopt.estimate.reflectance._profile_intervals import criterion_drop
 from lightopt.estimate.reflectance._samples import Samples
 from lightopt.estimate.reflectance._sigma_scan import SigmaScan, optimum_of, scan_points
-
-Float64 = NDArray[np.float64]
 
 LEAST_GROUPS, MOST_GROUPS = 4, 24
 """Groups of images: lights, where there are so many, else lights by posture, else pieces of the images. Further lights
@@ -72,7 +70,7 @@ def least_squares_estimate(samples: Samples, scan: SigmaScan) -> Estimate:
     return replace(found, covariance=covariance / np.outer(root, root), inflation=inflation)
 
 
-def _inflation(found: Estimate, errors: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
+def _inflation(found: Estimate, errors: Sequence[float] | Float64) -> Float64:
     # a standard error is where the criterion has dropped by this: 1 for a model that is right
     inflation = np.ones(len(found.free))
     best = found.maximum.x
@@ -146,7 +144,7 @@ def rescaled_covariance(covariance: Float64, errors: Float64) -> Float64:
 
 
 def _scatter(
-    criterion: LeastSquares, x: Float64, free: Sequence[int], label: NDArray[np.intp], of: str
+    criterion: LeastSquares, x: Float64, free: Sequence[int], label: Index, of: str
 ) -> tuple[Float64, int, str, tuple[Maximum, ...]]:
     # covariance, number of groups and what they are, and where the fits ended
     count = _count(label)
@@ -164,11 +162,11 @@ def _scatter(
     return (count - 1.0) / count * off.T @ off, count, f"{count} {of}", refits
 
 
-def _count(label: NDArray[np.intp]) -> int:
+def _count(label: Index) -> int:
     return int(label.max(initial=-1)) + 1
 
 
-def _by_light(samples: Samples) -> list[tuple[NDArray[np.intp], str]]:
+def _by_light(samples: Samples) -> list[tuple[Index, str]]:
     # a number per observation: what is left out together
     light = samples.facts.light[samples.image].astype(np.intp)
     postures = list(dict.fromkeys(image.posture for image in samples.images))
@@ -177,9 +175,9 @@ def _by_light(samples: Samples) -> list[tuple[NDArray[np.intp], str]]:
     return [(_numbered(light), "lights"), (_numbered(both), "lights and postures")]
 
 
-def _by_block(samples: Samples) -> tuple[NDArray[np.intp], str]:
+def _by_block(samples: Samples) -> tuple[Index, str]:
     return _numbered(samples.block[samples.sample].astype(np.intp)), "pieces of the images"
 
 
-def _numbered(label: NDArray[np.intp]) -> NDArray[np.intp]:
+def _numbered(label: Index) -> Index:
     return np.unique(label, return_inverse=True)[1].astype(np.intp)

@@ -13,8 +13,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.estimate.reflectance._criterion import (
     DARK,
@@ -31,8 +31,6 @@ from lightopt.estimate.reflectance._criterion import (
 )
 from lightopt.estimate.reflectance._samples import ImageFacts, Samples
 from lightopt.optics import Sensor
-
-Float64 = NDArray[np.float64]
 
 EXTREME_SHARE = 0.05
 """Share of the unexplained pixels that are black, and of those that are saturated: dust and glints; the rest is spread
@@ -175,10 +173,10 @@ def _normal_interval(a: float, b: float) -> float:
 
 @kernel
 def _accumulate(
-    sample: NDArray[np.int32],
-    level: NDArray[np.float32],
-    saturated: NDArray[np.bool_],
-    image: NDArray[np.int32],
+    sample: Int32,
+    level: Float32,
+    saturated: Bool,
+    image: Int32,
     start: int,
     end: int,
     diffuse: Float64,
@@ -186,7 +184,7 @@ def _accumulate(
     c: Float64,
     dc: Float64,
     factors: Float64,
-    lights: NDArray[np.int32],
+    lights: Int32,
     half_widths: Float64,
     frames: Float64,
     sensor: SensorNumbers,

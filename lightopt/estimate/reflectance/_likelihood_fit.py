@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.estimate.reflectance._criterion import LOG_SIGMA
 from lightopt.estimate.reflectance._estimate import CHI2_95, Estimate, Optimum, ScanPoint
 from lightopt.estimate.reflectance._likelihood import Likelihood, likelihood_at
@@ -28,8 +28,6 @@ from lightopt.estimate.reflectance._sigma_scan import (
     scan_points,
 )
 from lightopt.estimate.reflectance._uncertainty import uncertainty
-
-Float64 = NDArray[np.float64]
 
 SUBSET_SHARE = 4
 """By how much fewer pixels than least squares the likelihood scans: it starts where least squares end."""

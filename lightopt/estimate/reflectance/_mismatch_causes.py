@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.estimate.reflectance._estimate import Estimate
@@ -24,8 +24,6 @@ from lightopt.estimate.reflectance._setup import FitSetup, register_with_fit
 from lightopt.estimate.registration import FLIPS, Agreement, Observation, PoseFrame, agreement, place_part
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene
-
-Float64 = NDArray[np.float64]
 
 LEAST_SHIFT_PX = 0.5
 LEAST_EXPLAINED = 0.5

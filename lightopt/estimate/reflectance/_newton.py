@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64
 from lightopt.core.kernels import kernel
 from lightopt.estimate.reflectance._criterion import (
     FIRST_GAIN,
@@ -17,9 +17,6 @@ from lightopt.estimate.reflectance._criterion import (
     Criterion,
     Evaluation,
 )
-
-Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 
 TOLERANCE = 1e-4
 """A maximum is found when the next step's predicted gain is less than this [nat]: a hundredth of a standard error."""

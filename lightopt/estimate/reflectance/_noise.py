@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.estimate.reflectance._samples import Samples
 from lightopt.optics import Sensor
-
-Float64 = NDArray[np.float64]
 
 LEVEL_BINS, LEAST_PER_BIN = 12, 150
 CLEAR_OF_ENDS = 4.0

@@ -13,12 +13,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.estimate.reflectance._samples import Samples
-
-Float64 = NDArray[np.float64]
 
 MOST_ITERATIONS = 500
 MOST_R_S = 1e15

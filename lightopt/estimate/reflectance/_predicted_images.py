@@ -8,16 +8,14 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
 from lightopt.optics import Reflectance, saturated_region
 from lightopt.rendering import render_posture
 from lightopt.scene import Scene
-
-Float64 = NDArray[np.float64]
 
 
 def predict_images(
@@ -27,7 +25,7 @@ def predict_images(
     *,
     caster: RayCaster,
     threads: int | None = None,
-) -> Iterator[tuple[Observation, NDArray[np.float32], NDArray[np.bool_]]]:
+) -> Iterator[tuple[Observation, Float32, Bool]]:
     """Per observation: itself, the sensor levels predicted for it, not clipped, and where the part is.
 
     x: Parameters, shape (K,), as :mod:`lightopt.estimate.reflectance._likelihood` orders them.
@@ -99,7 +97,7 @@ class PointsRow:
 
 def compare_regions(
     scene: Scene,
-    x: NDArray[np.float64],
+    x: Float64,
     observations: tuple[Observation, ...],
     *,
     points: int | Literal["auto"],
@@ -117,7 +115,7 @@ def compare_regions(
     areas, perimeters = np.zeros(2), np.zeros(2)
     for seen, levels, _ in predict_images(scene, x, observations, caster=caster, threads=threads):
         delivered = np.clip(np.floor(levels + 0.5), 0.0, scene.sensor.max_level)
-        pair: tuple[NDArray[np.float32], NDArray[np.float32]] = delivered, seen.levels
+        pair: tuple[Float32, Float32] = delivered, seen.levels
         for i, image in enumerate(pair):
             region = saturated_region(image, top)
             areas[i] += region.area

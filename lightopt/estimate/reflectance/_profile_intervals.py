@@ -7,13 +7,10 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.estimate.reflectance._criterion import R_D
 from lightopt.estimate.reflectance._estimate import Estimate, Optimum
 from lightopt.estimate.reflectance._newton import bounds, maximise
-
-Float64 = NDArray[np.float64]
 
 ROUNDS = 16
 CLOSE = 0.02

@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA
 from lightopt.estimate.reflectance._estimate import Estimate, Interval
 from lightopt.estimate.reflectance._likelihood import predicted
@@ -95,7 +95,7 @@ def assess_quality(samples: Samples, found: Estimate) -> Quality:
     )
 
 
-def mean_levels(samples: Samples, found: Estimate) -> NDArray[np.float64]:
+def mean_levels(samples: Samples, found: Estimate) -> Float64:
     """Sensor levels, not clipped, that a fit predicts for the observations, shape (N,)."""
     return predicted(samples, samples.specular(found.sigma), found.x)
 
@@ -183,5 +183,5 @@ def _reasons(found: Estimate, *, placed: bool) -> str:
     return f"Possible reasons: {', '.join(reasons)}"
 
 
-def _rms(values: NDArray[np.float64]) -> float:
+def _rms(values: Float64) -> float:
     return math.sqrt(float(np.mean(values**2))) if len(values) else 0.0

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation
@@ -24,8 +24,6 @@ from lightopt.rendering import (
     trace_pixels,
 )
 from lightopt.scene import Scene
-
-Float64 = NDArray[np.float64]
 
 FIRST_OCTAVE_RAD = 0.001
 OCTAVES = 11
@@ -53,8 +51,8 @@ class SampleGroup:
     light: int
     posture: Posture
     layer: LightLayer | None
-    row: NDArray[np.int32]
-    column: NDArray[np.int32]
+    row: Int32
+    column: Int32
     weight: Float64
 
     def __len__(self) -> int:
@@ -85,7 +83,7 @@ class ImageFacts:
     """
 
     factor: Float64
-    light: NDArray[np.int32]
+    light: Int32
     half_width: Float64
     frames: Float64
 
@@ -110,18 +108,18 @@ class Samples:
     diffuse: Float64
     deflection: Float64
     weight: Float64
-    block: NDArray[np.int32]
-    sample: NDArray[np.int32]
-    image: NDArray[np.int32]
-    level: NDArray[np.float32]
-    saturated: NDArray[np.bool_]
+    block: Int32
+    sample: Int32
+    image: Int32
+    level: Float32
+    saturated: Bool
     images: tuple[Observation, ...]
     facts: ImageFacts
     lights: tuple[str, ...]
     sensor: Sensor
     threads: int | None = None
 
-    def select(self, where: NDArray[np.bool_]) -> Samples:
+    def select(self, where: Bool) -> Samples:
         """Only the observations marked in `where`, shape (N,); the pixels stay."""
         return replace(
             self,
@@ -131,9 +129,7 @@ class Samples:
             saturated=self.saturated[where],
         )
 
-    def with_levels(
-        self, levels: Sequence[NDArray[np.float32]], saturated: Sequence[NDArray[np.bool_]]
-    ) -> Samples:
+    def with_levels(self, levels: Sequence[Float32], saturated: Sequence[Bool]) -> Samples:
         """The same pixels of other images of the same lights, postures and exposures; one array per image."""
         rows = np.concatenate([group.row for group in self.groups])[self.sample]
         columns = np.concatenate([group.column for group in self.groups])[self.sample]
@@ -179,7 +175,7 @@ def collect_samples(
 def subsample(samples: Samples, budget: int) -> Samples:
     """At most `budget` of the pixels per octave, light and posture, with the observations that there are of them."""
     groups: list[SampleGroup] = []
-    indices: list[NDArray[np.intp]] = []
+    indices: list[Index] = []
     start = 0
     for group in samples.groups:
         keep, share = _by_octave(
@@ -264,13 +260,13 @@ def _choose(
     ]
 
 
-def _by_octave(deflection: Float64, budget: int, seed: tuple[int, int]) -> tuple[NDArray[np.intp], Float64]:
+def _by_octave(deflection: Float64, budget: int, seed: tuple[int, int]) -> tuple[Index, Float64]:
     # at most `budget` of each octave, by a draw that only depends on light and posture, and the share that was drawn
     octave = np.clip(np.ceil(np.log2(np.maximum(deflection, 1e-9) / FIRST_OCTAVE_RAD)), 0, OCTAVES).astype(
         int
     )
     rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=seed))
-    chosen: list[NDArray[np.intp]] = []
+    chosen: list[Index] = []
     shares = np.ones(OCTAVES + 1)
     for value in range(OCTAVES + 1):
         index = np.flatnonzero(octave == value)
@@ -296,10 +292,10 @@ def _assemble(
         half_width=np.array([o.half_width for o in images]),
         frames=np.array([float(o.frames) for o in images]),
     )
-    sample: list[NDArray[np.int32]] = []
-    image: list[NDArray[np.int32]] = []
-    level: list[NDArray[np.float32]] = []
-    saturated: list[NDArray[np.bool_]] = []
+    sample: list[Int32] = []
+    image: list[Int32] = []
+    level: list[Float32] = []
+    saturated: list[Bool] = []
     start = 0
     for group in groups:
         index = np.arange(start, start + len(group), dtype=np.int32)
@@ -329,7 +325,7 @@ def _assemble(
     )
 
 
-def _blocks(groups: Sequence[SampleGroup], images: Sequence[Observation]) -> NDArray[np.int32]:
+def _blocks(groups: Sequence[SampleGroup], images: Sequence[Observation]) -> Int32:
     postures = list(dict.fromkeys(image.posture for image in images))
     rows, columns = images[0].levels.shape
     side = max(1, math.ceil(max(rows, columns) / BLOCKS))

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares, SpecularTable
 from lightopt.estimate.reflectance._criterion import DARK, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters
@@ -26,7 +26,6 @@ from lightopt.estimate.reflectance._samples import Samples, subsample
 from lightopt.estimate.reflectance._sigma_scan import scan_budget, scan_sigma
 from lightopt.optics import Reflectance
 
-Float64 = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 """Called with the name of the step and the share of it that is done, 0 to 1."""
 

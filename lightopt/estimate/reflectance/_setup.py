@@ -8,9 +8,9 @@ from functools import partial
 from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, RigConfig
+from lightopt.core.arrays import Float64
 from lightopt.estimate.reflectance._estimate import FreeParameters
 from lightopt.estimate.reflectance._paper import PaperOptions
 from lightopt.estimate.reflectance._samples import OCTAVES, Samples, collect_samples
@@ -35,7 +35,6 @@ Points: TypeAlias = "int | Literal['auto']"
 Progress = Callable[[str, float], None]
 """Called with the name of the step and the share of it that is done, 0 to 1."""
 
-Float64 = NDArray[np.float64]
 
 MOST_PER_OCTAVE = 20_000
 PLACING_PER_OCTAVE = 800

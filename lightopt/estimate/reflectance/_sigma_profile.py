@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.estimate.reflectance._criterion import LOG_SIGMA, Criterion
 from lightopt.estimate.reflectance._newton import Maximum, maximise
-
-Float64 = NDArray[np.float64]
 
 SCAN_STEPS, FIRST_STEPS = 30, 5
 SCAN_TOLERANCE = 0.1

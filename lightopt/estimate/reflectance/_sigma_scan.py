@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares, SpecularTable
 from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Criterion
@@ -21,8 +21,6 @@ from lightopt.estimate.reflectance._likelihood import predicted
 from lightopt.estimate.reflectance._newton import Maximum, maximise
 from lightopt.estimate.reflectance._samples import Samples, subsample
 from lightopt.estimate.reflectance._sigma_profile import peaks, profile_over_sigma
-
-Float64 = NDArray[np.float64]
 
 SCAN_SAMPLES = 50_000
 """Pixels of the scan over σ, in all."""

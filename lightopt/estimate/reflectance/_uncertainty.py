@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.estimate.reflectance._criterion import R_D
 from lightopt.estimate.reflectance._likelihood import Likelihood
 from lightopt.estimate.reflectance._newton import bounds
-
-Float64 = NDArray[np.float64]
 
 STEP = 0.3
 """Differences of the gradient are taken this many (conditional) standard errors to either side."""

@@ -6,15 +6,13 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._pixels import PixelSet, light_at, sensor_scale, view_of_placed
 from lightopt.estimate.registration._placement import Placement, PoseFrame
 from lightopt.geometry import RayCaster
 from lightopt.scene import Scene, screen_window, view_from_part
-
-Float64 = NDArray[np.float64]
 
 PIXELS = 6000
 MOST_LIGHTS = 8

@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.images import ImageEntry, ImageSet, dark_name, read_png, read_png_metadata
 from lightopt.optics import Sensor
-
-Float64 = NDArray[np.float64]
 
 _REACH_PX = 4
 """A frame without light is smoothed over windows of 9 × 9 pixels, except where it shows more than noise."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Index
 from lightopt.core.errors import InputError, counted
 from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._pixels import PixelSet, light_at, view_of_placed
@@ -73,7 +74,7 @@ def refuse_useless_images(
     """
     where = observations[0].source.parent
     images = counted(len(observations), "image")
-    shown: list[NDArray[np.bool_]] = []
+    shown: list[Bool] = []
     for pixels in sets:
         view = view_of_placed(scene, pixels.posture, 0.0, 0.0, 0.0)
         light, _ = light_at(scene, pixels, view, caster, threads=threads)
@@ -138,7 +139,7 @@ def agreement(measured: Array, predicted: Array, noise: Array) -> Agreement:
 
 
 def refuse_mismatch(
-    level: Array, predicted: Array, limit: Array, deviation: Array, pixels: NDArray[np.intp], where: str
+    level: Array, predicted: Array, limit: Array, deviation: Array, pixels: Index, where: str
 ) -> None:
     """Refuse images that do not show this part as the model has it.
 
@@ -185,7 +186,7 @@ def refuse_mismatch(
     )
 
 
-def _other_cause(seen: Array, model: Array, full: NDArray[np.bool_]) -> str:
+def _other_cause(seen: Array, model: Array, full: Bool) -> str:
     # why images that are not flipped may be so far from the model
     mean, expected = float(seen.mean()), float(model.mean())
     if mean < BLACK_SHARE * expected:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, RigConfig
+from lightopt.core.arrays import Bool, Float32
 from lightopt.core.errors import InputError, counted
 from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
@@ -46,12 +47,12 @@ class Observation:
     light: str
     posture: Posture
     exposure: float
-    levels: NDArray[np.float32]
-    saturated: NDArray[np.bool_]
+    levels: Float32
+    saturated: Bool
     half_width: float
     source: Path
     frames: int = 1
-    subtracted: NDArray[np.float32] | float = 0.0
+    subtracted: Float32 | float = 0.0
 
     @property
     def name(self) -> str:
@@ -187,7 +188,7 @@ def _read(image_set: ImageSet, entry: ImageEntry, sensor: Sensor) -> Observation
 
 def _above_dark(
     image_set: ImageSet, entry: ImageEntry, delivered: NDArray[Any], sensor: Sensor
-) -> tuple[NDArray[np.float32], NDArray[np.float32] | float]:
+) -> tuple[Float32, Float32 | float]:
     """Sensor levels less what the panel did not light, and that; saturated ones stay lower bounds, zeros upper ones."""
     dark = dark_levels(image_set, entry, sensor)
     if dark is None:

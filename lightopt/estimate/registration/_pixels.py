@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.transforms import Posture, rotation_z
 from lightopt.estimate.registration._observations import Observation
 from lightopt.geometry import RayCaster
 from lightopt.rendering import UNLIT, WHOLE, PosturePixels, light_layer, panel_verdict, trace_samples
 from lightopt.scene import PartView, Scene, view_from_part
-
-Float64 = NDArray[np.float64]
 
 _LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
 _OFFSETS = np.array([0.6180339887498949, 0.4142135623730951])
@@ -31,18 +29,18 @@ class PixelSet:
     """
 
     posture: Posture
-    row: NDArray[np.int32]
-    column: NDArray[np.int32]
+    row: Int32
+    column: Int32
     images: tuple[Observation, ...]
     levels: Float64
-    saturated: NDArray[np.bool_]
+    saturated: Bool
     rays: int = 1
 
     @staticmethod
     def look_up(
         posture: Posture,
-        row: NDArray[np.int32],
-        column: NDArray[np.int32],
+        row: Int32,
+        column: Int32,
         images: Sequence[Observation],
         black: float,
         *,

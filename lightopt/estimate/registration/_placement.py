@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.core.transforms import rotation_z
 from lightopt.scene import Scene, move_part, pixel_footprint
-
-Float64 = NDArray[np.float64]
 
 GREATEST_SHIFT_MM = 5.0
 GREATEST_TURN_RAD = math.radians(6.0)
@@ -75,13 +73,13 @@ class PartFilePlacement:
 
 
 def part_file_placement(
-    vertices: NDArray[np.float64],
+    vertices: Float64,
     placement: Placement,
     *,
     anchor: Literal["as_modelled", "rest_on_table", "centred"],
     rotate_deg: tuple[float, float, float],
     translate_mm: tuple[float, float, float],
-    pivot: NDArray[np.float64],
+    pivot: Float64,
 ) -> PartFilePlacement:
     """Express a placement as the rotation and translation of a part file.
 

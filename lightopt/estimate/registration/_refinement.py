@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Index, Int32
 from lightopt.core.least_squares import Limits
 from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._pixels import PixelSet, light_at, sensor_scale, view_of_placed
@@ -15,9 +15,6 @@ from lightopt.estimate.registration._placement import Placement, PoseFrame, plac
 from lightopt.geometry import RayCaster
 from lightopt.rendering import PosturePixels, trace_pixels
 from lightopt.scene import Scene
-
-Float64 = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 
 INNER_PIXELS, FIRST_INNER_PIXELS = 12_000, 3_000
 OUTLINE_PIXELS = 800
@@ -100,13 +97,13 @@ def choose_pixels(
     return inner, edges
 
 
-def _random_subset(index: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+def _random_subset(index: Index, most: int) -> Index:
     if len(index) <= most:
         return index
     return np.sort(np.random.default_rng(0).choice(index, most, replace=False))
 
 
-def _across_outline(pixels: PosturePixels) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def _across_outline(pixels: PosturePixels) -> tuple[Int32, Int32]:
     from scipy import ndimage  # takes long to load, and a capture seldom needs it
 
     shows = np.zeros(pixels.shape, np.bool_)

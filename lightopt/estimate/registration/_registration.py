@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.core.least_squares import Solution, solve
 from lightopt.estimate.registration._coarse_search import coarse_pixels, search_placement
 from lightopt.estimate.registration._image_checks import refuse_useless_images
@@ -38,8 +38,6 @@ from lightopt.estimate.registration._revolution import unobservable_rotation
 from lightopt.geometry import RayCaster
 from lightopt.optics import Reflectance
 from lightopt.scene import Scene
-
-Float64 = NDArray[np.float64]
 
 STAGES = 4
 """Pixels are chosen anew where the part moved, so many times at most."""

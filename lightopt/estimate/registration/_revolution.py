@@ -11,16 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Int32
 from lightopt.core.transforms import rotation_z
 from lightopt.estimate.registration._pixels import PixelSet, view_of_placed
 from lightopt.estimate.registration._placement import PoseFrame
 from lightopt.geometry import RayCaster
 from lightopt.rendering import trace_samples
 from lightopt.scene import Scene
-
-Float64 = NDArray[np.float64]
 
 ROTATIONS = np.concatenate([np.radians([1.9, 3.7, 6.0, 11.0]), np.radians(137.50776) * np.arange(5, 17)])
 """Rotations to compare [rad]: within the reach of a registration, and all round, by the golden angle."""
@@ -113,7 +111,7 @@ class _Pixels:
         hits, surface = trace_samples(self._caster, self._scene.mesh, view.camera, *self._pixels.positions)
         return _Surface(surface.points - self._middle, surface.normals, *self._facets(hits.face))
 
-    def _facets(self, face: NDArray[np.int32]) -> tuple[Float64, Float64, Float64]:
+    def _facets(self, face: Int32) -> tuple[Float64, Float64, Float64]:
         # of facets: chord error r (1 − cos Δφ/2) [mm], azimuthal extent Δφ [rad], and how far their normals bend [rad]
         mesh = self._scene.mesh
         assert mesh.normals is not None

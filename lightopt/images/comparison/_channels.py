@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64
 from lightopt.core.errors import InputError
 
 PERCENTILES: Mapping[str, float] = MappingProxyType({"p50": 50, "p95": 95, "p99": 99, "p99_9": 99.9})
@@ -108,7 +109,7 @@ def compare_arrays(
     absolute: float,
     relative: float,
     max_share: float,
-    where: NDArray[np.bool_] | None = None,
+    where: Bool | None = None,
     saturation: tuple[float, float] | None = None,
     min_iou: float | None = None,
 ) -> ChannelDifference:
@@ -159,7 +160,7 @@ def compare_arrays(
     )
 
 
-def _statistics(distance: NDArray[np.float64]) -> dict[str, Any]:
+def _statistics(distance: Float64) -> dict[str, Any]:
     if not distance.size:
         return {"max": None, "rms": None, "percentiles": None}
     values = np.percentile(distance, list(PERCENTILES.values()))
@@ -170,7 +171,7 @@ def _statistics(distance: NDArray[np.float64]) -> dict[str, Any]:
     }
 
 
-def _compare_masks(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> dict[str, Any]:
+def _compare_masks(a: Bool, b: Bool) -> dict[str, Any]:
     union = int((a | b).sum())
     iou = int((a & b).sum()) / union if union else 1.0
     return {"saturated_a": int(a.sum()), "saturated_b": int(b.sum()), "iou": iou}

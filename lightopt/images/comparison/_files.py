@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool
 from lightopt.core.errors import InputError
 from lightopt.images import read_exr, read_exr_metadata, read_png, read_png_metadata
 from lightopt.images.comparison._channels import ChannelDifference, ComparisonThresholds, compare_arrays
@@ -75,12 +76,12 @@ def _number(value: object, default: float) -> float:
     return float(value) if isinstance(value, (int, float)) and value > 0 else default
 
 
-def hit_mask(image: LoadedFile) -> NDArray[np.bool_]:
+def hit_mask(image: LoadedFile) -> Bool:
     """Where the rays of a geometry image hit the part: everything is 0 where they miss."""
     return image.channels["Z"] != 0
 
 
-def lit_mask(image: LoadedFile, channel: str) -> NDArray[np.bool_]:
+def lit_mask(image: LoadedFile, channel: str) -> Bool:
     """Where a channel is not background: 0, or the black level as the camera rounds it."""
     return image.channels[channel] != math.floor(image.black + 0.5)
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, UInt8
 from lightopt.core.errors import InputError
 from lightopt.images import write_png
 from lightopt.images.comparison._files import LEVELS, LoadedFile, load_file
@@ -113,14 +113,14 @@ def _choose(golden: LoadedFile, new: LoadedFile, channel: str | None) -> str:
     return channel
 
 
-def _automatic_scale(signed: NDArray[np.float64]) -> float:
+def _automatic_scale(signed: Float64) -> float:
     distance = np.abs(signed[signed != 0])
     if not distance.size:
         return _LEAST_SCALE
     return max(float(np.percentile(distance, _SCALE_PERCENTILE)), _LEAST_SCALE)
 
 
-def _diverging(relative: NDArray[np.float64]) -> NDArray[np.uint8]:
+def _diverging(relative: Float64) -> UInt8:
     """Colours (H, W, 3) of differences relative to the scale, −1 to 1; beyond looks like the end."""
     channels = [
         np.interp(relative, [-1.0, 0.0, 1.0], [low, middle, high])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lightopt.inspection._arrays import Bool, Float32
+from lightopt.core.arrays import Bool, Float32, Int32
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._score import SCALES_PX, smoothed_deviations
 
@@ -47,14 +47,14 @@ class PackedDeviations:
     """
 
     shape: tuple[int, int]
-    own: NDArray[np.int32]
-    nominal: NDArray[np.int32]
+    own: Int32
+    nominal: Int32
     z: NDArray[np.float16]
     usable: Bool
     lit: Bool
 
     @staticmethod
-    def of(found: Deviations, nominal: NDArray[np.int32]) -> PackedDeviations:
+    def of(found: Deviations, nominal: Int32) -> PackedDeviations:
         """Those of a posture, `nominal` from :func:`nominal_pixels`."""
         own = np.flatnonzero(found.usable.any(axis=0)).astype(np.int32)
         lights, rows, columns = found.z.shape
@@ -70,7 +70,7 @@ class PackedDeviations:
         """Each at the pixel that shows its place where the part's file has it."""
         return self._scattered(self.nominal, self.nominal >= 0)
 
-    def _scattered(self, to: NDArray[np.int32], which: Bool) -> Deviations:
+    def _scattered(self, to: Int32, which: Bool) -> Deviations:
         flat = (len(self.z), self.shape[0] * self.shape[1])
         z = np.zeros(flat, np.float32)
         usable, lit = np.zeros(flat, np.bool_), np.zeros(flat, np.bool_)
@@ -82,7 +82,7 @@ class PackedDeviations:
             z.reshape(whole), np.ones(whole, np.float32), usable.reshape(whole), lit.reshape(whole)
         )
 
-    def nominal_image(self) -> NDArray[np.int32]:
+    def nominal_image(self) -> Int32:
         """Flat index as :func:`nominal_pixels` gives it, shape (H, W); −1 where nothing was usable."""
         height, width = self.shape
         index = np.full(height * width, -1, np.int32)
@@ -107,9 +107,7 @@ class PackedDeviations:
             return PackedDeviations((rows, columns), own, arrays["nominal"], arrays["z"], usable, lit)
 
 
-def subtract_systematic(
-    found: Deviations, systematic: SystematicDeviations, nominal: NDArray[np.int32]
-) -> Deviations:
+def subtract_systematic(found: Deviations, systematic: SystematicDeviations, nominal: Int32) -> Deviations:
     """Deviations without what good parts have in common.
 
     Parameters

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from lightopt.inspection._arrays import Float32
+from lightopt.core.arrays import Bool, Float32, Float64, UInt8
 from lightopt.inspection._image_blocks import in_row_blocks
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._score import disc_gain
@@ -113,7 +113,7 @@ class Shares:
 
 
 def class_areas(
-    areas: NDArray[np.floating[Any]], state: NDArray[np.uint8], least_contrast: NDArray[np.floating[Any]]
+    areas: NDArray[np.floating[Any]], state: UInt8, least_contrast: NDArray[np.floating[Any]]
 ) -> dict[str, Any]:
     """The fields of :class:`Shares`, added up over places.
 
@@ -123,7 +123,7 @@ def class_areas(
         where none is.
     """
 
-    def of(which: NDArray[np.bool_]) -> float:
+    def of(which: Bool) -> float:
         return float(areas[which].sum())
 
     return {
@@ -148,7 +148,7 @@ class PostureCoverage(Shares):
         infinite where it is dark, or nothing was inspected.
     """
 
-    state: NDArray[np.uint8] = field(compare=False, repr=False)
+    state: UInt8 = field(compare=False, repr=False)
     least_contrast: Float32 = field(compare=False, repr=False)
 
     def as_dict(self) -> dict[str, Any]:
@@ -202,9 +202,7 @@ def coverage_of_rows(view: PostureView, found: Deviations, *, seen_by: int, high
     )
 
 
-def least_contrast(
-    found: Deviations, predicted: Float32, *, seen_by: int, high: float
-) -> NDArray[np.float64]:
+def least_contrast(found: Deviations, predicted: Float32, *, seen_by: int, high: float) -> Float64:
     """Share of the light that an even disc of 5 pixels must take away to be found half of the time, shape (H, W).
 
     Infinite where no image is lit.
@@ -219,7 +217,7 @@ def least_contrast(
     return needed / disc_gain(REFERENCE_DISC_PX) * weakest
 
 
-def _needed(images: int, seen_by: int, high: float) -> NDArray[np.float64]:
+def _needed(images: int, seen_by: int, high: float) -> Float64:
     # deviation that k of n images must show for the threshold, whatever the others do, all of them half of the time;
     # by n and k
     z = np.full((images + 1, seen_by + 1), np.inf)

@@ -11,8 +11,8 @@ from typing import Any, Final, Literal
 import numpy as np
 from scipy.spatial import KDTree
 
+from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture
-from lightopt.inspection._arrays import Float64
 
 Kind = Literal["shape", "stain", "unknown"]
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
-from lightopt.inspection._arrays import Bool, Float32, Float64
 from lightopt.inspection._image_blocks import in_image_blocks
 from lightopt.inspection.prediction._posture_view import PostureView
 

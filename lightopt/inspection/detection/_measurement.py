@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from lightopt.core.arrays import Float32, Float64, Index, Int32
 from lightopt.estimate.registration import Placement
-from lightopt.inspection._arrays import Float64
 from lightopt.inspection.detection._defects import Detection, Kind
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._regions import SHOWN_Z, box_sums, core_pixels
@@ -32,9 +31,9 @@ MOST_BRIGHTER = 0.5
 
 
 def measure_regions(
-    labels: NDArray[np.int32],
+    labels: Int32,
     count: int,
-    score: NDArray[np.float32],
+    score: Float32,
     view: PostureView,
     found: Deviations,
     *,
@@ -102,9 +101,7 @@ def _extents(points: Float64, normal: Float64, pixel: float) -> tuple[float, flo
     return float(span.max()), float(span.min())
 
 
-def _contrasts(
-    z: NDArray[np.float32], row: NDArray[np.intp], column: NDArray[np.intp], view: PostureView
-) -> dict[str, float]:
+def _contrasts(z: Float32, row: Index, column: Index, view: PostureView) -> dict[str, float]:
     # z of shape (scales, lights, pixels)
     result: dict[str, float] = {}
     for i, light in enumerate(view.lights):
@@ -121,9 +118,9 @@ def _contrasts(
 
 
 def _kind(
-    z: NDArray[np.float32],
-    row: NDArray[np.intp],
-    column: NDArray[np.intp],
+    z: Float32,
+    row: Index,
+    column: Index,
     view: PostureView,
     contrast: dict[str, float],
 ) -> Kind:

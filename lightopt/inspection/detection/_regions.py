@@ -7,10 +7,9 @@ from itertools import pairwise
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-from lightopt.inspection._arrays import Bool, Float32
+from lightopt.core.arrays import Bool, Float32, Index, Int32
 from lightopt.inspection._image_blocks import gaussian_taps
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._score import SCALES_PX, smoothed_deviations
@@ -38,7 +37,7 @@ SHOWN_Z = 4.0
 _DISC = np.hypot(*np.mgrid[-GAP_PX : GAP_PX + 1, -GAP_PX : GAP_PX + 1]) <= GAP_PX + 0.5
 
 
-def find_regions(score: Float32, high: float) -> tuple[NDArray[np.int32], int]:
+def find_regions(score: Float32, high: float) -> tuple[Int32, int]:
     """Number of the region that each pixel belongs to, 0 for none, shape (H, W), and how many there are.
 
     Hysteresis: a region has a pixel of at least `high`, and spreads over what is connected to it and lower.
@@ -72,13 +71,13 @@ def _dilated(mask: Bool) -> Bool:
     return dilated
 
 
-def _label(mask: Bool) -> tuple[NDArray[np.int32], int]:
+def _label(mask: Bool) -> tuple[Int32, int]:
     # connected components, across corners too
     number = np.zeros(mask.shape, np.int32)
     return number, int(ndimage.label(mask, np.ones((3, 3)), output=number))  # pyright: ignore[reportArgumentType]
 
 
-def region_pixels(labels: NDArray[np.int32], count: int) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+def region_pixels(labels: Int32, count: int) -> list[tuple[Index, Index]]:
     """Rows and columns of each region's pixels, the first region first, in one pass over the image."""
     row, column = np.nonzero(labels)
     number = labels[row, column]
@@ -126,8 +125,8 @@ def core_pixels(region: Bool, fine: Float32) -> Bool:
 
 
 def split_regions(
-    labels: NDArray[np.int32], count: int, score: Float32, found: Deviations, high: float
-) -> tuple[NDArray[np.int32], int]:
+    labels: Int32, count: int, score: Float32, found: Deviations, high: float
+) -> tuple[Int32, int]:
     """Take off what sums only spread, and split regions whose cores lie apart, where each core would be a region.
 
     Parameters
@@ -161,13 +160,13 @@ def split_regions(
         seeds = new[cores]
         # what is between them goes to the nearest
         nearest = ndimage.distance_transform_edt(seeds == 0, return_distances=False, return_indices=True)
-        row, column = cast("tuple[NDArray[np.int32], NDArray[np.int32]]", nearest)
+        row, column = cast("tuple[Int32, Int32]", nearest)
         result[box][region] = seeds[row, column][region]
         number += len(certain)
     return result, number
 
 
-def _core_components(core: Bool) -> tuple[NDArray[np.int32], int]:
+def _core_components(core: Bool) -> tuple[Int32, int]:
     # numbered; those within GAP_PX of each other are one, as in find_regions
     number, count = _label(_dilated(core))
     return np.where(core, number[GAP_PX:-GAP_PX, GAP_PX:-GAP_PX], 0).astype(np.int32), count

@@ -6,11 +6,10 @@ import itertools
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
+from lightopt.core.arrays import Bool, Float32, Float64, Index
 from lightopt.core.kernels import kernel
-from lightopt.inspection._arrays import Bool, Float32, Float64
 from lightopt.inspection._image_blocks import (
     TILE_COLUMNS,
     filter_tile,
@@ -111,7 +110,7 @@ def _smooth(
                 sums[y, x] = sums[y, x] / math.sqrt(own) if counts[y, x] else np.float32(0.0)
 
 
-def rank_probability(z: Float64, count: NDArray[np.intp], rank: int) -> Float64:
+def rank_probability(z: Float64, count: Index, rank: int) -> Float64:
     """Probability that noise alone makes the `rank`-th largest of `count` magnitudes as large as this.
 
     With t = 2·Φ(−z), at least `rank` of `count` independent deviates are beyond z with the probability

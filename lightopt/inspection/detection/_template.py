@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy import fft, ndimage, special
 
-from lightopt.inspection._arrays import Float32, Float64
+from lightopt.core.arrays import Float32, Float64
 from lightopt.inspection._options import InspectOptions
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._score import SCALES_PX, score_deviations

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.transforms import Posture
 from lightopt.defects import PlacedDefect
 from lightopt.images import ImageSet
-from lightopt.inspection._arrays import Bool, Float64
 from lightopt.inspection._results import InspectionResult
 from lightopt.inspection.evaluation._ground_truth import true_labels
 from lightopt.inspection.evaluation._probability_of_detection import fit_detection_curve
@@ -129,7 +128,7 @@ def defect_size(one: Mapping[str, Any]) -> float:
     return float(np.sqrt(np.prod(one["size_mm"])))
 
 
-def region_hits(labels: NDArray[np.int32], truth: NDArray[np.int32]) -> list[NDArray[np.int32]]:
+def region_hits(labels: Int32, truth: Int32) -> list[Int32]:
     """For each region the defects that it finds: those that it touches, unless it is far larger than all of them.
 
     Parameters
@@ -139,7 +138,7 @@ def region_hits(labels: NDArray[np.int32], truth: NDArray[np.int32]) -> list[NDA
     truth
         Index of the defect of each pixel, −1 for none, same shape.
     """
-    hits: list[NDArray[np.int32]] = []
+    hits: list[Int32] = []
     size = np.bincount(truth[truth >= 0], minlength=1)
     for number, box in enumerate(ndimage.find_objects(labels), start=1):
         if box is None:

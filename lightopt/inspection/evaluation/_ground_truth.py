@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, load_part
+from lightopt.core.arrays import Float32, Float64, Int32
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256
 from lightopt.defects import PlacedDefect, mark_surface
 from lightopt.estimate.registration import Placement
 from lightopt.images import ImageSet
-from lightopt.inspection._arrays import Int32
 from lightopt.inspection._results import InspectedPosture, InspectionResult
 from lightopt.inspection.prediction._frames import world_to_mesh_file
 from lightopt.scene import defect_facts
@@ -179,7 +178,7 @@ def _cast(posture: InspectedPosture, result: InspectionResult, known: Sequence[P
     placement, file = result.placement or Placement(), nominal.placement
     row, column = np.nonzero(geometry.hit)
 
-    def to_mesh_file(vectors: NDArray[np.float32], *, direction: bool) -> NDArray[np.float64]:
+    def to_mesh_file(vectors: Float32, *, direction: bool) -> Float64:
         own = vectors[row, column].astype(np.float64)
         return world_to_mesh_file(own, nominal, placement, posture.view.posture, direction=direction)
 

@@ -11,9 +11,9 @@ from functools import partial, reduce
 
 import numpy as np
 
+from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
-from lightopt.inspection._arrays import Bool, Float32, Float64
 from lightopt.inspection._image_blocks import in_row_blocks
 from lightopt.inspection._options import FUSIONS, Fusion
 from lightopt.inspection.fusion._pixel_weights import LIT

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
-from lightopt.inspection._arrays import Float64
 
 Grid = NDArray[Any]
 """float64 or float32."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from lightopt.inspection._arrays import Bool, Float32
+from lightopt.core.arrays import Bool, Float32
 from lightopt.inspection._image_blocks import in_image_blocks
 
 BLOOMING_PX = 2

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.errors import LightoptError
-from lightopt.inspection._arrays import Bool, Float32, Float64
 from lightopt.inspection._image_blocks import mask_window
 from lightopt.inspection.fusion._multigrid import (
     add_coarse,
@@ -63,7 +63,7 @@ class PoissonGrid:
     """
 
     mask: Bool
-    components: NDArray[np.int32]
+    components: Int32
     count: int
     window: tuple[slice, slice]
     _wx: Float64

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lightopt.core.arrays import Float32, Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.transforms import Posture, rotation_z
 from lightopt.estimate.registration import Placement, view_of_placed
 from lightopt.geometry import RayCaster
-from lightopt.inspection._arrays import Float32, Float64
 from lightopt.inspection._image_blocks import in_image_blocks, mask_window
 from lightopt.inspection.prediction._predict import Prediction
 from lightopt.rendering import render_posture

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64, Int32
 from lightopt.core.transforms import Posture, rotation_z
 from lightopt.estimate.registration import Placement
-from lightopt.inspection._arrays import Float64
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.scene import Scene, project, view_from_part
 
@@ -28,7 +27,7 @@ def world_to_mesh_file(
     return (nominal - file.translation) @ file.rotation
 
 
-def nominal_pixels(view: PostureView, scene: Scene, placement: Placement) -> NDArray[np.int32]:
+def nominal_pixels(view: PostureView, scene: Scene, placement: Placement) -> Int32:
     """For each pixel the one that shows its place where the part's file has it: flat index or −1, shape (H, W).
 
     Parameters

@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float32, Float64, Index
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.estimate.registration import DARK_SPREAD, GAIN_SPREAD, Observation
-from lightopt.inspection._arrays import Bool, Float32, Float64
 from lightopt.scene import Scene
 
 PIXELS_PER_IMAGE = 40_000
@@ -42,7 +41,7 @@ class Photometry:
     dark: float
 
 
-def some_pixels(mask: Bool) -> NDArray[np.intp]:
+def some_pixels(mask: Bool) -> Index:
     """Flat indices of pixels of a mask, shape (H, W); every n-th where there are more than are needed."""
     index = np.flatnonzero(mask)
     return index[:: max(1, len(index) // PIXELS_PER_IMAGE)]
@@ -105,7 +104,7 @@ def fit_photometry(
 
 
 def _above_black(
-    scene: Scene, o: Observation, predicted: Float32, index: NDArray[np.intp]
+    scene: Scene, o: Observation, predicted: Float32, index: Index
 ) -> tuple[Float64, Float64, Float64, Float64]:
     # predicted and measured levels above black at some pixels, and those at which the camera clips them
     sensor = scene.sensor
@@ -137,7 +136,7 @@ def _capped_residual(sets: Sequence[tuple[int, Float64, Float64, Float64, Float6
     return total
 
 
-def _darkest(scene: Scene, o: Observation, index: NDArray[np.intp]) -> float:
+def _darkest(scene: Scene, o: Observation, index: Index) -> float:
     # the lightest that black may be: where a part is dark, a lobe of another shape would pass for a dark level
     if not len(index):
         return np.inf

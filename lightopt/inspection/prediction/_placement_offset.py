@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64, Index
 from lightopt.core.least_squares import Limits, linear_problem, solve
 from lightopt.core.transforms import rotation_z
 from lightopt.estimate.registration import DARK_SPREAD, GAIN_SPREAD, Observation, Placement, PoseFrame
-from lightopt.inspection._arrays import Float64
 from lightopt.inspection.prediction._derivatives import PlacementDerivatives, difference_steps
 from lightopt.inspection.prediction._predict import Prediction
 from lightopt.scene import Scene, project, view_from_part
@@ -47,8 +46,8 @@ class PixelSample:
     slope: change of the level per step in x, y and rotation, shape (n, 3).
     """
 
-    pixel: NDArray[np.intp]
-    steep: NDArray[np.bool_]
+    pixel: Index
+    steep: Bool
     level: Float64
     slope: Float64
 
@@ -108,7 +107,7 @@ def sample_pixels(
 
 
 def _image_shifts(
-    scene: Scene, placement: Placement, prediction: Prediction, pixel: NDArray[np.intp]
+    scene: Scene, placement: Placement, prediction: Prediction, pixel: Index
 ) -> tuple[Float64, Float64]:
     # columns and rows that the surface at pixels moves by per step in x, y and rotation, each of shape (n, 3)
     posture = prediction.images.posture
@@ -146,7 +145,7 @@ def fit_placement_offset(
     sensor = scene.sensor
     names = [light.name for light in scene.lights]
     n = len(names)
-    rows: list[tuple[Float64, Float64, Float64, NDArray[np.bool_]]] = []
+    rows: list[tuple[Float64, Float64, Float64, Bool]] = []
     for o, sample in zip(observations, samples, strict=True):
         scale = o.exposure * sensor.max_level / scene.reflectance.full_scale
         model = scale * sample.level

@@ -10,11 +10,11 @@ from typing import Any, cast
 
 import numpy as np
 
+from lightopt.core.arrays import Bool, Float32
 from lightopt.core.errors import InputError, counted
 from lightopt.core.kernels import kernel
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, refuse_mismatch
-from lightopt.inspection._arrays import Bool, Float32
 from lightopt.inspection._image_blocks import in_image_blocks
 from lightopt.inspection.prediction._photometry import Photometry, fit_photometry, some_pixels
 from lightopt.inspection.prediction._predict import Prediction

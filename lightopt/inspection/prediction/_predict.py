@@ -7,11 +7,10 @@ from dataclasses import dataclass, fields, replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
-from lightopt.inspection._arrays import Bool, Float32, Float64
 from lightopt.rendering import (
     GRAZING_COSINE,
     Geometry,
@@ -99,7 +98,7 @@ def predict(
     return Prediction(images=images, clean=clean & images.geometry.hit, grazing=grazing, area=area)
 
 
-def _solid_angle(camera: PinholeCamera, column: NDArray[np.int32], row: NDArray[np.int32]) -> Float64:
+def _solid_angle(camera: PinholeCamera, column: Int32, row: Int32) -> Float64:
     # of pixels [sr]: (side / image distance)² · cos³ of the angle to the optical axis
     x, y = column.astype(np.float64) + 0.5, row.astype(np.float64) + 0.5
     directions = pixel_directions(camera, x, y)
@@ -117,13 +116,13 @@ class SurfaceMap:
     """
 
     areas: Float64
-    seen: dict[Posture, tuple[NDArray[np.intp], NDArray[np.intp]]]
+    seen: dict[Posture, tuple[Index, Index]]
 
 
 def map_surface(scene: Scene, caster: RayCaster) -> SurfaceMap:
     """Divide the surface into patches and find the pixel that sees each in each posture of `scene`."""
     table = build_patches(scene, caster=caster, budget=PATCHES)
-    seen: dict[Posture, tuple[NDArray[np.intp], NDArray[np.intp]]] = {}
+    seen: dict[Posture, tuple[Index, Index]] = {}
     for posture, visible, grazing in zip(table.postures, table.visible, table.grazing, strict=True):
         patch = np.flatnonzero(visible)
         columns, rows = (np.floor(a[patch]).astype(np.intp) for a in patch_positions(table, scene, posture))

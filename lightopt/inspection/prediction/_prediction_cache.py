@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, Placement, Registration
 from lightopt.geometry import RayCaster
@@ -88,7 +86,7 @@ class PredictionCache:
         scene: Scene,
         posture: Posture,
         lights: Sequence[str],
-        offset: NDArray[np.float64],
+        offset: Float64,
         *,
         threads: int | None,
     ) -> Prediction:
@@ -99,7 +97,7 @@ class PredictionCache:
 
     def nearby_placement(
         self, nominal: Scene, observations: Sequence[Observation], *, threads: int | None = None
-    ) -> tuple[Scene, Placement, NDArray[np.float64]] | None:
+    ) -> tuple[Scene, Placement, Float64] | None:
         """Where a part lies that lies nearly where the previous one lay; None where it does not, or none was before.
 
         The scene of the predictions, the part's placement, and its offset from the predictions in steps of the

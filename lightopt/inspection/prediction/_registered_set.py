@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lightopt.config import PartConfig, RigConfig
+from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import (
     Observation,
@@ -126,7 +124,7 @@ def _find(
     cache: PredictionCache,
     options: InspectOptions,
     progress: Progress | None,
-) -> tuple[Scene, Placement, NDArray[np.float64] | None]:
+) -> tuple[Scene, Placement, Float64 | None]:
     # the scene to predict with, where the part lies, and its offset from that scene in steps of the derivatives
     if not options.shift:
         return *cache.use_placement(nominal, Placement()), None

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float32, Float64, UInt8
 from lightopt.optics import Sensor
 
-Levels = NDArray[np.uint8] | NDArray[np.uint16]
-Float32 = NDArray[np.float32]
+Levels = UInt8 | NDArray[np.uint16]
 
 LEAST_LEVEL = 1.5
 """Pixels count that should be at least so far above black in the shorter exposure [sensor level]."""
@@ -44,8 +44,8 @@ class ExposureImage:
     """
 
     exposure: float
-    mean: NDArray[np.float32]
-    saturated: NDArray[np.bool_]
+    mean: Float32
+    saturated: Bool
     png: Levels
 
 
@@ -56,7 +56,7 @@ class FrameMean:
         self._sensor = sensor
         self._number = 0
         self._highest: NDArray[Any] | None = None
-        self._sum: NDArray[np.float64] | None = None
+        self._sum: Float64 | None = None
 
     def add(self, levels: Levels) -> None:
         """Add a frame."""

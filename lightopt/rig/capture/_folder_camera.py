@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import UInt8
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
 from lightopt.images import dark_name, read_image_set, read_png
@@ -95,7 +96,7 @@ class FolderCamera:
     def close(self) -> None:
         """Nothing is held open."""
 
-    def _black(self) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    def _black(self) -> UInt8 | NDArray[np.uint16]:
         """The set's black level, to check lit images against where it has no dark frames."""
         shape, level = self.resolution_px[::-1], round(self._set.manifest.black_level)
         return np.full(shape, level, np.uint8) if self.bit_depth <= 8 else np.full(shape, level, np.uint16)

@@ -7,8 +7,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float32
 from lightopt.core.errors import HardwareError
 from lightopt.core.transforms import Posture
 from lightopt.optics import Sensor
@@ -17,8 +17,6 @@ from lightopt.rig.capture._acquisition import AcquiredImage
 from lightopt.rig.capture._exposures import ExposureImage, exposure_mismatch
 from lightopt.rig.capture._light_checks import PredictedImages, check_light, find_light_left_on, predict
 from lightopt.scene import Scene
-
-Float32 = NDArray[np.float32]
 
 AMBIENT_LEVELS = 0.5
 """Ambient light that shifts levels by more than this causes a warning [sensor level]."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lightopt import __version__
 from lightopt.config import PartConfig, RigConfig, input_hashes
+from lightopt.core.arrays import Float32
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
@@ -35,8 +36,6 @@ from lightopt.rig.capture._acquisition import AcquiredImage
 from lightopt.rig.capture._exposures import ExposureImage, mean_of_frames, merge_exposures
 from lightopt.rig.capture._plan import CapturePlan, PostureTask
 from lightopt.scene import Scene, build_scene
-
-Float32 = NDArray[np.float32]
 
 
 def open_set(

@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Bool, Float64
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
 from lightopt.optics import Sensor
 from lightopt.rendering import render_posture
 from lightopt.scene import Scene
-
-Float64 = NDArray[np.float64]
 
 COARSE_COLUMNS = 200
 """Images are compared at about this width; a part that lies a little elsewhere still looks the same."""
@@ -61,7 +60,7 @@ class PredictedImages:
 
     cell: int
     levels: Mapping[str, Float64]
-    part: NDArray[np.bool_]
+    part: Bool
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,13 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float64
 from lightopt.core.least_squares import HUBER, Limits, linear_problem, solve
 from lightopt.core.transforms import Posture
 from lightopt.rendering import cast_rays_at
 from lightopt.rig.capture._light_checks import PredictedImages, cells, predict
 from lightopt.scene import Scene
-
-Float64 = NDArray[np.float64]
 
 STEP_DEG = 0.5
 """Predictions this far to both sides give the change of the image per degree."""

@@ -6,9 +6,7 @@ import contextlib
 from collections.abc import Callable, Sequence
 from types import TracebackType
 
-import numpy as np
-from numpy.typing import NDArray
-
+from lightopt.core.arrays import Float32
 from lightopt.core.errors import HardwareError, InputError, Interrupted, LightoptError, counted
 from lightopt.core.transforms import Posture
 from lightopt.rig.capture._acquisition import AcquiredImage, AcquisitionEngine
@@ -26,7 +24,7 @@ from lightopt.scene import Scene
 DISK_WARNING_S = 1.0
 """Longest silent wait for the disk at the end [s]; then a warning is given."""
 
-Dark = dict[float, NDArray[np.float32]]
+Dark = dict[float, Float32]
 """Frames without light of a posture by relative exposure."""
 
 CaptureReport = Callable[[str, float], None]

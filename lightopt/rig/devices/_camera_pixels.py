@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import UInt8
 from lightopt.core.errors import HardwareError, InputError
 
-Bytes = NDArray[np.uint8]
-Levels = NDArray[np.uint8] | NDArray[np.uint16]
+Levels = UInt8 | NDArray[np.uint16]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,17 +32,17 @@ class PixelFormat:
     code: int
     bits: int
     stored: int
-    unpack: Callable[[Bytes, int], Levels]
+    unpack: Callable[[UInt8, int], Levels]
 
     def size(self, pixels: int) -> int:
         """Number of bytes that so many pixels take."""
         return -(-pixels * self.stored // 8)
 
 
-def levels_of(data: Bytes, pixel_format: PixelFormat, *, width: int, height: int) -> Levels:
+def levels_of(data: UInt8, pixel_format: PixelFormat, *, width: int, height: int) -> Levels:
     """Right-aligned levels (H, W) of a frame, uint8 up to 8 bits and uint16 above; not a view of `data`.
 
-    data: Bytes of the frame, shape (n,); what follows the pixels (padding, chunks) is ignored.
+    data: UInt8 of the frame, shape (n,); what follows the pixels (padding, chunks) is ignored.
     """
     pixels = width * height
     needed = pixel_format.size(pixels)
@@ -87,15 +87,15 @@ def choose_format(offered: Sequence[str], *, bit_depth: int, wanted: str | None,
     )
 
 
-def _bytes(data: Bytes, pixels: int) -> Levels:
+def _bytes(data: UInt8, pixels: int) -> Levels:
     return data[:pixels].copy()
 
 
-def _words(data: Bytes, pixels: int) -> Levels:
+def _words(data: UInt8, pixels: int) -> Levels:
     return data.view("<u2")[:pixels].astype(np.uint16)
 
 
-def _dense_10(data: Bytes, pixels: int) -> Levels:
+def _dense_10(data: UInt8, pixels: int) -> Levels:
     """Four pixels in five bytes, the lowest bit first, nothing between them."""
     five = _groups(data, 5)
     levels = np.empty((len(five), 4), np.uint16)
@@ -104,7 +104,7 @@ def _dense_10(data: Bytes, pixels: int) -> Levels:
     return levels.reshape(-1)[:pixels]
 
 
-def _dense_12(data: Bytes, pixels: int) -> Levels:
+def _dense_12(data: UInt8, pixels: int) -> Levels:
     """Two pixels in three bytes, the lowest bit first, nothing between them."""
     three = _groups(data, 3)
     levels = np.empty((len(three), 2), np.uint16)
@@ -113,7 +113,7 @@ def _dense_12(data: Bytes, pixels: int) -> Levels:
     return levels.reshape(-1)[:pixels]
 
 
-def _packed_10(data: Bytes, pixels: int) -> Levels:
+def _packed_10(data: UInt8, pixels: int) -> Levels:
     """Two pixels in three bytes: the upper eight bits of each outside, the lower two of both in the middle."""
     three = _groups(data, 3)
     levels = np.empty((len(three), 2), np.uint16)
@@ -122,7 +122,7 @@ def _packed_10(data: Bytes, pixels: int) -> Levels:
     return levels.reshape(-1)[:pixels]
 
 
-def _packed_12(data: Bytes, pixels: int) -> Levels:
+def _packed_12(data: UInt8, pixels: int) -> Levels:
     """Two pixels in three bytes: the upper eight bits of each outside, the lower four of both in the middle."""
     three = _groups(data, 3)
     levels = np.empty((len(three), 2), np.uint16)
@@ -131,8 +131,8 @@ def _packed_12(data: Bytes, pixels: int) -> Levels:
     return levels.reshape(-1)[:pixels]
 
 
-def _groups(data: Bytes, size: int) -> NDArray[np.uint16]:
-    """Bytes in groups of a size, shape (n, size), zeros after the last."""
+def _groups(data: UInt8, size: int) -> NDArray[np.uint16]:
+    """UInt8 in groups of a size, shape (n, size), zeros after the last."""
     groups = np.zeros((-(-len(data) // size), size), np.uint16)
     groups.reshape(-1)[: len(data)] = data
     return groups

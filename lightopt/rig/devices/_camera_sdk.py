@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lightopt.core.arrays import UInt8
 from lightopt.core.errors import InputError
 
 
@@ -111,7 +111,7 @@ class RawFrame:
     problem: Why it is unusable; None when it is whole.
     """
 
-    data: NDArray[np.uint8]
+    data: UInt8
     width: int
     height: int
     number: int | None

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import UInt8
 from lightopt.core.transforms import Posture
 
 
@@ -144,7 +145,7 @@ class Frame:
     details: Further properties (gain, temperature, packets lost).
     """
 
-    levels: NDArray[np.uint8] | NDArray[np.uint16]
+    levels: UInt8 | NDArray[np.uint16]
     exposure_us: float
     number: int | None
     timestamp_ns: int | None = None

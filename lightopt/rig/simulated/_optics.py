@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.core.arrays import Float32, UInt8
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
 from lightopt.optics import expose
@@ -19,8 +20,7 @@ from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.rig.simulated._camera_setup import BenchTruth
 from lightopt.scene import Scene, move_part
 
-Float32 = NDArray[np.float32]
-Levels = NDArray[np.uint8] | NDArray[np.uint16]
+Levels = UInt8 | NDArray[np.uint16]
 
 _CACHE_BYTES = 512 << 20
 
