@@ -70,7 +70,7 @@ def test_all_goes_dark_without_stage_and_camera(bench, rig_on):
     rig = rig_on({**bench.ports, "stage": "/dev/nowhere"})
     assert dark(bench, "left", "right") == [False, False]
     done = off(rig)
-    assert (done.controllers, done.told) == (("left", "right"), ())
+    assert (done.controllers, done.unverified) == (("left", "right"), ())
     assert dark(bench, "left", "right") == [True, True]
 
 
@@ -102,7 +102,7 @@ def test_a_channel_that_does_not_obey_is_named_and_the_others_are_dark(bench, ri
 
 def test_what_cannot_be_read_back_was_only_told(bench, rig_on):
     blind = ', template: {set: "W{channel}{level:03d}\\r\\n"}'
-    assert off(rig_on(bench.ports, driver="template", template=blind)).told == ("right",)
+    assert off(rig_on(bench.ports, driver="template", template=blind)).unverified == ("right",)
 
 
 def test_a_stage_that_does_not_answer_leaves_nothing_burning(bench, rig_on):
