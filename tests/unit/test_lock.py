@@ -13,7 +13,7 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[2]
 PYPROJECT = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-EXTRAS = {"dev": ("test", "dev"), "ci": ("test", "dev", "aravis", "genicam")}
+EXTRAS = {"dev": ("test", "dev"), "ci": ("test", "dev", "aravis", "genicam"), "docs": ("docs",)}
 PLATFORMS = [
     {"python_version": version, "python_full_version": f"{version}.4", "sys_platform": platform}
     for version in ("3.10", "3.11", "3.12", "3.13")
