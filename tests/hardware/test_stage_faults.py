@@ -262,7 +262,7 @@ def test_the_cable_is_pulled_at_every_step_of_a_move(pool: Pool, kind: str) -> N
 
 FAULTS = {
     "drop": {},
-    "delay": {"delay_s": 0.45},
+    "delay": {"delay_s": 0.7},
     "truncate": {"keep": 5},
     "garbage_before": {"bytes": 4},
     "garbage_instead": {"bytes": 6},
@@ -271,7 +271,7 @@ FAULTS = {
 
 def suffer(pool: Pool, kind: str, fault: str, after: int) -> HardwareError | None:
     """Move once with one spoilt reply; the error with which it failed. Asserts that it is one thing or the other."""
-    name, stage = at_start(pool, kind)
+    name, stage = at_start(pool, kind, timeout_s=0.5)
     pool.of(name).set_fault(name, fault, after=after, count=1, seed=after, **FAULTS[fault])
     failed: HardwareError | None = None
     try:
