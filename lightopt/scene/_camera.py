@@ -149,7 +149,8 @@ def _fold(distortion: Distortion) -> float:
     # in 1/r², so that the leading coefficient is never small
     roots = np.roots([1.0, 3.0 * d.k1, 5.0 * d.k2, 7.0 * d.k3])
     ahead = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0.0)]
-    return float(1.0 / ahead.max()) if len(ahead) else np.inf
+    with np.errstate(over="ignore"):  # a coefficient next to 0 folds at infinity
+        return float(1.0 / ahead.max()) if len(ahead) else np.inf
 
 
 def _undistort(distortion: Distortion, x: Float64, y: Float64) -> tuple[Float64, Float64]:
