@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextvars import ContextVar
 from threading import Event
@@ -40,8 +40,15 @@ def available_processors() -> int:
     return os.cpu_count() or 1
 
 
+def blocks(count: int, most: int) -> Iterator[tuple[int, int]]:
+    """(start, end) of blocks of `count` items, nearly equal and none larger than `most`."""
+    number = -(-count // max(1, most))
+    for i in range(number):
+        yield count * i // number, count * (i + 1) // number
+
+
 def in_threads(work: Callable[[int], T], starts: Sequence[int], threads: int | None = None) -> list[T]:
-    """Results of a function of pieces' starts, in order, worked out by a pool of threads."""
+    """Results of a function of each start, in order, computed by a pool of threads."""
     count = threads or available_processors()
     if count == 1 or len(starts) < 2:
         return [work(start) for start in starts]

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from lightopt.core.errors import InputError
-from lightopt.core.progress import Share
+from lightopt.core.run_context import Share
 from lightopt.core.transforms import Posture
 from lightopt.design.exposures._brackets import Brackets
 from lightopt.design.exposures._selection import CandidateExposure, Images, select_exposures

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from lightopt.core.arrays import Int64
-from lightopt.core.progress import Share, part_of, pieces
+from lightopt.core.run_context import Share, part_of
+from lightopt.core.threads import blocks
 from lightopt.design.objectives._bit_sums import bit_scores
 from lightopt.design.objectives._count_runs import at_least, count_run_sums
 from lightopt.design.responses._luminance_matrix import LevelThresholds
@@ -69,7 +70,7 @@ def _by_bits(
     # each (patch, hypothesis) as a patch of its own, usable where it is visible and never saturated
     table = np.zeros(math.prod(len(layer) for layer in words), np.int64)
     positions, count = sum(len(layer) for layer in words), len(hypothesis_weights)
-    parts = list(pieces(len(some), max(1, FLAG_BYTES // (positions * count))))
+    parts = list(blocks(len(some), max(1, FLAG_BYTES // (positions * count))))
     for number, (start, end) in enumerate(parts):
         chosen = some[start:end]
         table += bit_scores(

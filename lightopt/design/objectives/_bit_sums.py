@@ -14,8 +14,8 @@ import numpy as np
 
 from lightopt.core.arrays import Int64
 from lightopt.core.kernels import kernel
-from lightopt.core.progress import Share, Work, pieces
-from lightopt.core.threads import Task, run_all
+from lightopt.core.run_context import Share, WorkCounter
+from lightopt.core.threads import Task, blocks, run_all
 from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds
 from lightopt.design.responses._packed_bits import Words, common_bits, count_flags, pack_flags
 
@@ -42,12 +42,12 @@ def bit_scores(
     """As :func:`lightopt.design.objectives._class_runs.run_scores`, with the same parameters; at least two lights."""
     sizes = [len(layer) for layer in levels]
     table = np.zeros(math.prod(sizes), np.int64)
-    work = Work(len(table) * len(chosen), progress)
-    for start, end in pieces(len(chosen), max(LEAST_PATCHES, BLOCK_LEVELS // sum(sizes))):
+    work = WorkCounter(len(table) * len(chosen), progress)
+    for start, end in blocks(len(chosen), max(LEAST_PATCHES, BLOCK_LEVELS // sum(sizes))):
         # heavy patches first, so that the planes of the high bits are short
         some = chosen[start:end][np.argsort(-weights[chosen[start:end]], kind="stable")]
         block = _Block(levels, some, weights[some], thresholds, rule)
-        run_all(block.tasks(table, work), threads=threads, done=work.tell)
+        run_all(block.tasks(table, work), threads=threads, done=work.report)
     return table
 
 
@@ -88,7 +88,7 @@ class _Block:
                 count_flags(self.used, usable[0])
                 count_flags(self.spoilt, saturated[0])
 
-    def tasks(self, table: Int64, work: Work) -> Iterator[Task]:
+    def tasks(self, table: Int64, work: WorkCounter) -> Iterator[Task]:
         """Tasks that add the block's scores to a table."""
         (usable, saturated), (last_usable, last_saturated) = self.inner
         columns = len(last_usable)
@@ -115,7 +115,7 @@ class _Block:
         rows = max(1, TASK_WORDS // (columns * (self.words + int(self.lengths.sum()))))
         prefixes = itertools.product(*(range(len(usable)) for usable, _ in self.outer))
         for index, prefix in enumerate(prefixes):
-            for start, end in pieces(len(usable), rows):
+            for start, end in blocks(len(usable), rows):
                 yield fill, (index, prefix, start, end)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64, Int32, Int64
 from lightopt.core.kernels import kernel
-from lightopt.core.progress import Share, Work
+from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import run_all
 from lightopt.design.objectives._difference_tables import Differences
 from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds
@@ -61,7 +61,7 @@ def run_scores(
     largest = int(products.max(initial=1.0))
     differences = Differences(sizes, threads)
     ends = _chunks(products, max(1, min(CHUNK_PATCHES, CHUNK_LEVELS // sum(sizes))))
-    work = Work(float(products.sum()), progress)
+    work = WorkCounter(float(products.sum()), progress)
 
     def add(start: int, end: int) -> None:
         some = chosen[start:end]
@@ -77,7 +77,7 @@ def run_scores(
         work.add(float(products[start:end].sum()))
 
     pairs = itertools.pairwise(ends)
-    run_all(((add, pair) for pair in pairs), threads=differences.workers, done=work.tell)
+    run_all(((add, pair) for pair in pairs), threads=differences.workers, done=work.report)
     return differences.summed()[0]
 
 

@@ -22,8 +22,8 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Int64
 from lightopt.core.kernels import kernel
-from lightopt.core.progress import Share, Work, pieces
-from lightopt.core.threads import run_all
+from lightopt.core.run_context import Share, WorkCounter
+from lightopt.core.threads import blocks, run_all
 from lightopt.design.objectives._difference_tables import Differences
 from lightopt.design.responses._packed_bits import Words, add_image, word_weight
 
@@ -79,7 +79,7 @@ def count_run_sums(
     matters = _matters(coefficients, len(moving), levels)
     most = min(MOST_NODES, max(LEAST_NODES, math.prod(sizes) // 2))
     left = np.zeros(patches, np.bool_)
-    work = Work(patches, progress)
+    work = WorkCounter(patches, progress)
 
     def add(start: int, end: int) -> None:
         images = [flags[start:end] for layer in fixed for flags in layer[0]]
@@ -104,8 +104,8 @@ def count_run_sums(
             )
         work.add(end - start)
 
-    tasks = ((add, pair) for pair in pieces(patches, CHUNK_PATCHES))
-    run_all(tasks, threads=differences.workers, done=work.tell)
+    tasks = ((add, pair) for pair in blocks(patches, CHUNK_PATCHES))
+    run_all(tasks, threads=differences.workers, done=work.report)
     return differences.summed(), left
 
 

@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from lightopt.core.arrays import Float64, Int64
-from lightopt.core.progress import Share, part_of, pieces
+from lightopt.core.run_context import Share, part_of
+from lightopt.core.threads import blocks
 from lightopt.design.objectives._bit_sums import bit_scores
 from lightopt.design.objectives._class_runs import run_products, run_scores
 from lightopt.design.objectives._objective import INSPECTABLE_SURFACE, area_text
@@ -119,7 +120,7 @@ class CoverageObjective:
     def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
         """Patches that could be usable under two lights and need not be saturated under more than one."""
         total = 0
-        for start, end in pieces(len(weights), BOUND_PATCHES):
+        for start, end in blocks(len(weights), BOUND_PATCHES):
             can_use = np.zeros(end - start, np.int64)
             must_saturate = np.zeros(end - start, np.int64)
             for layer in matrix.levels:

@@ -21,7 +21,7 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Int64
 from lightopt.core.errors import InputError, counted
-from lightopt.core.progress import Share
+from lightopt.core.run_context import Share
 from lightopt.design.objectives._bit_runs import bit_run_scores
 from lightopt.design.objectives._objective import INSPECTABLE_SURFACE, area_text
 from lightopt.design.responses._defect_hypotheses import DefectHypothesis

@@ -19,8 +19,8 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Int64
 from lightopt.core.kernels import kernel
-from lightopt.core.progress import Work, pieces
-from lightopt.core.threads import Task
+from lightopt.core.run_context import WorkCounter
+from lightopt.core.threads import Task, blocks
 from lightopt.design.responses._luminance_matrix import Levels
 
 CACHE_PATCHES = 8192
@@ -53,7 +53,9 @@ class Capped:
         return Capped(levels=levels, lit=greatest > 0, capped=greatest > top)
 
 
-def minimum_tasks(lights: Sequence[Capped], top: int, table: Int64, lock: Lock, work: Work) -> Iterator[Task]:
+def minimum_tasks(
+    lights: Sequence[Capped], top: int, table: Int64, lock: Lock, work: WorkCounter
+) -> Iterator[Task]:
     """Tasks that add Σ over patches of usable(min(levels under k ≥ 2 lights)) to a table with one axis per light.
 
     `top` is the highest usable capped level, `lock` is held while the table changes, `work` counts combinations times
@@ -74,7 +76,7 @@ def minimum_tasks(lights: Sequence[Capped], top: int, table: Int64, lock: Lock, 
 
 
 def _tasks(
-    layers: Sequence[Levels], top: int, cut: bool, table: Int64, lock: Lock, work: Work
+    layers: Sequence[Levels], top: int, cut: bool, table: Int64, lock: Lock, work: WorkCounter
 ) -> Iterator[Task]:
     patches = layers[0].shape[1]
     if len(layers) == 2:
@@ -99,8 +101,8 @@ def _tasks(
 
     rows = max(1, TASK_LEVELS // (len(third) * patches))
     for prefix in itertools.product(*(range(len(layer)) for layer in outer)):
-        for a in pieces(len(first), max(1, rows // len(second))):
-            for b in pieces(len(second), rows):
+        for a in blocks(len(first), max(1, rows // len(second))):
+            for b in blocks(len(second), rows):
                 yield add, (prefix, a, b)
 
 
@@ -150,7 +152,9 @@ def _usable_minima(left: Levels, right: Levels, top: int) -> np.int64:
     return np.int64(total)
 
 
-def extreme_tasks(layers: Sequence[Levels], top: int, table: Int64, lock: Lock, work: Work) -> Iterator[Task]:
+def extreme_tasks(
+    layers: Sequence[Levels], top: int, table: Int64, lock: Lock, work: WorkCounter
+) -> Iterator[Task]:
     """Tasks that add Σ over patches of usable(min) + usable(max) of the levels under all lights, for each combination.
 
     `layers` are capped levels, shape (candidates, p), all of one type; `table` has one number per combination, the last
@@ -176,7 +180,7 @@ def extreme_tasks(layers: Sequence[Levels], top: int, table: Int64, lock: Lock, 
             table[start:end] += sums
         work.add(len(sums) * patches)
 
-    for piece in pieces(len(table), max(1, WALK_LEVELS // max(1, patches))):
+    for piece in blocks(len(table), max(1, WALK_LEVELS // max(1, patches))):
         yield add, piece
 
 

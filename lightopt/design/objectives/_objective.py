@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from lightopt.core.arrays import Float64, Int64
 from lightopt.core.errors import percent
-from lightopt.core.progress import Share
+from lightopt.core.run_context import Share
 from lightopt.design.responses._luminance_matrix import AREA_UNIT_MM2, LevelThresholds, LuminanceMatrix
 from lightopt.rendering import GRAZING_DEG
 

@@ -32,8 +32,8 @@ import numpy as np
 
 from lightopt.core.arrays import Float64, Int64
 from lightopt.core.errors import counted
-from lightopt.core.progress import Share, Work, pieces
-from lightopt.core.threads import Task, run_all
+from lightopt.core.run_context import Share, WorkCounter
+from lightopt.core.threads import Task, blocks, run_all
 from lightopt.design.objectives._level_sums import Capped, extreme_tasks, minimum_tasks
 from lightopt.design.objectives._upper_bounds import level_range
 from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds, LuminanceMatrix, usable_sums
@@ -101,13 +101,13 @@ class PaperObjective:
         tables = _tables(sizes)
         cells, patches = math.prod(sizes), levels[0].shape[1]
         by_sets = sum(table.size for _, _, table in tables)
-        work = Work((by_sets or cells) * patches, progress)
+        work = WorkCounter((by_sets or cells) * patches, progress)
         lock = Lock()
         result = np.zeros(cells, np.int64)
         top = min(thresholds.saturation - thresholds.black - 1, int(np.iinfo(levels[0].dtype).max))
 
         def tasks() -> Iterator[Task]:
-            for start, end in pieces(patches, max(LEAST_PATCHES, BLOCK_LEVELS // sum(sizes))):
+            for start, end in blocks(patches, max(LEAST_PATCHES, BLOCK_LEVELS // sum(sizes))):
                 capped = [_capped(layer[:, start:end], thresholds) for layer in levels]
                 lights = [Capped.of(layer, top) for layer in capped] if tables else []
                 for chosen, _, table in tables:
@@ -115,7 +115,7 @@ class PaperObjective:
                 if not tables:
                     yield from extreme_tasks(capped, top, result, lock, work)
 
-        run_all(tasks(), threads=threads, done=work.tell)
+        run_all(tasks(), threads=threads, done=work.report)
         if not tables:
             return _all_usable(levels, weights, thresholds) - result
         grid = result.reshape(sizes)
@@ -132,7 +132,7 @@ class PaperObjective:
         """
         del weights  # all 1
         levels, total, black = matrix.levels, 0, thresholds.black
-        for start, end in pieces(levels[0].shape[1], max(1, BLOCK_LEVELS // len(levels))):
+        for start, end in blocks(levels[0].shape[1], max(1, BLOCK_LEVELS // len(levels))):
             some = [level_range(layer, thresholds, start, end) for layer in levels]
             usable = np.sort([np.maximum(one.usable - black, 0) for one in some], axis=0)[2:]
             greatest = np.sort([one.greatest for one in some], axis=0)[1:-1]

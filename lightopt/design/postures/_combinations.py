@@ -16,7 +16,7 @@ import numpy as np
 
 from lightopt.core.arrays import Int64, UInt64
 from lightopt.core.kernels import kernel
-from lightopt.core.progress import Share
+from lightopt.core.run_context import Share
 from lightopt.core.threads import available_processors, run_all
 from lightopt.design.objectives._count_runs import at_least, count_run_sums, up_to
 from lightopt.design.postures._counts import Counts, PairWeights, add_counts, zero_counts

@@ -14,7 +14,7 @@ import numpy as np
 
 from lightopt.core.arrays import Int64
 from lightopt.core.errors import InputError
-from lightopt.core.progress import Share, part_of
+from lightopt.core.run_context import Share, part_of
 from lightopt.core.transforms import Posture
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.candidates._combination_space import CombinationSpace, allowed_mask

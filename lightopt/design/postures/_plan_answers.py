@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from lightopt.core.progress import Share
+from lightopt.core.run_context import Share
 from lightopt.design._plan_result import SHARES_OF, ChosenPostures
 from lightopt.design._result import ObjectiveResult, SetResult, angles_of
 from lightopt.design.candidates._candidates import Candidates

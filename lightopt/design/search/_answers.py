@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from lightopt.core.errors import InputError, LightoptError
-from lightopt.core.progress import pieces
+from lightopt.core.threads import blocks
 from lightopt.core.transforms import Posture
 from lightopt.design._plan_progress import of_stage
 from lightopt.design._result import ObjectiveResult, SetResult
@@ -151,7 +151,7 @@ def _score(
     for matrix in matrices:
         one, weights = matrix.combination(combination), objective.weights(matrix.areas)
         # scores are sums over patches: pieces of them bound the memory
-        for start, end in pieces(len(weights), PIECE_PATCHES):
+        for start, end in blocks(len(weights), PIECE_PATCHES):
             total += objective.score(one.patches(start, end), weights[start:end], thresholds)
     return total
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from lightopt.core.arrays import Int64
 from lightopt.core.errors import InputError
-from lightopt.core.progress import Share, part_of
+from lightopt.core.run_context import Share, part_of
 from lightopt.core.threads import available_processors
 from lightopt.design.candidates._combination_space import CombinationSpace, Rows, allowed_mask
 from lightopt.design.objectives._objective import Objective, near_margin

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lightopt.core.errors import InputError
-from lightopt.core.progress import Share
+from lightopt.core.run_context import Share
 from lightopt.design.tolerances._tolerances import (
     LARGEST_TOLERANCE,
     Offset,

@@ -1,0 +1,101 @@
+"""What a run needs beside its inputs: threads, and where progress, messages and warnings go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from threading import Lock
+
+from lightopt.core.errors import InputError
+
+Share = Callable[[float], None]
+"""Called with the share that is done, 0 to 1; an exception that it raises ends the work."""
+
+StageShare = Callable[[str, float], None]
+"""Called with the stage of the work and the share of it that is done."""
+
+
+class RunContext:
+    """Threads of a run, and where it reports to. No result depends on it.
+
+    threads: At least 1; all processors where it is None
+    progress: Called from the calling thread with the stage of the work and the share of it that is done
+    inform: Called with messages for the person who waits
+    warn: Called with each warning, once
+    Raises InputError: Fewer than one thread.
+    """
+
+    def __init__(
+        self,
+        *,
+        threads: int | None = None,
+        progress: StageShare | None = None,
+        inform: Callable[[str], None] | None = None,
+        warn: Callable[[str], None] | None = None,
+    ) -> None:
+        if threads is not None and threads < 1:
+            raise InputError(f"threads: expected at least 1, found {threads}")
+        self.threads = threads
+        self._progress, self._inform, self._warn = progress, inform, warn
+        self._warnings: dict[str, None] = {}
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """All warnings so far."""
+        return tuple(self._warnings)
+
+    def inform(self, text: str) -> None:
+        """Pass a message on."""
+        if self._inform is not None:
+            self._inform(text)
+
+    def warn(self, *texts: str) -> None:
+        """Record warnings, and pass those on that are new."""
+        for text in texts:
+            if text not in self._warnings:
+                self._warnings[text] = None
+                if self._warn is not None:
+                    self._warn(text)
+
+    def stage(self, name: str) -> Share | None:
+        """Progress of one stage; None where nobody listens."""
+        return None if self._progress is None else partial(self._progress, name)
+
+    def within(self, name: str) -> RunContext:
+        """Context of a part of the run, whose stages are reported as "name, stage"."""
+        progress = self._progress
+        inner = RunContext(
+            threads=self.threads,
+            progress=None if progress is None else lambda stage, share: progress(f"{name}, {stage}", share),
+            inform=self._inform,
+            warn=self._warn,
+        )
+        inner._warnings = self._warnings
+        return inner
+
+
+class WorkCounter:
+    """Units of work, counted by any thread and reported by the calling one."""
+
+    def __init__(self, total: float, report: Share | None) -> None:
+        self._total = max(1.0, float(total))
+        self._report = report
+        self._done = 0.0
+        self._lock = Lock()
+
+    def add(self, units: float) -> None:
+        """Count units as done."""
+        with self._lock:
+            self._done += units
+
+    def report(self) -> None:
+        """Report the share that is done."""
+        if self._report is not None:
+            self._report(min(1.0, self._done / self._total))
+
+
+def part_of(report: Share | None, start: float, end: float) -> Share | None:
+    """Reports the share of a part of the work as a share of the whole: from `start` to `end`."""
+    if report is None:
+        return None
+    return lambda share: report(start + (end - start) * share)
