@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lightopt.cli._capture import SerialLog
 from lightopt.cli._inputs import load_inputs
-from lightopt.cli._options import Force, RigFile, parse_exposure
+from lightopt.cli._options import Force, RigFile, SerialLog, parse_exposure
+from lightopt.cli._parser import HeadedCommand
 from lightopt.cli._terminal import say, say_warning, show_table
 from lightopt.core.errors import HardwareError, InputError, LightoptError
 
@@ -19,46 +19,44 @@ if TYPE_CHECKING:
 
 
 bench = typer.Typer(
-    help="Try the devices of a rig one by one: ask, light, home, move, take a frame.",
+    help="Try the devices of a rig one by one: state, light, home, move, take a frame.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
 
 
-@bench.command()
+@bench.command(cls=HeadedCommand)
 def status(rig: RigFile, serial_log: SerialLog = None) -> None:
-    """Ask every device how it is; nothing is switched or moved."""
+    """Print the state of every device; nothing is switched or moved."""
     from lightopt.rig.capture import device_statuses
 
     unreachable: dict[str, LightoptError] = {}
     loaded, devices = _open(rig, serial_log, touch_lights=False, unreachable=unreachable)
     with devices:
         rows = list(device_statuses(devices, loaded, unreachable))
-    show_table(("device", "says"), [(row.name, row.text) for row in rows], numbers_from=2)
+    show_table(("device", "state"), [(row.name, row.text) for row in rows], numbers_from=2)
     if failed := [row for row in rows if row.failed]:
         raise HardwareError(*(f"{row.name}: {row.text}" for row in failed))
 
 
-@bench.command()
+@bench.command(cls=HeadedCommand)
 def light(
     rig: RigFile,
     name: Annotated[str, typer.Argument(metavar="NAME", help="Light of the rig.")],
     level: Annotated[
-        int | None, typer.Argument(metavar="[LEVEL]", help="Intensity; the rig's level if left out.")
+        int | None, typer.Argument(metavar="[LEVEL]", help="Intensity; the rig's level where it is left out.")
     ] = None,
     seconds: Annotated[
         float | None,
-        typer.Option(metavar="S", min=0.0, help="Burn this long; otherwise until Enter is pressed."),
+        typer.Option(metavar="S", min=0.0, help="Time; otherwise until Enter is pressed."),
     ] = None,
     serial_log: SerialLog = None,
 ) -> None:
-    """Light one panel until Enter is pressed, or for some seconds; longer than its max_on_s is refused."""
+    """Light one panel until Enter is pressed, or for some seconds; more than its max_on_s is refused."""
     from lightopt.rig.capture import check_level, check_on_time, hold_light, wiring_of
 
     if seconds is None and not sys.stdin.isatty():
-        raise InputError(
-            "--seconds: expected how long the light should burn, because nobody can press Enter here"
-        )
+        raise InputError("--seconds: expected, because nobody can press Enter here")
     loaded, _ = load_inputs(rig, None)
     wiring = wiring_of(loaded)
     chosen = check_level(wiring, loaded, name, level)
@@ -69,7 +67,7 @@ def light(
     loaded, devices = _open(rig, serial_log)
     with devices:
         say(
-            f"{name} burns at level {chosen}"
+            f"{name} is on at level {chosen}"
             + (f" until Enter is pressed{at_most}" if seconds is None else f" for {seconds:g} s")
         )
         held = hold_light(devices, name, chosen, seconds=seconds, wait=_wait)
@@ -79,11 +77,11 @@ def light(
     )
 
 
-@bench.command()
+@bench.command(cls=HeadedCommand)
 def off(rig: RigFile, serial_log: SerialLog = None) -> None:
     """Switch every channel of every controller off, whatever state stage, camera and the rest of the file are in.
 
-    Of the file only the controllers have to be readable: what else is wrong with it is said afterwards.
+    Only the controllers have to be readable in the file; other problems of it are reported afterwards.
     """
     from lightopt.config import load_lights
     from lightopt.rig.capture import switch_off
@@ -97,16 +95,16 @@ def off(rig: RigFile, serial_log: SerialLog = None) -> None:
     which = f"({', '.join(done.controllers)})"
     if done.unverified:
         say(
-            f"all lights of {lights.name} were told to be off {which}; {', '.join(done.unverified)} "
+            f"all lights of {lights.name} were switched off {which}; {', '.join(done.unverified)} "
             "cannot be read back: look"
         )
     else:
         say(f"all lights of {lights.name} are off {which}")
 
 
-@bench.command()
+@bench.command(cls=HeadedCommand)
 def home(rig: RigFile, serial_log: SerialLog = None) -> None:
-    """Let the stage seek its origin."""
+    """Home the stage."""
     _, devices = _open(rig, serial_log, needs_stage=True)
     with devices:
         devices.step = "homing the stage"
@@ -116,16 +114,16 @@ def home(rig: RigFile, serial_log: SerialLog = None) -> None:
     say(f"the stage stands at {state.posture}")
 
 
-@bench.command()
+@bench.command(cls=HeadedCommand)
 def move(
     rig: RigFile,
     elevation: Annotated[
-        float | None, typer.Option(metavar="θ", help="Tilt [deg]; as it is if left out.")
+        float | None, typer.Option(metavar="θ", help="Tilt [deg]; unchanged where it is left out.")
     ] = None,
     rotation: Annotated[
-        float | None, typer.Option(metavar="φ", help="Rotation [deg]; as it is if left out.")
+        float | None, typer.Option(metavar="φ", help="Rotation [deg]; unchanged where it is left out.")
     ] = None,
-    home: Annotated[bool, typer.Option("--home", help="Seek the origin first.")] = False,
+    home: Annotated[bool, typer.Option("--home", help="Home the stage first.")] = False,
     serial_log: SerialLog = None,
 ) -> None:
     """Move the stage and verify where it stands. The virtual bench is always homed first: it was just switched on."""
@@ -153,7 +151,7 @@ def move(
     say(f"the stage stands at {state.posture}")
 
 
-@bench.command()
+@bench.command(cls=HeadedCommand)
 def snap(
     rig: RigFile,
     file: Annotated[Path, typer.Argument(metavar="FILE", help="PNG to write.")],
@@ -195,10 +193,10 @@ def snap(
     say(f"{file}")
 
 
-@bench.command("devices")
+@bench.command("devices", cls=HeadedCommand)
 def list_devices(
     rig: Annotated[
-        Path | None, typer.Argument(metavar="[RIG]", help="Also say what this rig expects.")
+        Path | None, typer.Argument(metavar="[RIG]", help="Print also what this rig expects.")
     ] = None,
 ) -> None:
     """List the serial ports of this computer and the cameras that answer; no port is opened or written to."""
@@ -252,7 +250,7 @@ def _show_cameras(producer: Path | None) -> list[CameraInfo]:
     else:
         say("no cameras answer")
     for problem in problems:
-        say(f"not asked: {problem}")
+        say(f"not searched: {problem}")
     return cameras
 
 

@@ -3,70 +3,80 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from lightopt.cli._inputs import load_inputs
 from lightopt.cli._options import (
+    Exposures,
     Force,
     Lights,
     PartFile,
     Postures,
     Quiet,
     RigFile,
+    SerialLog,
     Sheet,
-    parse_exposure,
-    parse_posture,
+    Verbose,
+    hardware_option,
+    output_option,
+    parse_exposures,
+    parse_postures,
+    selection_option,
 )
 from lightopt.cli._sheets import add_sheets
-from lightopt.cli._terminal import say, say_error, say_warning, show_share, show_table
+from lightopt.cli._terminal import say, say_error, say_warning, show_progress, show_table
 from lightopt.core.errors import InputError, Interrupted, counted
+from lightopt.core.run_context import RunContext
 
 if TYPE_CHECKING:
     from lightopt.rig.capture import CapturePlan, CaptureResult
-
-
-SerialLog = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help="Append every byte on the wires, with its time, to this file."),
-]
 
 
 def capture(
     rig: RigFile,
     part: PartFile,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="DIR", help="Output folder; made if missing.")
+        Path | None,
+        output_option("--out", "-o", metavar="DIR", help="Output folder; made if missing."),
     ] = None,
     light: Lights = None,
     posture: Postures = None,
-    exposures: Annotated[
-        str, typer.Option(metavar="X,…", help="Exposures of each image, such as 1,1/16.")
-    ] = "1",
-    average: Annotated[int, typer.Option(metavar="N", help="Each image is the mean of N frames.")] = 1,
+    exposures: Exposures = "1",
+    average: Annotated[
+        int,
+        selection_option(metavar="N", min=1, help="Average N frames for each image."),
+    ] = 1,
     dark: Annotated[
-        bool, typer.Option("--dark", help="Also frames without light, subtracted in the EXR.")
-    ] = False,
-    home: Annotated[bool, typer.Option("--home", help="Let the stage seek its origin first.")] = False,
-    no_check: Annotated[
-        bool, typer.Option("--no-check", help="Do not check that each image is lit by its light.")
-    ] = False,
-    come_back: Annotated[
         bool,
-        typer.Option(
-            "--come-back",
-            help="Return to the first posture at the end and compare: tells whether the stage lost steps.",
+        selection_option(
+            "--dark", help="Capture frames without light as well; they are subtracted in the EXR."
+        ),
+    ] = False,
+    home: Annotated[bool, hardware_option("--home", help="Home the stage first.")] = False,
+    check_lights: Annotated[
+        bool,
+        hardware_option(
+            "--check-lights/--no-check-lights", help="Check that each image is lit by its light."
+        ),
+    ] = True,
+    check_repeatability: Annotated[
+        bool,
+        hardware_option(
+            "--check-repeatability",
+            help="Return to the first posture at the end and compare: a stage that lost steps is found.",
         ),
     ] = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print every step with its time; open and move nothing.")
+        bool,
+        hardware_option("--dry-run", help="Print every step with its time; open and move nothing."),
     ] = False,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Take only what is missing of the set that is there.")
+        bool,
+        output_option("--resume", help="Capture only what the existing image set lacks."),
     ] = False,
     sheet: Sheet = False,
     serial_log: SerialLog = None,
     force: Force = False,
     quiet: Quiet = False,
+    _verbose: Verbose = False,
 ) -> None:
     """Capture PART on RIG: every light, every posture, every exposure, one image each.
 
@@ -76,8 +86,8 @@ def capture(
 
     Example: lightopt capture rig.yaml part.yaml -o captured --exposures 1,1/16
     """
-    chosen_postures = tuple(parse_posture(text) for text in posture) if posture else None
-    chosen_exposures = tuple(parse_exposure(text, option="--exposures") for text in exposures.split(","))
+    chosen_postures = parse_postures(posture)
+    chosen_exposures = parse_exposures(exposures)
     if out is None and not dry_run:
         raise InputError("--out: expected a folder for the image set; --dry-run alone needs none")
 
@@ -93,8 +103,8 @@ def capture(
         average=average,
         dark=dark,
         home=home,
-        check=not no_check,
-        check_repeatability=come_back,
+        check=check_lights,
+        check_repeatability=check_repeatability,
     )
     if dry_run:
         plan = make_plan(loaded_rig, loaded_part, options)
@@ -114,7 +124,7 @@ def capture(
         return
     assert out is not None
     try:
-        with show_share(quiet=quiet) as report:
+        with show_progress(quiet=quiet) as progress:
             done = run(
                 loaded_rig,
                 loaded_part,
@@ -123,8 +133,7 @@ def capture(
                 resume=resume,
                 force=force,
                 serial_log=serial_log,
-                warn=say_warning,
-                report=report,
+                run=RunContext(progress=progress, warn=say_warning),
             )
     except Interrupted as stopped:
         say_error(*stopped.messages, label="")

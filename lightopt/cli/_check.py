@@ -1,12 +1,13 @@
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from lightopt.cli._inputs import load_inputs
-from lightopt.cli._options import Force, Quiet, RigFile
+from lightopt.cli._options import Force, JsonFile, Quiet, RigFile, Verbose, output_option
 from lightopt.cli._terminal import say
 from lightopt.core.errors import CheckFailed, InputError, counted
 
@@ -17,19 +18,20 @@ def check(
         Path | None,
         typer.Argument(metavar="[PART]", help="Part file (YAML); without it only the rig is checked."),
     ] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write all findings as JSON.")
-    ] = None,
+    json_file: JsonFile = None,
     drawing: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw the rig with its frames and angles (PNG).")
+        Path | None,
+        output_option(metavar="FILE", help="Draw the rig with its frames and angles (PNG)."),
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Validate RIG and PART and summarise the set-up, before anything is rendered.
 
-    Pixel footprint, field of view, size, panel points and facets against the lobe, lights in the camera's view,
-    surface that no camera ray reaches. Exit status 1 where a finding is an error, 2 where a file cannot be used.
+    Checks the pixel footprint, field of view, size, panel points and facets against the lobe, lights in the camera's
+    view, and surface that no camera ray reaches. Exit status 1 where a finding is an error, 2 where a file cannot be
+    used. Of several findings on one topic that are ok, the first is shown; --verbose shows all.
 
     Example: lightopt check rig.yaml part.yaml --drawing rig.png
     """
@@ -41,9 +43,20 @@ def check(
         raise InputError("--drawing: needs a part file, too")
     loaded_rig, loaded_part = load_inputs(rig, part)
     report = check_rig(loaded_rig) if loaded_part is None else check_scene(loaded_rig, loaded_part)
+    levels = Counter(finding.level for finding in report.findings)
+    if not quiet:
+        say(
+            "; ".join(
+                f"{levels[level]} {level}" for level in ("error", "warning", "note", "ok") if levels[level]
+            )
+        )
+    shown: set[str] = set()
     for finding in report.findings:
         if quiet and finding.level in ("ok", "note"):
             continue
+        if finding.level == "ok" and finding.topic in shown and not verbose:
+            continue  # such as each posture's view
+        shown.add(finding.topic)
         where = f" ({finding.where})" if finding.where else ""
         say(f"{finding.level + ':':9}{finding.topic}: {finding.text}{where}")
     if drawing is not None and loaded_part is not None:
@@ -59,8 +72,7 @@ def check(
         found = {**report.as_dict(), "provenance": provenance(input_hashes(loaded_rig, loaded_part), {})}
         text = json.dumps(found, indent=2, ensure_ascii=False) + "\n"
         write_text_atomic(json_file, text, overwrite=force)
-    errors = sum(finding.level == "error" for finding in report.findings)
-    if errors:
+    if errors := levels["error"]:
         raise CheckFailed(
-            f"{errors} of {counted(len(report.findings), 'finding')} must be mended before rendering"
+            f"{errors} of {counted(len(report.findings), 'finding')} must be corrected before rendering"
         )

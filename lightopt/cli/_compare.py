@@ -1,12 +1,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lightopt.cli._options import Force, make_folder
+from lightopt.cli._options import Force, JsonFile, Quiet, Verbose, make_folder, output_option
 from lightopt.cli._terminal import say, show_table
 from lightopt.core.errors import CheckFailed, InputError, counted
 
@@ -14,44 +15,56 @@ if TYPE_CHECKING:
     from lightopt.images.comparison import FileComparison
 
 
+threshold_option = partial(typer.Option, rich_help_panel="Thresholds")
+MOST_ROWS, MOST_NOTES = 8, 3
+"""Shown without ``--verbose``."""
+
+
 def compare(
     golden: Annotated[Path, typer.Argument(metavar="A", help="Golden EXR, PNG or image set (folder).")],
     new: Annotated[Path, typer.Argument(metavar="B", help="New EXR, PNG or image set.")],
     absolute: Annotated[
-        float, typer.Option(metavar="LEVEL", help="A pixel differs by more than this level …")
+        float,
+        threshold_option(
+            metavar="LEVEL",
+            help="A pixel differs where the difference is more than this, plus --relative times the golden level.",
+        ),
     ] = 0.05,
-    relative: Annotated[
-        float, typer.Option(metavar="SHARE", help="… plus this share of the golden level.")
-    ] = 0.001,
+    relative: Annotated[float, threshold_option(metavar="SHARE", help="Share of the golden level.")] = 0.001,
     max_share: Annotated[
         float,
-        typer.Option(
-            metavar="SHARE",
-            help="Share of pixels that may differ, of those that are part (not level 0 or the black level) in A or B.",
+        threshold_option(
+            metavar="SHARE", help="Share of pixels that may differ, of those that show the part in A or B."
         ),
     ] = 0.001,
     geometry_absolute: Annotated[
-        float, typer.Option(metavar="MM", help="Threshold in geometry images and patch tables.")
+        float,
+        threshold_option(metavar="MM", help="Threshold in geometry images and patch tables."),
     ] = 0.001,
     min_iou: Annotated[
         float | None,
-        typer.Option(metavar="IOU", help="Least overlap of the saturated areas, intersection over union."),
+        threshold_option(
+            metavar="IOU", help="Minimum overlap of the saturated areas, intersection over union."
+        ),
     ] = None,
     saturation: Annotated[
-        float | None, typer.Option(metavar="LEVEL", help="Saturated from this level on. [what the files say]")
+        float | None,
+        threshold_option(
+            metavar="LEVEL", help="Saturated from this level on.", show_default="as the files say"
+        ),
     ] = None,
     diff: Annotated[
         Path | None,
-        typer.Option(
+        output_option(
             metavar="PATH",
-            help="Difference picture (PNG); a folder of them for image sets. Red: B is higher, blue: lower; green: "
-            "saturated in A alone, magenta: in B alone.",
+            help="Write a difference picture (PNG), or a folder of them for image sets. Red: B is higher; blue: lower; "
+            "green: saturated in A alone; magenta: in B alone.",
         ),
     ] = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write all figures as JSON.")
-    ] = None,
+    json_file: JsonFile = None,
     force: Force = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Compare two images or image sets, golden A against new B; exit status 1 where they differ too much.
 
@@ -89,56 +102,79 @@ def compare(
     if json_file is not None:
         figures = {**result.as_dict(), "provenance": comparison_provenance(result, thresholds)}
         write_text_atomic(json_file, json.dumps(figures, indent=2) + "\n", overwrite=force)
-    if isinstance(result, SetComparison):
-        _show(result.files, parts=2)
-        for note in (*result.notes, *(f"only in the new set: {name}" for name in result.extra)):
-            say(f"note: {note}")
-        if diff is not None:
-            _draw_set(result.files, diff, saturation, force)
-    else:
-        _show((result,), parts=1)
-        if diff is not None:
-            _draw_file(result, diff, saturation, force)
+    if not quiet:
+        files = result.files if isinstance(result, SetComparison) else (result,)
+        _show(files, parts=2 if sets else 1, verbose=verbose)
+        if isinstance(result, SetComparison):
+            _show_notes((*result.notes, *(f"only in the new set: {name}" for name in result.extra)), verbose)
+    if diff is not None:
+        if isinstance(result, SetComparison):
+            _draw_set(result.files, diff, saturation, force, quiet)
+        else:
+            _draw_file(result, diff, saturation, force, quiet)
     if not result.passed:
         raise CheckFailed(*(f"differs: {reason}" for reason in result.reasons))
-    say("no difference beyond the thresholds")
 
 
-def _show(files: Sequence[FileComparison], *, parts: int) -> None:
+def _show(files: Sequence[FileComparison], *, parts: int, verbose: bool) -> None:
+    # the verdict, and the channels that differ, or the greatest difference where none does
+    channels = [(file, channel) for file in files for channel in file.channels]
+    differing = [pair for pair in channels if not pair[1].passed]
+    if all(file.passed for file in files):
+        say(f"no difference beyond the thresholds in {counted(len(files), 'file')}")
+    shown = (
+        channels
+        if verbose
+        else (differing or sorted(channels, key=lambda pair: (pair[1].share, pair[1].max or 0.0))[-1:])[
+            :MOST_ROWS
+        ]
+    )
     rows: list[list[str]] = []
-    for file in files:
-        name = "/".join(Path(file.b).parts[-parts:])
-        for channel in file.channels:
-            p99 = None if channel.percentiles is None else channel.percentiles.get("p99")
-            numbers = (channel.max, channel.rms, p99)
-            rows.append(
-                [
-                    name,
-                    channel.name,
-                    *("-" if value is None else f"{value:.4g}" for value in numbers),
-                    f"{100.0 * channel.share:.3f} %",
-                    "-" if channel.iou is None else f"{channel.iou:.4f}",
-                    "ok" if channel.passed else "DIFFERS",
-                ]
-            )
+    for file, channel in shown:
+        p99 = None if channel.percentiles is None else channel.percentiles.get("p99")
+        numbers = (channel.max, channel.rms, p99)
+        rows.append(
+            [
+                "/".join(Path(file.b).parts[-parts:]),
+                channel.name,
+                *("-" if value is None else f"{value:.4g}" for value in numbers),
+                f"{100.0 * channel.share:.3f} %",
+                "-" if channel.iou is None else f"{channel.iou:.4f}",
+                "ok" if channel.passed else "DIFFERS",
+            ]
+        )
     if rows:
         show_table(["file", "channel", "max", "rms", "p99", "differing", "IoU", ""], rows, numbers_from=2)
+    if len(shown) < len(differing):
+        say(f"and {counted(len(differing) - len(shown), 'channel')} more that differ; --verbose shows all")
 
 
-def _draw_set(files: Sequence[FileComparison], folder: Path, saturation: float | None, force: bool) -> None:
+def _show_notes(notes: Sequence[str], verbose: bool) -> None:
+    shown = notes if verbose else notes[:MOST_NOTES]
+    for note in shown:
+        say(f"note: {note}")
+    if len(shown) < len(notes):
+        say(f"and {counted(len(notes) - len(shown), 'note')} more; --verbose shows all")
+
+
+def _draw_set(
+    files: Sequence[FileComparison], folder: Path, saturation: float | None, force: bool, quiet: bool
+) -> None:
     from lightopt.images.comparison import difference_picture
 
     drawn = [file for file in files if file.channels and Path(file.a).suffix in (".exr", ".png")]
     for file in drawn:
         path = folder / f"{'_'.join(Path(file.b).parts[-2:])}.diff.png"
         difference_picture(file.a, file.b, path, saturation=saturation, overwrite=force)
-    say(f"{counted(len(drawn), 'difference picture')} in {folder}")
+    if not quiet:
+        say(f"{counted(len(drawn), 'difference picture')} in {folder}")
 
 
-def _draw_file(file: FileComparison, path: Path, saturation: float | None, force: bool) -> None:
+def _draw_file(file: FileComparison, path: Path, saturation: float | None, force: bool, quiet: bool) -> None:
     from lightopt.images.comparison import difference_picture
 
     if not file.channels:
         raise InputError(f"{path}: no difference picture, since the files cannot be compared", *file.reasons)
     picture = difference_picture(file.a, file.b, path, saturation=saturation, overwrite=force)
-    say(f"{picture.path}: blue lower, red higher, full colour at {picture.scale:.4g}")
+    if not quiet:
+        say(f"{picture.path}: blue lower, red higher, full colour at {picture.scale:.4g}")

@@ -7,9 +7,19 @@ from typing import Annotated
 import typer
 
 from lightopt.cli._inputs import load_inputs
-from lightopt.cli._options import Force, PartFile, Quiet, RigFile, make_folder
+from lightopt.cli._options import (
+    Force,
+    PartFile,
+    Quiet,
+    RigFile,
+    Threads,
+    Verbose,
+    make_folder,
+    output_option,
+)
 from lightopt.cli._terminal import say
 from lightopt.core.errors import counted
+from lightopt.core.run_context import RunContext
 
 
 def defects(
@@ -17,25 +27,24 @@ def defects(
     part: PartFile,
     out: Annotated[
         Path,
-        typer.Option(
+        output_option(
             "--out", "-o", metavar="FILE", help="Part file to write; its folder is made if missing."
         ),
     ],
     seed: Annotated[
         int, typer.Option(metavar="N", help="Random seed; the same seed gives the same defects.")
     ],
-    count: Annotated[int, typer.Option(metavar="K", help="How many defects, 1 to 500.")],
-    threads: Annotated[
-        int | None, typer.Option(metavar="N", help="Threads; all by default. The file does not depend on it.")
-    ] = None,
+    count: Annotated[int, typer.Option(metavar="K", help="Number of defects, 1 to 500.")],
     force: Force = False,
+    threads: Threads = None,
     quiet: Quiet = False,
+    _verbose: Verbose = False,
 ) -> None:
     """Place random defects on the surface of PART that the camera of RIG sees in at least one posture, for testing.
 
-    The entries of the part's defect_catalogue, or of the built-in one (docs/defects.md), take turns; places are even by
-    area, off silhouettes and creases, and apart from each other. Writes PART with a list of defects at its end,
-    comments kept; render shows them.
+    Takes the entries of the part's defect_catalogue, or of the built-in one (docs/how-to/defects.md), in turn. The
+    places are uniform by area, off silhouettes and creases, and apart from each other. Writes PART with a list of
+    defects at its end, its comments kept; render shows them.
 
     Example: lightopt defects rig.yaml part.yaml --seed 1 --count 14 -o part.defects.yaml
     """
@@ -49,7 +58,8 @@ def defects(
     loaded_rig, loaded_part = load_inputs(rig, part)
     assert loaded_part is not None
     comment = f"{counted(count, 'defect')}, scattered by: lightopt defects --seed {seed} --count {count}"
-    placed = place_random_defects(loaded_rig, loaded_part, count=count, seed=seed, threads=threads)
+    run = RunContext(threads=threads)
+    placed = place_random_defects(loaded_rig, loaded_part, count=count, seed=seed, run=run)
     made_from = random_defect_provenance(loaded_rig, loaded_part, count=count, seed=seed)
     text = random_defects_text(loaded_part, placed, folder=out.parent, comment=comment, made_from=made_from)
     make_folder(out.parent)

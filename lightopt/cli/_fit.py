@@ -2,15 +2,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from lightopt.cli._inputs import load_inputs
-from lightopt.cli._options import Force, Out, PartFile, Quiet, RigFile, make_folder, parse_points
-from lightopt.cli._terminal import say, say_warning, show_share, show_table
+from lightopt.cli._messages import flag
+from lightopt.cli._options import (
+    Force,
+    Out,
+    PartFile,
+    Points,
+    Quiet,
+    Register,
+    RigFile,
+    Threads,
+    Verbose,
+    make_folder,
+    model_option,
+    output_option,
+    parse_points,
+)
+from lightopt.cli._terminal import say, say_warning, show_progress, show_table
 from lightopt.core.errors import CheckFailed, InputError
+from lightopt.core.run_context import RunContext
 
 if TYPE_CHECKING:
     from lightopt.estimate.reflectance import (
@@ -23,34 +41,36 @@ if TYPE_CHECKING:
     )
 
 
+paper_option = partial(typer.Option, rich_help_panel="The paper's procedure (--method paper)")
+
 Images = Annotated[
     Path, typer.Argument(metavar="IMAGES", help="Image set, rendered or captured: folder or manifest.json.")
 ]
 Method = Annotated[
-    str, typer.Option(metavar="NAME", help="likelihood, or paper: sections 4.2 and 4.3. [likelihood]")
+    Literal["likelihood", "paper"],
+    typer.Option(help="Maximum likelihood, or the procedure of the paper's sections 4.2 and 4.3."),
 ]
 Free = Annotated[
     list[str] | None,
-    typer.Option(
-        "--free",
-        metavar="WHAT",
-        help="Also fit gain (of each light), dark (level) or shift (of the part on the stage); repeatable.",
+    model_option(
+        "--free", metavar="gain|dark", help="Also fit the gain of each light, or the dark level; repeatable."
     ),
 ]
 Pixels = Annotated[
-    int, typer.Option(metavar="N", help="About how many pixels to look at, over all images. [1500000]")
+    int,
+    model_option(metavar="N", min=1000, help="Target for the number of pixels to use, over all images."),
 ]
 WriteNoise = Annotated[
-    bool, typer.Option("--write-noise", help="Write the noise that the images show into rig.fitted.yaml.")
+    bool,
+    output_option("--write-noise", help="Write the noise measured in the images to rig.fitted.yaml."),
 ]
 AllowUnconverged = Annotated[
-    bool, typer.Option("--allow-unconverged", help="Exit with 0 even where the optimiser did not converge.")
+    bool,
+    output_option(
+        "--allow-unconverged", help="Exit with status 0 even where the optimiser did not converge."
+    ),
 ]
-Threads = Annotated[
-    int | None, typer.Option(metavar="N", help="Threads; all by default. The files do not depend on it.")
-]
-METHODS = ("likelihood", "paper")
-FREE = ("gain", "dark", "shift")
+FREE = ("gain", "dark")
 
 
 def fit_diffuse(
@@ -59,37 +79,43 @@ def fit_diffuse(
     images: Images,
     out: Out,
     method: Method = "likelihood",
+    register: Register = False,
     free: Free = None,
-    points: Annotated[
-        str | None, typer.Option(metavar="M", help="Point lights per panel: 1, 4, 9, … or auto. [the rig's]")
-    ] = None,
+    points: Points = None,
     pixels: Pixels = 1_500_000,
     lambda_d: Annotated[
-        float, typer.Option(metavar="LEVEL", help="Paper's λ_d: difference of mean brightness.")
-    ] = 0.01,
-    start: Annotated[float, typer.Option(metavar="LEVEL", help="Paper's starting R_d.")] = 10.0,
-    away: Annotated[
         float,
-        typer.Option(metavar="DEG", help="Paper: diffuse only this far from mirroring a panel, in normals."),
+        paper_option(metavar="LEVEL", help="λ_d: tolerance of the mean brightness."),
+    ] = 0.01,
+    start_rd: Annotated[float, paper_option(metavar="LEVEL", help="Starting value of R_d.")] = 10.0,
+    highlight_margin: Annotated[
+        float,
+        paper_option(
+            metavar="DEG", help="Use only pixels whose normals are this far from mirroring a panel."
+        ),
     ] = 20.0,
     write_noise: WriteNoise = False,
     allow_unconverged: AllowUnconverged = False,
-    threads: Threads = None,
     force: Force = False,
+    threads: Threads = None,
     quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Fit R_d to the pixels of IMAGES that are away from every highlight.
 
-    Writes part.fitted.yaml (PART with the fitted value), fit.json and a chart; rig.fitted.yaml where gain or dark is
-    freed, or with --write-noise.
+    Writes part.fitted.yaml (PART with the fitted value), fit.json and a chart; rig.fitted.yaml with --free or
+    --write-noise.
 
     Example: lightopt fit-diffuse rig.yaml part.yaml captured/ -o fitted
     """
     from lightopt.estimate.reflectance import PaperOptions
 
-    paper = PaperOptions(lambda_d=lambda_d, R_d_start=start, away=math.radians(away))
-    options = _options("diffuse", method, free, points, pixels, paper, threads, write_noise=write_noise)
-    _run("diffuse", rig, part, images, out, options, force, quiet, allow_unconverged)
+    paper = PaperOptions(lambda_d=lambda_d, R_d_start=start_rd, away=math.radians(highlight_margin))
+    options = _options(
+        "diffuse", method, free, points, paper, pixels=pixels, register=register, write_noise=write_noise
+    )
+    terminal = _Terminal(threads, quiet, verbose)
+    _run("diffuse", rig, part, images, out, options, terminal, force, allow_unconverged)
 
 
 def fit_specular(
@@ -99,38 +125,46 @@ def fit_specular(
     out: Out,
     method: Method = "likelihood",
     joint: Annotated[
-        bool, typer.Option("--joint", help="Fit R_d along instead of keeping the part file's.")
+        bool,
+        model_option("--joint", help="Fit R_d as well instead of holding the part file's."),
     ] = False,
+    register: Register = False,
     free: Free = None,
     points: Annotated[
         str | None,
-        typer.Option(
-            metavar="M,…", help="Point lights per panel, such as auto, or 1,4,9,16 to compare. [the rig's]"
+        model_option(
+            metavar="M,…",
+            help="Point lights per panel: 1, 4, 9, 16, … or auto; several, such as 1,4,9, are compared.",
+            show_default="as the rig file says",
         ),
     ] = None,
     pixels: Pixels = 1_500_000,
-    no_validation: Annotated[
-        bool, typer.Option("--no-validation", help="Do not predict each light from the others.")
-    ] = False,
+    validate: Annotated[
+        bool,
+        model_option("--validate/--no-validate", help="Predict each light from the others."),
+    ] = True,
     lambda_s1: Annotated[
-        float, typer.Option(metavar="SHARE", help="Paper's λ_s1: saturated pixels that may differ.")
+        float,
+        paper_option(metavar="SHARE", help="λ_s1: tolerance of the number of saturated pixels."),
     ] = 0.005,
     lambda_s2: Annotated[
-        float, typer.Option(metavar="SHARE", help="Paper's λ_s2: total brightness that may differ.")
+        float,
+        paper_option(metavar="SHARE", help="λ_s2: tolerance of the total specular brightness."),
     ] = 0.05,
-    sigma_step: Annotated[float, typer.Option(metavar="RAD", help="Paper's σ_step.")] = 0.0025,
-    sigma_start: Annotated[float, typer.Option(metavar="RAD", help="Paper's starting σ.")] = 0.01,
-    start: Annotated[float, typer.Option(metavar="LEVEL", help="Paper's starting R_s.")] = 255.0,
+    start_rs: Annotated[float, paper_option(metavar="LEVEL", help="Starting value of R_s.")] = 255.0,
+    start_sigma: Annotated[float, paper_option(metavar="RAD", help="Starting value of σ.")] = 0.01,
+    sigma_step: Annotated[float, paper_option(metavar="RAD", help="σ_step: step of σ.")] = 0.0025,
     write_noise: WriteNoise = False,
     allow_unconverged: AllowUnconverged = False,
-    threads: Threads = None,
     force: Force = False,
+    threads: Threads = None,
     quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
-    """Fit R_s and σ to IMAGES, R_d kept from PART or fitted along.
+    """Fit R_s and σ to IMAGES; R_d is held at PART's value, or fitted with --joint.
 
-    Writes part.fitted.yaml (PART with the fitted values), fit.json, a chart of the ridge, and pictures of measured
-    minus predicted for each light left out in turn; rig.fitted.yaml where gain or dark is freed, or with
+    Writes part.fitted.yaml (PART with the fitted values), fit.json, a chart of the likelihood over σ, and a picture of
+    measured minus predicted levels for each image, predicted from the other lights; rig.fitted.yaml with --free or
     --write-noise.
 
     Example: lightopt fit-specular rig.yaml part.yaml captured/ -o fitted --joint
@@ -141,14 +175,23 @@ def fit_specular(
         lambda_s1=lambda_s1,
         lambda_s2=lambda_s2,
         sigma_step=sigma_step,
-        sigma_start=sigma_start,
-        R_s_start=start,
+        sigma_start=start_sigma,
+        R_s_start=start_rs,
     )
     options = _options(
-        "specular", method, free, points, pixels, paper, threads, joint=joint, validate=not no_validation,
+        "specular", method, free, points, paper, pixels=pixels, joint=joint, register=register, validate=validate,
         write_noise=write_noise,
     )  # fmt: skip
-    _run("specular", rig, part, images, out, options, force, quiet, allow_unconverged)
+    terminal = _Terminal(threads, quiet, verbose)
+    _run("specular", rig, part, images, out, options, terminal, force, allow_unconverged)
+
+
+@dataclass(frozen=True)
+class _Terminal:
+    # how a fit runs, and what it prints
+    threads: int | None
+    quiet: bool
+    verbose: bool
 
 
 def _run(
@@ -158,8 +201,8 @@ def _run(
     images: Path,
     out: Path,
     options: FitOptions,
+    terminal: _Terminal,
     force: bool,
-    quiet: bool,
     allow_unconverged: bool,
 ) -> None:
     from lightopt.estimate.reflectance import FitFolder, fit_diffuse, fit_provenance, fit_specular
@@ -170,26 +213,24 @@ def _run(
     assert loaded_part is not None
     image_set = read_image_set(images)
     arguments: dict[str, Any] = {**vars(options), "kind": kind, "paper": options.paper.as_dict()}
-    del arguments["threads"]
     made_from = fit_provenance(loaded_rig, loaded_part, image_set, arguments)
     folder = FitFolder(out, made_from, force=force)
     make_folder(out)
-    with show_share(quiet=quiet) as progress:
+    with show_progress(quiet=terminal.quiet) as progress:
+        run = RunContext(threads=terminal.threads, progress=progress, warn=say_warning)
         if kind == "diffuse":
-            result = fit_diffuse(loaded_rig, loaded_part, image_set, options=options, progress=progress)
+            result = fit_diffuse(loaded_rig, loaded_part, image_set, options=options, run=run)
         else:
             save = _save_residuals(
                 folder, loaded_rig.camera.sensor.bit_depth, loaded_rig.camera.sensor.saturation_level
             )
             result = fit_specular(
-                loaded_rig, loaded_part, image_set, options=options, progress=progress, save_prediction=save
+                loaded_rig, loaded_part, image_set, options=options, save_prediction=save, run=run
             )
     chart = fit_chart(result, lambda: folder.place("fit.png"))
     written = folder.write(result, loaded_rig, loaded_part)
-    for text in result.warnings:
-        say_warning(text)
-    if not quiet:
-        _show(result)
+    if not terminal.quiet:
+        _show(result, terminal.verbose)
         for path in (*written, *([chart] if chart else [])):
             say(f"{path}")
     if not result.converged and not allow_unconverged:
@@ -200,61 +241,50 @@ def _run(
 
 def _options(
     kind: str,
-    method: str,
+    method: Literal["likelihood", "paper"],
     free: list[str] | None,
     points: str | None,
-    pixels: int,
     paper: PaperOptions,
-    threads: int | None,
     *,
+    pixels: int,
     joint: bool = False,
+    register: bool,
     validate: bool = True,
     write_noise: bool,
 ) -> FitOptions:
     from lightopt.config import points_problem
-    from lightopt.estimate.reflectance import PAPER_OPTION_FLAGS, FitOptions, PaperOptions
+    from lightopt.estimate.reflectance import FitOptions, PaperOptions
 
-    problems: list[str] = []
-    if method not in METHODS:
-        problems.append(f'--method: expected likelihood or paper, found "{method}"')
-    problems += [
+    problems = [
         f'--free: expected {" or ".join(FREE)}, found "{name}"' for name in free or () if name not in FREE
     ]
-    if pixels < 1000:
-        problems.append(f"--pixels: expected at least 1000, found {pixels}")
-    if threads is not None and threads < 1:
-        problems.append(f"--threads: expected at least 1, found {threads}")
-    chosen: tuple[int | Literal["auto"], ...] = ()
-    if points is not None:
-        chosen = tuple(parse_points(text.strip()) for text in points.split(","))
-    problems += [f"--points: {problem}" for m in chosen if (problem := points_problem(m)) is not None]
-    if kind == "diffuse" and len(chosen) > 1:
+    texts = [] if points is None else [text.strip() for text in points.split(",")]
+    if kind == "diffuse" and len(texts) > 1:
         problems.append("--points: fit-diffuse takes one number of points; fit-specular compares several")
+    chosen = tuple(m for m in map(parse_points, texts) if m is not None)
+    problems += [f"--points: {problem}" for m in chosen if (problem := points_problem(m)) is not None]
     problems += paper.problems()
     if method == "likelihood":
         usual = PaperOptions().as_dict()
-        changed = [
-            PAPER_OPTION_FLAGS[name] for name, value in paper.as_dict().items() if value != usual[name]
-        ]
-        problems += [f"{name}: belongs to --method paper, which was not asked for" for name in changed]
-    if method == "paper" and (free or joint):
-        problems.append("--method paper: takes neither --free nor --joint")
-    if method == "paper" and write_noise:
-        problems.append("--method paper: knows no noise, so that --write-noise has nothing to write")
+        changed = [flag(name) for name, value in paper.as_dict().items() if value != usual[name]]
+        problems += [f"{name}: belongs to --method paper, which was not given" for name in changed]
+    elif free or joint or register:
+        problems.append("--method paper: takes none of --free, --joint and --register")
+    elif write_noise:
+        problems.append("--method paper: estimates no noise, so that --write-noise has nothing to write")
     if problems:
         raise InputError(*problems)
     return FitOptions(
-        method="paper" if method == "paper" else "likelihood",
+        method=method,
         joint=joint,
         gain="gain" in (free or ()),
         dark="dark" in (free or ()),
-        shift="shift" in (free or ()),
+        register=register,
         points=chosen,
         pixels=pixels,
         validate=validate,
         write_noise=write_noise,
         paper=paper,
-        threads=threads,
     )
 
 
@@ -280,7 +310,7 @@ def _save_residuals(
     return save
 
 
-def _show(result: FitResult) -> None:
+def _show(result: FitResult, verbose: bool) -> None:
     from lightopt.estimate.reflectance import format_interval
 
     rows = []
@@ -293,10 +323,10 @@ def _show(result: FitResult) -> None:
     if result.highlights is not None:
         r_s, sigma = result.highlights
         say(
-            f"R_s {r_s:.4g} and σ {sigma:.4g} rad, fitted along to know where the highlights are, are not written"
+            f"R_s {r_s:.4g} and σ {sigma:.4g} rad were fitted to know where the highlights are; they are not written"
         )
     if result.paper is not None:
-        say(f"from {result.paper.image}; this method knows no uncertainty")
+        say(f"from {result.paper.image}; this method gives no uncertainty")
     if result.correlation is not None:
         say(f"correlation of ln R_s and ln σ: {result.correlation:.3f}")
     if result.gains is not None:
@@ -321,7 +351,9 @@ def _show(result: FitResult) -> None:
     if result.rows:
         _show_points(result)
     if result.left_out:
-        _show_left_out(result)
+        _summarise_left_out(result)
+        if verbose:
+            _show_left_out(result)
 
 
 def _with_error(value: FittedValue) -> str:
@@ -361,9 +393,19 @@ def _show_points(result: FitResult) -> None:
     show_table(head, rows, numbers_from=0)
 
 
-def _show_left_out(result: FitResult) -> None:
+def _summarise_left_out(result: FitResult) -> None:
+    images = [(image, left) for left in result.left_out for image in left.images]
+    worst, _ = max(images, key=lambda pair: pair[0].rms_sensor)
+    overlaps = [image.iou for image, _ in images if image.iou is not None]
     own = f" ({', '.join(result.not_left_out)} as all images have it)" if result.not_left_out else ""
-    say(f"each light predicted from the others{own}:")
+    least = f", saturated areas overlap by {min(overlaps):.3f} (IoU) or more" if overlaps else ""
+    say(
+        f"each light predicted from the others{own}: residual {worst.rms_sensor:.3g} sensor levels rms at most "
+        f"({worst.image}){least}"
+    )
+
+
+def _show_left_out(result: FitResult) -> None:
     rows = [
         [
             image.image,

@@ -9,9 +9,24 @@ import typer
 
 from lightopt.cli._inputs import load_inputs
 from lightopt.cli._inspect_output import Output, show_batch, show_calibration, write_batch, write_set
-from lightopt.cli._options import Force, Out, PartFile, Quiet, RigFile, Threads, make_folder
-from lightopt.cli._terminal import say, say_error, say_warning, show_share
+from lightopt.cli._options import (
+    Force,
+    MinImages,
+    Out,
+    PartFile,
+    Quiet,
+    Register,
+    Report,
+    RigFile,
+    Threads,
+    Verbose,
+    make_folder,
+    model_option,
+    output_option,
+)
+from lightopt.cli._terminal import say, say_error, say_warning, show_progress
 from lightopt.core.errors import CheckFailed, InputError, counted
+from lightopt.core.run_context import RunContext
 
 if TYPE_CHECKING:
     from lightopt.config import PartConfig, RigConfig
@@ -21,6 +36,7 @@ if TYPE_CHECKING:
 
 
 DEFAULT_FALSE_ALARMS = 0.05
+calibration_option = partial(typer.Option, rich_help_panel="Calibration with good parts")
 
 Images = Annotated[
     list[Path],
@@ -35,61 +51,64 @@ def inspect(
     out: Out,
     detector: Annotated[
         str,
-        typer.Option(metavar="NAME", help="residual: measured against predicted; or template. [residual]"),
+        model_option(
+            metavar="residual|template",
+            help="Measured against predicted levels; or dots and lines in the synthetic image.",
+        ),
     ] = "residual",
     fusion: Annotated[
         str,
-        typer.Option(
-            metavar="NAME",
-            help="Of the synthetic image: paper, median, minimum, second-largest; or none. [paper]",
+        model_option(
+            metavar="paper|median|minimum|second-largest|none",
+            help="Rule that makes the synthetic image without highlights.",
         ),
     ] = "paper",
     false_alarms: Annotated[
         float | None,
-        typer.Option(
+        model_option(
             metavar="N",
-            help="From 1e-9 to 1: how many per posture, where only noise differs; with a calibration the share of good "
-            "parts with one in a posture. [0.05]",
+            help="False alarms per posture where only noise differs, from 1e-9 to 1; with --calibration the share of "
+            "good parts with a false alarm in a posture.",
+            show_default="0.05",
         ),
     ] = None,
-    seen_by: Annotated[
-        int, typer.Option(metavar="K", help="A defect shows in so many images of a posture. [2]")
-    ] = 2,
-    no_shift: Annotated[
-        bool, typer.Option("--no-shift", help="Skip registration; assume nominal placement.")
-    ] = False,
+    min_images: MinImages = 2,
+    register: Register = True,
     calibrate: Annotated[
         bool,
-        typer.Option(
-            "--calibrate",
-            help="IMAGES are of good parts: learn from them, and write calibration.json to DIR.",
+        calibration_option(
+            "--calibrate", help="Learn from IMAGES, which are of good parts, and write calibration.json."
         ),
     ] = False,
     calibration: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="From --calibrate: holds the rate of false alarms on good parts."),
+        calibration_option(
+            metavar="FILE", help="calibration.json of good parts; holds the false-alarm rate on them."
+        ),
     ] = None,
-    truth: Annotated[
+    evaluate: Annotated[
         bool,
-        typer.Option(
-            "--truth",
-            help="Hold the result against the sets' labels, or the defects of the part file that they were taken by: "
-            "recall, false alarms, ROC, detection curve.",
+        output_option(
+            "--evaluate",
+            help="Compare the result with ground truth, which is the sets' labels or the defects of the part file that "
+            "they were made with: recall, false alarms, ROC, detection curve.",
         ),
     ] = False,
     fail_on_defect: Annotated[
-        bool, typer.Option("--fail-on-defect", help="Exit status 1 where a part is NG.")
+        bool,
+        output_option("--fail-on-defect", help="Exit status 1 where a part is NG."),
     ] = False,
-    no_report: Annotated[bool, typer.Option("--no-report", help="Do not write report.html.")] = False,
-    threads: Threads = None,
+    report: Report = True,
     force: Force = False,
+    threads: Threads = None,
     quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Find defects in IMAGES of PART and report where they are.
 
     Writes report.html, defects.json, .csv and .ply, the synthetic image without highlights with its uncertainty, scores
     and an overlay for each posture. Several sets, as of several parts, get a folder each. OK or NG is by the limits
-    under inspection: in PART. With --calibrate the sets are of good parts, and what they teach is written instead.
+    under inspection: in PART. With --calibrate the sets are of good parts, and only calibration.json is written.
 
     Example: lightopt inspect rig.yaml part.yaml captured/ -o inspected
     """
@@ -103,17 +122,18 @@ def inspect(
         detector=cast("Detector", detector),
         fusion=None if fusion == "none" else cast("Fusion", fusion),
         false_alarms=false_alarms,
-        seen_by=seen_by,
-        shift=not no_shift,
-        threads=threads,
+        min_images=min_images,
+        register=register,
     )
     problems = options.problems()
-    if threads is not None and threads < 1:
-        problems.append(f"--threads: expected at least 1, found {threads}")
     if calibrate:
-        given = {"--calibration": learned is not None, "--truth": truth, "--fail-on-defect": fail_on_defect}
+        given = {
+            "--calibration": learned is not None,
+            "--evaluate": evaluate,
+            "--fail-on-defect": fail_on_defect,
+        }
         problems += [
-            f"{name} is of an inspection, and --calibrate makes none" for name, is_ in given.items() if is_
+            f"{name}: not with --calibrate, which inspects nothing" for name, is_ in given.items() if is_
         ]
     if problems:
         raise InputError(*problems)
@@ -121,12 +141,14 @@ def inspect(
     assert loaded_part is not None
     sets = [read_image_set(path) for path in images]
     if calibrate:
-        _calibrate(loaded_rig, loaded_part, sets, out, options, force=force, quiet=quiet)
+        _calibrate(loaded_rig, loaded_part, sets, out, options, threads=threads, force=force, quiet=quiet)
         return
     if learned is not None:
         learned.require_match(loaded_rig, loaded_part, options)
-    output = Output(rig=loaded_rig, part=loaded_part, report=not no_report, quiet=quiet)
-    rows = _inspect(output, sets, out, options, learned, truth=truth, force=force)
+    output = Output(
+        rig=loaded_rig, part=loaded_part, report=report, threads=threads, quiet=quiet, verbose=verbose
+    )
+    rows = _inspect(output, sets, out, options, learned, evaluate=evaluate, force=force)
     refused = [row.name for row in rows if row.verdict is None]
     bad = [
         f"{image_set.folder}: NG, {'; '.join(row.verdict.reasons)}"
@@ -147,7 +169,7 @@ def _inspect(
     options: InspectOptions,
     calibration: Calibration | None,
     *,
-    truth: bool,
+    evaluate: bool,
     force: bool,
 ) -> list[BatchRow]:
     # one set goes to `out`; several go to folders below it, and what is said of all of them to `out`
@@ -164,12 +186,12 @@ def _inspect(
 
     rig, part, several = output.rig, output.part, len(sets) > 1
     names = set_names(sets, out)
-    sources = truth_sources(sets, part) if truth else None
+    sources = truth_sources(sets, part) if evaluate else None
     describe = partial(inspection_provenance, rig, part, options=options, calibration=calibration)
     batch = None
     if several:
         made_from = describe(sets)
-        made_from["options"]["truth"] = truth
+        made_from["options"]["evaluate"] = evaluate
         batch = BatchFolder(out, made_from, force=force)
     folders = [
         InspectionFolder(
@@ -191,8 +213,6 @@ def _inspect(
     evaluations: list[SetEvaluation] = []
     begun = monotonic()
     for name, image_set, folder in zip(names, sets, folders, strict=True):
-        if several and not output.quiet:
-            say(f"{name}:")
         inspected = next(results)
         if inspected.error is not None:
             if not several:
@@ -213,7 +233,7 @@ def _inspect(
     if batch is not None:
         if not output.quiet:
             show_batch(rows, minutes=(monotonic() - begun) / 60.0)
-        write_batch(output, batch, rows, evaluations if truth else None)
+        write_batch(output, batch, rows, evaluations if evaluate else None)
     return rows
 
 
@@ -224,6 +244,7 @@ def _calibrate(
     out: Path,
     options: InspectOptions,
     *,
+    threads: int | None,
     force: bool,
     quiet: bool,
 ) -> None:
@@ -232,8 +253,9 @@ def _calibrate(
     require_good_sets(len(sets), options)
     folder = CalibrationFolder(out, inspection_provenance(rig, part, sets, options), force=force)
     make_folder(out)
-    with show_share(quiet=quiet) as progress:
-        calibration = calibrate(rig, part, sets, options=options, progress=progress)
+    with show_progress(quiet=quiet) as progress:
+        run = RunContext(threads=threads, progress=progress, warn=say_warning)
+        calibration = calibrate(rig, part, sets, options=options, run=run)
     path = folder.write(calibration)
     if not quiet:
         show_calibration(calibration, options.false_alarms)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lightopt.cli._terminal import say, show_share, show_table
+from lightopt.cli._terminal import say, show_progress, show_table
 from lightopt.core.errors import percent
 
 if TYPE_CHECKING:
@@ -31,7 +31,13 @@ class Output:
     rig: RigConfig
     part: PartConfig
     report: bool
+    threads: int | None
     quiet: bool
+    verbose: bool
+
+
+MOST_DEFECTS = 6
+"""Rows of the table of defects without ``--verbose``; defects.csv has all of them."""
 
 
 def write_set(
@@ -47,8 +53,11 @@ def write_set(
     assert verdict is not None
     summary = summarise([inspected.evaluation]) if summarised and inspected.evaluation is not None else None
     if not output.quiet:  # before the pictures, which take longer than the inspection did
-        _show_inspection(result, verdict)
-    with show_share(quiet=output.quiet) as progress:
+        if summarised:
+            _show_inspection(result, verdict, verbose=output.verbose)
+        else:
+            say(f"{inspected.name}: {verdict.word}: {verdict.explanation}")
+    with show_progress(quiet=output.quiet) as progress:
         for number, posture in enumerate(result.postures):
             if progress is not None:
                 progress(f"pictures of posture {posture.view.posture}", number / len(result.postures))
@@ -101,7 +110,7 @@ def _show_written(output: Output, summary: Mapping[str, Any] | None, written: Se
     if output.quiet:
         return
     if summary is not None:
-        _show_evaluation(summary)
+        _show_evaluation(summary, verbose=output.verbose)
     for path in written:
         say(f"{path}")
 
@@ -131,7 +140,7 @@ def show_calibration(calibration: Calibration, rate: float) -> None:
     )
 
 
-def _show_evaluation(summary: Mapping[str, Any]) -> None:
+def _show_evaluation(summary: Mapping[str, Any], *, verbose: bool) -> None:
     # recall, false alarms and the size that is detected, from lightopt.inspection.summarise
     alarms, hidden, area = summary["false_alarms_per_posture"], summary["hidden"], summary["roc_auc"]
     why = " (out of view, at an edge, or narrower than a pixel)" if hidden else ""
@@ -140,6 +149,8 @@ def _show_evaluation(summary: Mapping[str, Any]) -> None:
         f"{alarms:g} false alarm{'' if alarms == 1.0 else 's'} per posture; area under the pixels' ROC "
         f"{'-' if area is None else area}"
     )
+    if not verbose:
+        return
     rows = [
         [
             kind,
@@ -152,19 +163,23 @@ def _show_evaluation(summary: Mapping[str, Any]) -> None:
     show_table(["kind", "found", "a90 [mm]", "a90/95 [mm]"], rows)
 
 
-def _show_inspection(result: InspectionResult, verdict: Verdict) -> None:
-    # defects, where the part lies, what was inspected, and the verdict
+def _show_inspection(result: InspectionResult, verdict: Verdict, *, verbose: bool) -> None:
+    # the verdict, defects, where the part lies, what was inspected
     from lightopt.inspection import REFERENCE_DEFECT
     from lightopt.report import dark_text, defect_table, placement_text, surface_notes, surface_table
 
+    say(f"{verdict.word}: {verdict.explanation}")
     if result.defects:
         table = defect_table(result, verdict)
-        show_table(table.header, table.rows, numbers_from=table.numbers_from)
+        rows = table.rows if verbose else table.rows[:MOST_DEFECTS]
+        show_table(table.header, rows, numbers_from=table.numbers_from)
+        if len(rows) < len(table.rows):
+            say(f"and {len(table.rows) - len(rows)} more; --verbose shows them")
     if result.placement is not None and (place := placement_text(result.placement)):
-        say(f"the part lies off where its file has it by {place}")
-    table = surface_table(result)
-    show_table(table.header, table.rows, numbers_from=table.numbers_from)
-    for sentence in surface_notes(result):
-        say(sentence)
+        say(f"the part lies off its nominal place by {place}")
     say(f"{REFERENCE_DEFECT} is found on {percent(verdict.finds)} of the visible surface{dark_text(verdict)}")
-    say(f"{verdict.word}: {verdict.explanation}")
+    if verbose:
+        table = surface_table(result)
+        show_table(table.header, table.rows, numbers_from=table.numbers_from)
+        for sentence in surface_notes(result):
+            say(sentence)

@@ -21,6 +21,7 @@ from lightopt.cli._init import init, schema
 from lightopt.cli._inspect import inspect
 from lightopt.cli._optimize import optimize
 from lightopt.cli._overlap import overlap
+from lightopt.cli._parser import HeadedCommand
 from lightopt.cli._process import INTERRUPTED
 from lightopt.cli._render import render
 from lightopt.cli._terminal import say_error, version_wanted
@@ -36,7 +37,7 @@ _UsageError: type[Exception] = typer.BadParameter.__mro__[2]  # pyright: ignore[
 app = typer.Typer(
     name="lightopt",
     help="Decide where the lights go in an appearance-inspection machine.",
-    epilog="Start with: lightopt init DIR. Exit status: 0 done, 1 a check said no, 2 wrong input, 3 hardware failed, "
+    epilog="Start with: lightopt init DIR. Exit status: 0 done, 1 a check failed, 2 wrong input, 3 hardware failed, "
     "70 a defect of lightopt, 130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
@@ -58,19 +59,23 @@ def _common(
     pass
 
 
-app.command(short_help="Write a commented rig, part and mesh to start from.")(init)
-app.command(short_help="Validate rig and part files and summarise the set-up.")(check)
-app.command(short_help="Render what the camera would see.")(render)
-app.command(short_help="Capture images on the rig, or on the virtual bench.")(capture)
-app.command(short_help="Place random defects on a part for testing.")(defects)
-app.command("fit-diffuse", short_help="Fit the diffuse coefficient to images.")(fit_diffuse)
-app.command("fit-specular", short_help="Fit the specular coefficients to images.")(fit_specular)
-app.command(short_help="Find where the lights go, exactly.")(optimize)
-app.command(short_help="Find defects in images and locate them on the part.")(inspect)
-app.command(short_help="Report where the highlights of several images overlap.")(overlap)
-app.command(short_help="Compare images or image sets, golden against new.")(compare)
+app.command(short_help="Write a commented rig, part and mesh to start from.", cls=HeadedCommand)(init)
+app.command(short_help="Validate rig and part files and summarise the set-up.", cls=HeadedCommand)(check)
+app.command(short_help="Render what the camera would see.", cls=HeadedCommand)(render)
+app.command(short_help="Capture images on the rig, or on the virtual bench.", cls=HeadedCommand)(capture)
+app.command(short_help="Place random defects on a part for testing.", cls=HeadedCommand)(defects)
+app.command("fit-diffuse", short_help="Fit the diffuse coefficient to images.", cls=HeadedCommand)(
+    fit_diffuse
+)
+app.command("fit-specular", short_help="Fit the specular coefficients to images.", cls=HeadedCommand)(
+    fit_specular
+)
+app.command(short_help="Find where the lights go, exactly.", cls=HeadedCommand)(optimize)
+app.command(short_help="Find defects in images and locate them on the part.", cls=HeadedCommand)(inspect)
+app.command(short_help="Report where the highlights of several images overlap.", cls=HeadedCommand)(overlap)
+app.command(short_help="Compare images or image sets, golden against new.", cls=HeadedCommand)(compare)
 app.add_typer(bench, name="bench", short_help="Try the devices of a rig one by one.")
-app.command(short_help="Print the JSON schema of rig or part files.")(schema)
+app.command(short_help="Print the JSON schema of rig or part files.", cls=HeadedCommand)(schema)
 
 
 def _speak_utf8() -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,158 +10,201 @@ from lightopt.cli._inputs import load_inputs
 from lightopt.cli._optimize_tables import show_design
 from lightopt.cli._options import (
     Force,
-    NoShadows,
     Out,
     PartFile,
     Patches,
     Points,
     Postures,
     Quiet,
+    Report,
     RigFile,
+    Shadows,
     Threads,
+    Verbose,
+    output_option,
     parse_points,
-    parse_posture,
+    parse_postures,
     parse_share,
 )
 from lightopt.cli._plan_options import given, plan_options
 from lightopt.cli._plan_tables import show_plan
-from lightopt.cli._terminal import say, say_warning, show_progress, show_table, show_time_left
+from lightopt.cli._terminal import say, say_warning, show_progress, show_table
 from lightopt.core.errors import CheckFailed, InputError
+from lightopt.core.run_context import RunContext
 
 if TYPE_CHECKING:
     from lightopt.design import DesignResult, TargetNotReached
+
+
+light_option = partial(typer.Option, rich_help_panel="Light positions")
+objective_option = partial(typer.Option, rich_help_panel="Objectives")
+posture_option = partial(typer.Option, rich_help_panel="Choice of postures")
+exposure_option = partial(typer.Option, rich_help_panel="Choice of exposures")
+tolerance_option = partial(typer.Option, rich_help_panel="Tolerance analysis")
 
 
 def optimize(
     rig: RigFile,
     part: PartFile,
     out: Out,
+    posture: Postures = None,
     step: Annotated[
-        float, typer.Option(metavar="DEG", help="Step of the angles within the lights' ranges.")
+        float,
+        light_option(metavar="DEG", help="Step of the angles within the lights' ranges."),
     ] = 5.0,
-    objective: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--objective",
-            metavar="NAME",
-            help="coverage, paper or detectability; repeatable, the first decides where the lights go. "
-            "[coverage, paper]",
-        ),
-    ] = None,
-    seen_in: Annotated[
-        int | None,
-        typer.Option(metavar="K", help="detectability: images that must show a defect. [1]"),
-    ] = None,
-    threshold: Annotated[
-        float | None,
-        typer.Option(
-            metavar="T",
-            help="detectability: a defect changes the level by T times the sensor's noise or more. [5]",
-        ),
-    ] = None,
     common_elevation: Annotated[
         bool,
-        typer.Option("--common-elevation", help="All lights that move in elevation stand at the same one."),
+        light_option("--common-elevation", help="Same elevation for all lights that move in elevation."),
     ] = False,
     common_lights: Annotated[
         bool,
-        typer.Option("--common-lights", help="The lights stand the same for all postures; the sum decides."),
-    ] = False,
-    shade_below: Annotated[
-        str,
-        typer.Option(
-            metavar="SHARE",
-            help="Levels less than this share of full scale above black are shaded, such as 10/255.",
+        light_option(
+            "--common-lights",
+            help="Same light positions for all postures; the sum over the postures decides.",
         ),
-    ] = "10/255",
-    posture: Postures = None,
-    points: Points = None,
-    no_shadows: NoShadows = False,
-    patches: Patches = None,
-    keep_matrix: Annotated[
-        bool,
-        typer.Option("--keep-matrix", help="Keep the luminance matrices; the same command then reuses them."),
     ] = False,
-    no_images: Annotated[
-        bool, typer.Option("--no-images", help="Do not render the images of the best set.")
-    ] = False,
-    no_report: Annotated[bool, typer.Option("--no-report", help="Do not write report.html.")] = False,
-    rows: Annotated[
-        int, typer.Option(metavar="N", help="Combinations in ranking.csv, per posture and objective.")
-    ] = 100,
     max_combinations: Annotated[
         int | None,
-        typer.Option(
+        light_option(
             metavar="N",
-            help="Stop after about N combinations (a box that is halved counts as 20000) and give a bound. [200000000]",
+            help="Stop after about N combinations and report a bound; a box that is halved counts as 20000.",
+            show_default="200000000",
+        ),
+    ] = None,
+    objective: Annotated[
+        list[str] | None,
+        objective_option(
+            "--objective",
+            metavar="coverage|paper|detectability",
+            help="Repeatable; the first decides where the lights go.",
+            show_default="coverage, paper",
+        ),
+    ] = None,
+    shade_below: Annotated[
+        str,
+        objective_option(
+            metavar="SHARE", help="Levels less than this share of full scale above black are shaded."
+        ),
+    ] = "10/255",
+    min_images: Annotated[
+        int | None,
+        objective_option(
+            metavar="K",
+            min=1,
+            help="detectability: number of images that must show a defect.",
+            show_default="1",
+        ),
+    ] = None,
+    threshold: Annotated[
+        float | None,
+        objective_option(
+            metavar="T",
+            help="detectability: a defect shows where it changes the level by T times the sensor's noise.",
+            show_default="5",
         ),
     ] = None,
     choose_postures: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Choose the N postures that show most of the surface together."),
+        posture_option(metavar="N", help="Choose the N postures that show most of the surface together."),
     ] = None,
     target: Annotated[
         str | None,
-        typer.Option(metavar="SHARE", help="Choose as few postures as show this share, such as 0.95 or 95%."),
+        posture_option(
+            metavar="SHARE", help="Choose as few postures as show this share, such as 0.95 or 95%."
+        ),
     ] = None,
     posture_step: Annotated[
-        float | None, typer.Option(metavar="DEG", help="Step of the postures to choose from. [22.5]")
+        float | None,
+        posture_option(metavar="DEG", help="Step of the postures to choose from.", show_default="22.5"),
     ] = None,
     allow_outside: Annotated[
         float | None,
-        typer.Option(
-            metavar="PX", help="How far the part may leave the view in a posture to choose from. [10]"
+        posture_option(
+            metavar="PX",
+            help="How far the part may leave the view in a posture to choose from.",
+            show_default="10",
         ),
     ] = None,
     exposures: Annotated[
         str | None,
-        typer.Option(
-            metavar="X,…",
-            help="Exposures offered to the plan, such as 1/16,1/4,1,4,16; taken where they add enough.",
-        ),
+        exposure_option(metavar="X,…", help="Exposures to choose from, such as 1/16,1/4,1,4,16."),
     ] = None,
     exposure_gain: Annotated[
         float | None,
-        typer.Option(metavar="POINTS", help="What a further exposure of a posture has to add, in %. [1]"),
+        exposure_option(
+            metavar="POINTS",
+            help="What a further exposure of a posture has to add, in percentage points.",
+            show_default="1",
+        ),
     ] = None,
-    tolerance_deg: Annotated[
+    light_tolerance: Annotated[
         float | None,
-        typer.Option(metavar="DEG", help="Say how far the score falls when each light is off by that much."),
+        tolerance_option(
+            metavar="DEG", help="Report how far the score falls when each light is off by this angle."
+        ),
     ] = None,
-    pose_tolerance_deg: Annotated[
-        float | None, typer.Option(metavar="DEG", help="The same when the part is off in tilt and rotation.")
+    pose_tolerance: Annotated[
+        float | None,
+        tolerance_option(
+            metavar="DEG",
+            help="Report how far the score falls when the part is off by this angle in tilt and rotation.",
+        ),
     ] = None,
     tolerance_target: Annotated[
         str | None,
-        typer.Option(metavar="SHARE", help="Share of the score that the widest tolerances keep. [0.95]"),
+        tolerance_option(
+            metavar="SHARE",
+            help="Share of the score to keep: the widest tolerances that keep it are reported.",
+            show_default="0.95",
+        ),
     ] = None,
-    threads: Threads = None,
+    points: Points = None,
+    shadows: Shadows = True,
+    patches: Patches = None,
+    keep_matrix: Annotated[
+        bool,
+        output_option(
+            "--keep-matrix", help="Keep the luminance matrices; the same command then reuses them."
+        ),
+    ] = False,
+    images: Annotated[
+        bool,
+        output_option("--images/--no-images", help="Render the images of the best set."),
+    ] = True,
+    report: Report = True,
+    ranking_rows: Annotated[
+        int,
+        output_option(metavar="N", help="Combinations in ranking.csv, per posture and objective."),
+    ] = 100,
     force: Force = False,
+    threads: Threads = None,
     quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Find where the lights of RIG go for PART: the best combination of their positions, exactly.
 
-    Every combination of the positions that the lights' ranges allow is scored on the levels that the camera would
-    deliver. coverage is the area that two images or more show usably, neither shaded nor saturated, and at most one
+    Scores every combination of the positions that the lights' ranges allow on the levels that the camera would deliver.
+    Objectives: coverage is the area that two images or more show usably, neither shaded nor saturated, and at most one
     saturated; paper is the sum of each patch's middle levels; detectability is the share of the surface × defects of
-    the part's catalogue that the images show above the noise, with its blind spots and why they are blind. Writes
-    result.json, ranking.csv, rig.optimized.yaml (one per posture where they differ), the images of the best set, the
-    map of their overlapping highlights, and report.html, a page that needs no network. Exit status 1 where no
+    the part's catalogue that the images show above the noise, with its blind spots and their causes.
+
+    Writes result.json, ranking.csv, rig.optimized.yaml (one per posture where they differ), the images of the best set,
+    the map of their overlapping highlights, and report.html, a page that needs no network. Exit status 1 where no
     combination leaves anything usable.
 
-    --choose-postures and --target choose postures from the stage's range, with one set of light positions for all, by
-    detectability; part.planned.yaml has them. --exposures and the tolerances look at the answer, whichever way it was
-    found.
+    --choose-postures and --target choose postures from the stage's range by detectability, with the same light
+    positions for all; they are written to part.planned.yaml. Exposures are chosen, and tolerances analysed, for the
+    lights and postures that were found.
 
     Example: lightopt optimize rig.yaml part.yaml -o best --step 5 --common-lights
     """
-    chosen_postures = tuple(parse_posture(text) for text in posture) if posture else None
-    chosen_points = None if points is None else parse_points(points)
+    chosen_postures = parse_postures(posture)
+    chosen_points = parse_points(points)
     share = _parse_shade(shade_below)
     of_defects = "detectability" in (objective or ()) or not (choose_postures is target is exposures is None)
-    for option, value in (("--seen-in", seen_in), ("--threshold", threshold)):
+    for option, value in (("--min-images", min_images), ("--threshold", threshold)):
         if value is not None and not of_defects:
-            raise InputError(f"{option} is of --objective detectability, which was not given")
+            raise InputError(f"{option}: does nothing without --objective detectability")
 
     plan = plan_options(
         choose_postures=choose_postures,
@@ -169,12 +213,12 @@ def optimize(
         allow_outside=allow_outside,
         exposures=exposures,
         exposure_gain=exposure_gain,
-        tolerance_deg=tolerance_deg,
-        pose_tolerance_deg=pose_tolerance_deg,
+        light_tolerance=light_tolerance,
+        pose_tolerance=pose_tolerance,
         tolerance_target=tolerance_target,
     )
 
-    from lightopt.design import OptimizeOptions, RunContext, TargetNotReached, finish_design, write_design
+    from lightopt.design import OptimizeOptions, TargetNotReached, finish_design, write_design
     from lightopt.design import optimize as design
     from lightopt.report import blind_pictures, optimum_report
 
@@ -188,21 +232,18 @@ def optimize(
         shade_below=share,
         postures=chosen_postures,
         points=chosen_points,
-        shadows=not no_shadows,
+        shadows=shadows,
         keep_matrix=keep_matrix,
-        images=not no_images,
-        report=not no_report,
-        rows=rows,
-        threads=threads,
-        **given(seen_in=seen_in, contrast=threshold, patch_budget=patches, limit=max_combinations),
+        images=images,
+        report=report,
+        rows=ranking_rows,
+        **given(min_images=min_images, threshold=threshold, patch_budget=patches, limit=max_combinations),
     )
-    total = choose_postures or len(chosen_postures or loaded_part.postures)
     try:
-        with (
-            show_progress("casting rays", total, quiet=quiet) as rays,
-            show_time_left("searching", quiet=quiet) as stage,
-        ):
-            run = RunContext(inform=None if quiet else say, warn=say_warning, rays=rays, stage=stage)
+        with show_progress(quiet=quiet) as progress:
+            run = RunContext(
+                threads=threads, progress=progress, inform=say if verbose else None, warn=say_warning
+            )
             result = design(loaded_rig, loaded_part, out, options=options, plan=plan, force=force, run=run)
             output = write_design(result, blind_pictures=blind_pictures(result), force=force, run=run)
             finish_design(output, optimum_report(output) if options.report else None)

@@ -3,50 +3,111 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from lightopt.cli._terminal import set_up_log
 from lightopt.core.errors import InputError
 
 if TYPE_CHECKING:
     from lightopt.core.transforms import Posture
 
 
+selection_option = partial(typer.Option, rich_help_panel="What to take")
+model_option = partial(typer.Option, rich_help_panel="Model")
+output_option = partial(typer.Option, rich_help_panel="Output")
+hardware_option = partial(typer.Option, rich_help_panel="Hardware")
+run_option = partial(typer.Option, rich_help_panel="Run")
+"""Headings of options in ``--help``."""
+
 RigFile = Annotated[Path, typer.Argument(metavar="RIG", help="Rig file (YAML): camera, lights, stage.")]
 PartFile = Annotated[
     Path, typer.Argument(metavar="PART", help="Part file (YAML): mesh, postures, reflectance.")
 ]
-Out = Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Output folder; made if missing.")]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite existing results.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no summary.")]
-Postures = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--posture", metavar="θ,φ", help="This tilt and rotation [deg] instead of the part's; repeatable."
-    ),
+Out = Annotated[
+    Path,
+    output_option("--out", "-o", metavar="DIR", help="Output folder; made if missing."),
 ]
-Lights = Annotated[
-    list[str] | None, typer.Option("--light", metavar="NAME", help="Only this light; repeatable.")
+Force = Annotated[bool, output_option("--force", help="Overwrite existing results.")]
+Report = Annotated[bool, output_option("--report/--no-report", help="Write report.html.")]
+JsonFile = Annotated[
+    Path | None,
+    output_option("--json", metavar="FILE", help="Write all results as JSON."),
 ]
 Sheet = Annotated[
     bool,
-    typer.Option(
-        "--sheet", help="Also a labelled contact sheet of all images, contact-sheet.png; one per exposure."
+    output_option(
+        "--sheet",
+        help="Write a contact sheet of all images with labels, contact-sheet.png; one per exposure.",
     ),
+]
+Lights = Annotated[
+    list[str] | None,
+    selection_option("--light", metavar="NAME", help="Take only this light; repeatable."),
+]
+Postures = Annotated[
+    list[str] | None,
+    selection_option(
+        "--posture",
+        metavar="θ,φ",
+        help="Take this tilt and rotation [deg] instead of the part's postures; repeatable.",
+    ),
+]
+Exposures = Annotated[
+    str,
+    selection_option(metavar="X,…", help="Exposures of each image, such as 1,1/16."),
 ]
 Points = Annotated[
     str | None,
-    typer.Option(metavar="M", help="Point lights per panel: 1, 4, 9, 16, … or auto, the converged panel."),
+    model_option(
+        metavar="M",
+        help="Point lights per panel: 1, 4, 9, 16, … or auto, the converged panel.",
+        show_default="as the rig file says",
+    ),
 ]
-NoShadows = Annotated[bool, typer.Option("--no-shadows", help="The part casts no shadows.")]
+Shadows = Annotated[bool, model_option("--shadows/--no-shadows", help="The part casts shadows.")]
 Patches = Annotated[
-    int | None, typer.Option(metavar="N", help="About how many surface patches may be visible. [200000]")
+    int | None,
+    model_option(
+        metavar="N", min=1, help="Target for the number of visible surface patches.", show_default="200000"
+    ),
+]
+Register = Annotated[
+    bool,
+    model_option(
+        "--register/--no-register",
+        help="Find where the part lies on the stage; otherwise assume nominal placement.",
+    ),
+]
+MinImages = Annotated[
+    int,
+    model_option(metavar="K", min=1, help="Number of images of a posture that must show a defect."),
 ]
 Threads = Annotated[
-    int | None, typer.Option(metavar="N", help="Threads; all by default. The files do not depend on it.")
+    int | None,
+    run_option(
+        metavar="N",
+        min=1,
+        help="Number of threads. The files do not depend on it.",
+        show_default="all processors",
+    ),
+]
+Quiet = Annotated[
+    bool,
+    run_option("--quiet", "-q", help="Print errors and warnings only."),
+]
+Verbose = Annotated[
+    bool,
+    run_option("--verbose", "-v", callback=set_up_log, help="Print all tables, and the log."),
+]
+SerialLog = Annotated[
+    Path | None,
+    output_option(metavar="FILE", help="Append every byte on the wires, with its time, to this file."),
 ]
 
 
@@ -61,8 +122,12 @@ def make_folder(folder: Path) -> None:
     make(folder)
 
 
-def parse_posture(text: str) -> Posture:
-    """Read ``θ,φ`` in degrees."""
+def parse_postures(texts: Sequence[str] | None) -> tuple[Posture, ...] | None:
+    """Read each ``θ,φ`` in degrees; None where there is none."""
+    return tuple(_parse_posture(text) for text in texts) if texts else None
+
+
+def _parse_posture(text: str) -> Posture:
     from lightopt.core.transforms import Posture
 
     parts = text.split(",")
@@ -73,6 +138,11 @@ def parse_posture(text: str) -> Posture:
     if not (math.isfinite(elevation) and math.isfinite(rotation)):
         raise InputError(f'--posture: expected elevation,rotation in degrees such as 0,82, found "{text}"')
     return Posture(elevation, rotation)
+
+
+def parse_exposures(text: str) -> tuple[float, ...]:
+    """Read numbers and fractions with commas between them."""
+    return tuple(parse_exposure(one, option="--exposures") for one in text.split(","))
 
 
 def parse_exposure(text: str, *, option: str = "--exposure") -> float:
@@ -87,7 +157,7 @@ def parse_exposure(text: str, *, option: str = "--exposure") -> float:
 
 
 def parse_share(text: str, *, option: str, expected: str) -> float:
-    """Read a number, a fraction such as 10/255, or per cent such as 95%; whether it is in its range is not looked at.
+    """Read a number, a fraction such as 10/255, or per cent such as 95%, of any size.
 
     expected: What it is a share of and an example, for the message
     """
@@ -106,10 +176,10 @@ def _number(text: str) -> float:
         return math.nan
 
 
-def parse_points(text: str) -> int | Literal["auto"]:
+def parse_points(text: str | None) -> int | Literal["auto"] | None:
     """Read the number of point lights of a panel."""
-    if text == "auto":
-        return "auto"
+    if text is None or text == "auto":
+        return text
     try:
         return int(text)
     except ValueError:

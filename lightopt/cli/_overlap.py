@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from lightopt.cli._optimize_tables import show_overlaps
-from lightopt.cli._options import Force, Quiet
+from lightopt.cli._options import Force, Quiet, Verbose, output_option
 from lightopt.cli._terminal import say
 
 
@@ -14,10 +14,11 @@ def overlap(
     images: Annotated[Path, typer.Argument(metavar="IMAGES", help="Image set: its folder or manifest.json.")],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="DIR", help="Write the maps (PNG) and overlap.json here."),
+        output_option("--out", "-o", metavar="DIR", help="Write the maps (PNG) and overlap.json here."),
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
+    _verbose: Verbose = False,
 ) -> None:
     """Report where the saturated regions of a posture's images overlap, rendered or captured.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from lightopt.cli._options import parse_exposure, parse_share
+from lightopt.cli._options import parse_exposures, parse_share
 from lightopt.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,18 +19,18 @@ def plan_options(
     allow_outside: float | None,
     exposures: str | None,
     exposure_gain: float | None,
-    tolerance_deg: float | None,
-    pose_tolerance_deg: float | None,
+    light_tolerance: float | None,
+    pose_tolerance: float | None,
     tolerance_target: str | None,
 ) -> PlanOptions:
     """Parse the options; one that does nothing without another is refused alone."""
-    no_tolerance = tolerance_deg is None and pose_tolerance_deg is None
+    no_tolerance = light_tolerance is None and pose_tolerance is None
     no_choice = choose_postures is None and target is None
     alone = [
         (posture_step, no_choice, "posture-step", "choose-postures or --target"),
         (allow_outside, no_choice, "allow-outside", "choose-postures or --target"),
         (exposure_gain, exposures is None, "exposure-gain", "exposures"),
-        (tolerance_target, no_tolerance, "tolerance-target", "tolerance-deg or --pose-tolerance-deg"),
+        (tolerance_target, no_tolerance, "tolerance-target", "light-tolerance or --pose-tolerance"),
     ]
     problems = [
         f"--{name}: does nothing without --{other}"
@@ -39,8 +39,7 @@ def plan_options(
     ]
     if problems:
         raise InputError(*problems)
-    texts = [] if exposures is None else exposures.split(",")
-    offered = tuple(parse_exposure(text, option="--exposures") for text in texts)
+    candidates = () if exposures is None else parse_exposures(exposures)
     shown_share, kept_share = (
         None if text is None else parse_share(text, option=option, expected=f"{of}, such as 0.95")
         for text, option, of in (
@@ -54,12 +53,12 @@ def plan_options(
     tolerances = None
     if not no_tolerance:
         tolerances = Tolerances(
-            light_deg=tolerance_deg or 0.0, pose_deg=pose_tolerance_deg or 0.0, **given(target=kept_share)
+            light_deg=light_tolerance or 0.0, pose_deg=pose_tolerance or 0.0, **given(target=kept_share)
         )
     return PlanOptions(
         postures=choose_postures,
         target=shown_share,
-        exposures=offered,
+        exposures=candidates,
         tolerances=tolerances,
         **given(posture_step_deg=posture_step, allow_outside_px=allow_outside, exposure_gain=exposure_gain),
     )

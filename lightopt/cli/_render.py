@@ -2,13 +2,11 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
-
 from lightopt.cli._inputs import load_inputs
 from lightopt.cli._options import (
+    Exposures,
     Force,
     Lights,
-    NoShadows,
     Out,
     PartFile,
     Patches,
@@ -16,15 +14,20 @@ from lightopt.cli._options import (
     Postures,
     Quiet,
     RigFile,
+    Shadows,
     Sheet,
     Threads,
-    parse_exposure,
+    Verbose,
+    model_option,
+    output_option,
+    parse_exposures,
     parse_points,
-    parse_posture,
+    parse_postures,
 )
 from lightopt.cli._sheets import add_sheets
 from lightopt.cli._terminal import say, say_warning, show_progress
 from lightopt.core.errors import counted
+from lightopt.core.run_context import RunContext
 
 
 def render(
@@ -33,29 +36,28 @@ def render(
     out: Out,
     light: Lights = None,
     posture: Postures = None,
+    exposures: Exposures = "1",
     points: Points = None,
-    exposure: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--exposure", metavar="X", help="Exposure of the PNGs, such as 1 or 1/16; repeatable. [1]"
-        ),
-    ] = None,
     noise: Annotated[
-        int | None, typer.Option(metavar="SEED", help="Add the sensor's shot and read noise to the PNGs.")
+        int | None,
+        model_option(metavar="SEED", help="Add the sensor's shot and read noise to the PNGs."),
     ] = None,
-    layers: Annotated[
-        bool, typer.Option("--layers", help="EXR channels diffuse.Y and specular.Y as well.")
-    ] = False,
-    no_shadows: NoShadows = False,
-    no_defects: Annotated[
-        bool, typer.Option("--no-defects", help="The good part, without the defects that PART names.")
-    ] = False,
-    supersample: Annotated[int, typer.Option(metavar="N", help="N × N rays per pixel.")] = 1,
+    shadows: Shadows = True,
+    defects: Annotated[
+        bool,
+        model_option("--defects/--no-defects", help="Show the defects that PART names."),
+    ] = True,
+    supersample: Annotated[int, model_option(metavar="N", min=1, help="Cast N × N rays per pixel.")] = 1,
     patches: Patches = None,
+    layers: Annotated[
+        bool,
+        output_option("--layers", help="Write EXR channels diffuse.Y and specular.Y as well."),
+    ] = False,
     sheet: Sheet = False,
-    threads: Threads = None,
     force: Force = False,
+    threads: Threads = None,
     quiet: Quiet = False,
+    _verbose: Verbose = False,
 ) -> None:
     """Render what the camera would see of PART on RIG: every light, every posture.
 
@@ -63,11 +65,11 @@ def render(
     depth, patch, and defect where PART names any), patches.npz, and manifest.json. Running the same command again
     continues where it was interrupted.
 
-    Example: lightopt render rig.yaml part.yaml -o out --exposure 1 --exposure 1/16
+    Example: lightopt render rig.yaml part.yaml -o out --exposures 1,1/16
     """
-    chosen_postures = tuple(parse_posture(text) for text in posture) if posture else None
-    exposures = tuple(parse_exposure(text) for text in exposure) if exposure else (1.0,)
-    chosen_points = None if points is None else parse_points(points)
+    chosen_postures = parse_postures(posture)
+    chosen_exposures = parse_exposures(exposures)
+    chosen_points = parse_points(points)
 
     from lightopt.rendering import DEFAULT_PATCH_BUDGET, RenderOptions, render_image_set
 
@@ -77,28 +79,25 @@ def render(
         lights=tuple(light) if light else None,
         postures=chosen_postures,
         points=chosen_points,
-        exposures=exposures,
+        exposures=chosen_exposures,
         noise=noise,
         layers=layers,
-        shadows=not no_shadows,
+        shadows=shadows,
         supersample=supersample,
-        defects=not no_defects,
+        defects=defects,
         patch_budget=DEFAULT_PATCH_BUDGET if patches is None else patches,
-        threads=threads,
     )
-    total = len(chosen_postures or loaded_part.postures)
-    with show_progress("rendering", total, quiet=quiet) as report:
-        done = render_image_set(
-            loaded_rig, loaded_part, out, options=options, force=force, warn=say_warning, report=report
-        )
+    with show_progress(quiet=quiet) as progress:
+        run = RunContext(threads=threads, progress=progress, warn=say_warning)
+        done = render_image_set(loaded_rig, loaded_part, out, options=options, force=force, run=run)
     if not quiet:
-        if done.replaced:
-            say(f"replaced the image set that was there ({counted(done.replaced, 'file')})")
         resumed = f" ({done.resumed} of them were there already)" if done.resumed else ""
         say(f"{counted(done.images, 'image')}{resumed}, {done.rays / 1e6:.1f} million rays")
+        if done.replaced:
+            say(f"replaced the image set that was there ({counted(done.replaced, 'file')})")
         if done.patches is not None:
             say(done.patches)
         say(f"{done.folder / 'manifest.json'}")
     if sheet:
         title = f"{loaded_part.name} on {loaded_rig.name}"
-        add_sheets(out, exposures=exposures, title=title, force=force, quiet=quiet)
+        add_sheets(out, exposures=chosen_exposures, title=title, force=force, quiet=quiet)

@@ -1,0 +1,30 @@
+"""Options in messages: the library names them as its own parameters, the command line as its flags."""
+
+from __future__ import annotations
+
+import re
+
+FLAGS = {
+    "R_d_start": "--start-rd",
+    "R_s_start": "--start-rs",
+    "away": "--highlight-margin",
+    "limit": "--max-combinations",
+    "lights": "--light",
+    "objectives": "--objective",
+    "patch_budget": "--patches",
+    "postures": "--posture",
+    "rows": "--ranking-rows",
+    "sigma_start": "--start-sigma",
+    "step_deg": "--step",
+}
+"""Flags that are not the parameter's name with dashes."""
+
+
+def flag(name: str) -> str:
+    """The flag of a library's option."""
+    return FLAGS.get(name, f"--{name.replace('_', '-')}")
+
+
+def with_flags(message: str) -> str:
+    """A message of the library with the flags of the options that it names as: option 'name'."""
+    return re.sub(r"option '(\w+)'", lambda match: flag(match[1]), message)
