@@ -20,6 +20,7 @@ from lightopt.cli._options import (
 from lightopt.cli._sheets import add_sheets
 from lightopt.cli._terminal import say, say_error, say_warning, show_share, show_table
 from lightopt.core.errors import InputError, Interrupted, counted
+from lightopt.core.run_context import RunContext
 
 if TYPE_CHECKING:
     from lightopt.rig.capture import CapturePlan, CaptureResult
@@ -123,8 +124,7 @@ def capture(
                 resume=resume,
                 force=force,
                 serial_log=serial_log,
-                warn=say_warning,
-                report=report,
+                run=RunContext(progress=report, warn=say_warning),
             )
     except Interrupted as stopped:
         say_error(*stopped.messages, label="")
