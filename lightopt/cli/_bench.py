@@ -11,6 +11,7 @@ from lightopt.cli._options import Force, RigFile, SerialLog, parse_exposure
 from lightopt.cli._parser import HeadedCommand
 from lightopt.cli._terminal import say, say_warning, show_table
 from lightopt.core.errors import HardwareError, InputError, LightoptError
+from lightopt.core.run_context import RunContext
 
 if TYPE_CHECKING:
     from lightopt.config import CameraDeviceConfig, RigConfig
@@ -88,7 +89,7 @@ def off(rig: RigFile, serial_log: SerialLog = None) -> None:
 
     lights = load_lights(rig)
     try:
-        done = switch_off(lights, serial_log=serial_log, warn=say_warning)
+        done = switch_off(lights, serial_log=serial_log, run=RunContext(warn=say_warning))
     finally:
         for problem in lights.problems:
             say_warning(problem)
@@ -186,7 +187,9 @@ def snap(
     if light is not None:
         check_level(wiring, loaded, light, None)
         check_on_time(wiring, loaded, light, snap_on_s(wiring, relative))
-    devices = connect_devices(loaded, wiring, part=loaded_part, serial_log=serial_log, warn=say_warning)
+    devices = connect_devices(
+        loaded, wiring, part=loaded_part, serial_log=serial_log, run=RunContext(warn=say_warning)
+    )
     with devices:
         low, high, mean = take(devices, file, light=light, exposure=relative, overwrite=force)
     say(f"levels {low} to {high}, mean {mean:.1f}")
@@ -285,8 +288,8 @@ def _open(
         camera=False,
         serial_log=serial_log,
         touch_lights=touch_lights,
-        warn=say_warning,
         unreachable=unreachable,
+        run=RunContext(warn=say_warning),
     )
 
 

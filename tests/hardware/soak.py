@@ -21,6 +21,7 @@ from rig_faults import gige_rig
 
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.core.errors import HardwareError
+from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.rig.capture import CaptureOptions, CapturePlan, Devices, capture, connect_devices, start_bench
 from lightopt.rig.simulated import BenchProcess
@@ -97,7 +98,15 @@ def soak(folder: Path, *, postures: int, rate: float, seed: int, most_stops: int
     resume = False
     while True:
         try:
-            capture(rig, part, out, options=options, resume=resume, connect=connect, report=report)
+            capture(
+                rig,
+                part,
+                out,
+                options=options,
+                resume=resume,
+                connect=connect,
+                run=RunContext(progress=report),
+            )
             break
         except HardwareError:
             counts["stops"] += 1

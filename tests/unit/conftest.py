@@ -58,7 +58,7 @@ def take(bench, world, monkeypatch):
     scene = build_scene(rig, part)
 
     def run(folder=bench.out, truth=None, rig=rig, part=part, **options):
-        control = {key: options.pop(key) for key in ("resume", "force", "warn", "report") if key in options}
+        control = {key: options.pop(key) for key in ("resume", "force", "run") if key in options}
         return capture(
             rig,
             part,

@@ -15,6 +15,7 @@ from capture_doubles import broken, changing_at
 
 from lightopt.core.errors import HardwareError, InputError, Interrupted
 from lightopt.core.provenance import file_sha256
+from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.images import ImageSetWriter, png_name, read_image_set, read_png
 from lightopt.rig.capture import CapturePlan
@@ -259,7 +260,7 @@ def test_a_disk_that_hangs_is_waited_for_and_the_folder_stays_locked(take, world
     with pytest.raises(
         Interrupted, match="all lights are off; 1 of 4 images are on disk; go on with --resume"
     ):
-        take(warn=said.append)
+        take(run=RunContext(warn=said.append))
     at_the_keys.join()
     assert said == [
         "all lights are off; waiting for the disk to take what was exposed; Ctrl-C waits for it, too"

@@ -9,6 +9,7 @@ from typing import Any
 
 from lightopt.config import PartConfig, RigConfig, StageDeviceConfig
 from lightopt.core.errors import InputError, LightoptError
+from lightopt.core.run_context import RunContext
 from lightopt.rig.capture._devices import Devices
 from lightopt.rig.capture._folder_camera import FolderCamera
 from lightopt.rig.capture._lights import open_lights
@@ -43,8 +44,8 @@ def connect_devices(
     truth: BenchTruth | None = None,
     bench: BenchProcess | None = None,
     touch_lights: bool = True,
-    warn: Callable[[str], None] | None = None,
     unreachable: dict[str, LightoptError] | None = None,
+    run: RunContext | None = None,
 ) -> Devices:
     """Open lights, stage and camera; nothing is lit or moved.
 
@@ -59,10 +60,9 @@ def connect_devices(
     truth: How the virtual bench differs from the files.
     bench: A virtual bench that runs already; it is left running.
     touch_lights: False to only look at the devices: nothing is switched.
-    warn: Called with irregularities on the wires as they happen, and if the serial log ends early (which ends no
-        more).
     unreachable: Collects the controllers and the stage that do not answer, with why; the others are opened. None: an
         error.
+    run: Gets warnings of irregularities on the wires as they happen, and if the serial log ends early.
 
     Raises
     ------
@@ -70,12 +70,13 @@ def connect_devices(
     HardwareError: A device does not answer. By then every controller that can be reached was darkened, unless
         `touch_lights` is false, and the message names the lights that may still burn.
     """
+    run = run or RunContext()
     replay = check_devices(rig, wiring, plan, camera=camera)
     signals = EndSignals()
     signals.install()
     with ExitStack() as stack:
         stack.callback(signals.restore)
-        log = SerialLog(serial_log, warn=warn)
+        log = SerialLog(serial_log, warn=run.warn)
         closing: list[Callable[[], None]] = [log.close]
         stack.callback(log.close)
         if bench is None and wiring.needs_bench:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from lightopt.config import LightsOnly
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
+from lightopt.core.run_context import RunContext
 from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._simulated_rig import start_lights
 from lightopt.rig.capture._wiring import VIRTUAL, VIRTUAL_EXPOSURE_US, Wiring, wiring_of
@@ -147,15 +148,12 @@ class SwitchedOff:
 
 
 def switch_off(
-    lights: LightsOnly,
-    *,
-    serial_log: Path | None = None,
-    warn: Callable[[str], None] | None = None,
+    lights: LightsOnly, *, serial_log: Path | None = None, run: RunContext | None = None
 ) -> SwitchedOff:
     """Darken every channel of every controller, no controller waiting for another; stage and camera are left alone.
 
-    `lights` are the rig's, as far as its file can be read. `serial_log` gets every byte on the wires; `warn` is called
-    with irregularities on the wires as they happen, and if that file ends early.
+    `lights` are the rig's, as far as its file can be read. `serial_log` gets every byte on the wires, `run` warnings
+    of irregularities on the wires as they happen, and if that file ends early.
 
     Raises
     ------
@@ -163,6 +161,7 @@ def switch_off(
         burn.
     InputError: The same, where nothing failed but controllers of the file cannot be read.
     """
+    run = run or RunContext()
     wiring = _wiring(lights)
     names = wiring.hardware.controllers
     real = [name for name in names if names[name].port != VIRTUAL]
@@ -175,7 +174,7 @@ def switch_off(
     with ExitStack() as stack:
         stack.callback(signals.restore)
         stack.enter_context(signals.shielded())  # Ctrl-C waits until every channel was tried
-        log = SerialLog(serial_log, warn=warn)
+        log = SerialLog(serial_log, warn=run.warn)
         stack.callback(log.close)
         ports: dict[str, str] = {}
         for group in (real, virtual):  # what is real does not wait for what is not

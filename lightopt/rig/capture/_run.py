@@ -10,13 +10,14 @@ from pathlib import Path
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError
+from lightopt.core.run_context import RunContext
 from lightopt.rig.capture._connect import connect_devices
 from lightopt.rig.capture._devices import Devices
 from lightopt.rig.capture._image_records import open_set
 from lightopt.rig.capture._lock import lock_folder
 from lightopt.rig.capture._options import CaptureOptions
 from lightopt.rig.capture._plan import CapturePlan, make_plan
-from lightopt.rig.capture._session import CaptureReport, CaptureSession
+from lightopt.rig.capture._session import CaptureSession
 from lightopt.rig.capture._timing import Timing
 from lightopt.rig.devices import Camera
 from lightopt.scene import build_scene
@@ -58,8 +59,7 @@ def capture(
     force: bool = False,
     connect: Connect | None = None,
     serial_log: Path | None = None,
-    warn: Callable[[str], None] | None = None,
-    report: CaptureReport | None = None,
+    run: RunContext | None = None,
 ) -> CaptureResult:
     """Capture an image set: every light in every posture at every exposure.
 
@@ -69,7 +69,7 @@ def capture(
     force: Replace the set that is there.
     connect: Opens the devices; by default those of the rig's file.
     serial_log: File that gets every byte on the wires with its time.
-    warn: Called with warnings, also of irregularities on the wires.
+    run: Gets warnings, also of irregularities on the wires, and with what is being done the share of images on disk.
 
     Raises
     ------
@@ -80,6 +80,7 @@ def capture(
     Interrupted: After Ctrl-C and the signals that end a program, once the lights are off; the message says what is
         on disk.
     """
+    run = run or RunContext()
     folder, timing, begun = Path(folder), Timing(), time.monotonic()
     with timing.spent("opening_s"):
         plan = make_plan(rig, part, options)
@@ -89,14 +90,14 @@ def capture(
 
         def begin() -> CaptureSession:
             records = open_set(folder, rig, part, scene, plan, resume=resume, force=force)
-            return after.enter_context(CaptureSession(plan, scene, records, timing, warn, report))
+            return after.enter_context(CaptureSession(plan, scene, records, timing, run))
 
         def open_devices() -> Devices:
             if connect is not None:
                 opened = connect(plan)
             else:
                 opened = connect_devices(
-                    rig, plan.wiring, part=part, plan=plan, serial_log=serial_log, warn=warn
+                    rig, plan.wiring, part=part, plan=plan, serial_log=serial_log, run=run
                 )
             devices = safe.enter_context(opened)
             _check_camera(devices.camera, rig)
@@ -105,25 +106,25 @@ def capture(
         with timing.spent("opening_s"):
             # a set that is there is removed only once the devices that are to replace it are open and dark
             devices = open_devices() if force else None
-            run = begin()
-            run.warn(*scene.warnings)
-            if devices is None and run.todo():
+            session = begin()
+            session.warn(*scene.warnings)
+            if devices is None and session.todo():
                 devices = open_devices()
         if devices is not None:
-            run.execute(devices)
+            session.execute(devices)
             with timing.spent("closing_s"):
                 safe.close()
-        run.flush()
+        session.flush()
     timing.whole_s = time.monotonic() - begun
     return CaptureResult(
         folder=folder,
         images=len(plan.keys),
-        taken=run.taken,
-        replaced=run.replaced,
+        taken=session.taken,
+        replaced=session.replaced,
         retries=0 if devices is None else devices.retries,
         virtual_bench=not plan.wiring.given,
         timing=timing,
-        warnings=run.warnings,
+        warnings=session.warnings,
     )
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from types import TracebackType
 
 from lightopt.core.arrays import Float32
 from lightopt.core.errors import HardwareError, InputError, Interrupted, LightoptError, counted
+from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.rig.capture._acquisition import AcquiredImage, AcquisitionEngine
 from lightopt.rig.capture._background_writer import BackgroundWriter
@@ -27,9 +28,6 @@ DISK_WARNING_S = 1.0
 Dark = dict[float, Float32]
 """Frames without light of a posture by relative exposure."""
 
-CaptureReport = Callable[[str, float], None]
-"""Called with what is being done and the share of the images that is there (0 to 1)."""
-
 
 class CaptureSession:
     """Takes the missing images of a plan, and reports where an interrupted run stands.
@@ -43,15 +41,13 @@ class CaptureSession:
         scene: Scene,
         records: CapturedSet,
         timing: Timing,
-        warn: Callable[[str], None] | None,
-        report: CaptureReport | None,
+        run: RunContext,
     ) -> None:
         self._plan = plan
         self._scene = scene
         self._records = records
         self._timing = timing
-        self._warn = warn
-        self._report = report
+        self._run = run
         self._writer = BackgroundWriter(timing)
         self._checker = ImageChecker(scene, check=plan.options.check, with_dark=plan.options.dark)
         self._there = len(plan.keys) - sum(
@@ -112,8 +108,7 @@ class CaptureSession:
         for text in texts:
             if text not in self.warnings:
                 self.warnings += (text,)
-                if self._warn is not None:
-                    self._warn(text)
+        self._run.warn(*texts)
 
     def todo(self) -> tuple[PostureTask, ...]:
         """Postures in which something is missing."""
@@ -209,8 +204,8 @@ class CaptureSession:
             with signals.shielded():
                 if failed:
                     self._writer.cancel_linears()
-                if not self._writer.wait_idle(DISK_WARNING_S) and self._warn is not None:
-                    self._warn(
+                if not self._writer.wait_idle(DISK_WARNING_S):
+                    self._run.warn(
                         f"{lights}waiting for the disk to take what was exposed; Ctrl-C waits for it, too"
                     )
                 self._writer.close()
@@ -335,5 +330,5 @@ class CaptureSession:
         return engine.expose(task.posture, exposure)
 
     def _report_progress(self, what: str) -> None:
-        if self._report is not None:
-            self._report(what, (self._there + self.taken) / len(self._plan.keys))
+        if (report := self._run.stage(what)) is not None:
+            report((self._there + self.taken) / len(self._plan.keys))
