@@ -24,7 +24,7 @@ from lightopt.cli._options import (
 )
 from lightopt.cli._plan_options import given, plan_options
 from lightopt.cli._plan_tables import show_plan
-from lightopt.cli._terminal import say, say_warning, show_progress, show_table, show_time_left
+from lightopt.cli._terminal import say, say_warning, show_table, show_time_left
 from lightopt.core.errors import CheckFailed, InputError
 
 if TYPE_CHECKING:
@@ -174,7 +174,8 @@ def optimize(
         tolerance_target=tolerance_target,
     )
 
-    from lightopt.design import OptimizeOptions, RunContext, TargetNotReached, finish_design, write_design
+    from lightopt.core.run_context import RunContext
+    from lightopt.design import OptimizeOptions, TargetNotReached, finish_design, write_design
     from lightopt.design import optimize as design
     from lightopt.report import blind_pictures, optimum_report
 
@@ -193,16 +194,13 @@ def optimize(
         images=not no_images,
         report=not no_report,
         rows=rows,
-        threads=threads,
         **given(seen_in=seen_in, contrast=threshold, patch_budget=patches, limit=max_combinations),
     )
-    total = choose_postures or len(chosen_postures or loaded_part.postures)
     try:
-        with (
-            show_progress("casting rays", total, quiet=quiet) as rays,
-            show_time_left("searching", quiet=quiet) as stage,
-        ):
-            run = RunContext(inform=None if quiet else say, warn=say_warning, rays=rays, stage=stage)
+        with show_time_left("searching", quiet=quiet) as progress:
+            run = RunContext(
+                threads=threads, progress=progress, inform=None if quiet else say, warn=say_warning
+            )
             result = design(loaded_rig, loaded_part, out, options=options, plan=plan, force=force, run=run)
             output = write_design(result, blind_pictures=blind_pictures(result), force=force, run=run)
             finish_design(output, optimum_report(output) if options.report else None)
