@@ -12,7 +12,6 @@ from lightopt.design._design_result import DesignResult
 from lightopt.design._files import DesignOutput, finish_design, write_design
 from lightopt.design._optimize import optimize
 from lightopt.design._options import OptimizeOptions, PlanOptions
-from lightopt.design._plan_progress import RunContext
 from lightopt.design._plan_result import SHARES_OF, ChosenPostures, PlanResult, ToleranceResult
 from lightopt.design._result import ObjectiveResult, SetResult, angles_of
 from lightopt.design._texts import (
@@ -100,7 +99,6 @@ __all__ = [
     "PlanResult",
     "PostureChoice",
     "PostureRequest",
-    "RunContext",
     "SetResult",
     "Setup",
     "TargetNotReached",

@@ -14,10 +14,10 @@ from typing import Any
 
 from lightopt.config import load_rig
 from lightopt.core.arrays import UInt8
+from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.design._design_result import DesignResult
 from lightopt.design._edited_files import planned_part_text, rig_texts
-from lightopt.design._plan_progress import RunContext
 from lightopt.design._previous_result import (
     PLANNED_PART_NAME,
     REPORT_NAME,
@@ -235,7 +235,7 @@ def _render(images: _Images, result: DesignResult, force: bool, run: RunContext)
             shadows=options.shadows,
             patch_budget=options.patch_budget,
             defects=False,
-            threads=options.threads,
+            threads=run.threads,
         ),
         force=force,
         warn=run.warn,

@@ -13,13 +13,13 @@ from typing import Any
 
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.core.errors import InputError
+from lightopt.core.run_context import RunContext
 from lightopt.design._checks import check_request
 from lightopt.design._commands import command_text
 from lightopt.design._design_result import DesignResult
 from lightopt.design._edited_files import check_editable
 from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions
 from lightopt.design._placed_lights import PlacedLights
-from lightopt.design._plan_progress import RunContext, of_stage
 from lightopt.design._plan_result import ChosenPostures, PlanResult
 from lightopt.design._previous_result import refuse_other_result
 from lightopt.design._provenance import known_provenance, run_provenance
@@ -86,12 +86,12 @@ def optimize(
     if plan.chooses:
         if not force:
             refuse_other_result(folder, known_provenance(rig, part, options, plan))
-        postures = _ChosenPostures(*plan_postures(rig, part, options, plan, run.inform, run.stage))
+        postures = _ChosenPostures(*plan_postures(rig, part, options, plan, run))
         options = postures.fixed_in(options, rig)
 
     problem = _state_problem(rig, part, options, plan, None if force else folder, run)
     table = None if postures is None else postures.survey.table_of(postures.chosen.way.order)
-    matrices = problem.matrices(folder, table)
+    matrices = problem.matrices(folder, table, run)
     found = _search(problem, matrices, run)
     if postures is not None:
         found = _scored_on_all_images(found, problem, postures, run)
@@ -163,7 +163,7 @@ class _Problem:
         """The objective of defects; None where it is not among the objectives."""
         return next((one for one in self.objectives if isinstance(one, DetectabilityObjective)), None)
 
-    def matrices(self, folder: Path, table: PatchTable | None) -> PostureMatrices:
+    def matrices(self, folder: Path, table: PatchTable | None, run: RunContext) -> PostureMatrices:
         """The responses of the candidates; `table` has patches that were cut before."""
         defects = None if self.defects is None else detection_model_of(self.scene, self.part, self.options)
         return PostureMatrices(
@@ -175,10 +175,11 @@ class _Problem:
             folder,
             self.caster,
             defects,
+            run,
             table,
         )
 
-    def survey(self, matrices: PostureMatrices) -> ImageEvaluator:
+    def survey(self, matrices: PostureMatrices, threads: int | None) -> ImageEvaluator:
         """The part as the search sees it."""
         return ImageEvaluator(
             scene=self.scene,
@@ -186,7 +187,7 @@ class _Problem:
             caster=self.caster,
             detection=detection_model_of(self.scene, self.part, self.options),
             shadows=self.options.shadows,
-            threads=self.options.threads,
+            threads=threads,
         )
 
 
@@ -230,8 +231,7 @@ def _state_problem(
     candidates = all_candidates = candidates_in(scene, options.places)
     if options.places is not None and any(map(can_move, rig.lights)):
         all_candidates = candidates_in(scene, None)
-    for text in (*scene.warnings, *coarse_warnings(scene.lights, scene.reflectance.sigma)):
-        run.warn(text)
+    run.warn(*scene.warnings, *coarse_warnings(scene.lights, scene.reflectance.sigma))
     return _Problem(
         rig=rig,
         part=part,
@@ -264,8 +264,7 @@ def _objectives(
     possible = tuple(objective for objective in chosen if refusals[objective.name] is None)
     if problems and (options.objectives or not possible):
         raise InputError(*problems)
-    for text in problems:
-        run.warn(text)
+    run.warn(*problems)
     return possible
 
 
@@ -281,15 +280,13 @@ class _Found:
 def _search(problem: _Problem, matrices: PostureMatrices, run: RunContext) -> _Found:
     """The best positions for every objective, exactly."""
     objectives, thresholds, options = problem.objectives, problem.thresholds, problem.options
-    free = candidates_of_others(matrices, problem.rig, problem.all_candidates, len(objectives), run.warn)
+    free = candidates_of_others(matrices, problem.rig, problem.all_candidates, len(objectives), run)
     if free is not None or options.places is None:
         run.inform(combinations_text(free or problem.candidates))
     first = objectives if free is None else objectives[:1]
-    results, visibility = search_objectives(matrices, first, thresholds, run.rays, run.stage, run.warn)
+    results, visibility = search_objectives(matrices, first, thresholds, run)
     if free is not None:
-        results = search_other_objectives(
-            matrices, free, results, objectives, thresholds, run.rays, run.stage, run.warn
-        )
+        results = search_other_objectives(matrices, free, results, objectives, thresholds, run)
     if options.report:
         matrices.patches()
     if matrices.coarse_warning is not None:
@@ -308,7 +305,7 @@ def _scored_on_all_images(
         postures.survey,
         found.candidates,
         candidates_of(problem.rig, problem.options),
-        of_stage(run.stage, "the score along each angle"),
+        run.stage("the score along each angle"),
     )
     return replace(found, results=(result,))
 
@@ -329,13 +326,13 @@ def _complete(
     brackets, tolerances = None if chosen is None else chosen.brackets, ()
     if plan.exposures or plan.tolerances is not None:
         # all shares are of the surface that the postures were chosen on
-        survey = problem.survey(matrices) if postures is None else postures.survey
+        survey = problem.survey(matrices, run.threads) if postures is None else postures.survey
         if plan.exposures and chosen is None:
-            brackets = lights.exposures(survey, plan, run.stage)
+            brackets = lights.exposures(survey, plan, run)
         if plan.tolerances is not None:
             objective = found.results[0].answers[0].objective
             tolerances = lights.tolerances(
-                survey, plan.tolerances, brackets, objective, problem.thresholds, run.stage
+                survey, plan.tolerances, brackets, objective, problem.thresholds, run
             )
     if chosen is None and brackets is None:
         return PlanResult(tolerances=tolerances), found.visibility
@@ -346,12 +343,12 @@ def _complete(
         return planned, found.visibility
     candidates = found.candidates if chosen is None else candidates_of(problem.rig, problem.options)
     visibility = planned_visibility(
-        problem.survey(matrices),
+        problem.survey(matrices, run.threads),
         lights.setup(brackets),
         candidates,
         all_exposures=plan.all_exposures,
         thresholds=problem.thresholds,
         least=problem.options.seen_in,
-        progress=of_stage(run.stage, "blind spots"),
+        progress=run.stage("blind spots"),
     )
     return planned, visibility

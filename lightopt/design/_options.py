@@ -60,7 +60,6 @@ class OptimizeOptions:
     report: bool = False
     rows: int = 100
     limit: int = DEFAULT_LIMIT
-    threads: int | None = None
     places: tuple[tuple[float, float], ...] | None = None
 
 
@@ -73,7 +72,6 @@ def check_options(options: OptimizeOptions) -> None:
         ("patch budget", options.patch_budget),
         ("ranking rows", options.rows),
         ("combination limit", options.limit),
-        ("threads", 1 if options.threads is None else options.threads),
     ):
         if value < 1:
             problems.append(f"{name}: expected at least 1, found {value}")

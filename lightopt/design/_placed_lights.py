@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from lightopt.config import RigConfig
+from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.design._commands import Command, plan_commands, render_words
 from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions
-from lightopt.design._plan_progress import Tell, of_stage
 from lightopt.design._plan_result import ToleranceResult
 from lightopt.design._previous_result import PLANNED_PART_NAME, RIG_NAME
 from lightopt.design._result import SetResult, angles_of
@@ -59,7 +59,7 @@ class PlacedLights:
             points=self.options.points,
         )
 
-    def exposures(self, survey: ImageEvaluator, plan: PlanOptions, stage: Tell | None) -> Brackets:
+    def exposures(self, survey: ImageEvaluator, plan: PlanOptions, run: RunContext) -> Brackets:
         """Further exposures that add enough."""
         postures = tuple(self.angles)
         setup = self.setup(None)
@@ -72,7 +72,7 @@ class PlacedLights:
             seen_in=self.options.seen_in,
             gain_points=plan.exposure_gain,
             target=plan.target,
-            progress=of_stage(stage, "exposures"),
+            progress=run.stage("exposures"),
         )
 
     def tolerances(
@@ -82,7 +82,7 @@ class PlacedLights:
         brackets: Brackets | None,
         objective: Objective,
         thresholds: LevelThresholds,
-        stage: Tell | None,
+        run: RunContext,
     ) -> tuple[ToleranceResult, ...]:
         """How far the objective's score falls, in each posture and in all together."""
         drawn = replace(survey, table=drawn_patches(survey.table, DRAWN_PATCHES))
@@ -97,7 +97,7 @@ class PlacedLights:
                     self._assessment(drawn, self.setup(brackets, group), objective, thresholds),
                     [light.name for light in self.rig.lights],
                     tolerances,
-                    progress=of_stage(stage, f"tolerances, {', '.join(map(str, group))}"),
+                    progress=run.stage(f"tolerances, {', '.join(map(str, group))}"),
                 ),
                 unit=objective.unit,
                 patches=len(drawn.patches),

@@ -312,13 +312,13 @@ def test_a_limit_is_said_with_its_bound(three, cli):
 
 
 def test_an_interrupted_run_leaves_whole_matrices_that_are_reused(three):
-    def stop(posture, share, rays):
-        if posture.rotation_deg == 170.0:
+    def stop(stage, share):
+        if stage.startswith("casting rays") and stage.endswith(", 170°)"):
             raise KeyboardInterrupt
 
     options = OptimizeOptions(step_deg=10.0, patch_budget=800, keep_matrix=True, images=False)
     with pytest.raises(KeyboardInterrupt):
-        design(three.rig, three.part, three.out, options=options, rays=stop)
+        design(three.rig, three.part, three.out, options=options, progress=stop)
     assert [p.relative_to(three.out).as_posix() for p in three.out.rglob("*") if p.is_file()] == [
         "posture_0_0/matrix.npz"
     ]

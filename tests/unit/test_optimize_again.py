@@ -138,7 +138,7 @@ def test_the_rig_is_written_as_it_was_loaded(three):
     def spoil(*_):
         three.rig.write_text("spoilt", encoding="utf-8")
 
-    design(three.rig, three.part, three.out, options=ONE, rays=spoil)
+    design(three.rig, three.part, three.out, options=ONE, progress=spoil)
     assert three.rig.read_text(encoding="utf-8") == "spoilt"
     path = three.out / "rig.optimized.yaml"
     assert "# the low one" in path.read_text(encoding="utf-8")

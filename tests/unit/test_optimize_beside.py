@@ -22,7 +22,6 @@ OPTIONS = OptimizeOptions(
     common_lights=True,
     patch_budget=400,
     images=False,
-    threads=2,
     objectives=("coverage", "paper"),
 )
 

@@ -12,6 +12,7 @@ from planned import CATALOGUE
 
 from lightopt.config import load_part, load_rig
 from lightopt.core.errors import InputError
+from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.design import (
     OBJECTIVES,
@@ -545,7 +546,7 @@ def test_more_starts_are_never_worse_than_the_lights_as_they_stand_alone(world, 
     wanted = PostureRequest(count=count)
     candidates = find_candidates(rig, step_deg=5.0)
     turns = turning.AlternatingSearch(
-        survey, POSTURES, candidates, seen_in=1, where="all patches", prove=True, progress=None
+        survey, POSTURES, candidates, seen_in=1, where="all patches", prove=True, run=RunContext()
     )
     alone = turns.improve(turns.solution_for(build_lights(rig), None, wanted), 6, wanted)
     found = choose_postures(survey, survey, POSTURES, build_lights(rig), candidates, wanted)

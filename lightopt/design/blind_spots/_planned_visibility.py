@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from functools import reduce
 from itertools import chain
 
+from lightopt.core.run_context import Share
 from lightopt.core.transforms import Posture
-from lightopt.design._plan_progress import Share
 from lightopt.design.blind_spots._blind_spots import DefectVisibility, combined_visibility, defect_visibility
 from lightopt.design.blind_spots._summary import PostureVisibility
 from lightopt.design.candidates._candidates import Candidates

@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
-from lightopt.design._plan_progress import Tell, of_stage, prefixed
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.exposures._brackets import Brackets
 from lightopt.design.exposures._plan_exposures import plan_exposures
@@ -41,11 +41,11 @@ def choose_with_exposures(
     *,
     exposures: Sequence[float],
     gain_points: float,
-    progress: Tell | None = None,
+    run: RunContext,
 ) -> tuple[PostureChoice, Brackets | None]:
     """Choose postures and lights, and which further exposures are planned; figures are of the planned images.
 
-    whole, drawn, postures, start, candidates, request, progress: As for :func:`lightopt.design.choose_postures`;
+    whole, drawn, postures, start, candidates, request, run: As for :func:`lightopt.design.choose_postures`;
         evaluators of exposure 1.
     exposures: Exposures, 1 among them; with no other the choice is that of exposure 1, and there are no brackets.
     gain_points: What a further exposure has to add [hundredths of the pairs].
@@ -57,12 +57,10 @@ def choose_with_exposures(
     """
     levels = tuple(dict.fromkeys((1.0, *exposures)))
     if len(levels) == 1:
-        return choose_postures(whole, drawn, postures, start, candidates, request, progress=progress), None
+        return choose_postures(whole, drawn, postures, start, candidates, request, run=run), None
 
     def chosen_on(every: ImageEvaluator, some: ImageEvaluator, stage: str) -> PostureChoice:
-        choice = choose_postures(
-            every, some, postures, start, candidates, request, progress=prefixed(progress, stage)
-        )
+        choice = choose_postures(every, some, postures, start, candidates, request, run=run.within(stage))
         # the counts of positions are of other images than those that will be planned
         return replace(choice, position_counts=None)
 
@@ -73,7 +71,7 @@ def choose_with_exposures(
     if not any(one.postures for one in both):
         return together, None
     planner = _JointPlanner(
-        whole=every, candidates=candidates, request=request, least_gain=gain_points / 100.0, progress=progress
+        whole=every, candidates=candidates, request=request, least_gain=gain_points / 100.0, run=run
     )
     best = max((planner.add_exposures(one) for one in both if one.postures), key=planner.merit)
     best = planner.place_lights(best)
@@ -98,7 +96,7 @@ class _JointPlanner:
     candidates: Candidates | None
     request: PostureRequest
     least_gain: float
-    progress: Tell | None
+    run: RunContext
 
     def add_exposures(self, choice: PostureChoice) -> _Plan:
         """A choice with the exposures that have enough gain."""
@@ -110,7 +108,7 @@ class _JointPlanner:
             seen_in=self.request.seen_in,
             gain_points=100.0 * self.least_gain,
             target=self.request.target,
-            progress=of_stage(self.progress, "exposures"),
+            progress=self.run.stage("exposures"),
         )
         return _Plan(choice=choice, brackets=brackets)
 
@@ -134,7 +132,7 @@ class _JointPlanner:
                 self.candidates,
                 seen_in=self.request.seen_in,
                 limit=self.request.limit,
-                progress=of_stage(self.progress, "lights for the planned images"),
+                progress=self.run.stage("lights for the planned images"),
             )
             choice = replace(
                 choice,

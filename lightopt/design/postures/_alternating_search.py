@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+from lightopt.core.run_context import RunContext, Share
 from lightopt.core.transforms import Posture
-from lightopt.design._plan_progress import Tell
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.postures._best_set import best_set
 from lightopt.design.postures._choice import PostureRequest
@@ -76,16 +76,12 @@ class AlternatingSearch:
         seen_in: int,
         where: str,
         prove: bool,
-        progress: Tell | None,
+        run: RunContext,
     ) -> None:
         self.prove = prove
-        self.evaluator, self.postures, self.candidates, self.seen_in = (
-            evaluator,
-            postures,
-            candidates,
-            seen_in,
-        )
-        self._where, self._progress, self._passes = where, progress, 0
+        self.evaluator, self.postures = evaluator, postures
+        self.candidates, self.seen_in = candidates, seen_in
+        self._where, self._run, self._passes = where, run, 0
         self._counts: dict[Lights, list[Counts]] = {}
         self._positions: dict[tuple[int, ...], LightPositions] = {}
         self._last_counts: tuple[tuple[int, ...], list[PositionCounts]] | None = None
@@ -170,7 +166,7 @@ class AlternatingSearch:
                 self.candidates,
                 seen_in=self.seen_in,
                 limit=request.limit,
-                progress=lambda share: self._report("lights for postures", share),
+                progress=self._stage("lights for postures"),
             )
             small = sum(one.nbytes for one in counts) <= CACHED_BYTES
             self._last_counts = (key, counts) if small else None
@@ -187,15 +183,16 @@ class AlternatingSearch:
         if lights not in self._counts:
             counts: list[Counts] = []
             self._passes += 1
+            progress = self._stage("postures for lights")
             for i, posture in enumerate(self.postures):
                 counts.append(self.evaluator.counts(posture, panels, seen_in=self.seen_in))
-                self._report("postures for lights", (i + 1) / len(self.postures))
+                if progress is not None:
+                    progress((i + 1) / len(self.postures))
             size = sum(one.nbytes for one in counts)
             while self._counts and (len(self._counts) + 1) * size > CACHED_BYTES:
                 del self._counts[next(iter(self._counts))]
             self._counts[lights] = counts
         return self._counts[lights]
 
-    def _report(self, stage: str, share: float) -> None:
-        if self._progress is not None:
-            self._progress(f"{stage}, {self._where}, pass {self._passes}", share)
+    def _stage(self, name: str) -> Share | None:
+        return self._run.stage(f"{name}, {self._where}, pass {self._passes}")

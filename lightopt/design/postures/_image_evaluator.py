@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -67,7 +67,6 @@ class ImageEvaluator:
         panels: Sequence[Sequence[PanelLight]],
         *,
         exposures: Sequence[float] = (1.0,),
-        progress: Callable[[float, int], None] | None = None,
     ) -> tuple[LuminanceMatrix, ...]:
         """Levels and visible hypotheses of a posture's images for all positions of each light, per exposure."""
         return luminance_matrices(
@@ -80,7 +79,6 @@ class ImageEvaluator:
             detection=self.detection,
             shadows=self.shadows,
             threads=self.threads,
-            progress=progress,
         )
 
     def positions_at_once(self, posture: Posture, exposures: Sequence[float]) -> int:

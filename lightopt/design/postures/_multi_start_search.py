@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from lightopt.core.errors import InputError
+from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
-from lightopt.design._plan_progress import Tell
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.postures._alternating_search import AlternatingSearch, Solution, merit
 from lightopt.design.postures._choice import InitialLights, PostureChoice, PostureRequest
@@ -39,7 +39,7 @@ def choose_postures(
     candidates: Candidates | None,
     request: PostureRequest,
     *,
-    progress: Tell | None = None,
+    run: RunContext | None = None,
 ) -> PostureChoice:
     """Choose postures and light positions.
 
@@ -55,7 +55,7 @@ def choose_postures(
             f"{len(postures)} postures × {len(whole.patches):,} patches are {size / 1e9:.2f} GB of counts, and there "
             f"is room for {MOST_COUNT_BYTES / 1e9:.2f} GB; take a larger --posture-step or fewer --patches"
         )
-    return _MultiStartSearch(whole, drawn, postures, start, candidates, request, progress).choice()
+    return _MultiStartSearch(whole, drawn, postures, start, candidates, request, run or RunContext()).choice()
 
 
 class _MultiStartSearch:
@@ -67,13 +67,13 @@ class _MultiStartSearch:
         start: Sequence[PanelLight],
         candidates: Candidates | None,
         request: PostureRequest,
-        progress: Tell | None,
+        run: RunContext,
     ) -> None:
         self.request, self.postures, self.start = request, postures, tuple(start)
         self.candidates = candidates
         seen_in = request.seen_in
         self.full_search = AlternatingSearch(
-            whole, postures, candidates, seen_in=seen_in, where="all patches", prove=True, progress=progress
+            whole, postures, candidates, seen_in=seen_in, where="all patches", prove=True, run=run
         )
         self.drawn_search = (
             self.full_search
@@ -85,7 +85,7 @@ class _MultiStartSearch:
                 seen_in=seen_in,
                 where="drawn patches",
                 prove=False,
-                progress=progress,
+                run=run,
             )
         )
         self.on_all_patches = self.drawn_search is self.full_search or position_counts_fit(

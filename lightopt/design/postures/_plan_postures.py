@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Bool
 from lightopt.core.errors import CheckFailed, counted
+from lightopt.core.run_context import RunContext
 from lightopt.design._commands import way_through
 from lightopt.design._options import OptimizeOptions, PlanOptions
-from lightopt.design._plan_progress import Tell
 from lightopt.design._plan_result import ChosenPostures
 from lightopt.design.blind_spots._unreachable_target import target_not_reached
 from lightopt.design.candidates._candidates import Candidates, find_candidates
@@ -30,8 +29,7 @@ def plan_postures(
     part: PartConfig,
     options: OptimizeOptions,
     wanted: PlanOptions,
-    report: Callable[[str], None] | None,
-    progress: Tell | None,
+    run: RunContext,
 ) -> tuple[ChosenPostures, ImageEvaluator]:
     """Choose the postures, and the light positions that go with them; also returns the evaluator of all patches.
 
@@ -47,13 +45,12 @@ def plan_postures(
     postures, left_out = usable_postures(
         replace(scene, postures=grid), positions, allow_outside_px=wanted.allow_outside_px
     )
-    if report is not None:
-        few = wanted.postures is not None and len(postures) < wanted.postures
-        shortfall = f", fewer than the {wanted.postures} that were asked for" if few else ""
-        report(
-            f"{counted(len(postures), 'posture')} to choose from{shortfall}, {len(left_out)} left out; patches are cut "
-            "for all of them"
-        )
+    few = wanted.postures is not None and len(postures) < wanted.postures
+    shortfall = f", fewer than the {wanted.postures} that were asked for" if few else ""
+    run.inform(
+        f"{counted(len(postures), 'posture')} to choose from{shortfall}, {len(left_out)} left out; patches are cut "
+        "for all of them"
+    )
     scene = replace(scene, postures=postures)
     table = build_patches(scene, caster=caster, budget=options.patch_budget)
     whole = ImageEvaluator(
@@ -62,7 +59,7 @@ def plan_postures(
         caster=caster,
         detection=detection_model_of(scene, part, options),
         shadows=options.shadows,
-        threads=options.threads,
+        threads=run.threads,
     )
     drawn = replace(whole, table=drawn_patches(table, DRAWN_PATCHES))
     choice, brackets = choose_with_exposures(
@@ -76,7 +73,7 @@ def plan_postures(
         ),
         exposures=wanted.all_exposures,
         gain_points=wanted.exposure_gain,
-        progress=progress,
+        run=run,
     )
     if wanted.target is not None and choice.cover.share < wanted.target:
         offered = replace(drawn, exposures=wanted.all_exposures)

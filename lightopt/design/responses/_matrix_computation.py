@@ -10,13 +10,14 @@ Where images are tested for defects, the same rays decide which defects each ima
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from lightopt.core.arrays import Float32, Index
 from lightopt.core.errors import InputError, counted
+from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.design.responses._detection import DetectionModel, PatchDetection
@@ -64,7 +65,7 @@ def luminance_matrix(
     shadows: bool = True,
     threads: int | None = None,
     most_bytes: int = MOST_BYTES,
-    progress: Callable[[float, int], None] | None = None,
+    progress: Share | None = None,
 ) -> LuminanceMatrix:
     """Delivered levels of the inspectable patches under every candidate panel of every light, at exposure 1.
 
@@ -72,7 +73,6 @@ def luminance_matrix(
     panels: Per light, the panels at its candidate positions; world frame.
     detection: The defects whose visibility in the same images is wanted; None for levels alone.
     most_bytes: Limit for the levels and the defects' bits.
-    progress: Called with the share that is done and the number of rays cast so far.
     Raises InputError: More positions than memory is meant for.
     """
     return luminance_matrices(
@@ -109,7 +109,7 @@ def luminance_matrices(
     shadows: bool = True,
     threads: int | None = None,
     most_bytes: int = MOST_BYTES,
-    progress: Callable[[float, int], None] | None = None,
+    progress: Share | None = None,
 ) -> tuple[LuminanceMatrix, ...]:
     """As :func:`luminance_matrix`, one for each exposure; the rays are cast once."""
     surface, seen = patch_points(scene, table, posture)
@@ -155,14 +155,11 @@ def luminance_matrices(
                 full_scale=scene.reflectance.full_scale,
             )[0]
 
-    before = caster.rays_cast
-    total, finished = len(places) * len(blocks), 0
+    work = WorkCounter(len(places) * len(blocks), progress)
 
     def count() -> None:
-        nonlocal finished
-        finished += 1
-        if progress is not None:
-            progress(finished / total, caster.rays_cast - before)
+        work.add(1)
+        work.report()
 
     tasks = (
         (shade, (place, panel, start, block))

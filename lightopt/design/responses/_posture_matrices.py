@@ -13,6 +13,7 @@ import numpy as np
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.provenance import computed_by, file_sha256
+from lightopt.core.run_context import RunContext, Share
 from lightopt.core.transforms import Posture
 from lightopt.design._options import OptimizeOptions
 from lightopt.design.candidates._candidates import Candidates
@@ -22,7 +23,7 @@ from lightopt.design.responses._matrix_cache import matrix_key, read_matrix, wri
 from lightopt.design.responses._matrix_computation import MOST_BYTES, luminance_matrix
 from lightopt.geometry import RayCaster
 from lightopt.images import make_folder, posture_folder
-from lightopt.rendering import PatchTable, RenderProgress, build_patches, patches_for_edge
+from lightopt.rendering import PatchTable, build_patches, patches_for_edge
 from lightopt.scene import PanelLight, Scene, chord_tolerance, pixel_footprint
 
 COARSE_SHARE = 0.15
@@ -57,6 +58,7 @@ class PostureMatrices:
     folder: Path
     caster: RayCaster
     detection: DetectionModel | None
+    run: RunContext
     table: PatchTable | None = None
     reused: int = 0
 
@@ -118,7 +120,7 @@ class PostureMatrices:
             self.table = build_patches(self.scene, caster=self.caster, budget=self.options.patch_budget)
         return self.table
 
-    def matrix(self, posture: Posture, report: RenderProgress | None, *, held: int) -> LuminanceMatrix:
+    def matrix(self, posture: Posture, *, held: int) -> LuminanceMatrix:
         """The luminance matrix of a posture, one of `held` that are in memory together."""
         key = matrix_key({**self._facts, "posture": posture.as_dict()})
         path = self.folder / posture_folder(posture) / MATRIX_NAME
@@ -128,7 +130,7 @@ class PostureMatrices:
             if cached is not None:
                 self.reused += 1
                 return cached
-        matrix = self._compute(posture, self.candidates.panels, self.detection, report, held)
+        matrix = self._compute(posture, self.candidates.panels, self.detection, self._stage(posture), held)
         if self.options.keep_matrix:
             make_folder(path.parent)
             write_matrix(path, matrix, self.candidates.angles, key=key)
@@ -142,22 +144,23 @@ class PostureMatrices:
         patches = sum(len(table.inspectable(posture)) for posture in table.postures)
         return positions * patches * dtype <= MOST_BYTES
 
-    def levels(
-        self, posture: Posture, candidates: Candidates, report: RenderProgress | None
-    ) -> LuminanceMatrix:
+    def levels(self, posture: Posture, candidates: Candidates) -> LuminanceMatrix:
         """The levels of a posture under other candidates; check :meth:`fits_memory` first."""
-        return self._compute(posture, candidates.panels, None, report, 1)
+        return self._compute(posture, candidates.panels, None, self._stage(posture), 1)
 
     def at_positions(self, posture: Posture, panels: Sequence[PanelLight]) -> LuminanceMatrix:
         """The matrix of a posture with each light in one position."""
         return self._compute(posture, [[panel] for panel in panels], self.detection, None, 1)
+
+    def _stage(self, posture: Posture) -> Share | None:
+        return self.run.stage(f"casting rays, {posture}")
 
     def _compute(
         self,
         posture: Posture,
         panels: Sequence[Sequence[PanelLight]],
         detection: DetectionModel | None,
-        report: RenderProgress | None,
+        progress: Share | None,
         held: int,
     ) -> LuminanceMatrix:
         return luminance_matrix(
@@ -168,9 +171,9 @@ class PostureMatrices:
             caster=self.caster,
             detection=detection,
             shadows=self.options.shadows,
-            threads=self.options.threads,
+            threads=self.run.threads,
             most_bytes=MOST_BYTES // held,
-            progress=None if report is None else lambda share, rays: report(posture, share, rays),
+            progress=progress,
         )
 
 

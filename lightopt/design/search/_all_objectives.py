@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from lightopt.config import RigConfig
+from lightopt.core.run_context import RunContext
 from lightopt.design._result import SetResult
 from lightopt.design._texts import cut_off
 from lightopt.design.blind_spots._summary import PostureVisibility, posture_visibility
@@ -15,16 +14,13 @@ from lightopt.design.objectives._objective import Objective
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
 from lightopt.design.responses._posture_matrices import PostureMatrices
 from lightopt.design.search._answers import answer_others, answer_set
-from lightopt.rendering import RenderProgress
 
 
 def search_objectives(
     source: PostureMatrices,
     objectives: tuple[Objective, ...],
     thresholds: LevelThresholds,
-    report: RenderProgress | None,
-    progress: Callable[[str, float], None] | None,
-    warn: Callable[[str], None],
+    run: RunContext,
 ) -> tuple[tuple[SetResult, ...], list[PostureVisibility]]:
     """The best sets of every posture, or of all together, and their blind spots where defects are wanted."""
     defects = next(
@@ -35,7 +31,7 @@ def search_objectives(
     blind_spots: list[PostureVisibility] = []
     # the matrices of postures that do not share their lights are never held together
     for postures in [postures_of_all] if options.common_lights else [(one,) for one in postures_of_all]:
-        matrices = [source.matrix(posture, report, held=len(postures)) for posture in postures]
+        matrices = [source.matrix(posture, held=len(postures)) for posture in postures]
         results.append(
             answer_set(
                 matrices,
@@ -45,8 +41,7 @@ def search_objectives(
                 thresholds,
                 rows=options.rows,
                 limit=options.limit,
-                threads=options.threads,
-                progress=progress,
+                run=run,
             )
         )
         if defects is not None:
@@ -58,12 +53,12 @@ def search_objectives(
         del matrices
         for answer in results[-1].answers:
             if not answer.found.complete and answer.nothing is None:
-                warn(cut_off(answer, postures))
+                run.warn(cut_off(answer, postures))
     return tuple(results), blind_spots
 
 
 def candidates_of_others(
-    source: PostureMatrices, rig: RigConfig, free: Candidates, objectives: int, warn: Callable[[str], None]
+    source: PostureMatrices, rig: RigConfig, free: Candidates, objectives: int, run: RunContext
 ) -> Candidates | None:
     """Candidates of the other objectives where the first one's positions were chosen before; None for none."""
     places = source.options.places
@@ -73,7 +68,7 @@ def candidates_of_others(
     if among and source.fits_memory(free):
         return free
     why = "they are too many for memory" if among else "the chosen ones are not among them"
-    warn(
+    run.warn(
         f"the other objectives are scored where the lights were chosen to stand, their own best positions are not "
         f"searched: {why}"
     )
@@ -86,9 +81,7 @@ def search_other_objectives(
     results: tuple[SetResult, ...],
     objectives: tuple[Objective, ...],
     thresholds: LevelThresholds,
-    report: RenderProgress | None,
-    progress: Callable[[str, float], None] | None,
-    warn: Callable[[str], None],
+    run: RunContext,
 ) -> tuple[SetResult, ...]:
     """The results with the best positions of the other objectives added to those of the first."""
     options = source.options
@@ -105,18 +98,17 @@ def search_other_objectives(
             answer_others(
                 result,
                 at,
-                [source.levels(posture, candidates, report) for posture in result.postures],
+                [source.levels(posture, candidates) for posture in result.postures],
                 objectives,
                 thresholds,
                 candidates=candidates,
                 evaluate=evaluate,
                 rows=options.rows,
                 limit=options.limit,
-                threads=options.threads,
-                progress=progress,
+                run=run,
             )
         )
         for answer in found[-1].answers[1:]:
             if not answer.found.complete and answer.nothing is None:
-                warn(cut_off(answer, result.postures))
+                run.warn(cut_off(answer, result.postures))
     return tuple(found)

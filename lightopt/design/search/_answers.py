@@ -9,9 +9,9 @@ from functools import partial
 import numpy as np
 
 from lightopt.core.errors import InputError, LightoptError
+from lightopt.core.run_context import RunContext
 from lightopt.core.threads import blocks
 from lightopt.core.transforms import Posture
-from lightopt.design._plan_progress import of_stage
 from lightopt.design._result import ObjectiveResult, SetResult
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.objectives._objective import Objective
@@ -38,13 +38,12 @@ def answer_set(
     *,
     rows: int,
     limit: int,
-    threads: int | None,
-    progress: Callable[[str, float], None] | None = None,
+    run: RunContext,
 ) -> SetResult:
     """The best light positions for postures that share them.
 
-    Each objective is optimised, and each best set is scored under all. `rows`, `limit` and `threads` are `keep`,
-    `limit` and `threads` of :func:`lightopt.design.search`, which says what is raised.
+    Each objective is optimised, and each best set is scored under all. `rows` and `limit` are `keep` and
+    `limit` of :func:`lightopt.design.search`, which says what is raised.
     """
     for matrix, posture in zip(matrices, postures, strict=True):
         if not len(matrix.areas):
@@ -53,11 +52,11 @@ def answer_set(
                 f"posture {posture}: {sight if matrix.grazing_mm2 else 'the camera sees no patch'}, so that no "
                 "position of the lights is better than another; check the part's placement and the posture"
             )
-    find = partial(search, space=candidates.space, keep=rows, limit=limit, threads=threads)
+    find = partial(search, space=candidates.space, keep=rows, limit=limit, threads=run.threads)
     answers: list[ObjectiveResult] = []
     for objective in objectives:
         stage = f"{objective.name}, {', '.join(map(str, postures))}"
-        found = find(matrices, objective, thresholds, progress=of_stage(progress, stage))
+        found = find(matrices, objective, thresholds, progress=run.stage(stage))
         best = found.best.candidates
         scores = {other.name: _score(matrices, other, best, thresholds) for other in objectives}
         if scores[objective.name] != found.best.score:
@@ -106,8 +105,7 @@ def answer_others(
     evaluate: Callable[[tuple[int, ...]], Sequence[LuminanceMatrix]],
     rows: int,
     limit: int,
-    threads: int | None,
-    progress: Callable[[str, float], None] | None = None,
+    run: RunContext,
 ) -> SetResult:
     """The best light positions of other objectives, beside those that were chosen before for the first.
 
@@ -117,14 +115,14 @@ def answer_others(
     evaluate: Computes the matrices of one combination, one per posture, with all that the first objective needs.
     """
     first = chosen.answers[0]
-    find = partial(search, space=candidates.space, keep=rows, limit=limit, threads=threads)
+    find = partial(search, space=candidates.space, keep=rows, limit=limit, threads=run.threads)
     answers: list[ObjectiveResult] = []
     for objective in objectives:
         if objective is objectives[0]:
             found = replace(first.found, ranking=(replace(first.found.best, candidates=at),))
         else:
             stage = f"{objective.name}, {', '.join(map(str, chosen.postures))}"
-            found = find(levels, objective, thresholds, progress=of_stage(progress, stage))
+            found = find(levels, objective, thresholds, progress=run.stage(stage))
         matrices = evaluate(found.best.candidates)
         only = (0,) * len(candidates.names)
         answers.append(
