@@ -23,8 +23,9 @@ from lightopt.cli._options import (
     parse_posture,
 )
 from lightopt.cli._sheets import add_sheets
-from lightopt.cli._terminal import say, say_warning, show_progress
+from lightopt.cli._terminal import say, say_warning, show_share
 from lightopt.core.errors import counted
+from lightopt.core.run_context import RunContext
 
 
 def render(
@@ -84,13 +85,10 @@ def render(
         supersample=supersample,
         defects=not no_defects,
         patch_budget=DEFAULT_PATCH_BUDGET if patches is None else patches,
-        threads=threads,
     )
-    total = len(chosen_postures or loaded_part.postures)
-    with show_progress("rendering", total, quiet=quiet) as report:
-        done = render_image_set(
-            loaded_rig, loaded_part, out, options=options, force=force, warn=say_warning, report=report
-        )
+    with show_share(quiet=quiet) as progress:
+        run = RunContext(threads=threads, progress=progress, inform=None if quiet else say, warn=say_warning)
+        done = render_image_set(loaded_rig, loaded_part, out, options=options, force=force, run=run)
     if not quiet:
         if done.replaced:
             say(f"replaced the image set that was there ({counted(done.replaced, 'file')})")

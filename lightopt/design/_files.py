@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from lightopt.config import load_rig
+from lightopt.core import run_context
 from lightopt.core.arrays import UInt8
 from lightopt.core.transforms import Posture
 from lightopt.design._design_result import DesignResult
@@ -235,10 +236,9 @@ def _render(images: _Images, result: DesignResult, force: bool, run: RunContext)
             shadows=options.shadows,
             patch_budget=options.patch_budget,
             defects=False,
-            threads=options.threads,
         ),
         force=force,
-        warn=run.warn,
+        run=run_context.RunContext(threads=options.threads, warn=run.warn),
     )
 
 
