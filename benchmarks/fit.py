@@ -13,6 +13,7 @@ from benchmarks.bare import THREADS
 from benchmarks.command import write_rig
 from lightopt import load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
+from lightopt.core.run_context import RunContext
 from lightopt.estimate.reflectance import FitOptions, fit_specular
 from lightopt.images import read_image_set
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set, render_posture
@@ -35,7 +36,11 @@ def run(size: Size) -> Report:
         for panel, points in PANELS.items():
             images = folder / panel.replace(": ", "-").replace(" = ", "")
             render_image_set(
-                rig, PART, images, options=RenderOptions(points=points, noise=1, threads=THREADS)
+                rig,
+                PART,
+                images,
+                options=RenderOptions(points=points, noise=1),
+                run=RunContext(threads=THREADS),
             )
             found = rounds(_tasks(load_rig(rig), load_part(PART), images, points), min(3, size.repeats))
             one = found["one image"]

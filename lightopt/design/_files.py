@@ -235,10 +235,9 @@ def _render(images: _Images, result: DesignResult, force: bool, run: RunContext)
             shadows=options.shadows,
             patch_budget=options.patch_budget,
             defects=False,
-            threads=run.threads,
         ),
         force=force,
-        warn=run.warn,
+        run=RunContext(threads=run.threads, warn=run.warn),
     )
 
 

@@ -15,6 +15,7 @@ from lightopt.config import PartConfig, RigConfig, input_hashes, load_part, load
 from lightopt.core.arrays import Float32
 from lightopt.core.errors import InputError, counted
 from lightopt.core.provenance import provenance
+from lightopt.core.run_context import RunContext, part_of
 from lightopt.core.transforms import Posture
 from lightopt.images import ImageEntry, ImageSetWriter, Manifest, SourceFile
 from lightopt.optics import expose, image_rng
@@ -66,7 +67,6 @@ class RenderOptions:
     supersample: int = 1
     patch_budget: int = DEFAULT_PATCH_BUDGET
     defects: bool = True
-    threads: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,8 +95,7 @@ def render_image_set(
     *,
     options: RenderOptions = RenderOptions(),
     force: bool = False,
-    warn: Callable[[str], None] | None = None,
-    report: RenderProgress | None = None,
+    run: RunContext | None = None,
 ) -> RenderedSet:
     """Render a part on a rig into a folder: EXR and PNG per light, geometry, patches, manifest.
 
@@ -105,9 +104,11 @@ def render_image_set(
 
     rig, part: Configurations, or the paths of their YAML files
     folder: Made where it does not exist
+    run: Its stages are the postures, with the share of all of them
     Raises InputError: Whatever is wrong with the files, the options or the folder; a panel inside the part; a part that
         hardly a pixel sees. Nothing is written before all inputs are read.
     """
+    run = run or RunContext()
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
     part = part if isinstance(part, PartConfig) else load_part(part)
     _check_options(options)
@@ -128,22 +129,31 @@ def render_image_set(
         for exposure in options.exposures
     ]
     writer = ImageSetWriter(folder, _header(rig, part, scene, options), force=force, plan=plan)
-    warnings = _Warnings(writer, warn)
-    warnings.add(*scene.warnings)
-    warnings.add(*coarse_warnings(scene.lights, scene.reflectance.sigma))
-    warnings.add(*_narrow_defects(scene, rig, options.supersample))
+    warnings: dict[str, None] = {}
+
+    def warn(*texts: str) -> None:
+        warnings.update(dict.fromkeys(texts))
+        run.warn(*texts)
+        writer.add_warnings(texts)
+
+    warn(
+        *scene.warnings,
+        *coarse_warnings(scene.lights, scene.reflectance.sigma),
+        *_narrow_defects(scene, rig, options.supersample),
+    )
     resumed = sum(writer.done(*key) for key in plan)
     if resumed == len(plan) and writer.file_done() and all(map(writer.geometry_done, scene.postures)):
-        return RenderedSet(folder=Path(folder), images=len(plan), resumed=resumed, warnings=warnings.texts)
+        return RenderedSet(folder=Path(folder), images=len(plan), resumed=resumed, warnings=tuple(warnings))
     table = build_patches(scene, caster=caster, budget=options.patch_budget)
     if not writer.file_done():
         writer.add_patches(table.arrays())
     names = [light.name for light in rig.lights]
     rays = 0
-    for posture in scene.postures:
+    for number, posture in enumerate(scene.postures):
         todo = [key for key in plan if key[1] == posture and not writer.done(*key)]
         if not todo and writer.geometry_done(posture):
             continue
+        stage = run.stage(f"rendering {posture.elevation_deg:g},{posture.rotation_deg:g}")
         images = render_posture(
             scene,
             posture,
@@ -152,12 +162,12 @@ def render_image_set(
             supersample=options.supersample,
             layers=options.layers,
             patches=table.patches,
-            threads=options.threads,
-            progress=None if report is None else lambda share, cast, p=posture: report(p, share, cast),
+            threads=run.threads,
+            progress=part_of(stage, number / len(scene.postures), (number + 1) / len(scene.postures)),
         )
         rays += images.rays
         if images.back_faces > BACK_FACE_SHARE * images.geometry.hit.sum():
-            warnings.add(
+            warn(
                 f"posture {posture}: {counted(images.back_faces, 'pixel')} on the back of a face, black; the mesh is "
                 "open or its winding is wrong there"
             )
@@ -176,25 +186,8 @@ def render_image_set(
         rays=rays,
         patches=table.message,
         replaced=writer.replaced,
-        warnings=warnings.texts,
+        warnings=tuple(warnings),
     )
-
-
-class _Warnings:
-    """Warnings go to the manifest and to the person at the machine, each once."""
-
-    def __init__(self, writer: ImageSetWriter, warn: Callable[[str], None] | None) -> None:
-        self._writer = writer
-        self._warn = warn
-        self.texts: tuple[str, ...] = ()
-
-    def add(self, *texts: str) -> None:
-        for text in texts:
-            if text not in self.texts:
-                self.texts += (text,)
-                if self._warn is not None:
-                    self._warn(text)
-        self._writer.add_warnings(self.texts)
 
 
 def _check_options(options: RenderOptions) -> None:
@@ -210,8 +203,6 @@ def _check_options(options: RenderOptions) -> None:
         problems.append(f"supersample: expected 1 to {MOST_SUPERSAMPLE}, found {options.supersample}")
     if options.patch_budget < 1:
         problems.append(f"patch budget: expected at least 1, found {options.patch_budget}")
-    if options.threads is not None and options.threads < 1:
-        problems.append(f"threads: expected at least 1, found {options.threads}")
     if options.noise is not None and options.noise < 0:
         problems.append(f"noise: expected a seed of 0 or more, found {options.noise}")
     if options.postures is not None and len(set(options.postures)) < len(options.postures):

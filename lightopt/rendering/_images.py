@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
+from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.geometry import Hits, Patches, RayCaster, TriangleMesh
@@ -18,9 +19,6 @@ from lightopt.rendering._defect_shading import DefectSamples, defect_samples
 from lightopt.rendering._points import shade_points
 from lightopt.rendering._surface import SurfacePoints, trace_hits, trace_samples
 from lightopt.scene import PanelLight, PartView, Scene, screen_window, view_from_part
-
-Progress = Callable[[float, int], None]
-"""Called with the share of the posture that is done (0 to 1) and the number of rays cast so far."""
 
 BLOCK_SAMPLES = 65_536
 """Image samples that a thread works on at once: bounds the memory, and is large enough to hide Python's overhead."""
@@ -141,21 +139,20 @@ def render_posture(
     layers: bool = False,
     patches: Patches | None = None,
     threads: int | None = None,
-    progress: Progress | None = None,
+    progress: Share | None = None,
 ) -> PostureImages:
     """Render one posture of a scene under all its lights.
 
     Parameters as in :func:`render`, and any posture, not only one of the scene's.
     """
-    before, finished = caster.rays_cast, 0
+    before = caster.rays_cast
     job = _Job(scene, posture, caster, shadows, supersample, layers, patches)
     blocks = job.blocks()
+    counter = WorkCounter(len(blocks), progress)
 
     def done() -> None:
-        nonlocal finished
-        finished += 1
-        if progress is not None:
-            progress(finished / len(blocks), caster.rays_cast - before)
+        counter.add(1)
+        counter.report()
 
     run_all(((job.block, rows) for rows in blocks), threads=threads or available_processors(), done=done)
     return job.result(caster.rays_cast - before)

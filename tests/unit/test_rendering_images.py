@@ -14,6 +14,7 @@ import trimesh
 
 import lightopt
 from lightopt import build_scene, load_part, load_rig, render
+from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.rendering import RenderOptions, cast_rays_at, highlight_level, render_image_set, render_posture
 
@@ -102,15 +103,13 @@ def test_progress_rises_to_one(scene, caster, monkeypatch):
         scene.postures[0],
         caster=caster,
         threads=3,
-        progress=lambda share, rays: calls.append((share, rays)),
+        progress=calls.append,
     )
-    shares, rays = zip(*calls, strict=True)
     assert len(calls) > 5
-    assert list(shares) == sorted(shares)
-    assert 0.0 < shares[0] < 1.0
-    assert shares[-1] == 1.0
-    assert list(rays) == sorted(rays)
-    assert rays[-1] == images.rays > 0
+    assert calls == sorted(calls)
+    assert 0.0 < calls[0] < 1.0
+    assert calls[-1] == 1.0
+    assert images.rays > 0
 
 
 def test_progress_of_a_set_names_the_posture(shared_bench, tmp_path):
@@ -120,12 +119,10 @@ def test_progress_of_a_set_names_the_posture(shared_bench, tmp_path):
         shared_bench.part,
         tmp_path,
         options=RenderOptions(patch_budget=500),
-        report=lambda *call: calls.append(call),
+        run=RunContext(progress=lambda *call: calls.append(call)),
     )
-    last = {posture: (share, rays) for posture, share, rays in calls}
-    assert list(last) == [Posture(0.0, 0.0), Posture(-10.0, 170.0)]
-    assert all(share == 1.0 for share, _ in last.values())
-    assert sum(rays for _, rays in last.values()) == done.rays
+    assert dict(calls) == {"rendering 0,0": 0.5, "rendering -10,170": 1.0}
+    assert done.rays > 0
     assert (done.folder, done.images, done.resumed, done.warnings) == (tmp_path, 4, 0, ())
 
 
@@ -140,7 +137,9 @@ def test_warnings_are_given_as_they_come_and_kept(bench, tmp_path):
     bench.edit("part.yaml", "sigma_rad: 0.0475", "sigma_rad: 0.003")
     heard = []
     options = RenderOptions(patch_budget=500)
-    done = render_image_set(bench.rig, bench.part, tmp_path, options=options, warn=heard.append)
+    done = render_image_set(
+        bench.rig, bench.part, tmp_path, options=options, run=RunContext(warn=heard.append)
+    )
     assert tuple(heard) == done.warnings
     assert len(heard) == 1  # of two panels alike
     assert heard[0].startswith("light1, light3: the panel's 4 points stand apart by 30 mm")
