@@ -217,7 +217,7 @@ def close_loop(folder: Path, name: str, options: argparse.Namespace) -> Iterator
         run_command(
             "optimize", rig_file, part_file, "-o", best, "--objective", objective, "--posture", "0,0",
             "--step", options.step, "--patches", options.patches, "--no-images", "--no-report", "-q",
-            *(("--seen-in", PLANNED_IN) if objective == "detectability" else ()),
+            *(("--min-images", PLANNED_IN) if objective == "detectability" else ()),
         )  # fmt: skip
         rig = load_rig(best / "rig.optimized.yaml")
         angles = ", ".join(f"{light.elevation_deg:g}°" for light in rig.lights)

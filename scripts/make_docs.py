@@ -192,7 +192,7 @@ def inspection_picture(target: Path, folder: Path) -> None:
     lightopt("defects", rig, PARTS / "cover-knob.yaml", "-o", part, "-q", "--seed", "4", "--count", "14")
     images, out = folder / "inspected-images", folder / "inspected"
     lightopt("render", rig, part, "-o", images, "-q", "--noise", "1", "--posture", "0,0", "--patches", "500")
-    lightopt("inspect", rig, part, images, "-o", out, "-q", "--no-shift")
+    lightopt("inspect", rig, part, images, "-o", out, "-q", "--no-register")
     paths = [
         images / "posture_0_0" / "light1.png",
         out / "posture_0_0" / "synthetic.png",

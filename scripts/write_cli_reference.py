@@ -9,6 +9,7 @@ from typing import Any
 import typer
 
 from lightopt.cli._main import app
+from lightopt.cli._parser import heading
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "command-line.md"
 INTRO = """# Command line
@@ -34,26 +35,36 @@ def page() -> str:
 def _section(name: str, command: Any, mark: str = "##") -> str:
     arguments = [p for p in command.params if p.param_type_name == "argument"]
     usage = " ".join([name, *(_metavar(p) for p in arguments), "[OPTIONS]"])
-    rows = [f"| `{_metavar(p)}` | {_cell(getattr(p, 'help', '') or '')} |" for p in arguments]
-    rows += [
-        f"| {_option(p)} | {_cell(p.help or '')}{_default(p)} |" for p in command.params if p not in arguments
-    ]
-    table = ["| argument or option | meaning |", "|---|---|", *rows]
+    table = ["| argument or option | meaning |", "|---|---|"]
+    table += [f"| `{_metavar(p)}` | {_cell(getattr(p, 'help', '') or '')} |" for p in arguments]
+    sections: dict[str, list[str]] = {"Options": []}
+    for p in command.params:
+        if p not in arguments:
+            row = f"| {_option(p)} | {_cell(p.help or '')}{_default(p)} |"
+            sections.setdefault(heading(p), []).append(row)
+    for title, rows in sections.items():
+        if rows:
+            table += [f"| **{title}** | |"] if title != "Options" else []
+            table += rows
     return f"{mark} {name}\n\n```text\n{usage}\n```\n\n{_text(command.help)}\n\n" + "\n".join(table) + "\n"
 
 
 def _metavar(parameter: Any) -> str:
-    text = (parameter.metavar or parameter.name).upper().strip("[]")
+    text = (parameter.metavar or parameter.name).upper().strip("[]…")
     text += "..." if parameter.nargs == -1 else ""
     return text if parameter.required else f"[{text}]"
 
 
 def _option(parameter: Any) -> str:
     names = ", ".join(f"`{name}`" for name in (*parameter.opts, *parameter.secondary_opts))
-    return names if parameter.is_flag else f"{names} {parameter.metavar or parameter.type.name.upper()}"
+    return names if parameter.is_flag else f"{names} {_cell(parameter.metavar)}"
 
 
 def _default(parameter: Any) -> str:
+    if isinstance(parameter.show_default, str):
+        return f" Default: {parameter.show_default}."
+    if parameter.is_flag and parameter.secondary_opts:
+        return f" Default: `{(parameter.opts if parameter.default else parameter.secondary_opts)[0]}`."
     shown = parameter.show_default and parameter.default not in (None, False, ()) and not parameter.is_flag
     return f" Default: {parameter.default}." if shown else ""
 

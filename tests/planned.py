@@ -24,7 +24,7 @@ FEW = ("--patches", "100", "--step", "10", "--no-images")
 PLAN = (
     *FEW,
     *("--choose-postures", "2", "--posture-step", "90", "--exposures", "1,1/16"),
-    *("--tolerance-deg", "4", "--pose-tolerance-deg", "1"),
+    *("--light-tolerance", "4", "--pose-tolerance", "1"),
     *("--objective", "detectability", "--objective", "coverage"),
 )
 LONGEST_S = 600.0

@@ -3,6 +3,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import typer
+
 from lightopt.cli._inputs import load_inputs
 from lightopt.cli._options import (
     Exposures,
@@ -35,7 +37,7 @@ def capture(
     part: PartFile,
     out: Annotated[
         Path | None,
-        output_option("--out", "-o", metavar="DIR", help="Output folder; made if missing."),
+        typer.Option("--out", "-o", metavar="DIR", help="Output folder; made if missing."),
     ] = None,
     light: Lights = None,
     posture: Postures = None,

@@ -45,10 +45,9 @@ def check(
     report = check_rig(loaded_rig) if loaded_part is None else check_scene(loaded_rig, loaded_part)
     levels = Counter(finding.level for finding in report.findings)
     if not quiet:
+        named = [counted(levels[level], level) for level in ("error", "warning", "note") if levels[level]]
         say(
-            "; ".join(
-                f"{levels[level]} {level}" for level in ("error", "warning", "note", "ok") if levels[level]
-            )
+            f"{', '.join(named) or 'nothing to correct'}; {levels['ok']} of {len(report.findings)} findings are ok"
         )
     shown: set[str] = set()
     for finding in report.findings:

@@ -15,7 +15,6 @@ from lightopt.cli._options import (
     Threads,
     Verbose,
     make_folder,
-    output_option,
 )
 from lightopt.cli._terminal import say
 from lightopt.core.errors import counted
@@ -27,7 +26,7 @@ def defects(
     part: PartFile,
     out: Annotated[
         Path,
-        output_option(
+        typer.Option(
             "--out", "-o", metavar="FILE", help="Part file to write; its folder is made if missing."
         ),
     ],

@@ -48,7 +48,10 @@ Images = Annotated[
 ]
 Method = Annotated[
     Literal["likelihood", "paper"],
-    typer.Option(help="Maximum likelihood, or the procedure of the paper's sections 4.2 and 4.3."),
+    typer.Option(
+        metavar="likelihood|paper",
+        help="Maximum likelihood, or the procedure of the paper's sections 4.2 and 4.3.",
+    ),
 ]
 Free = Annotated[
     list[str] | None,
@@ -279,7 +282,7 @@ def _options(
         joint=joint,
         gain="gain" in (free or ()),
         dark="dark" in (free or ()),
-        register=register,
+        shift=register,
         points=chosen,
         pixels=pixels,
         validate=validate,

@@ -122,8 +122,8 @@ def inspect(
         detector=cast("Detector", detector),
         fusion=None if fusion == "none" else cast("Fusion", fusion),
         false_alarms=false_alarms,
-        min_images=min_images,
-        register=register,
+        seen_by=min_images,
+        shift=register,
     )
     problems = options.problems()
     if calibrate:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from lightopt.core.transforms import Posture
 
 
-selection_option = partial(typer.Option, rich_help_panel="What to take")
+selection_option = partial(typer.Option, rich_help_panel="Selection")
 model_option = partial(typer.Option, rich_help_panel="Model")
 output_option = partial(typer.Option, rich_help_panel="Output")
 hardware_option = partial(typer.Option, rich_help_panel="Hardware")
@@ -29,10 +29,7 @@ RigFile = Annotated[Path, typer.Argument(metavar="RIG", help="Rig file (YAML): c
 PartFile = Annotated[
     Path, typer.Argument(metavar="PART", help="Part file (YAML): mesh, postures, reflectance.")
 ]
-Out = Annotated[
-    Path,
-    output_option("--out", "-o", metavar="DIR", help="Output folder; made if missing."),
-]
+Out = Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Output folder; made if missing.")]
 Force = Annotated[bool, output_option("--force", help="Overwrite existing results.")]
 Report = Annotated[bool, output_option("--report/--no-report", help="Write report.html.")]
 JsonFile = Annotated[

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from lightopt.cli._optimize_tables import show_overlaps
-from lightopt.cli._options import Force, Quiet, Verbose, output_option
+from lightopt.cli._options import Force, Quiet, Verbose
 from lightopt.cli._terminal import say
 
 
@@ -14,7 +14,7 @@ def overlap(
     images: Annotated[Path, typer.Argument(metavar="IMAGES", help="Image set: its folder or manifest.json.")],
     out: Annotated[
         Path | None,
-        output_option("--out", "-o", metavar="DIR", help="Write the maps (PNG) and overlap.json here."),
+        typer.Option("--out", "-o", metavar="DIR", help="Write the maps (PNG) and overlap.json here."),
     ] = None,
     force: Force = False,
     quiet: Quiet = False,

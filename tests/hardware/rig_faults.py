@@ -122,7 +122,7 @@ def rig_cases(moments: int) -> Iterator[RigCase]:
             dark=False,
         )
     for come_back in (False, True):
-        with_it = ", with --come-back" if come_back else ""
+        with_it = ", with --check-repeatability" if come_back else ""
         for when, step in (("first", 3), ("second", 39)):
             for kind, axis in (("tilted", "1"), ("turned", "2")):
                 yield RigCase(

@@ -114,8 +114,8 @@ ENDS = {
     "lamp gives 80 % of its light": "not noticed",
     "plugs of two lamps swapped": "stopped, by image",
     "stage tilted by 1° more than it says, from its second move on": "not noticed",
-    "stage tilted by 1° more than it says, from its second move on, with --come-back": "told in a warning",
-    "stage turned by 1° more than it says, from its second move on, with --come-back": "told in a warning",
+    "stage tilted by 1° more than it says, from its second move on, with --check-repeatability": "told in a warning",
+    "stage turned by 1° more than it says, from its second move on, with --check-repeatability": "told in a warning",
 }
 """Faults that the tests above do not have, and how docs/reliability.md says that they end."""
 
@@ -141,7 +141,7 @@ def test_what_the_commands_capture_and_fit_holds_the_truth(bed, tmp_path, capsys
     assert old in text
     guess.write_text(text.replace(old, new), encoding="utf-8", newline="\n")
     fitted = tmp_path / "fit"
-    options = ["-o", str(fitted), "--joint", "--no-validation", "--pixels", "5000"]
+    options = ["-o", str(fitted), "--joint", "--no-validate", "--pixels", "5000"]
     assert run(["fit-specular", str(rig), str(guess), str(out), *options]) == 0
     found = json.loads((fitted / "fit.json").read_text(encoding="utf-8"))
     assert set(found["fitted"]) == {"R_d", "R_s", "sigma_rad"}

@@ -18,7 +18,7 @@ from lightopt.images import read_image_set
 
 # about a second of rendering, 8 images of 3 × 3 rays a pixel
 OPTIONS = (
-    *("--exposure", "1", "--exposure", "1/16", "--layers", "--noise", "1"),
+    *("--exposures", "1,1/16", "--layers", "--noise", "1"),
     *("--patches", "1000", "--supersample", "3"),
 )
 IMAGES = 8
@@ -156,7 +156,7 @@ def test_any_moment(cli, shared_bench, tmp_path, undisturbed, snapshot, kill):
 
 # --- the same in process, at every single write: before the file is flushed, and before it is put in its place
 
-QUICK = ("--exposure", "1", "--exposure", "1/16", "--patches", "500")
+QUICK = ("--exposures", "1,1/16", "--patches", "500")
 
 
 @pytest.fixture(scope="module")

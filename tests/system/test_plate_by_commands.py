@@ -43,12 +43,20 @@ def test_a_plate_is_inspected_and_fitted_where_it_lies(seen, cli):
     # nothing is unexplained where there is no variance to explain
     fixed = bench.folder / "fixed"
     ran = cli(
-        "inspect", bench.rig, bench.part, images, "-o", fixed, "--fail-on-defect", "--no-shift", "--no-report"
+        "inspect",
+        bench.rig,
+        bench.part,
+        images,
+        "-o",
+        fixed,
+        "--fail-on-defect",
+        "--no-register",
+        "--no-report",
     )
     assert (ran.status, figures(fixed, "defects.json")["defects"]) == (0, []), ran.err
 
     ran = cli(
-        "fit-diffuse", bench.rig, bench.part, images, "-o", bench.folder / "diffuse", "--free", "shift", "-q"
+        "fit-diffuse", bench.rig, bench.part, images, "-o", bench.folder / "diffuse", "--register", "-q"
     )
     assert ran.status == 0, ran.err
     fitted = figures(bench.folder / "diffuse", "fit.json")
@@ -62,7 +70,7 @@ def test_a_plate_is_inspected_and_fitted_where_it_lies(seen, cli):
         images,
         "-o",
         bench.folder / "specular",
-        "--no-validation",
+        "--no-validate",
         "-q",
     )
     if glossy:

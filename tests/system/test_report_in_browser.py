@@ -227,10 +227,18 @@ def test_the_reports_of_inspected_parts(bench, cli):
     assert cli("render", bench.rig, bad, "-o", bench.folder / "bad", *few).status == 0
     assert cli("render", bench.rig, bad, "-o", bench.folder / "worse", *few[:-1], "4").status == 0
     sets = (bench.folder / "bad", bench.folder / "worse")
-    ran = cli("inspect", bench.rig, bench.part, *sets, "-o", bench.out, "--no-shift", "--truth", "-q")
+    ran = cli("inspect", bench.rig, bench.part, *sets, "-o", bench.out, "--no-register", "--evaluate", "-q")
     assert ran.status == 0, ran.err
     ran = cli(
-        "inspect", bench.rig, bench.part, sets[0], "-o", bench.folder / "one", "--no-shift", "--truth", "-q"
+        "inspect",
+        bench.rig,
+        bench.part,
+        sets[0],
+        "-o",
+        bench.folder / "one",
+        "--no-register",
+        "--evaluate",
+        "-q",
     )
     assert ran.status == 0, ran.err
     one = json.loads((bench.folder / "one" / "defects.json").read_text(encoding="utf-8"))

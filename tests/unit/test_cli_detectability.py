@@ -16,7 +16,7 @@ from lightopt.design import BlindReason, blind_text
 from lightopt.images import read_png
 
 LIGHTS = ("light1", "light2", "light3")
-DEFECTS = ("--objective", "detectability", "--objective", "paper", "--seen-in", "2", "--threshold", "4")
+DEFECTS = ("--objective", "detectability", "--objective", "paper", "--min-images", "2", "--threshold", "4")
 
 
 @pytest.fixture
@@ -197,11 +197,14 @@ def test_other_thresholds_and_other_noise_are_other_matrices_and_other_results(t
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--seen-in", "2"), "--seen-in is of --objective detectability, which was not given"),
+        (("--min-images", "2"), "--min-images is of --objective detectability, which was not given"),
         (("--threshold", "2"), "--threshold is of --objective detectability, which was not given"),
-        (("--objective", "detectability", "--seen-in", "0"), "--seen-in: expected the number of images"),
         (
-            ("--objective", "detectability", "--seen-in", "4"),
+            ("--objective", "detectability", "--min-images", "0"),
+            "--min-images: expected the number of images",
+        ),
+        (
+            ("--objective", "detectability", "--min-images", "4"),
             "seen in 4 images, and the rig has 3 lights only",
         ),
         (("--objective", "detectability", "--threshold", "0"), "--threshold: expected a number above 0"),

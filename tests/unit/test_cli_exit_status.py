@@ -272,7 +272,16 @@ def test_inspect_judges_though_nobody_reads(bench, cli, tmp_path):
     (bench.folder / "bad.yaml").write_text(good + dent, encoding="utf-8")
     sets = bench.folder / "set"
     assert cli("render", bench.rig, bench.folder / "bad.yaml", "-o", sets, "--patches", 500, "-q").status == 0
-    arguments = ("inspect", bench.rig, bench.part, sets, "--no-shift", "--fail-on-defect", "--seen-by", 1)
+    arguments = (
+        "inspect",
+        bench.rig,
+        bench.part,
+        sets,
+        "--no-register",
+        "--fail-on-defect",
+        "--min-images",
+        1,
+    )
     status, said = left(lightopt(*arguments, "-o", tmp_path / "out", stdout=subprocess.PIPE))
     assert status == 1, said
     assert "NG" in said

@@ -45,7 +45,7 @@ def measured(shared_bench, tmp_path_factory):
         "--noise",
         "5",
     ]
-    assert run([str(word) for word in (*command, "--exposure", "1", "--exposure", "1/16")]) == 0
+    assert run([str(word) for word in (*command, "--exposures", "1,1/16")]) == 0
     return out
 
 
@@ -119,7 +119,7 @@ def test_gain_and_dark_are_freed_and_written_to_the_rig(cli, bench, images):
     spoil(images, lambda levels: np.minimum(levels.astype(int) + 3, 255).astype(np.uint8))
     ran = cli(
         "fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--free", "gain", "--free", "dark",
-        "--no-validation",
+        "--no-validate",
     )  # fmt: skip
     assert ran.status == 0
     rig = load_rig(bench.out / "rig.fitted.yaml")
@@ -133,7 +133,7 @@ def test_gain_and_dark_are_freed_and_written_to_the_rig(cli, bench, images):
 def test_numbers_of_points_are_compared_and_the_right_one_kept(cli, bench, images):
     ran = cli(
         "fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--points", "1,4",
-        "--no-validation",
+        "--no-validate",
     )  # fmt: skip
     assert ran.status == 0
     figures = json.loads((bench.out / "fit.json").read_text())
@@ -147,7 +147,7 @@ def test_numbers_of_points_are_compared_and_the_right_one_kept(cli, bench, image
 @pytest.mark.slow
 def test_the_papers_procedure(cli, bench, images):
     one = ("--method", "paper")
-    coarse = ("--sigma-start", "0.03", "--sigma-step", "0.01")
+    coarse = ("--start-sigma", "0.03", "--sigma-step", "0.01")
     assert cli("fit-diffuse", bench.rig, bench.part, images, "-o", bench.folder / "d", *one).status == 0
     part = bench.folder / "d" / "part.fitted.yaml"
     assert load_part(part).reflectance.R_d == pytest.approx(45.0, rel=0.01)
@@ -163,7 +163,7 @@ def test_the_papers_procedure(cli, bench, images):
 
 @pytest.mark.slow
 def test_the_same_fit_again_gives_the_same_bytes(cli, bench, images, snapshot):
-    command = ("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--no-validation")
+    command = ("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--no-validate")
     assert cli(*command, "--threads", "1").status == 0
     first = snapshot(bench.out)
     assert cli(*command, "--threads", "2").status == 0
@@ -185,20 +185,20 @@ def test_a_fit_of_other_inputs_is_not_replaced(cli, bench, images):
 def test_a_part_that_lies_a_little_off_is_found(cli, bench, tmp_path, points):
     bench.edit("part.yaml", "translate_mm: [0, 0, 0]", "translate_mm: [0.8, -0.6, 0], rotate_deg: [0, 0, 1]")
     bench.edit("rig.yaml", "points: 4", f"points: {points}")
-    exposures = ("--exposure", "1", "--exposure", "1/16", "--patches", "500", "--noise", "2", "-q")
+    exposures = ("--exposures", "1,1/16", "--patches", "500", "--noise", "2", "-q")
     once = ("--posture", "0,0")
     assert cli("render", bench.rig, bench.part, "-o", tmp_path / "off", *exposures, *once).status == 0
     bench.edit("part.yaml", "translate_mm: [0.8, -0.6, 0], rotate_deg: [0, 0, 1]", "translate_mm: [0, 0, 0]")
     bench.edit("part.yaml", *GUESS)
-    command = ("fit-specular", bench.rig, bench.part, tmp_path / "off", "--joint", "--no-validation")
+    command = ("fit-specular", bench.rig, bench.part, tmp_path / "off", "--joint", "--no-validate")
     nominal = cli(*command, "-o", tmp_path / "nominal")
     assert nominal.status == 2
-    assert "--free shift" in nominal.err
+    assert "--register" in nominal.err
     told = re.search(r"shifted by ([0-9.]+) px", nominal.err)
     assert told is not None
     # 1 mm, at 0.44 mm a pixel
     assert float(told[1]) == pytest.approx(1.0 / 0.44, rel=0.1)
-    ran = cli(*command, "-o", bench.out, "--free", "shift")
+    ran = cli(*command, "-o", bench.out, "--register")
     assert ran.status == 0
     fitted = load_part(bench.out / "part.fitted.yaml").reflectance
     assert fitted.R_d == pytest.approx(45.0, rel=0.01)
@@ -231,7 +231,7 @@ def test_images_that_hardly_separate_the_two_ask_for_a_shorter_exposure(cli, ben
 
 @pytest.mark.slow
 def test_a_held_r_d_that_is_wrong_is_noticed(cli, bench, images):
-    ran = cli("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--no-validation")
+    ran = cli("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--no-validate")
     assert "R_d is held at 30" in ran.err
     assert "--joint" in ran.err
 
@@ -239,10 +239,10 @@ def test_a_held_r_d_that_is_wrong_is_noticed(cli, bench, images):
 @pytest.mark.slow
 def test_point_lights_fitted_to_an_evenly_lit_panel_are_noticed(cli, bench, tmp_path):
     bench.edit("rig.yaml", "points: 4", "points: auto")
-    exposures = ("--exposure", "1", "--exposure", "1/16", "--patches", "500", "--noise", "2", "-q")
+    exposures = ("--exposures", "1,1/16", "--patches", "500", "--noise", "2", "-q")
     assert cli("render", bench.rig, bench.part, "-o", tmp_path / "even", *exposures).status == 0
     bench.edit("rig.yaml", "points: auto", "points: 4")
-    command = ("fit-specular", bench.rig, bench.part, tmp_path / "even", "--joint", "--no-validation")
+    command = ("fit-specular", bench.rig, bench.part, tmp_path / "even", "--joint", "--no-validate")
     ran = cli(*command, "-o", tmp_path / "four")
     assert ran.status == 0
     assert "evenly lit panels describe these images better than 4 points" in ran.err
@@ -253,7 +253,7 @@ def test_point_lights_fitted_to_an_evenly_lit_panel_are_noticed(cli, bench, tmp_
 
 @pytest.mark.slow
 def test_images_of_point_lights_want_no_evenly_lit_panel(cli, bench, images):
-    ran = cli("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--no-validation")
+    ran = cli("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--no-validate")
     assert (ran.status, ran.err) == (0, "")
 
 
@@ -264,7 +264,7 @@ def test_force_leaves_nothing_of_the_fit_before(cli, bench, images):
     assert (bench.out / "rig.fitted.yaml").exists()
     assert list((bench.out / "left-out").glob("*.png"))
     (bench.out / "notes.txt").write_text("mine")
-    assert cli(*command, "--no-validation", "--force").status == 0
+    assert cli(*command, "--no-validate", "--force").status == 0
     listed = {*json.loads((bench.out / "fit.json").read_text())["files"], "fit.json", "notes.txt"}
     assert {p.relative_to(bench.out).as_posix() for p in bench.out.rglob("*") if p.is_file()} == listed
     assert "rig.fitted.yaml" not in listed
@@ -291,7 +291,7 @@ def test_a_black_level_below_zero_is_not_hidden(cli, bench, images):
     edit_manifest(images, lambda manifest: manifest.update(saturation_level=253))
     bench.edit("rig.yaml", "bit_depth: 8", "bit_depth: 8, saturation_level: 253")
     ran = cli(
-        "fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--free", "dark", "--no-validation"
+        "fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--free", "dark", "--no-validate"
     )  # fmt: skip
     assert ran.status == 0
     assert "the black level that fits is -" in ran.err
@@ -379,7 +379,7 @@ def test_no_saturated_pixel_for_the_papers_method(cli, bench, images):
 
 
 def test_no_diffuse_only_pixel_for_the_papers_method(cli, bench, images):
-    options = ("--method", "paper", "--away", "89")
+    options = ("--method", "paper", "--highlight-margin", "89")
     refused(cli, bench, images, "no diffuse-only pixel", command="fit-diffuse", options=options)
 
 
@@ -419,8 +419,8 @@ def test_the_papers_procedure_refuses_strangers_too(cli, bench, images):
     ("option", "value", "word"),
     [
         ("--sigma-step", "1e-7", "expected 0.0002 rad or more"),
-        ("--sigma-start", "5", "expected 0.001 to 0.2 rad, found 5"),
-        ("--start", "0", "--start: expected a number above 0"),
+        ("--start-sigma", "5", "expected 0.001 to 0.2 rad, found 5"),
+        ("--start-rs", "0", "--start-rs: expected a number above 0"),
         ("--lambda-s1", "nan", "--lambda-s1: expected a number above 0"),
     ],
 )
@@ -478,7 +478,7 @@ def test_exr_only_images_are_read(cli, bench, images):
     edit_manifest(images, drop)
     assert read_image_set(images).images[0].png is None
     ran = cli(
-        "fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--no-validation", "--pixels", 8000
+        "fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--joint", "--no-validate", "--pixels", 8000
     )  # fmt: skip
     assert ran.status == 0
     fitted = load_part(bench.out / "part.fitted.yaml").reflectance

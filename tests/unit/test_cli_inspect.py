@@ -62,7 +62,7 @@ def images(parts, tmp_path):
 
 def inspect(cli, bench, images, *options, out="out"):
     sets = images if isinstance(images, list) else [images]
-    return cli("inspect", bench.rig, bench.part, *sets, "-o", bench.folder / out, "--no-shift", *options)
+    return cli("inspect", bench.rig, bench.part, *sets, "-o", bench.folder / out, "--no-register", *options)
 
 
 def found(bench, out="out"):
@@ -289,7 +289,7 @@ def test_a_refused_set_keeps_no_earlier_result_and_an_old_folder_is_asked_for_be
     assert not (bench.out / "dazzled").exists()
     assert found(bench, "out/bad")["verdict"] == "NG"
     two = shutil.copytree(dazzled, tmp_path / "two")
-    assert inspect(cli, bench, [dazzled, two], "--truth", out="none").status == 2
+    assert inspect(cli, bench, [dazzled, two], "--evaluate", out="none").status == 2
     batch = json.loads((bench.folder / "none" / "batch.json").read_text(encoding="utf-8"))
     assert [one["verdict"] for one in batch["sets"]] == ["not inspected"] * 2
 
@@ -357,7 +357,7 @@ def test_a_missing_posture_is_not_inspected(cli, bench, parts, tmp_path):
 def test_what_is_allowed_and_what_is_found_is_said(cli, bench, parts):
     text = bench.part.read_text(encoding="utf-8")
     bench.part.write_text(text + "inspection: {most_defects: 3, least_size_mm: 4.5}\n", encoding="utf-8")
-    ran = inspect(cli, bench, parts["bad"], "--fusion", "none", "--fail-on-defect", "--truth")
+    ran = inspect(cli, bench, parts["bad"], "--fusion", "none", "--fail-on-defect", "--evaluate")
     assert ran.status == 0
     assert "OK: 1 defect that counts, 3 allowed\n" in ran.out
     share = 100.0 * found(bench)["surface"]["finds_contrast"]["0.2"]
@@ -378,7 +378,7 @@ def flip(folder, axis):
 
 
 def test_labels_say_what_was_found_and_what_was_not(cli, bench, parts):
-    ran = inspect(cli, bench, parts["bad"], "--fusion", "none", "--truth")
+    ran = inspect(cli, bench, parts["bad"], "--fusion", "none", "--evaluate")
     assert ran.status == 0
     assert "2 of 2 defects found" in ran.out
     assert "truth.json" in found(bench)["files"]
@@ -395,7 +395,7 @@ def test_labels_say_what_was_found_and_what_was_not(cli, bench, parts):
 
 @pytest.mark.slow
 def test_the_truth_of_a_run_goes_when_the_next_has_none(cli, bench, parts):
-    assert inspect(cli, bench, parts["bad"], "--fusion", "none", "--truth", "--no-report").status == 0
+    assert inspect(cli, bench, parts["bad"], "--fusion", "none", "--evaluate", "--no-report").status == 0
     assert "report.html" not in found(bench)["files"]
     assert (bench.out / "truth.json").exists()
     assert inspect(cli, bench, parts["bad"], "--fusion", "none").status == 0
@@ -405,7 +405,7 @@ def test_the_truth_of_a_run_goes_when_the_next_has_none(cli, bench, parts):
 
 def test_a_set_rendered_without_defects_counts_with_its_false_alarms_alone(cli, bench, parts):
     bench.part.write_text(bench.part.read_text(encoding="utf-8") + DEFECTS, encoding="utf-8")
-    ran = inspect(cli, bench, [parts["good"], parts["bad"]], "--fusion", "none", "--truth")
+    ran = inspect(cli, bench, [parts["good"], parts["bad"]], "--fusion", "none", "--evaluate")
     assert ran.status == 0, ran.err
     assert "2 of 2 defects found" in ran.out
     told = json.loads((bench.out / "truth.json").read_text(encoding="utf-8"))
@@ -427,7 +427,7 @@ def test_what_cannot_be_known_is_refused_before_any_work(cli, bench, parts, imag
     manifest = json.loads((images / "manifest.json").read_text(encoding="utf-8"))
     (images / "manifest.json").write_text(json.dumps({**manifest, "part": None, "lightopt": None}), "utf-8")
     for sets in (images, [parts["bad"], images]):
-        ran = inspect(cli, bench, sets, "--truth")
+        ran = inspect(cli, bench, sets, "--evaluate")
         assert ran.status == 2
         assert "nothing is known of defects on this part" in ran.err
         assert not bench.out.exists()
@@ -527,7 +527,7 @@ def test_sixteen_bits_and_exposures_and_sets_without_exr_will_do(cli, bench, tmp
     bench.edit("rig.yaml", "electrons_per_level: 60", "electrons_per_level: 0.4")
     text = bench.part.read_text(encoding="utf-8")
     bench.part.write_text(text + DEFECTS, encoding="utf-8")
-    out = rendered(bench, tmp_path / "deep", "--exposure", "1", "--exposure", "1/16", *FIRST)
+    out = rendered(bench, tmp_path / "deep", "--exposures", "1,1/16", *FIRST)
     for path in out.rglob("light*.exr"):
         path.unlink()
     manifest = json.loads((out / "manifest.json").read_text(encoding="utf-8"))
@@ -544,7 +544,7 @@ def test_sixteen_bits_and_exposures_and_sets_without_exr_will_do(cli, bench, tmp
         (("--detector", "magic"), "--detector: expected residual or template"),
         (("--fusion", "mean"), "--fusion: expected paper, median, minimum, second-largest or none"),
         (("--false-alarms", "0"), "--false-alarms: expected a number from 1e-9 to 1"),
-        (("--seen-by", "0"), "--seen-by: expected 1 or more"),
+        (("--min-images", "0"), "--min-images: expected 1 or more"),
         (("--threads", "0"), "--threads: expected at least 1"),
         (("--detector", "template", "--fusion", "none"), "needs a --fusion"),
     ],

@@ -347,7 +347,7 @@ def test_an_interrupted_run_leaves_whole_matrices_that_are_reused(three):
         ),
         (("--shade-below", "1"), "leaves none usable"),
         (("--objective", "paint"), '--objective: expected coverage or paper or detectability, found "paint"'),
-        (("--rows", "0"), "ranking rows: expected at least 1, found 0"),
+        (("--ranking-rows", "0"), "ranking rows: expected at least 1, found 0"),
         (("--points", "5"), "points: expected a square"),
         (("--posture", "80,0"), "posture: elevation 80° is outside the stage's range"),
     ],
@@ -415,10 +415,18 @@ def test_one_light_is_placed_for_defects_and_refused_by_objectives_that_compare_
     assert answer["combinations"]["total"] == 2
     assert 0.0 < answer["share_of_inspectable_area"] < 1.0
     twice = cli(
-        "optimize", bench.rig, bench.part, "-o", bench.out, "--objective", "detectability", "--seen-in", "2"
+        "optimize",
+        bench.rig,
+        bench.part,
+        "-o",
+        bench.out,
+        "--objective",
+        "detectability",
+        "--min-images",
+        "2",
     )
     assert twice.status == 2
-    assert "2 images, and the rig has 1 light only; lower --seen-in" in twice.err
+    assert "2 images, and the rig has 1 light only; lower --min-images" in twice.err
 
 
 @pytest.mark.slow

@@ -248,7 +248,9 @@ def test_one_light_is_enough_where_postures_are_chosen(two, cli, reach):
     alone = first + last.replace("light2", "light1").replace(", elevation_range_deg: [40, 50]", reach)
     two.edit("rig.yaml", LIGHTS, alone)
     asked = ("--patches", "200", "--step", "10", "--choose-postures", "2", "--posture-step", "90")
-    ran = cli("optimize", two.rig, two.part, "-o", two.out, *asked, "--seen-in", "2", "--tolerance-deg", "1")
+    ran = cli(
+        "optimize", two.rig, two.part, "-o", two.out, *asked, "--min-images", "2", "--light-tolerance", "1"
+    )
     assert ran.status == 0, ran.err
     assert "2 postures of 13 show" in ran.out
     result = result_of(two.out)
@@ -458,7 +460,7 @@ def test_exposures_that_the_target_takes_are_told(capsys, why, expected):
 
 @pytest.mark.nightly
 def test_tolerances_of_another_objective(two, cli):
-    ran = plan(cli, two, "--tolerance-deg", "5", "--pose-tolerance-deg", "2")
+    ran = plan(cli, two, "--light-tolerance", "5", "--pose-tolerance", "2")
     assert ran.status == 0, ran.err
     trust = result_of(two.out)["trust"]
     areas = [result["objectives"][0]["score"] for result in result_of(two.out)["results"]]
@@ -493,7 +495,7 @@ def test_tolerances_of_another_objective(two, cli):
             "--allow-outside: expected a number of pixels, 0 or more, found -1",
         ),
         (("--exposure-gain", "2"), "--exposure-gain: does nothing without --exposures"),
-        (("--tolerance-target", "0.9"), "does nothing without --tolerance-deg"),
+        (("--tolerance-target", "0.9"), "does nothing without --light-tolerance"),
         (("--exposures", "1,0"), "--exposures: expected a number from 1e-09 to 1e+09 or a fraction"),
         (("--exposures", "1,-1/4"), 'found "-1/4"'),
         (("--exposures", "1/4,1/4"), "--exposures: the same exposure was given twice"),
@@ -501,10 +503,10 @@ def test_tolerances_of_another_objective(two, cli):
             ("--exposures", "1/4", "--exposure-gain", "-1"),
             "--exposure-gain: expected points from 0 to 100, found -1",
         ),
-        (("--tolerance-deg", "-2"), "--tolerance-deg: expected degrees from 0 to 16, found -2"),
-        (("--pose-tolerance-deg", "nan"), "--pose-tolerance-deg: expected degrees from 0 to 16, found nan"),
+        (("--light-tolerance", "-2"), "--light-tolerance: expected degrees from 0 to 16, found -2"),
+        (("--pose-tolerance", "nan"), "--pose-tolerance: expected degrees from 0 to 16, found nan"),
         (
-            ("--tolerance-deg", "2", "--tolerance-target", "1"),
+            ("--light-tolerance", "2", "--tolerance-target", "1"),
             "--tolerance-target: expected a share of the score",
         ),
         (("--choose-postures", "1", "--posture", "0,0"), "leave --posture out, or --choose-postures"),
@@ -513,27 +515,27 @@ def test_tolerances_of_another_objective(two, cli):
             "--posture: given together with --target, by which postures",
         ),
         (("--choose-postures", "1", "--objective", "coverage"), "expected detectability first"),
-        (("--choose-postures", "2", "--seen-in", "0"), "--seen-in: expected the number of images"),
-        (("--exposures", "1/4", "--seen-in", "0"), "--seen-in: expected the number of images"),
+        (("--choose-postures", "2", "--min-images", "0"), "--min-images: expected the number of images"),
+        (("--exposures", "1/4", "--min-images", "0"), "--min-images: expected the number of images"),
         (
-            ("--choose-postures", "2", "--seen-in", "5"),
-            "--seen-in: expected at most 4, the number of images of the plan: 2 lights × 2 postures at most",
+            ("--choose-postures", "2", "--min-images", "5"),
+            "--min-images: expected at most 4, the number of images of the plan: 2 lights × 2 postures at most",
         ),
         (
-            ("--target", "0.5", "--posture-step", "90", "--seen-in", "27"),
-            "--seen-in: expected at most 26, the number of images of the plan: 2 lights × 13 postures at most",
+            ("--target", "0.5", "--posture-step", "90", "--min-images", "27"),
+            "--min-images: expected at most 26, the number of images of the plan: 2 lights × 13 postures at most",
         ),
         (
             ("--choose-postures", "1", "--objective", "detectability", "--objective", "paper"),
             "objective paper drops each patch's highest and lowest level, and with 2 lights nothing is left",
         ),
         (
-            ("--exposures", "1,1/4", "--seen-in", "9"),
+            ("--exposures", "1,1/4", "--min-images", "9"),
             "2 lights × 2 postures, further exposures of the same light",
         ),
         (("--choose-postures", "1", "--threshold", "-1"), "--threshold: expected a number above 0"),
         (("--exposures", "1/4", "--threshold", "nan"), "--threshold: expected a number above 0"),
-        (("--choose-postures", "1", "--rows", "0"), "ranking rows: expected at least 1, found 0"),
+        (("--choose-postures", "1", "--ranking-rows", "0"), "ranking rows: expected at least 1, found 0"),
         (("--choose-postures", "1", "--patches", "0"), "patch budget: expected at least 1, found 0"),
         (("--choose-postures", "1", "--threads", "0"), "threads: expected at least 1, found 0"),
     ],
@@ -555,7 +557,7 @@ def test_tolerances_of_many_lights_are_refused_before_any_work(two, cli, monkeyp
         for i in range(10)
     )
     two.edit("rig.yaml", LIGHTS, LIGHTS + more)
-    ran = cli("optimize", two.rig, two.part, "-o", two.out, "--tolerance-deg", "2")
+    ran = cli("optimize", two.rig, two.part, "-o", two.out, "--light-tolerance", "2")
     assert ran.status == 2
     assert "expected at most 10 lights (1,048,576 corners), found 12" in ran.err
     assert not two.out.exists()

@@ -77,7 +77,7 @@ def test_the_images_show_the_defects(shop):
     [
         pytest.param(("fit-diffuse", *SOME), "fit.json", marks=pytest.mark.nightly),
         pytest.param(("fit-specular", "--joint", *SOME), "fit.json", marks=pytest.mark.nightly),
-        pytest.param(("inspect", "--seen-by", "1", "--no-report"), "defects.json", marks=pytest.mark.slow),
+        pytest.param(("inspect", "--min-images", "1", "--no-report"), "defects.json", marks=pytest.mark.slow),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )

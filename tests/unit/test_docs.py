@@ -133,7 +133,7 @@ def test_the_hardware_that_a_rig_from_zero_is_tried_with_is_one(cli, tmp_path, m
     # what the simulated GigE camera needs is not on every computer
     section = section.replace("driver: aravis, port: virtual", "driver: virtual")
     rig.write_text(f"{own}\n{section}", encoding="utf-8", newline="\n")
-    ran = cli("capture", "myrig/rig.yaml", "myrig/part.yaml", "--dry-run", "--come-back")
+    ran = cli("capture", "myrig/rig.yaml", "myrig/part.yaml", "--dry-run", "--check-repeatability")
     assert ran.status == 0
     moves = re.findall(r"move to \((.*?)\)", ran.out)
     assert moves == ["0°, 0°", "0°, 82°", "0°, 180°", "0°, 278°", "0°, 0°"]

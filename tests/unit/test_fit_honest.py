@@ -193,11 +193,11 @@ def poor(*, free=(), lights=(0, 1)):
 
 
 def test_only_what_was_not_fitted_is_a_possible_reason():
-    everything = ("--free shift", "--free gain", "--free dark")
+    everything = ("--register", "--free gain", "--free dark")
     for options, placed, left in (
         ({}, False, everything),
         ({}, True, ("--free gain", "--free dark")),
-        ({"free": (DARK,)}, False, ("--free shift", "--free gain")),
+        ({"free": (DARK,)}, False, ("--register", "--free gain")),
         ({"free": (FIRST_GAIN + 1,)}, True, ("--free dark",)),
         ({"lights": (1, 1)}, True, ("--free dark",)),
     ):
@@ -304,13 +304,13 @@ def noisy(shared_bench, tmp_path_factory):
         encoding="utf-8",
     )
     words = ("render", rig, shared_bench.part, "-o", folder / "set", "-q", "--patches", "500", "--noise", "3")
-    assert run([str(word) for word in (*words, "--exposure", "1", "--exposure", "1/16")]) == 0
+    assert run([str(word) for word in (*words, "--exposures", "1,1/16")]) == 0
     return folder / "set"
 
 
 def fit(cli, bench, images, out, *more, rig=None, pixels=1500):
     return cli(
-        "fit-specular", rig or bench.rig, bench.part, images, "-o", out, "--joint", "--no-validation",
+        "fit-specular", rig or bench.rig, bench.part, images, "-o", out, "--joint", "--no-validate",
         "--pixels", pixels, *more,
     )  # fmt: skip
 
@@ -412,7 +412,7 @@ def test_a_search_for_the_place_that_did_not_converge_exits_1(cli, bench, noisy,
     monkeypatch.setattr(_registration, "STAGE_ITERATIONS", 1)
     monkeypatch.setattr(_registration, "STAGES", 1)
     monkeypatch.setattr(_fit, "refuse_unexplained_images", lambda *_, **__: None)
-    ran = fit(cli, bench, noisy, bench.out, "--free", "shift", pixels=1000)
+    ran = fit(cli, bench, noisy, bench.out, "--register", pixels=1000)
     assert ran.status == 1
     assert "the search for the part's place did not converge" in ran.err
     facts = json.loads((bench.out / "fit.json").read_text())

@@ -177,7 +177,7 @@ def inspect(cli, bench, sets, *options, out="out"):
         *sets,
         "-o",
         bench.folder / out,
-        "--no-shift",
+        "--no-register",
         "--fusion",
         "none",
         *options,
@@ -196,7 +196,16 @@ def learned(cli, bench, sets, *options, out="cal"):
 def taught(shared_bench, good, tmp_path_factory):
     """What the first half of the good sets taught."""
     out = tmp_path_factory.mktemp("taught")
-    command = ["inspect", shared_bench.rig, shared_bench.part, *good[0][:SETS], "-o", out, "--no-shift", "-q"]
+    command = [
+        "inspect",
+        shared_bench.rig,
+        shared_bench.part,
+        *good[0][:SETS],
+        "-o",
+        out,
+        "--no-register",
+        "-q",
+    ]
     options = ["--fusion", "none", "--calibrate", "--false-alarms", RATE]
     assert run([str(word) for word in (*command, *options)]) == 0
     return out / "calibration.json"
@@ -240,13 +249,13 @@ def test_the_template_detector_is_calibrated_by_its_scores(cli, bench, good):
     sets, _ = good
     bench.edit("part.yaml", ", {elevation_deg: -10, rotation_deg: 170}", "")
     options = ("--detector", "template", "--fusion", "median", "--calibrate", "--false-alarms", "0.5")
-    ran = cli("inspect", bench.rig, bench.part, *sets[:5], "-o", bench.out, "--no-shift", *options)
+    ran = cli("inspect", bench.rig, bench.part, *sets[:5], "-o", bench.out, "--no-register", *options)
     assert ran.status == 0
     content = json.loads((bench.out / "calibration.json").read_text(encoding="utf-8"))
     assert len(content["postures"][0]["peaks"]) == 5
     assert content["files"] == []
     options = ("--detector", "template", "--fusion", "median", "--calibration", bench.out)
-    ran = cli("inspect", bench.rig, bench.part, sets[6], "-o", bench.folder / "t", "--no-shift", *options)
+    ran = cli("inspect", bench.rig, bench.part, sets[6], "-o", bench.folder / "t", "--no-register", *options)
     assert (ran.status, ran.err) == (0, "")
     assert found(bench.folder / "t")["postures"][0]["threshold"] == pytest.approx(
         max(content["postures"][0]["peaks"]), abs=1e-3
@@ -277,7 +286,7 @@ def test_another_rig_part_or_way_to_inspect_is_refused(cli, bench, good, taught)
         assert not (bench.folder / "refused").exists()
         return ran.err
 
-    assert "--seen-by: calibration.json was made with 2, found 1" in refused("--seen-by", "1")
+    assert "--min-images: calibration.json was made with 2, found 1" in refused("--min-images", "1")
     bench.edit("part.yaml", "R_d: 45.0", "R_d: 46.0")
     assert "part.yaml: placement, reflectance or how the mesh is read differ" in refused()
     bench.edit("part.yaml", "R_d: 46.0", "R_d: 45.0")
@@ -324,7 +333,7 @@ def test_files_that_are_no_calibration_are_refused(cli, bench, good, taught):
     assert "needs the maps beside it" in inspect(cli, bench, one, "--calibration", path).err
 
 
-@pytest.mark.parametrize("option", [("--truth",), ("--fail-on-defect",)])
+@pytest.mark.parametrize("option", [("--evaluate",), ("--fail-on-defect",)])
 def test_options_of_an_inspection_are_none_of_a_calibration(cli, bench, good, option):
     ran = inspect(cli, bench, good[0][:SETS], "--calibrate", *option)
     assert ran.status == 2

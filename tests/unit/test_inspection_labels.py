@@ -87,7 +87,7 @@ def test_a_captured_set_is_held_against_the_defects_of_its_part(cli, bench, requ
     good = bench.part.read_text(encoding="utf-8")
     bench.part.write_text(good + DEFECTS, encoding="utf-8")
     request.getfixturevalue("take")(bench.folder / "captured")
-    options = ("--no-shift", "--fusion", "none", "--truth")
+    options = ("--no-register", "--fusion", "none", "--evaluate")
     ran = cli(
         "inspect", bench.rig, bench.part, bench.folder / "captured", "-o", bench.folder / "found", *options
     )

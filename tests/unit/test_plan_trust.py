@@ -103,9 +103,9 @@ def test_nothing_off_is_nothing_lost():
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        ({"light_deg": -1.0}, "--tolerance-deg: expected degrees from 0 to 16, found -1"),
-        ({"pose_deg": 17.0}, "--pose-tolerance-deg: expected degrees from 0 to 16, found 17"),
-        ({"light_deg": math.nan}, "--tolerance-deg: expected degrees from 0 to 16, found nan"),
+        ({"light_deg": -1.0}, "--light-tolerance: expected degrees from 0 to 16, found -1"),
+        ({"pose_deg": 17.0}, "--pose-tolerance: expected degrees from 0 to 16, found 17"),
+        ({"light_deg": math.nan}, "--light-tolerance: expected degrees from 0 to 16, found nan"),
         ({"target": 1.0}, "--tolerance-target: expected a share"),
         ({"draws": 0}, "draws: expected at least 1"),
     ],

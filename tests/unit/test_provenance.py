@@ -353,12 +353,21 @@ def test_a_calibration_of_other_code_is_refused(cli, bench, other_code, tmp_path
         folder = bench.folder / f"good{seed}"
         sets.append(folder)
         assert cli("render", bench.rig, bench.part, "-o", folder, *FEW, "--noise", seed).status == 0
-    options = ("--false-alarms", "0.9", "--no-shift", "-q")
+    options = ("--false-alarms", "0.9", "--no-register", "-q")
     made = tmp_path / "calibration"
     assert cli("inspect", bench.rig, bench.part, *sets, "-o", made, "--calibrate", *options).status == 0
     document = json.loads((made / "calibration.json").read_text(encoding="utf-8"))
     check(document["provenance"], inputs={"rig", "part", "mesh", "image_sets"})
-    command = ("inspect", bench.rig, bench.part, sets[0], "--calibration", made, "--no-shift", "--no-report")
+    command = (
+        "inspect",
+        bench.rig,
+        bench.part,
+        sets[0],
+        "--calibration",
+        made,
+        "--no-register",
+        "--no-report",
+    )
     ran = cli(*command, "-o", bench.out)
     assert ran.status == 0, ran.err
     found = json.loads((bench.out / "defects.json").read_text(encoding="utf-8"))["provenance"]
