@@ -13,6 +13,7 @@ from benchmarks.bare import THREADS
 from benchmarks.command import write_rig
 from lightopt import load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
+from lightopt.core.run_context import RunContext
 from lightopt.estimate.reflectance import FitOptions, fit_specular
 from lightopt.images import read_image_set
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set, render_posture
@@ -78,8 +79,10 @@ def _tasks(
 
     def fit(validate: bool) -> object:
         tried = () if points is None else (points,)
-        options = FitOptions(joint=True, validate=validate, points=tried, threads=THREADS)  # type: ignore[arg-type]
-        return fit_specular(rig, part, read_image_set(images), options=options)
+        options = FitOptions(joint=True, validate=validate, points=tried)  # type: ignore[arg-type]
+        return fit_specular(
+            rig, part, read_image_set(images), options=options, run=RunContext(threads=THREADS)
+        )
 
     return {
         "one image": lambda: render_posture(

@@ -10,6 +10,7 @@ from lightopt.cli._inputs import load_inputs
 from lightopt.cli._options import Force, PartFile, Quiet, RigFile, make_folder
 from lightopt.cli._terminal import say
 from lightopt.core.errors import counted
+from lightopt.core.run_context import RunContext
 
 
 def defects(
@@ -49,7 +50,8 @@ def defects(
     loaded_rig, loaded_part = load_inputs(rig, part)
     assert loaded_part is not None
     comment = f"{counted(count, 'defect')}, scattered by: lightopt defects --seed {seed} --count {count}"
-    placed = place_random_defects(loaded_rig, loaded_part, count=count, seed=seed, threads=threads)
+    run = RunContext(threads=threads)
+    placed = place_random_defects(loaded_rig, loaded_part, count=count, seed=seed, run=run)
     made_from = random_defect_provenance(loaded_rig, loaded_part, count=count, seed=seed)
     text = random_defects_text(loaded_part, placed, folder=out.parent, comment=comment, made_from=made_from)
     make_folder(out.parent)

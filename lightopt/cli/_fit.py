@@ -11,6 +11,7 @@ from lightopt.cli._inputs import load_inputs
 from lightopt.cli._options import Force, Out, PartFile, Quiet, RigFile, make_folder, parse_points
 from lightopt.cli._terminal import say, say_warning, show_share, show_table
 from lightopt.core.errors import CheckFailed, InputError
+from lightopt.core.run_context import RunContext
 
 if TYPE_CHECKING:
     from lightopt.estimate.reflectance import (
@@ -89,7 +90,7 @@ def fit_diffuse(
 
     paper = PaperOptions(lambda_d=lambda_d, R_d_start=start, away=math.radians(away))
     options = _options("diffuse", method, free, points, pixels, paper, threads, write_noise=write_noise)
-    _run("diffuse", rig, part, images, out, options, force, quiet, allow_unconverged)
+    _run("diffuse", rig, part, images, out, options, threads, force, quiet, allow_unconverged)
 
 
 def fit_specular(
@@ -148,7 +149,7 @@ def fit_specular(
         "specular", method, free, points, pixels, paper, threads, joint=joint, validate=not no_validation,
         write_noise=write_noise,
     )  # fmt: skip
-    _run("specular", rig, part, images, out, options, force, quiet, allow_unconverged)
+    _run("specular", rig, part, images, out, options, threads, force, quiet, allow_unconverged)
 
 
 def _run(
@@ -158,6 +159,7 @@ def _run(
     images: Path,
     out: Path,
     options: FitOptions,
+    threads: int | None,
     force: bool,
     quiet: bool,
     allow_unconverged: bool,
@@ -170,24 +172,22 @@ def _run(
     assert loaded_part is not None
     image_set = read_image_set(images)
     arguments: dict[str, Any] = {**vars(options), "kind": kind, "paper": options.paper.as_dict()}
-    del arguments["threads"]
     made_from = fit_provenance(loaded_rig, loaded_part, image_set, arguments)
     folder = FitFolder(out, made_from, force=force)
     make_folder(out)
     with show_share(quiet=quiet) as progress:
+        run = RunContext(threads=threads, progress=progress, warn=say_warning)
         if kind == "diffuse":
-            result = fit_diffuse(loaded_rig, loaded_part, image_set, options=options, progress=progress)
+            result = fit_diffuse(loaded_rig, loaded_part, image_set, options=options, run=run)
         else:
             save = _save_residuals(
                 folder, loaded_rig.camera.sensor.bit_depth, loaded_rig.camera.sensor.saturation_level
             )
             result = fit_specular(
-                loaded_rig, loaded_part, image_set, options=options, progress=progress, save_prediction=save
+                loaded_rig, loaded_part, image_set, options=options, run=run, save_prediction=save
             )
     chart = fit_chart(result, lambda: folder.place("fit.png"))
     written = folder.write(result, loaded_rig, loaded_part)
-    for text in result.warnings:
-        say_warning(text)
     if not quiet:
         _show(result)
         for path in (*written, *([chart] if chart else [])):
@@ -254,7 +254,6 @@ def _options(
         validate=validate,
         write_noise=write_noise,
         paper=paper,
-        threads=threads,
     )
 
 

@@ -12,6 +12,7 @@ from lightopt.cli._inspect_output import Output, show_batch, show_calibration, w
 from lightopt.cli._options import Force, Out, PartFile, Quiet, RigFile, Threads, make_folder
 from lightopt.cli._terminal import say, say_error, say_warning, show_share
 from lightopt.core.errors import CheckFailed, InputError, counted
+from lightopt.core.run_context import RunContext, StageShare
 
 if TYPE_CHECKING:
     from lightopt.config import PartConfig, RigConfig
@@ -105,7 +106,6 @@ def inspect(
         false_alarms=false_alarms,
         seen_by=seen_by,
         shift=not no_shift,
-        threads=threads,
     )
     problems = options.problems()
     if threads is not None and threads < 1:
@@ -121,12 +121,12 @@ def inspect(
     assert loaded_part is not None
     sets = [read_image_set(path) for path in images]
     if calibrate:
-        _calibrate(loaded_rig, loaded_part, sets, out, options, force=force, quiet=quiet)
+        _calibrate(loaded_rig, loaded_part, sets, out, options, threads, force=force, quiet=quiet)
         return
     if learned is not None:
         learned.require_match(loaded_rig, loaded_part, options)
     output = Output(rig=loaded_rig, part=loaded_part, report=not no_report, quiet=quiet)
-    rows = _inspect(output, sets, out, options, learned, truth=truth, force=force)
+    rows = _inspect(output, sets, out, options, learned, threads, truth=truth, force=force)
     refused = [row.name for row in rows if row.verdict is None]
     bad = [
         f"{image_set.folder}: NG, {'; '.join(row.verdict.reasons)}"
@@ -146,6 +146,7 @@ def _inspect(
     out: Path,
     options: InspectOptions,
     calibration: Calibration | None,
+    threads: int | None,
     *,
     truth: bool,
     force: bool,
@@ -177,6 +178,12 @@ def _inspect(
         )
         for number, (image_set, name) in enumerate(zip(sets, names, strict=True))
     ]
+    shown: list[StageShare | None] = [None]
+
+    def progress(stage: str, share: float) -> None:
+        if shown[0] is not None:
+            shown[0](stage, share)
+
     results = inspect_batch(
         rig,
         part,
@@ -185,7 +192,7 @@ def _inspect(
         calibration=calibration,
         truth=sources,
         folders=folders,
-        progress=partial(show_share, quiet=output.quiet),
+        run=RunContext(threads=threads, progress=progress, warn=say_warning),
     )
     rows: list[BatchRow] = []
     evaluations: list[SetEvaluation] = []
@@ -193,7 +200,8 @@ def _inspect(
     for name, image_set, folder in zip(names, sets, folders, strict=True):
         if several and not output.quiet:
             say(f"{name}:")
-        inspected = next(results)
+        with show_share(quiet=output.quiet) as shown[0]:  # ends before the result is printed
+            inspected = next(results)
         if inspected.error is not None:
             if not several:
                 raise inspected.error
@@ -205,8 +213,6 @@ def _inspect(
             reasons = (message.replace(own, name) for message in inspected.error.messages)
             rows.append(BatchRow(name=name, refused=tuple(reasons)))
             continue
-        for text in inspected.warnings:
-            say_warning(f"{name}: {text}" if several else text)
         rows.append(write_set(output, folder, inspected, summarised=not several))
         if inspected.evaluation is not None:
             evaluations.append(inspected.evaluation)
@@ -223,6 +229,7 @@ def _calibrate(
     sets: list[ImageSet],
     out: Path,
     options: InspectOptions,
+    threads: int | None,
     *,
     force: bool,
     quiet: bool,
@@ -233,7 +240,8 @@ def _calibrate(
     folder = CalibrationFolder(out, inspection_provenance(rig, part, sets, options), force=force)
     make_folder(out)
     with show_share(quiet=quiet) as progress:
-        calibration = calibrate(rig, part, sets, options=options, progress=progress)
+        run = RunContext(threads=threads, progress=progress)
+        calibration = calibrate(rig, part, sets, options=options, run=run)
     path = folder.write(calibration)
     if not quiet:
         show_calibration(calibration, options.false_alarms)
