@@ -166,7 +166,10 @@ def regions_of(
     found: Deviations = deviations(view)
     if taught is not None and taught.systematic is not None:
         found = subtract_systematic(found, taught.systematic, nominal_pixels(view, model, told))
-    score, tests = score_posture(found, options, partial(synthetic_image, view, options, probes=0))
+    make_synthetic = (
+        None if options.fusion is None else partial(synthetic_image, view, options.fusion, probes=0)
+    )
+    score, tests = score_posture(found, options, make_synthetic)
     noise = threshold(options.false_alarms, int(view.clean.sum()), tests)
     high = noise if taught is None else taught.threshold(options.false_alarms)
     return find_regions(score, high)[0]

@@ -83,8 +83,10 @@ def _tasks(
 
     def fit(validate: bool) -> object:
         tried = () if points is None else (points,)
-        options = FitOptions(joint=True, validate=validate, points=tried, threads=THREADS)  # type: ignore[arg-type]
-        return fit_specular(rig, part, read_image_set(images), options=options)
+        options = FitOptions(joint=True, validate=validate, points=tried)  # type: ignore[arg-type]
+        return fit_specular(
+            rig, part, read_image_set(images), options=options, run=RunContext(threads=THREADS)
+        )
 
     return {
         "one image": lambda: render_posture(

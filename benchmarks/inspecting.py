@@ -15,6 +15,7 @@ from benchmarks._report import Report, Table, ratio_text, ratios, rounds
 from benchmarks.bare import THREADS
 from lightopt import load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
+from lightopt.core.run_context import RunContext
 from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
@@ -62,7 +63,7 @@ def run(size: Size) -> Report:
 def _part(folder: Path, part: str, size: Size, numbers: dict[str, object]) -> list[tuple[str, ...]]:
     rig = _rig(folder, size)
     good, sets = _sets(folder, part, rig)
-    options = InspectOptions(threads=THREADS)
+    options = InspectOptions()
     cache = PredictionCache()
     once: list[float] = []
     for folder_of_set in sets[:2]:
@@ -156,7 +157,8 @@ def _sets(folder: Path, name: str, rig: RigConfig) -> tuple[PartConfig, list[Pat
 def _verdict(
     rig: RigConfig, part: PartConfig, folder: Path, options: InspectOptions, cache: PredictionCache
 ) -> InspectionResult:
-    result = inspect_set(rig, part, read_image_set(folder), options=options, cache=cache)
+    run = RunContext(threads=THREADS)
+    result = inspect_set(rig, part, read_image_set(folder), options=options, cache=cache, run=run)
     judge(result, part.inspection)
     return result
 

@@ -26,7 +26,7 @@ from lightopt.cli._options import (
 )
 from lightopt.cli._terminal import say, say_error, say_warning, show_progress
 from lightopt.core.errors import CheckFailed, InputError, counted
-from lightopt.core.run_context import RunContext
+from lightopt.core.run_context import RunContext, StageShare
 
 if TYPE_CHECKING:
     from lightopt.config import PartConfig, RigConfig
@@ -199,6 +199,12 @@ def _inspect(
         )
         for number, (image_set, name) in enumerate(zip(sets, names, strict=True))
     ]
+    shown: list[StageShare | None] = [None]
+
+    def progress(stage: str, share: float) -> None:
+        if shown[0] is not None:
+            shown[0](stage, share)
+
     results = inspect_batch(
         rig,
         part,
@@ -207,13 +213,14 @@ def _inspect(
         calibration=calibration,
         truth=sources,
         folders=folders,
-        progress=partial(show_share, quiet=output.quiet),
+        run=RunContext(threads=output.threads, progress=progress, warn=say_warning),
     )
     rows: list[BatchRow] = []
     evaluations: list[SetEvaluation] = []
     begun = monotonic()
     for name, image_set, folder in zip(names, sets, folders, strict=True):
-        inspected = next(results)
+        with show_progress(quiet=output.quiet) as shown[0]:  # ends before the result is printed
+            inspected = next(results)
         if inspected.error is not None:
             if not several:
                 raise inspected.error
@@ -225,8 +232,6 @@ def _inspect(
             reasons = (message.replace(own, name) for message in inspected.error.messages)
             rows.append(BatchRow(name=name, refused=tuple(reasons)))
             continue
-        for text in inspected.warnings:
-            say_warning(f"{name}: {text}" if several else text)
         rows.append(write_set(output, folder, inspected, summarised=not several))
         if inspected.evaluation is not None:
             evaluations.append(inspected.evaluation)

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError
+from lightopt.core.run_context import RunContext
 from lightopt.images import ImageSet
 from lightopt.inspection._files import InspectionFolder
-from lightopt.inspection._inspect import inspect_set
+from lightopt.inspection._inspect import find_defects
 from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._results import InspectionResult, Verdict, judge
 from lightopt.inspection.calibration._calibration import Calibration
 from lightopt.inspection.evaluation._evaluation import SetEvaluation, evaluate_set
 from lightopt.inspection.evaluation._ground_truth import TruthSource
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
-from lightopt.inspection.prediction._registered_set import Progress
 from lightopt.scene import place_defects
 
 
@@ -46,7 +46,7 @@ def inspect_batch(
     calibration: Calibration | None = None,
     truth: Sequence[TruthSource] | None = None,
     folders: Sequence[InspectionFolder] | None = None,
-    progress: Callable[[], AbstractContextManager[Progress | None]] = nullcontext,
+    run: RunContext | None = None,
 ) -> Iterator[InspectedSet]:
     """Inspect image sets one after the other; each is inspected when its result is requested.
 
@@ -63,15 +63,13 @@ def inspect_batch(
     folders
         That the results will be written to: each is made before its set is inspected, and removed where the set is
         refused and the folder is new.
-    progress
-        Opened for each set, so that its display ends before the set's result is used.
 
     Raises
     ------
     InputError
         Wrong options, or a calibration of another rig, part or way to inspect; before the first set.
     """
-    options = options or InspectOptions()
+    options, run = options or InspectOptions(), run or RunContext()
     if problems := options.problems():
         raise InputError(*problems)
     if calibration is not None:
@@ -83,26 +81,19 @@ def inspect_batch(
         name = image_set.folder.resolve().name
         try:
             with folder:
-                with progress() as report:
-                    result = inspect_set(
-                        rig,
-                        part,
-                        image_set,
-                        options=options,
-                        cache=cache,
-                        calibration=calibration,
-                        progress=report,
-                    )
+                result = find_defects(rig, part, image_set, options, cache, calibration, run)
                 evaluation = None if source is None else _evaluate(image_set, result, rig, source)
         except InputError as error:
             yield InspectedSet(name=name, error=error)
             continue
+        warnings = (*(() if source is None else source.warnings), *result.warnings)
+        run.warn(*(f"{name}: {text}" if len(sets) > 1 else text for text in warnings))
         yield InspectedSet(
             name=name,
             result=result,
             verdict=judge(result, part.inspection),
             evaluation=evaluation,
-            warnings=(*(() if source is None else source.warnings), *result.warnings),
+            warnings=warnings,
         )
 
 

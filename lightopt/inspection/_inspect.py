@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import functools
+from functools import cache, partial
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, counted
+from lightopt.core.run_context import RunContext
 from lightopt.images import ImageSet
 from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._results import InspectedPosture, InspectionResult
@@ -24,7 +25,7 @@ from lightopt.inspection.fusion._synthetic_image import synthetic_image
 from lightopt.inspection.prediction._frames import nominal_pixels
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
-from lightopt.inspection.prediction._registered_set import Progress, RegisteredSet, register_set
+from lightopt.inspection.prediction._registered_set import RegisteredSet, register_set
 from lightopt.scene import part_postures
 
 MOST_REGIONS = 1000
@@ -39,7 +40,7 @@ def inspect_set(
     options: InspectOptions | None = None,
     cache: PredictionCache | None = None,
     calibration: Calibration | None = None,
-    progress: Progress | None = None,
+    run: RunContext | None = None,
 ) -> InspectionResult:
     """Find the defects of the part that a set of images shows.
 
@@ -57,18 +58,32 @@ def inspect_set(
     InputError
         Images that are not the rig's or not the part's, or not as those of the calibration.
     """
-    options = options or InspectOptions()
+    options, run = options or InspectOptions(), run or RunContext()
     if problems := options.problems():
         raise InputError(*problems)
     if calibration is not None:
         calibration.require_match(rig, part, options)
-    cache = cache or PredictionCache()
-    registered = register_set(rig, part, image_set, options=options, cache=cache, progress=progress)
+    result = find_defects(rig, part, image_set, options, cache or PredictionCache(), calibration, run)
+    run.warn(*result.warnings)
+    return result
+
+
+def find_defects(
+    rig: RigConfig,
+    part: PartConfig,
+    image_set: ImageSet,
+    options: InspectOptions,
+    cache: PredictionCache,
+    calibration: Calibration | None,
+    run: RunContext,
+) -> InspectionResult:
+    """As :func:`inspect_set`, with options and calibration that are checked; warnings are in the result only."""
+    registered = register_set(rig, part, image_set, options=options, cache=cache, run=run)
     where = str(image_set.folder)
     postures: list[InspectedPosture] = []
     for view, exposures in registered.views:
         calibrated = None if calibration is None else calibration.of(view.posture, exposures, where=where)
-        postures.append(_inspect_posture(view, options, registered, calibrated, where=where))
+        postures.append(_inspect_posture(view, options, registered, calibrated, where, run.threads))
     placement = registered.placement if options.shift else None
     expected = part_postures(part)
     warnings = inspection_warnings(
@@ -97,17 +112,17 @@ def _inspect_posture(
     options: InspectOptions,
     registered: RegisteredSet,
     calibrated: CalibratedPosture | None,
-    *,
     where: str,
+    threads: int | None,
 ) -> InspectedPosture:
-    found = deviations(view, threads=options.threads)
+    found = deviations(view, threads=threads)
     if calibrated is not None and calibrated.systematic is not None:
         nominal = nominal_pixels(view, registered.nominal, registered.placement)
         found = subtract_systematic(found, calibrated.systematic, nominal)
-    make_synthetic = (
-        None if options.fusion is None else functools.cache(functools.partial(synthetic_image, view, options))
-    )
-    score, tests = score_posture(found, options, make_synthetic)
+    make_synthetic = None
+    if options.fusion is not None:
+        make_synthetic = cache(partial(synthetic_image, view, options.fusion, threads=threads))
+    score, tests = score_posture(found, options, make_synthetic, threads=threads)
     if calibrated is None:
         high = threshold(options.false_alarms, int(view.clean.sum()), tests)
     else:
@@ -137,6 +152,6 @@ def _inspect_posture(
             high=high
             if options.detector == "residual"
             else threshold(options.false_alarms, int(view.clean.sum()), len(SCALES_PX)),
-            threads=options.threads,
+            threads=threads,
         ),
     )

@@ -27,7 +27,6 @@ class InspectOptions:
     false_alarms: float = 0.05
     seen_by: int = 2
     shift: bool = True
-    threads: int | None = None
 
     def problems(self) -> list[str]:
         """Messages about wrong options."""
@@ -48,4 +47,4 @@ class InspectOptions:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form of what changes the result."""
-        return {name: value for name, value in asdict(self).items() if name != "threads"}
+        return asdict(self)

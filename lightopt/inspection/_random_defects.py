@@ -10,6 +10,7 @@ import numpy as np
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Bool, Int32
 from lightopt.core.errors import InputError, counted
+from lightopt.core.run_context import RunContext
 from lightopt.defects import (
     CatalogueEntry,
     PlacedDefect,
@@ -72,7 +73,7 @@ class _Candidate:
 
 
 def place_random_defects(
-    rig: RigConfig, part: PartConfig, *, count: int, seed: int, threads: int | None = None
+    rig: RigConfig, part: PartConfig, *, count: int, seed: int, run: RunContext | None = None
 ) -> tuple[RandomDefect, ...]:
     """Place random defects on the surface that the camera sees in at least one of the part's postures.
 
@@ -106,6 +107,7 @@ def place_random_defects(
     kinds = [catalogue[slot % len(catalogue)] for slot in range(count)]
     rng = np.random.default_rng(seed)
     chosen: list[_Candidate | None] = [None] * count
+    threads = None if run is None else run.threads
     for _ in range(ROUNDS):
         waiting = [slot for slot in range(count) if chosen[slot] is None]
         if not waiting:

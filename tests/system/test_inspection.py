@@ -11,6 +11,7 @@ import pytest
 from scipy import ndimage
 
 from lightopt import load_part, load_rig
+from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.images import read_exr, read_image_set
 from lightopt.inspection import (
@@ -67,7 +68,7 @@ def trial(shared_bench, tmp_path_factory):
 @pytest.fixture(scope="module")
 def found(trial):
     rig, part, bad = trial
-    return inspect_set(rig, part, bad, options=InspectOptions(threads=2))
+    return inspect_set(rig, part, bad, run=RunContext(threads=2))
 
 
 @pytest.mark.slow

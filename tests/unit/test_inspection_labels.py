@@ -10,6 +10,7 @@ import pytest
 
 from lightopt import load_part, load_rig
 from lightopt.core.errors import InputError
+from lightopt.core.run_context import RunContext
 from lightopt.images import ImageSet, SourceFile, read_image_set
 from lightopt.inspection import InspectOptions, inspect_set
 from lightopt.inspection.evaluation._ground_truth import true_labels, truth_source
@@ -22,7 +23,7 @@ defects:
   - {{name: stain, kind: stain, at_pixel: {{{FLAT}, pixel: [58, 60]}}, size_mm: 3.5, R_d_factor: 0.6}}
   - {{name: dent, kind: dent, at_pixel: {{{FLAT}, pixel: [92, 72]}}, size_mm: 5, slope_deg: 12}}
 """
-QUICK = InspectOptions(fusion=None, threads=2)
+QUICK = InspectOptions(fusion=None)
 
 
 def unlabelled(image_set):
@@ -35,7 +36,7 @@ def both(bench, folder, *, rendered, shift):
     rig, part = load_rig(bench.rig), load_part(bench.part)
     render_image_set(rig, load_part(rendered), folder, options=RenderOptions(noise=3, patch_budget=500))
     image_set = read_image_set(folder)
-    result = inspect_set(rig, part, image_set, options=replace(QUICK, shift=shift))
+    result = inspect_set(rig, part, image_set, options=replace(QUICK, shift=shift), run=RunContext(threads=2))
     known = place_defects(result.nominal, rig, part)
     stored = true_labels(image_set, result, known=known)
     cast = true_labels(unlabelled(image_set), result, known=known)

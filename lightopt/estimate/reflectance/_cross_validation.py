@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from lightopt.core.arrays import Bool, Float32, Float64
+from lightopt.core.run_context import Share
 from lightopt.estimate.reflectance._estimate import Estimate
 from lightopt.estimate.reflectance._predicted_images import predict_images
 from lightopt.estimate.reflectance._samples import Samples, subsample
@@ -93,7 +94,7 @@ def leave_lights_out(
     *,
     caster: RayCaster,
     save_prediction: SavePrediction | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Share | None = None,
 ) -> tuple[LeftOut, ...]:
     """Predict the images of each light from a fit to those of all others; nothing where there is only one light.
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Float64
+from lightopt.core.run_context import RunContext
 from lightopt.estimate.reflectance._comparisons import evenly_lit_warnings, paper_result
 from lightopt.estimate.reflectance._criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._cross_validation import (
@@ -42,7 +43,7 @@ from lightopt.estimate.reflectance._result import (
 )
 from lightopt.estimate.reflectance._samples import Samples
 from lightopt.estimate.reflectance._search import fit_reflectance
-from lightopt.estimate.reflectance._setup import FitOptions, FitSetup, Points, Progress, prepare_fit
+from lightopt.estimate.reflectance._setup import FitOptions, FitSetup, Points, prepare_fit
 from lightopt.estimate.reflectance._warnings import (
     convergence_warnings,
     held_r_d_warnings,
@@ -59,7 +60,7 @@ def fit_diffuse(
     image_set: ImageSet,
     *,
     options: FitOptions | None = None,
-    progress: Progress | None = None,
+    run: RunContext | None = None,
 ) -> FitResult:
     """Fit R_d to the pixels that are away from every highlight.
 
@@ -75,20 +76,22 @@ def fit_diffuse(
     InputError
         Images that are not the rig's or not the part's, or that do not determine R_d.
     """
-    options = options or FitOptions()
+    options, run = options or FitOptions(), run or RunContext()
     points = options.points[0] if options.points else None
-    setup = prepare_fit(rig, part, image_set, points, options, progress)
+    setup = prepare_fit(rig, part, image_set, points, options, run)
     if options.method == "paper":
         samples = setup.collect(uniform=True)
-        return paper_result(setup, samples, paper_diffuse(samples, options.paper))
+        result = paper_result(setup, samples, paper_diffuse(samples, options.paper))
+        run.warn(*result.warnings)
+        return result
     samples = setup.collect()
     freed = FreeParameters(gain=options.gain, dark=options.dark)
-    whole = fit_reflectance(samples, freed=freed, progress=progress)
+    whole = fit_reflectance(samples, freed=freed, run=run)
     first_quality = assess_quality(samples, whole)
     placed = refuse_unexplained_images(setup, samples, whole, first_quality)
     plain, widening = diffuse_only(samples, whole.x)
     held = np.array([whole.R_d, LEAST_R_S, whole.sigma])
-    found = fit_reflectance(plain, freed=replace(freed, specular=False), held=held, progress=progress)
+    found = fit_reflectance(plain, freed=replace(freed, specular=False), held=held, run=run)
     quality = assess_quality(plain, found)
     first = [f"where the highlights are: {text}" for text in convergence_warnings(whole)]
     warnings = [
@@ -111,6 +114,7 @@ def fit_diffuse(
     noise = measure_noise(plain, mean_levels(plain, found), describes=quality.describes)
     warnings += negative_black_level_warnings(dark)
     warnings += noise_warnings(noise) if options.write_noise else ()
+    run.warn(*warnings)
     result = _result("diffuse", setup, found, quality, (*values, *unfitted), dark, noise, warnings)
     return replace(
         result,
@@ -126,7 +130,7 @@ def fit_specular(
     image_set: ImageSet,
     *,
     options: FitOptions | None = None,
-    progress: Progress | None = None,
+    run: RunContext | None = None,
     save_prediction: SavePrediction | None = None,
 ) -> FitResult:
     """Fit R_s and σ, and R_d where ``options.joint``.
@@ -143,11 +147,11 @@ def fit_specular(
     InputError
         Images that are not the rig's or not the part's, or that do not determine R_s and σ.
     """
-    options = options or FitOptions()
+    options, run = options or FitOptions(), run or RunContext()
     tried: list[tuple[FitResult, FitSetup, Samples, PointsRow | None]] = []
     choices: tuple[Points | None, ...] = options.points or (None,)
     for points in choices:
-        setup = prepare_fit(rig, part, image_set, points, options, progress)
+        setup = prepare_fit(rig, part, image_set, points, options, run)
         result, samples = _fit_one(setup)
         row = None
         if len(choices) > 1:
@@ -158,7 +162,7 @@ def fit_specular(
                 points=setup.scene.lights[0].points,
                 caster=setup.caster,
                 likelihood=None if result.estimate is None else result.estimate.mean_log_likelihood,
-                threads=options.threads,
+                threads=run.threads,
             )
         tried.append((result, setup, samples, row))
     result, setup, samples, _ = max(tried, key=lambda one: _rank(one[3]))
@@ -173,13 +177,14 @@ def fit_specular(
             result.estimate,
             caster=setup.caster,
             save_prediction=save_prediction,
-            progress=setup.progress_of("validating"),
+            progress=run.stage("validating"),
         )
         result = replace(
             result,
             left_out=left_out,
             warnings=(*result.warnings, *validation_warnings(left_out, setup.scene.sensor)),
         )
+    run.warn(*result.warnings)
     return result
 
 
@@ -188,11 +193,11 @@ def _fit_one(setup: FitSetup) -> tuple[FitResult, Samples]:
     if options.method == "paper":
         samples = setup.collect(uniform=True)
         record = paper_specular(
-            samples, options.paper, R_d=reflectance.R_d, progress=setup.progress_of("sweeping σ")
+            samples, options.paper, R_d=reflectance.R_d, progress=setup.run.stage("sweeping σ")
         )
         return paper_result(setup, samples, record), samples
     samples = setup.collect()
-    found = fit_reflectance(samples, freed=options.freed, held=setup.held, progress=setup.progress)
+    found = fit_reflectance(samples, freed=options.freed, held=setup.held, run=setup.run)
     quality = assess_quality(samples, found)
     placed = refuse_unexplained_images(setup, samples, found, quality)
     refuse_no_highlight(samples, found)

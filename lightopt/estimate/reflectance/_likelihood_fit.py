@@ -7,12 +7,13 @@ then on all samples, which decide between peaks.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lightopt.core.arrays import Float64
+from lightopt.core.run_context import RunContext, Share, part_of
 from lightopt.estimate.reflectance._criterion import LOG_SIGMA
 from lightopt.estimate.reflectance._estimate import CHI2_95, Estimate, Optimum, ScanPoint
 from lightopt.estimate.reflectance._likelihood import Likelihood, likelihood_at
@@ -111,10 +112,10 @@ class Peak:
         return optimum_of(self.start_sigma, self.maximum, criterion)
 
 
-def likelihood_estimate(samples: Samples, scan: SigmaScan, report: Callable[[str, float], None]) -> Estimate:
+def likelihood_estimate(samples: Samples, scan: SigmaScan, run: RunContext) -> Estimate:
     """Maximise the likelihood of all samples from what a scan by least squares found."""
     few = subsample(scan.samples, max(50, scan_budget(samples) // SUBSET_SHARE))
-    profile = _profile_on_subset(few, scan, lambda share: report("scanning σ", 0.5 + 0.5 * share))
+    profile = _profile_on_subset(few, scan, part_of(run.stage("scanning σ"), 0.5, 1.0))
     coarse: dict[int, Climb] = {}
 
     def climb_on_subset(x: Float64) -> Maximum:
@@ -123,9 +124,10 @@ def likelihood_estimate(samples: Samples, scan: SigmaScan, report: Callable[[str
         return ended.maximum
 
     tops = climb_from_peaks(profile, climb_on_subset)
-    report("refining", 0.2)
+    report = run.stage("refining") or (lambda _share: None)
+    report(0.2)
     best, peaks = best_first(_climb_on_all(samples, [(start, coarse[id(top)]) for start, top in tops]))
-    report("refining", 0.9)
+    report(0.9)
     points, better = _profile_on_all(samples, few, profile, best)
     for _ in range(MOST_RESTARTS):
         if better is None:
@@ -138,7 +140,7 @@ def likelihood_estimate(samples: Samples, scan: SigmaScan, report: Callable[[str
     if better is not None:  # there is something better still: reported, and not passed for the best
         found = replace(found, maximum=replace(found.maximum, converged=False))
         points = scan_points(profile, share=_share_of(few, samples))
-    report("refining", 1.0)
+    report(1.0)
     return replace(
         found,
         scan=points,
@@ -182,7 +184,7 @@ def best_first(peaks: Sequence[Peak]) -> tuple[Climb, list[Peak]]:
     return best, distinct
 
 
-def _profile_on_subset(few: Samples, scan: SigmaScan, progress: Callable[[float], None]) -> list[Maximum]:
+def _profile_on_subset(few: Samples, scan: SigmaScan, progress: Share | None) -> list[Maximum]:
     def starts_at(number: int) -> list[Float64]:
         # what least squares leave at this σ, and the usual start with its wide shoulders
         at = scan.profile[number].x

@@ -14,6 +14,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
+from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.estimate.reflectance._estimate import Estimate
 from lightopt.estimate.reflectance._likelihood import clipped_levels, predicted
@@ -134,7 +135,7 @@ def _displacement(
             _light_subset(observations),
             caster=cast_rays_at(scene),
             reduced=True,
-            threads=samples.threads,
+            run=RunContext(threads=samples.threads),
         )
     except InputError:  # a trial: those few lights show nothing
         return None, False

@@ -8,7 +8,6 @@ by equation 10, and the σ is kept whose total specular brightness is closest to
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
+from lightopt.core.run_context import Share
 from lightopt.estimate.reflectance._samples import Samples
 
 MOST_ITERATIONS = 500
@@ -218,7 +218,7 @@ def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
 
 
 def paper_specular(
-    samples: Samples, options: PaperOptions, *, R_d: float, progress: Callable[[float], None] | None = None
+    samples: Samples, options: PaperOptions, *, R_d: float, progress: Share | None = None
 ) -> PaperSpecular:
     """R_s and σ from the saturated pixels and the total specular brightness of one image (paper, section 4.3).
 

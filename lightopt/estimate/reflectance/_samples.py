@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
 from lightopt.core.errors import InputError
+from lightopt.core.run_context import Share
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
@@ -35,9 +36,6 @@ BLOCKS = 24
 
 UNLIT_SHARE = 0.25
 """Pixels that no light reaches tell the dark level; this share of an octave's budget is plenty."""
-
-Progress = Callable[[float], None]
-"""Called with the share that is done, 0 to 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,7 +149,7 @@ def collect_samples(
     budget: int,
     uniform: bool = False,
     threads: int | None = None,
-    progress: Progress | None = None,
+    progress: Share | None = None,
 ) -> Samples:
     """Choose pixels by their geometry alone and look up what was measured there.
 

@@ -8,12 +8,12 @@ not, least squares are the answer, since they predict images best, and intervals
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from lightopt.core.arrays import Float64
+from lightopt.core.run_context import RunContext, part_of
 from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares, SpecularTable
 from lightopt.estimate.reflectance._criterion import DARK, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters
@@ -26,9 +26,6 @@ from lightopt.estimate.reflectance._samples import Samples, subsample
 from lightopt.estimate.reflectance._sigma_scan import scan_budget, scan_sigma
 from lightopt.optics import Reflectance
 
-Progress = Callable[[str, float], None]
-"""Called with the name of the step and the share of it that is done, 0 to 1."""
-
 WORSE_PREDICTION = 1.03
 """The likelihood's answer is only taken where it predicts the scan's pixels about as well as least squares [rms]."""
 
@@ -38,7 +35,7 @@ def fit_reflectance(
     *,
     freed: FreeParameters | None = None,
     held: Float64 | None = None,
-    progress: Progress | None = None,
+    run: RunContext | None = None,
 ) -> Estimate:
     """Fit R_d, R_s and σ, and what else is freed, to samples.
 
@@ -46,14 +43,13 @@ def fit_reflectance(
 
     Raises InputError: every pixel is saturated or black.
     """
-    report = progress or (lambda _stage, _share: None)
-    scan = scan_sigma(
-        samples, freed or FreeParameters(), held, lambda share: report("scanning σ", 0.5 * share)
-    )
+    run = run or RunContext()
+    scan = scan_sigma(samples, freed or FreeParameters(), held, part_of(run.stage("scanning σ"), 0.0, 0.5))
     if scan.lack_of_fit.significant:
-        report("refining", 0.5)
+        if (refining := run.stage("refining")) is not None:
+            refining(0.5)
         return least_squares_estimate(samples, scan)
-    found = likelihood_estimate(samples, scan, report)
+    found = likelihood_estimate(samples, scan, run)
     ratio = scan.criterion.mean_square(found.x) / scan.criterion.mean_square(scan.best.x)
     if ratio > WORSE_PREDICTION**2:
         return least_squares_estimate(samples, scan)
@@ -67,7 +63,7 @@ def least_squares_reflectance(
 
     Raises InputError: every pixel is saturated or black.
     """
-    x = scan_sigma(samples, freed or FreeParameters(), None, lambda _share: None).best.x
+    x = scan_sigma(samples, freed or FreeParameters(), None).best.x
     return replace(reflectance, R_d=float(x[R_D]), R_s=math.exp(x[LOG_R_S]), sigma=math.exp(x[LOG_SIGMA]))
 
 

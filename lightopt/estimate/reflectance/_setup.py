@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Float64
+from lightopt.core.run_context import RunContext
 from lightopt.estimate.reflectance._estimate import FreeParameters
 from lightopt.estimate.reflectance._paper import PaperOptions
 from lightopt.estimate.reflectance._samples import OCTAVES, Samples, collect_samples
@@ -32,9 +32,6 @@ from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene, build_scene
 
 Points: TypeAlias = "int | Literal['auto']"
-Progress = Callable[[str, float], None]
-"""Called with the name of the step and the share of it that is done, 0 to 1."""
-
 
 MOST_PER_OCTAVE = 20_000
 PLACING_PER_OCTAVE = 800
@@ -62,7 +59,6 @@ class FitOptions:
     validate: bool = True
     write_noise: bool = False
     paper: PaperOptions = field(default_factory=PaperOptions)
-    threads: int | None = None
 
     @property
     def freed(self) -> FreeParameters:
@@ -85,7 +81,7 @@ class FitSetup:
     registration: Registration | None = None
     file_placement: PartFilePlacement | None = None
     options: FitOptions = field(default_factory=FitOptions)
-    progress: Progress | None = None
+    run: RunContext = field(default_factory=RunContext)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -98,10 +94,6 @@ class FitSetup:
         reflectance = self.scene.reflectance
         return np.array([reflectance.R_d, reflectance.R_s, reflectance.sigma])
 
-    def progress_of(self, step: str) -> Callable[[float], None] | None:
-        """Progress of one step."""
-        return None if self.progress is None else partial(self.progress, step)
-
     def collect(self, *, uniform: bool = False) -> Samples:
         """Samples of the images, as many as the options want; `uniform` for the paper's procedure."""
         pairs = len({(o.light, o.posture) for o in self.observations})
@@ -112,8 +104,8 @@ class FitSetup:
             caster=self.caster,
             budget=PAPER_PIXELS if uniform else budget,
             uniform=uniform,
-            threads=self.options.threads,
-            progress=self.progress_of("geometry"),
+            threads=self.run.threads,
+            progress=self.run.stage("geometry"),
         )
 
 
@@ -123,16 +115,16 @@ def prepare_fit(
     image_set: ImageSet,
     points: Points | None,
     options: FitOptions,
-    progress: Progress | None,
+    run: RunContext,
 ) -> FitSetup:
     """Read the images, build the scene that they show, and register the part where its shift is freed."""
-    observations = read_observations(image_set, rig, part, threads=options.threads)
+    observations = read_observations(image_set, rig, part, threads=run.threads)
     used = {o.light for o in observations}
     names = [light.name for light in rig.lights if light.name in used]
     scene = build_scene(
         rig, part, postures=observed_postures(image_set), lights=names, points=points, defects=False
     )
-    setup = FitSetup(part, scene, cast_rays_at(scene), observations, options=options, progress=progress)
+    setup = FitSetup(part, scene, cast_rays_at(scene), observations, options=options, run=run)
     if not options.shift:
         return setup
     found = register_with_fit(
@@ -140,8 +132,7 @@ def prepare_fit(
         observations,
         caster=setup.caster,
         freed=FreeParameters(gain=options.gain, dark=options.dark),
-        threads=options.threads,
-        progress=progress,
+        run=run,
     )
     moved = place_part(scene, found.placement)
     file_placement = part_file_placement(
@@ -164,14 +155,13 @@ def register_with_fit(
     caster: RayCaster,
     freed: FreeParameters | None = None,
     reduced: bool = False,
-    threads: int | None = None,
-    progress: Progress | None = None,
+    run: RunContext,
 ) -> Registration:
     """Register the part, its placement refined with a first fit of the reflectance."""
 
     def first_reflectance(moved: Scene) -> Reflectance:
         samples = collect_samples(
-            moved, observations, caster=cast_rays_at(moved), budget=PLACING_PER_OCTAVE, threads=threads
+            moved, observations, caster=cast_rays_at(moved), budget=PLACING_PER_OCTAVE, threads=run.threads
         )
         return least_squares_reflectance(samples, moved.reflectance, freed=freed)
 
@@ -181,6 +171,5 @@ def register_with_fit(
         caster=caster,
         reflectance_at=first_reflectance,
         reduced=reduced,
-        threads=threads,
-        progress=progress,
+        run=run,
     )

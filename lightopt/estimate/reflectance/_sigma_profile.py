@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from lightopt.core.arrays import Float64
+from lightopt.core.run_context import Share
 from lightopt.estimate.reflectance._criterion import LOG_SIGMA, Criterion
 from lightopt.estimate.reflectance._newton import Maximum, maximise
 
@@ -21,7 +22,7 @@ def profile_over_sigma(
     log_sigmas: Sequence[float],
     free: Sequence[int],
     *,
-    progress: Callable[[float], None] | None = None,
+    progress: Share | None = None,
 ) -> list[Maximum]:
     """The best fit at each σ, from its own starts and from the best at its neighbours on both sides.
 
@@ -51,7 +52,7 @@ def profile_outwards(
     free: Sequence[int],
     *,
     begin: int,
-    progress: Callable[[float], None] | None = None,
+    progress: Share | None = None,
 ) -> list[Maximum]:
     """The best fit at each σ, from one σ outwards: a climb begins where its neighbour's ended, or at a better start.
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
+from lightopt.core.run_context import Share
 from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares, SpecularTable
 from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Criterion
 from lightopt.estimate.reflectance._estimate import FreeParameters, Optimum, ScanPoint
@@ -79,7 +80,7 @@ class SigmaScan:
 
 
 def scan_sigma(
-    samples: Samples, freed: FreeParameters, held: Float64 | None, progress: Callable[[float], None]
+    samples: Samples, freed: FreeParameters, held: Float64 | None, progress: Share | None = None
 ) -> SigmaScan:
     """Fit a subset of the samples by least squares at each σ of the range, and climb from the peaks.
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from lightopt.core.arrays import Float64
+from lightopt.core.run_context import Share
 from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._pixels import PixelSet, light_at, sensor_scale, view_of_placed
 from lightopt.estimate.registration._placement import Placement, PoseFrame
@@ -66,7 +67,7 @@ def search_placement(
     *,
     caster: RayCaster,
     threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Share | None = None,
 ) -> Placement:
     """Search the part by its outline and its diffuse light, to about a pixel, without knowing its reflectance.
 

@@ -16,12 +16,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.least_squares import Solution, solve
+from lightopt.core.run_context import RunContext, Share
 from lightopt.estimate.registration._coarse_search import coarse_pixels, search_placement
 from lightopt.estimate.registration._image_checks import refuse_useless_images
 from lightopt.estimate.registration._observations import Observation
@@ -94,8 +94,7 @@ def register(
     caster: RayCaster,
     reflectance_at: Callable[[Scene], Reflectance] | None = None,
     reduced: bool = False,
-    threads: int | None = None,
-    progress: Callable[[str, float], None] | None = None,
+    run: RunContext | None = None,
 ) -> Registration:
     """Find the part's placement on the stage.
 
@@ -118,13 +117,12 @@ def register(
     InputError
         No pixel to use: the part is outside the view, or all images are saturated or black.
     """
-
-    def stage(name: str) -> Callable[[float], None] | None:
-        return None if progress is None else partial(progress, name)
-
+    run = run or RunContext()
     sets = coarse_pixels(scene, observations)
-    refuse_useless_images(scene, sets, observations, caster=caster, threads=threads)
-    start = search_placement(scene, sets, caster=caster, threads=threads, progress=stage("finding the part"))
+    refuse_useless_images(scene, sets, observations, caster=caster, threads=run.threads)
+    start = search_placement(
+        scene, sets, caster=caster, threads=run.threads, progress=run.stage("finding the part")
+    )
     if reflectance_at is not None:
         scene = replace(scene, reflectance=reflectance_at(place_part(scene, start)))
     return refine_placement(
@@ -133,8 +131,8 @@ def register(
         start,
         caster=caster,
         reduced=reduced,
-        threads=threads,
-        progress=stage("refining the part's place"),
+        threads=run.threads,
+        progress=run.stage("refining the part's place"),
     )
 
 
@@ -146,7 +144,7 @@ def refine_placement(
     caster: RayCaster,
     reduced: bool = False,
     threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Share | None = None,
 ) -> Registration:
     """Refine a placement that is good to about a pixel, highlights included, to a small part of a pixel.
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError
+from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.images import ImageSet, posture_folder
 from lightopt.inspection._options import InspectOptions
@@ -32,7 +33,6 @@ from lightopt.inspection.prediction._frames import nominal_pixels
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
 from lightopt.inspection.prediction._registered_set import (
     ExposuresByLight,
-    Progress,
     RegisteredSet,
     register_set,
 )
@@ -55,7 +55,7 @@ def calibrate(
     sets: Sequence[ImageSet],
     *,
     options: InspectOptions,
-    progress: Progress | None = None,
+    run: RunContext | None = None,
 ) -> Calibration:
     """Learn from image sets of good parts.
 
@@ -74,20 +74,22 @@ def calibrate(
     InputError
         Too few sets for the rate, sets that differ in their postures or images, or images that are not the part's.
     """
+    run = run or RunContext()
     if problems := options.problems():
         raise InputError(*problems)
 
     def registered() -> Iterator[tuple[str, RegisteredSet]]:
         cache = PredictionCache()
-        for number, one in enumerate(sets):
-            if progress is not None:
-                progress(f"good set {one.folder.name}", number / len(sets))
-            yield str(one.folder), register_set(rig, part, one, options=options, cache=cache)
+        for one in sets:
+            inner = run.within(f"good set {one.folder.name}")
+            yield str(one.folder), register_set(rig, part, one, options=options, cache=cache, run=inner)
 
     require_good_sets(len(sets), options)
     names = tuple(one.folder.resolve().name for one in sets)
     fingerprint = calibration_fingerprint(rig, part, options)
-    return calibrate_registered(registered(), names, options=options, fingerprint=fingerprint)
+    return calibrate_registered(
+        registered(), names, options=options, fingerprint=fingerprint, threads=run.threads
+    )
 
 
 def calibrate_registered(
@@ -96,6 +98,7 @@ def calibrate_registered(
     *,
     options: InspectOptions,
     fingerprint: dict[str, object],
+    threads: int | None = None,
 ) -> Calibration:
     """Learn from registered image sets of good parts.
 
@@ -118,11 +121,11 @@ def calibrate_registered(
                     postures[view.posture] = _GoodPosture(exposures, name)
                 gathered = _same_images(postures, view.posture, exposures, name)
                 seen.append(view.posture)
-                found = deviations(view, threads=options.threads)
+                found = deviations(view, threads=threads)
                 if options.detector == "template":
-                    score, _ = score_posture(
-                        found, options, partial(synthetic_image, view, options, probes=0)
-                    )
+                    assert options.fusion is not None
+                    make_synthetic = partial(synthetic_image, view, options.fusion, probes=0, threads=threads)
+                    score, _ = score_posture(found, options, make_synthetic, threads=threads)
                     gathered.peaks.append(float(score.max(initial=0.0)))
                     continue
                 nominal = nominal_pixels(view, registered.nominal, registered.placement)

@@ -103,7 +103,11 @@ def _convolved(image: Float64, template: Float64) -> Float64:
 
 
 def score_posture(
-    found: Deviations, options: InspectOptions, synthetic: Callable[[], SyntheticImage] | None
+    found: Deviations,
+    options: InspectOptions,
+    synthetic: Callable[[], SyntheticImage] | None,
+    *,
+    threads: int | None = None,
 ) -> tuple[Float32, int]:
     """The scores of a posture by the detector that was chosen, and how many scores each is the greatest of.
 
@@ -122,4 +126,4 @@ def score_posture(
     if options.detector == "template":
         assert synthetic is not None
         return score_templates(synthetic()), TEMPLATES
-    return score_deviations(found, seen_by=options.seen_by, threads=options.threads), len(SCALES_PX)
+    return score_deviations(found, seen_by=options.seen_by, threads=threads), len(SCALES_PX)

@@ -13,7 +13,7 @@ from scipy import ndimage
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.threads import in_threads
 from lightopt.inspection._image_blocks import filter_tile, gaussian_taps, in_row_blocks, mask_window
-from lightopt.inspection._options import Fusion, InspectOptions
+from lightopt.inspection._options import Fusion
 from lightopt.inspection.fusion._gradient_fusion import (
     FusedGradients,
     FusionRule,
@@ -63,22 +63,23 @@ class SyntheticImage:
     mask: Bool
 
 
-def synthetic_image(view: PostureView, options: InspectOptions, *, probes: int = PROBES) -> SyntheticImage:
-    """The image of a posture without highlights, by the rule of `options`; `probes` as :func:`fuse_images` takes it."""
-    assert options.fusion is not None
+def synthetic_image(
+    view: PostureView, fusion: Fusion, *, probes: int = PROBES, threads: int | None = None
+) -> SyntheticImage:
+    """The image of a posture without highlights; `fusion` and `probes` as :func:`fuse_images` takes them."""
     weights = pixel_weights(
-        view.saturated, view.predicted, view.specular, view.deviation, view.limit, threads=options.threads
+        view.saturated, view.predicted, view.specular, view.deviation, view.limit, threads=threads
     )
     return fuse_images(
         view.level,
         view.deviation,
         weights,
         view.clean,
-        fusion=options.fusion,
+        fusion=fusion,
         predicted=view.predicted,
         specular=view.specular,
         probes=probes,
-        threads=options.threads,
+        threads=threads,
     )
 
 

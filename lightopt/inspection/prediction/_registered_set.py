@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Float64
+from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import (
     Observation,
@@ -23,9 +24,6 @@ from lightopt.inspection.prediction._posture_view import PostureView, posture_vi
 from lightopt.inspection.prediction._prediction_cache import PredictionCache, observed_lights
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene, build_scene
-
-Progress = Callable[[str, float], None]
-"""Called with what is going on and the share of it that is done, 0 to 1."""
 
 ExposuresByLight = dict[str, tuple[tuple[float, int], ...]]
 """By light the exposure and the number of frames of each image."""
@@ -55,25 +53,24 @@ def register_set(
     *,
     options: InspectOptions,
     cache: PredictionCache,
-    progress: Progress | None = None,
+    run: RunContext,
 ) -> RegisteredSet:
     """Find the part of a set, and predict the good part for its images; takes what :func:`inspect_set` takes."""
-    nominal, observations = nominal_scene(
-        rig, part, image_set, scenes=cache.nominal_scenes, threads=options.threads
-    )
-    scene, placement, offset = _find(nominal, observations, cache, options, progress)
+    threads = run.threads
+    nominal, observations = nominal_scene(rig, part, image_set, scenes=cache.nominal_scenes, threads=threads)
+    scene, placement, offset = _find(nominal, observations, cache, options, run)
 
     def views() -> Iterator[tuple[PostureView, ExposuresByLight]]:
         for number, posture in enumerate(scene.postures):
-            if progress is not None:
-                progress(f"posture {posture}", number / len(scene.postures))
+            if (report := run.stage(f"posture {posture}")) is not None:
+                report(number / len(scene.postures))
             mine = [o for o in observations if o.posture == posture]
             lights = observed_lights(scene, mine)
-            prediction = cache.prediction(scene, posture, lights, threads=options.threads)
+            prediction = cache.prediction(scene, posture, lights, threads=threads)
             if offset is not None:
-                prediction = cache.shifted_prediction(scene, posture, lights, offset, threads=options.threads)
+                prediction = cache.shifted_prediction(scene, posture, lights, offset, threads=threads)
             where = str(image_set.folder)
-            view = posture_view(scene, mine, prediction, where=where, threads=options.threads)
+            view = posture_view(scene, mine, prediction, where=where, threads=threads)
             yield view, _exposures_by_light(mine, view.lights)
         if options.shift and offset is None:
             cache.measure_misfit(scene, observations)
@@ -110,11 +107,10 @@ def register_part(
     scene: Scene,
     observations: Sequence[Observation],
     *,
-    threads: int | None = None,
-    progress: Progress | None = None,
+    run: RunContext | None = None,
 ) -> tuple[Scene, Registration]:
     """A nominal scene with its part where the images show it, and how far that is from where its file has it."""
-    found = register(scene, observations, caster=cast_rays_at(scene), threads=threads, progress=progress)
+    found = register(scene, observations, caster=cast_rays_at(scene), run=run)
     return place_part(scene, found.placement), found
 
 
@@ -123,15 +119,15 @@ def _find(
     observations: Sequence[Observation],
     cache: PredictionCache,
     options: InspectOptions,
-    progress: Progress | None,
+    run: RunContext,
 ) -> tuple[Scene, Placement, Float64 | None]:
     # the scene to predict with, where the part lies, and its offset from that scene in steps of the derivatives
     if not options.shift:
         return *cache.use_placement(nominal, Placement()), None
-    nearby = cache.nearby_placement(nominal, observations, threads=options.threads)
+    nearby = cache.nearby_placement(nominal, observations, threads=run.threads)
     if nearby is not None:
         return nearby
-    scene, found = register_part(nominal, observations, threads=options.threads, progress=progress)
+    scene, found = register_part(nominal, observations, run=run)
     scene, placement = cache.use_placement(scene, found.placement)
     cache.registration = found
     return scene, placement, None
