@@ -21,7 +21,7 @@ from lightopt.images import ImageSetWriter, png_name, read_image_set, read_png
 from lightopt.rig.capture import CapturePlan
 from lightopt.rig.capture._acquisition import AcquisitionEngine
 from lightopt.rig.capture._background_writer import MOST_LINEARS, BackgroundWriter
-from lightopt.rig.capture._image_records import CapturedSet
+from lightopt.rig.capture._captured_set import CapturedSet
 from lightopt.rig.capture._lock import LOCK_NAME
 from lightopt.rig.capture._timing import Timing
 

@@ -13,8 +13,8 @@ from capture_doubles import Lights, Stage, World
 
 from lightopt.config import load_lights, load_rig
 from lightopt.core.errors import HardwareError, InputError, error_text
-from lightopt.rig.capture import Devices, _lights, _watchdog, switch_off, wiring_of
-from lightopt.rig.capture._lights import open_lights
+from lightopt.rig.capture import Devices, _lights_off, _watchdog, switch_off, wiring_of
+from lightopt.rig.capture._lights_off import open_lights
 from lightopt.rig.capture._watchdog import LightWatchdog
 
 LONGEST_S = 0.05
@@ -231,7 +231,7 @@ def test_controllers_that_open_go_dark_and_the_others_are_named(bench, world, mo
             raise error
         return Lights(world, which, 4)
 
-    monkeypatch.setattr(_lights, "open_controller", open_controller)
+    monkeypatch.setattr(_lights_off, "open_controller", open_controller)
     found = open_lights(
         wiring, wiring.hardware.controllers, ports={}, log=None, darken=True, opened=lambda _: None
     )
@@ -245,7 +245,7 @@ def test_switching_off_tells_what_may_burn_whatever_the_driver_raised(bench, mon
     def open_controller(_wiring, _name, *, port, log):
         raise ValueError("could not parse")
 
-    monkeypatch.setattr(_lights, "open_controller", open_controller)
+    monkeypatch.setattr(_lights_off, "open_controller", open_controller)
     with pytest.raises(HardwareError, match="could not parse") as raised:
         switch_off(load_lights(bench.rig))
     assert "lights that may still burn: light1, light3" in raised.value.messages

@@ -11,10 +11,10 @@ from typing import Any
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
 from lightopt.optics import Sensor
-from lightopt.rig.capture._devices import Devices
 from lightopt.rig.capture._exposures import ExposureImage, FrameMean
-from lightopt.rig.capture._folder_camera import FolderCamera
 from lightopt.rig.capture._plan import CapturePlan
+from lightopt.rig.capture._safe_devices import Devices
+from lightopt.rig.capture._software_cameras import FolderCamera
 from lightopt.rig.capture._timing import Timing, utc
 from lightopt.rig.devices import Event, Frame, frame_limit_s
 

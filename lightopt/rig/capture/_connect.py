@@ -10,13 +10,13 @@ from typing import Any
 from lightopt.config import PartConfig, RigConfig, StageDeviceConfig
 from lightopt.core.errors import InputError, LightoptError
 from lightopt.core.run_context import RunContext
-from lightopt.rig.capture._devices import Devices
-from lightopt.rig.capture._folder_camera import FolderCamera
-from lightopt.rig.capture._lights import open_lights
+from lightopt.rig.capture._lights_off import open_lights
 from lightopt.rig.capture._plan import CapturePlan
+from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._signals import EndSignals
-from lightopt.rig.capture._simulated_rig import STAGE, start_bench
-from lightopt.rig.capture._wiring import CAMERA, VIRTUAL, Wiring
+from lightopt.rig.capture._software_cameras import FolderCamera, VirtualCamera
+from lightopt.rig.capture._virtual_bench import STAGE, start_bench
+from lightopt.rig.capture._wiring import VIRTUAL, Wiring
 from lightopt.rig.devices import (
     Axis,
     Camera,
@@ -30,7 +30,7 @@ from lightopt.rig.devices import (
     open_stage,
     port_problem,
 )
-from lightopt.rig.simulated import BenchProcess, BenchTruth, VirtualCamera
+from lightopt.rig.simulated import CAMERA, BenchProcess, BenchTruth
 
 
 def connect_devices(

@@ -12,11 +12,11 @@ from lightopt.config import ChannelConfig, RigConfig
 from lightopt.core.errors import InputError, LightoptError
 from lightopt.core.transforms import Posture
 from lightopt.images import write_png
-from lightopt.rig.capture._devices import Devices
-from lightopt.rig.capture._folder_camera import FolderCamera
-from lightopt.rig.capture._options import exposure_problems, outside_range
-from lightopt.rig.capture._simulated_rig import STAGE
+from lightopt.rig.capture._limits import exposure_problems, outside_range
+from lightopt.rig.capture._safe_devices import Devices
+from lightopt.rig.capture._software_cameras import FolderCamera
 from lightopt.rig.capture._timing import utc
+from lightopt.rig.capture._virtual_bench import STAGE
 from lightopt.rig.capture._wiring import Wiring
 from lightopt.rig.devices import Frame, frame_limit_s
 

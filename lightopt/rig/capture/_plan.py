@@ -9,7 +9,7 @@ from typing import Any, Literal
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, counted
 from lightopt.core.transforms import Posture
-from lightopt.rig.capture._options import CaptureOptions, exposure_problems, light_problems, posture_problems
+from lightopt.rig.capture._limits import CaptureOptions, exposure_problems, light_problems, posture_problems
 from lightopt.rig.capture._wiring import Wiring, wiring_of
 from lightopt.scene import part_postures, travel_order, travel_s
 

@@ -12,12 +12,12 @@ from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.rig.capture._acquisition import AcquiredImage, AcquisitionEngine
 from lightopt.rig.capture._background_writer import BackgroundWriter
-from lightopt.rig.capture._devices import Devices
+from lightopt.rig.capture._captured_set import CapturedSet
 from lightopt.rig.capture._exposures import ExposureImage
 from lightopt.rig.capture._image_checks import ImageChecker
-from lightopt.rig.capture._image_records import CapturedSet
 from lightopt.rig.capture._plan import CapturePlan, PostureTask
 from lightopt.rig.capture._repeatability import measure_repeatability
+from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._timing import Timing
 from lightopt.scene import Scene

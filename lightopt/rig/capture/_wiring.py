@@ -18,9 +18,6 @@ from lightopt.scene import VIRTUAL_DEG_PER_S
 VIRTUAL = "virtual"
 """Port of a device that is simulated on this computer."""
 
-CAMERA = "camera"
-"""Name of a simulated GigE camera among the devices of a virtual bench."""
-
 VIRTUAL_EXPOSURE_US = 10_000.0
 """Exposure time of exposure 1 where all is virtual and the rig does not give one."""
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
 from lightopt.core.transforms import Posture
-from lightopt.rig.capture._lights import NONE_OF_THE_RIG, lights_on
+from lightopt.rig.capture._lights_off import NONE_OF_THE_RIG, lights_on
 from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._watchdog import LightWatchdog
 from lightopt.rig.capture._wiring import VIRTUAL, Wiring

@@ -12,7 +12,7 @@ from lightopt.config import LightsOnly
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
 from lightopt.core.run_context import RunContext
 from lightopt.rig.capture._signals import EndSignals
-from lightopt.rig.capture._simulated_rig import start_lights
+from lightopt.rig.capture._virtual_bench import start_lights
 from lightopt.rig.capture._wiring import VIRTUAL, VIRTUAL_EXPOSURE_US, Wiring, wiring_of
 from lightopt.rig.devices import (
     LightController,

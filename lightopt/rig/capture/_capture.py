@@ -11,12 +11,12 @@ from pathlib import Path
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
+from lightopt.rig.capture._captured_set import open_set
 from lightopt.rig.capture._connect import connect_devices
-from lightopt.rig.capture._devices import Devices
-from lightopt.rig.capture._image_records import open_set
+from lightopt.rig.capture._limits import CaptureOptions
 from lightopt.rig.capture._lock import lock_folder
-from lightopt.rig.capture._options import CaptureOptions
 from lightopt.rig.capture._plan import CapturePlan, make_plan
+from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._session import CaptureSession
 from lightopt.rig.capture._timing import Timing
 from lightopt.rig.devices import Camera
