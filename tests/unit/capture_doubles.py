@@ -31,7 +31,7 @@ class World:
         self.trouble(event)
 
     @property
-    def burning(self):
+    def lit(self):
         return {key for key, level in self.levels.items() if level}
 
     def did(self, kind):

@@ -31,8 +31,6 @@ _VIRTUAL_ROTATION = AxisConfig(axis="2", steps_per_deg=200.0, speed_deg_per_s=VI
 class Wiring:
     """The devices of a rig.
 
-    Attributes
-    ----------
     hardware: From the rig file, or the virtual bench.
     given: Whether the rig file has it.
     exposure_us: Exposure time of exposure 1 [µs].
