@@ -187,7 +187,7 @@ def forked_benches() -> Generator[None]:
         yield
         return
     process, patch = ForkingProcess(), pytest.MonkeyPatch()
-    patch.setattr("lightopt.rig.simulated._process.start_process", process.start)
+    patch.setattr("lightopt.rig.simulated._bench_process.start_process", process.start)
     yield
     patch.undo()
     process.close()

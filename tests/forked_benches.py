@@ -62,7 +62,7 @@ class ForkingProcess:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self, spec: str, errors: BinaryIO) -> ForkedProcess:
-        """Start a bench, as `lightopt.rig.simulated._process.start_process` does."""
+        """Start a bench, as `lightopt.rig.simulated._bench_process.start_process` does."""
         if self._requests is None:
             self._requests, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             command = [sys.executable, __file__, str(theirs.fileno())]

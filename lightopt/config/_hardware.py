@@ -135,7 +135,7 @@ class ControllerConfig(Frozen):
 
 
 class ChannelConfig(Frozen):
-    """Where a light of the rig is plugged in, and how bright it burns."""
+    """Where a light of the rig is plugged in, and at which level it is lit."""
 
     controller: FileName = Field(description="Name of the controller.")
     channel: _Channel = Field(description="Channel, counted from 1 as on the device.")
@@ -146,7 +146,7 @@ class ChannelConfig(Frozen):
         default=None, description="Intensity never exceeded; the controller's highest if absent."
     )
     max_on_s: Positive | None = Field(
-        default=None, description="Longest time that the light may burn at a stretch [s]; any if absent."
+        default=None, description="Longest time that the light may be on at a stretch [s]; any if absent."
     )
 
 

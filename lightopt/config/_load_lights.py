@@ -23,8 +23,6 @@ Entry = TypeVar("Entry", bound=BaseModel)
 class LightsOnly:
     """The lights of a rig.
 
-    Attributes
-    ----------
     name: Of the rig, or of its file where that cannot be read
     rig: The rig; None where anything is wrong with its file
     hardware: Controllers and lights that can be read, without the stage; None where there is no such section
@@ -69,7 +67,7 @@ def _salvaged(path: Path, wrong: InputError) -> LightsOnly:
     if not section:
         raise InputError(
             *wrong.messages,
-            "nothing was switched off: no hardware section can be read here, so nobody knows which lights may burn; "
+            "nothing was switched off: no hardware section can be read here, so nobody knows which lights may be on; "
             "mend the file and repeat, or switch the controllers off by hand",
         )
     raw_controllers, raw_lights = _mapping(section.get("controllers")), _mapping(section.get("lights"))
@@ -83,7 +81,7 @@ def _salvaged(path: Path, wrong: InputError) -> LightsOnly:
         raise InputError(
             *wrong.messages,
             "nothing was switched off: no controller can be read; "
-            f"lights that may burn: {', '.join(unknown) or 'all of them'}; "
+            f"lights that may be on: {', '.join(unknown) or 'all of them'}; "
             "mend the file and repeat, or switch the controllers off by hand",
         )
     name = _mapping(rig).get("name")

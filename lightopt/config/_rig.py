@@ -18,9 +18,9 @@ from lightopt.config._fields import (
     with_complaints,
 )
 from lightopt.config._hardware import HardwareConfig
+from lightopt.config._hardware_checks import misfits
 from lightopt.config._lights import LightConfig, LightSourceConfig, auto_sums, same_names
 from lightopt.config._source import Source
-from lightopt.config._wiring import misfits
 
 
 class StageConfig(Frozen):

@@ -15,8 +15,6 @@ Level = Literal["ok", "note", "warning", "error"]
 class Finding:
     """One finding of a check.
 
-    Attributes
-    ----------
     topic: What it is about, in a word or two.
     text: For people: with numbers, and what to do where something is to be done.
     where: File, line and key it comes from (``rig.yaml:12: lights[2]``), or None.

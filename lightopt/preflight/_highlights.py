@@ -120,8 +120,6 @@ def _scale_text(sensor: Sensor, full_scale: float) -> str:
 class NormalErrors:
     """Errors of the normal at the edges of a mesh where it bends.
 
-    Attributes
-    ----------
     median, high: Median and 90th percentile of the error, weighted by edge length [rad].
     angle: Median angle by which the normal turns along or across these edges [rad].
     edge: Median length of these edges [mm].

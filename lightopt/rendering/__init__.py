@@ -1,7 +1,7 @@
 """From a scene to what the camera would see, linear and exact; and the patches that optimisation works on."""
 
 from lightopt.rendering._converged import converged_panel, highlight_level, shade_converged
-from lightopt.rendering._image_set import RenderOptions, RenderProgress, render_image_set
+from lightopt.rendering._image_set import RenderOptions, RenderProgress, render_image_set, set_manifest
 from lightopt.rendering._images import (
     Geometry,
     LightImage,
@@ -58,6 +58,7 @@ __all__ = [
     "render",
     "render_image_set",
     "render_posture",
+    "set_manifest",
     "shade_converged",
     "shade_points",
     "shade_variants",

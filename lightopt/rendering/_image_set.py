@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -227,8 +227,24 @@ def _header(rig: RigConfig, part: PartConfig, scene: Scene, options: RenderOptio
     if part.defects and not options.defects:
         chosen["defects"] = False
     shown = {"defects": defect_facts(scene.defects, scene.placement)} if scene.defects else {}
+    return set_manifest("simulated", rig, part, scene, options=chosen, extra=shown)
+
+
+def set_manifest(
+    kind: str,
+    rig: RigConfig,
+    part: PartConfig,
+    scene: Scene,
+    *,
+    options: Mapping[str, Any],
+    extra: Mapping[str, Any] | None = None,
+) -> Manifest:
+    """Manifest of an image set that is begun, rendered or captured; no image is listed yet.
+
+    options: Options of the run that change the images, in JSON form.
+    """
     return Manifest(
-        kind="simulated",
+        kind=kind,
         bit_depth=scene.sensor.bit_depth,
         full_scale=scene.reflectance.full_scale,
         saturation_level=scene.sensor.saturation_level,
@@ -238,8 +254,8 @@ def _header(rig: RigConfig, part: PartConfig, scene: Scene, options: RenderOptio
         rig=SourceFile(rig.source.path.name, rig.source.sha256),
         part=SourceFile(part.source.path.name, part.source.sha256),
         # a set that was begun by other code or packages is not continued: meshes, hits and noise depend on them
-        provenance=provenance(input_hashes(rig, part), chosen),
-        extra=shown,
+        provenance=provenance(input_hashes(rig, part), options),
+        extra=extra or {},
     )
 
 

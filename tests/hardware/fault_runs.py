@@ -135,7 +135,7 @@ def suffer(case: Case, rig: Path, part: Path, folder: Path, truth: Path) -> Outc
     struck = _struck(benches[0], case)
     benches[0].close()
     if lights == "LIT":
-        wrong.append("a light burns and nobody says so")
+        wrong.append("a light is on and not reported")
     if not finished and "while " not in message:
         wrong.append("the message names no step")
     if (folder / "manifest.json").exists():

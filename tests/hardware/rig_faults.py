@@ -176,7 +176,7 @@ def undergo(case: RigCase, rig: Path, part: Path, folder: Path, truth: Path) -> 
     if (
         burning and case.fault != "lit" and "may still" not in message
     ):  # nobody can switch off a lamp that is stuck
-        wrong.append(f"lights {burning} burn and nobody says so")
+        wrong.append(f"lights {burning} are on and not reported")
     if not finished and "while " not in message and not message.startswith(str(folder)):
         wrong.append("the message names no step")
     if (folder / "manifest.json").exists():

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from lightopt.rig.devices._link import SerialLink
+from lightopt.rig.devices._serial_link import SerialLink
 
 Dialogue = Sequence[tuple[bytes, bytes | None]]
 

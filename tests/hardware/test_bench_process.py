@@ -17,18 +17,18 @@ import pytest
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import LightSettings, light_drivers
-from lightopt.rig.devices._errors import LinkLostError, ReplyError
-from lightopt.rig.devices._link import SerialLink
-from lightopt.rig.simulated import BenchProcess, _process
+from lightopt.rig.devices._retry import LinkLostError, ReplyError
+from lightopt.rig.devices._serial_link import SerialLink
+from lightopt.rig.simulated import BenchProcess, _bench_process
 
-START = _process.start_process
+START = _bench_process.start_process
 CCS = {"kind": "ccs", "options": {"levels": {"1": 255}}}
 
 
 @pytest.fixture(autouse=True)
 def started_from_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Benches of this module are not forked, as those of other tests are."""
-    monkeypatch.setattr(_process, "start_process", START)
+    monkeypatch.setattr(_bench_process, "start_process", START)
 
 
 def alive(pid: int) -> bool:
@@ -271,7 +271,7 @@ def test_a_folder_called_lightopt_where_the_bench_is_started(tmp_path: Path, mod
 
 def test_a_bench_that_crashes_says_so_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     program = "import sys\ndef deep(): raise RuntimeError('no more wires')\ndeep()"
-    monkeypatch.setattr("lightopt.rig.simulated._process._START", program)
+    monkeypatch.setattr("lightopt.rig.simulated._bench_process._START", program)
     with pytest.raises(HardwareError) as raised:
         BenchProcess({"a": CCS})
     assert str(raised.value) == "virtual bench: did not start; it said: RuntimeError: no more wires"

@@ -16,9 +16,8 @@ from lightopt.config import load_part, load_rig
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
 from lightopt.rig.capture import CaptureOptions, capture, connect_devices, start_bench, wiring_of
-from lightopt.rig.capture._folder_camera import FolderCamera
+from lightopt.rig.capture._software_cameras import FolderCamera, VirtualCamera
 from lightopt.rig.devices import Camera, CameraSettings, open_camera
-from lightopt.rig.simulated import VirtualCamera
 
 KINDS = ("virtual", "folder", "aravis", "aravis-free", "genicam")
 TELLS = {"virtual", "aravis", "aravis-free"}  # can be told an exposure time
@@ -152,7 +151,7 @@ def another_exposure_is_held_and_seen(camera: Camera) -> None:
 
 def test_no_frame_in_time_is_an_error_that_says_so() -> None:
     needs("aravis")
-    from lightopt.rig.simulated._gige import GigeCamera
+    from lightopt.rig.simulated._camera_gige import GigeCamera
 
     server = GigeCamera(lambda *_: np.zeros((120, 160), np.uint16), resolution_px=(160, 120), bit_depth=12)
     settings = CameraSettings(
@@ -175,7 +174,7 @@ def test_no_frame_in_time_is_an_error_that_says_so() -> None:
 )
 def test_levels_of_every_packing_arrive_over_the_network(pixel_format: str) -> None:
     needs("aravis")
-    from lightopt.rig.simulated._gige import GigeCamera
+    from lightopt.rig.simulated._camera_gige import GigeCamera
 
     bits = int(pixel_format[4:6])
     image = np.random.default_rng(1).integers(0, 1 << bits, (120, 161)).astype(np.uint16)
@@ -197,7 +196,7 @@ def test_levels_of_every_packing_arrive_over_the_network(pixel_format: str) -> N
 @pytest.mark.parametrize("pixel_format", ["Mono12", "Mono12p"])
 def test_a_part_of_the_sensor_is_that_part_of_its_pixels(pixel_format: str) -> None:
     needs("aravis")
-    from lightopt.rig.simulated._gige import GigeCamera
+    from lightopt.rig.simulated._camera_gige import GigeCamera
 
     image = np.random.default_rng(2).integers(0, 4096, (120, 160)).astype(np.uint16)
     server = GigeCamera(lambda *_: image, resolution_px=(160, 120), bit_depth=12)

@@ -21,7 +21,7 @@ from lightopt.config import load_part, load_rig
 from lightopt.core.errors import HardwareError
 from lightopt.images import read_image_set
 from lightopt.rig.capture import start_bench, wiring_of
-from lightopt.rig.simulated import VirtualCamera
+from lightopt.rig.capture._software_cameras import VirtualCamera
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="SIGSTOP is of POSIX")
 
@@ -45,7 +45,7 @@ def test_the_time_that_a_frame_may_take_is_kept(tmp_path: Path, monkeypatch: pyt
 def test_a_bench_that_hangs_while_it_renders_is_noticed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("lightopt.rig.simulated._process._ANSWER_S", 0.3)
+    monkeypatch.setattr("lightopt.rig.simulated._bench_process._ANSWER_S", 0.3)
     rig_file, part_file = make_rig(tmp_path)
     rig = load_rig(rig_file)
     with start_bench(rig, wiring_of(rig), part=load_part(part_file)) as bench:

@@ -17,7 +17,7 @@ from lightopt.rig.devices import CameraSettings, check_camera_driver, find_camer
 from lightopt.rig.devices._camera_genicam import GenicamSdk
 from lightopt.rig.devices._camera_pixels import PIXEL_FORMATS, levels_of
 from lightopt.rig.devices._drivers import camera_drivers
-from lightopt.rig.simulated._gige import FORMATS, packed
+from lightopt.rig.simulated._camera_gige import FORMATS, packed
 
 SETTINGS = {"where": "rig.yaml:3: camera", "resolution_px": (160, 120), "bit_depth": 8}
 

@@ -119,7 +119,7 @@ def test_the_campaign_would_notice_a_light_left_on(bed, tmp_path, monkeypatch, p
     # from the message on that takes the intensity of the second light back
     case = Case("NG 03, value", "lights", "ng", {"code": 3, "after": 9, "count": None})
     outcome = suffer(case, *rigs["shot"], tmp_path / "out", folder / "truth-shot")
-    assert outcome.wrong == ("a light burns and nobody says so",)
+    assert outcome.wrong == ("a light is on and not reported",)
 
 
 # --- the truth behind the devices

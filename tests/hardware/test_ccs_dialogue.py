@@ -12,8 +12,8 @@ from scripted import scripted_link
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import LightSettings, light_drivers
-from lightopt.rig.devices._errors import RefusedError, ReplyError
 from lightopt.rig.devices._light_ccs import CcsController
+from lightopt.rig.devices._retry import RefusedError, ReplyError
 from lightopt.rig.simulated._light_ccs import CcsFirmware
 
 GOLDEN = {

@@ -11,7 +11,7 @@ from test_light_conformance import TEMPLATE
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import LightController, LightSettings, all_off, light_drivers
-from lightopt.rig.devices._errors import LinkLostError, ReplyError
+from lightopt.rig.devices._retry import LinkLostError, ReplyError
 from lightopt.rig.simulated import BenchProcess
 from lightopt.rig.simulated._lamps import Lamps
 

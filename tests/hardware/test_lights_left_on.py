@@ -88,14 +88,14 @@ def test_one_controller_is_darkened_without_the_other(bench, rig_on, broken, who
         off(rig_on(ports))
     assert dark(bench, whole) == [True]
     assert broken in raised.value.messages[0]
-    assert raised.value.messages[-1] == f"lights that may still burn: {light}"
+    assert raised.value.messages[-1] == f"lights that may still be on: {light}"
 
 
 def test_a_channel_that_does_not_obey_is_named_and_the_others_are_dark(bench, rig_on):
     bench.set_fault("right", "deaf", channel=2)
     with pytest.raises(HardwareError, match="channel 2: not switched off") as raised:
         off(rig_on(bench.ports))
-    assert raised.value.messages[-1] == "lights that may still burn: light3"
+    assert raised.value.messages[-1] == "lights that may still be on: light3"
     assert bench.levels("right")[1] == 0
     assert dark(bench, "left") == [True]
 
@@ -120,7 +120,7 @@ def test_a_stage_that_does_not_answer_leaves_nothing_burning(bench, rig_on):
 def test_a_mute_controller_does_not_keep_the_other_burning(bench, rig_on):
     bench.set_fault("left", "drop", count=None)
     rig = rig_on(bench.ports)
-    with pytest.raises(HardwareError, match="lights that may still burn: light1"):
+    with pytest.raises(HardwareError, match="lights that may still be on: light1"):
         connect_devices(rig, wiring_of(rig), camera=False)
     assert dark(bench, "right") == [True]
 
@@ -138,7 +138,7 @@ def test_nothing_waits_for_a_mute_controller(bench, rig_on):
     rig = rig_on(bench.ports)
     slower = edited(rig, "channels: 2, timeout_s: 0.1", "channels: 2, timeout_s: 1.0")
     started = bench.state()["time"]
-    with pytest.raises(HardwareError, match="lights that may still burn: light1") as raised:
+    with pytest.raises(HardwareError, match="lights that may still be on: light1") as raised:
         switch_off(load_lights(slower))
     assert raised.value.messages[-2] == "controllers that went dark: right"
     dark_at = max(t for t, name, _, level in bench.trace() if name == "right" and level == 0)
@@ -173,7 +173,7 @@ def test_a_controller_that_the_file_has_wrong_is_named_and_the_others_are_dark(b
     assert dark(bench, "left", "right") == [False, True]
     assert "not switched off, because the file is wrong there: controller left; mend it" in ran.err
     assert "controllers that went dark: right" in ran.err
-    assert "lights that may still burn: light1" in ran.err
+    assert "lights that may still be on: light1" in ran.err
     assert "warning: " in ran.err
 
 
@@ -187,7 +187,7 @@ def test_a_controller_that_the_file_has_wrong_is_named_and_the_others_are_dark(b
 def test_where_no_controller_can_be_read_it_says_what_to_do(bench, rig_on, pairs, burn):
     with pytest.raises(InputError, match="switch the controllers off by hand") as raised:
         load_lights(edited(rig_on(bench.ports), *pairs))
-    assert ("lights that may burn: light1, light3" in raised.value.messages[-1]) == burn
+    assert ("lights that may be on: light1, light3" in raised.value.messages[-1]) == burn
 
 
 def test_status_asks_every_device_although_some_are_silent(bench, rig_on, cli):
@@ -200,7 +200,7 @@ def test_status_asks_every_device_although_some_are_silent(bench, rig_on, cli):
     assert "no reply" in rows["controller left"]
     assert "status 00" in rows["controller right"] or "read_back yes" in rows["controller right"]
     assert rows["light light1"].endswith("its controller does not answer")
-    assert rows["light light3"].endswith("right channel 2: burns at level 90")
+    assert rows["light light3"].endswith("right channel 2: on at level 90")
     assert "no reply" in rows["stage"]
     failed = [
         line.partition(":")[2].partition(":")[0].strip() for line in ran.err.splitlines() if "error" in line

@@ -12,9 +12,9 @@ from scripted import scripted_link
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import LightSettings, light_drivers
-from lightopt.rig.devices._errors import RefusedError, ReplyError
 from lightopt.rig.devices._light_sa import SaController
 from lightopt.rig.devices._light_template import TemplateController
+from lightopt.rig.devices._retry import RefusedError, ReplyError
 from lightopt.rig.simulated._light_sa import SaFirmware
 from lightopt.rig.simulated._light_template import TemplateFirmware, example
 

@@ -19,8 +19,8 @@ import pytest
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import SerialLog, serial_ports
-from lightopt.rig.devices._errors import LinkLostError, ReplyError
-from lightopt.rig.devices._link import SerialLink
+from lightopt.rig.devices._retry import LinkLostError, ReplyError
+from lightopt.rig.devices._serial_link import SerialLink
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
 
@@ -258,7 +258,7 @@ def test_one_process_per_port() -> None:
     with pytest.raises(HardwareError, match=rf"laser: port {far.port} is in use by another program"):
         SerialLink(far.port, device="laser", baud=9600)
     program = (
-        "from lightopt.rig.devices._link import SerialLink\n"
+        "from lightopt.rig.devices._serial_link import SerialLink\n"
         f"try: SerialLink({far.port!r}, device='x', baud=9600)\n"
         "except Exception as error: print(type(error).__name__, error)\n"
     )

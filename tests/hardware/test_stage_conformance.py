@@ -13,8 +13,7 @@ from stage_worlds import AXES, DEVICE_AXES, HOMED, KINDS, STEP, Pool, open_kind
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
-from lightopt.rig.devices import Stage
-from lightopt.rig.devices._stage import Clock, MovingStage
+from lightopt.rig.devices._stage import Clock, Stage
 
 WIRES = ["tcp"] if os.name == "nt" else ["pty", "tcp"]
 
@@ -33,7 +32,7 @@ class World:
     kind: str
     name: str
     pool: Pool
-    stage: MovingStage
+    stage: Stage
 
     @property
     def port(self) -> str:

@@ -9,14 +9,14 @@ from scripted import Dialogue, play
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
 from lightopt.rig.devices import Axis, open_stage
-from lightopt.rig.devices._stage import MovingStage
+from lightopt.rig.devices._stage import Stage
 from lightopt.rig.devices._stage_zaber import frame
 
 TILT = (-45.0, 45.0)
 TURN = (0.0, 360.0)
 
 
-def stage(driver: str, axes: list[Axis]) -> MovingStage:
+def stage(driver: str, axes: list[Axis]) -> Stage:
     return open_stage(driver, port="COM9", axes=axes, timeout_s=0.05)
 
 

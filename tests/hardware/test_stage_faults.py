@@ -17,8 +17,8 @@ from stage_worlds import AXES, DEVICE_AXES, KINDS, STEP, Pool, open_kind
 from lightopt.core.errors import HardwareError
 from lightopt.core.transforms import Posture
 from lightopt.rig.devices import open_stage
-from lightopt.rig.devices._errors import LinkLostError
-from lightopt.rig.devices._stage import MovingStage
+from lightopt.rig.devices._retry import LinkLostError
+from lightopt.rig.devices._stage import Stage
 
 pytestmark = pytest.mark.slow
 
@@ -59,7 +59,7 @@ def units(kind: str, posture: Posture) -> tuple[float, float]:
     return tilt.units_of(posture.elevation_deg), turn.units_of(posture.rotation_deg)
 
 
-def at_start(pool: Pool, kind: str, *, timeout_s: float = 0.3) -> tuple[str, MovingStage]:
+def at_start(pool: Pool, kind: str, *, timeout_s: float = 0.3) -> tuple[str, Stage]:
     name = pool.take(kind, WIRE)
     stage = open_kind(kind, pool.of(name).ports[name], timeout_s=timeout_s)
     stage.home()

@@ -11,7 +11,7 @@ from lightopt.config import AxisConfig, StageDeviceConfig, load_part, load_rig
 from lightopt.core.errors import HardwareError
 from lightopt.core.transforms import Posture
 from lightopt.rig.capture import CaptureOptions, connect_devices, make_plan, wiring_of
-from lightopt.rig.devices._ports import Port
+from lightopt.rig.devices._serial_ports import Port
 
 HARDWARE = """\
 hardware:
@@ -52,7 +52,7 @@ def wired(tmp_path, monkeypatch):
 
         monkeypatch.setattr("serial.serial_for_url", open_url)
         there = tuple(Port(name, "") for name in ports)
-        monkeypatch.setattr("lightopt.rig.devices._ports.serial_ports", lambda: there)
+        monkeypatch.setattr("lightopt.rig.devices._serial_ports.serial_ports", lambda: there)
         return load_rig(path), load_part(part), ports["COM9"]
 
     return wired

@@ -11,7 +11,7 @@ import time
 import pytest
 
 from lightopt.core.errors import HardwareError
-from lightopt.rig.devices._link import SerialLink
+from lightopt.rig.devices._serial_link import SerialLink
 from lightopt.rig.simulated import BenchProcess
 
 VSTLight = pytest.importorskip("VSTLight", reason="vstlight comes with the extra dev")

@@ -142,7 +142,7 @@ def test_a_dark_light_is_named():
 def test_a_second_light_is_named():
     found = check("left", RAMP + RAMP[:, ::-1])
     assert found.problem is not None
-    assert "right burns together with left" in found.problem
+    assert "right is on together with left" in found.problem
 
 
 @pytest.mark.parametrize("seed", range(20))

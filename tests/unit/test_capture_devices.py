@@ -65,7 +65,7 @@ def test_all_is_closed_even_if_one_cannot_be(opened, world):
         "closing a device failed: OSError: No space left on device",
         "all lights are off",
     )
-    assert not world.burning
+    assert not world.lit
     assert closed == ["bench"]
     assert {event[1] for event in world.did("close")} == {"stage", "bench1"}
 
@@ -98,10 +98,10 @@ def test_a_light_goes_dark_at_its_time_while_the_camera_hangs(opened, world):
     def hang(event):
         if event[0] == "grab":
             time.sleep(0.5)
-            dark_while_hanging.append(not world.burning)
+            dark_while_hanging.append(not world.lit)
 
     world.trouble = hang
-    with pytest.raises(HardwareError, match=r"light1 burned for its max_on_s of 0\.1 s"):
+    with pytest.raises(HardwareError, match=r"light1 was on for its max_on_s of 0\.1 s"):
         grab_and_go(opened({"max_on_s": 0.1}))
     assert dark_while_hanging == [True]
 
@@ -121,10 +121,10 @@ def test_a_light_that_does_not_go_dark_in_time_is_tried_again(opened, world, mon
     with opened({"max_on_s": 0.1}) as devices:
         devices.light_on("light1")
         time.sleep(0.12)
-        assert world.burning
+        assert world.lit
         time.sleep(0.3)
-        assert not world.burning
-        with pytest.raises(HardwareError, match="burned for its max_on_s"):
+        assert not world.lit
+        with pytest.raises(HardwareError, match="was on for its max_on_s"):
             devices.check_watchdog("light1")
 
 
@@ -133,7 +133,7 @@ def test_each_lighting_has_its_own_time(opened, world):
         for _ in range(4):
             devices.light_on("light1")
             time.sleep(0.12)
-            assert world.burning
+            assert world.lit
             assert 0 < devices.remaining_on_s("light1") < 0.2
             devices.light_off("light1")
         assert devices.remaining_on_s("light1") is None
@@ -169,7 +169,7 @@ def test_a_second_signal_before_the_first_is_caught(opened, world):
 
     with pytest.raises(KeyboardInterrupt, match="SIGINT"):
         run()
-    assert not world.burning
+    assert not world.lit
     assert {event[0] for event in world.log[-3:]} == {"close"}
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
@@ -198,7 +198,7 @@ def test_a_signal_while_the_devices_are_left(opened, world, line):
     finally:
         sys.settrace(None)
     assert (ended is not None) == (line < len(lines))
-    assert not world.burning
+    assert not world.lit
     assert {event[0] for event in world.log[-3:]} == {"close"}
 
 
@@ -207,7 +207,7 @@ def test_a_program_that_ends_without_leaving_is_dark(opened, world):
     devices.__enter__()
     devices.light_on("light1")
     devices._last_resort()
-    assert not world.burning
+    assert not world.lit
     devices.__exit__(None, None, None)
     number = len(world.log)
     devices._last_resort()
@@ -230,12 +230,12 @@ def test_a_frame_that_hangs_under_a_lamp_at_the_bench(opened, world, bench):
     def hang(event):
         if event[0] == "grab":
             time.sleep(0.5)
-            assert not world.burning
+            assert not world.lit
 
     world.trouble = hang
     path = bench.folder / "frame.png"
     with (
-        pytest.raises(HardwareError, match="light1 burned for its max_on_s of"),
+        pytest.raises(HardwareError, match="light1 was on for its max_on_s of"),
         opened({"max_on_s": 0.3}) as devices,
     ):
         snap(devices, path, light="light1", exposure=1.0)
@@ -276,7 +276,7 @@ def test_exposures_between_the_steps_of_the_camera_are_refused_in_the_dark(opene
         assert "exposure 0.0625 (625 µs): the camera holds 620 µs instead, which is exposure 0.062" in str(
             raised.value
         )
-        assert not world.burning
+        assert not world.lit
         assert not any(
             event[0] in ("grab", "move") or (event[0] == "level" and event[3]) for event in world.log
         )

@@ -126,7 +126,7 @@ def test_a_run_that_comes_back_takes_no_more_images_and_ends_in_the_dark(take, w
     assert (done.images, done.taken, done.warnings) == (4, 4, ())
     moves = [Posture(0.0, 0.0), Posture(-10.0, 170.0), Posture(0.0, 0.0)]
     assert world.did("move") == [("move", posture) for posture in moves]
-    assert not world.burning
+    assert not world.lit
     facts = json.loads((bench.out / "manifest.json").read_text(encoding="utf-8"))["came_back"]
     assert (facts["light"], facts["posture"]) == ("light1", {"elevation_deg": 0.0, "rotation_deg": 0.0})
     assert abs(facts["tilt_deg"]) < 0.1

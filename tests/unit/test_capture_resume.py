@@ -21,7 +21,7 @@ from lightopt.images import ImageSetWriter, png_name, read_image_set, read_png
 from lightopt.rig.capture import CapturePlan
 from lightopt.rig.capture._acquisition import AcquisitionEngine
 from lightopt.rig.capture._background_writer import MOST_LINEARS, BackgroundWriter
-from lightopt.rig.capture._image_records import CapturedSet
+from lightopt.rig.capture._captured_set import CapturedSet
 from lightopt.rig.capture._lock import LOCK_NAME
 from lightopt.rig.capture._timing import Timing
 
@@ -176,7 +176,7 @@ def test_a_full_disk_is_told_with_step_and_state(take, world, bench, monkeypatch
     assert raised.value.messages[0].startswith("while checking and writing the ")
     assert "No space left on device" in raised.value.messages[0]
     assert raised.value.messages[-1] == "all lights are off"
-    assert not world.burning
+    assert not world.lit
 
 
 def test_an_early_error_of_a_linear_image_is_not_lost(take, monkeypatch):
@@ -247,7 +247,7 @@ def test_a_disk_that_hangs_is_waited_for_and_the_folder_stays_locked(take, world
         os.kill(os.getpid(), signal.SIGINT)
         while not said:
             time.sleep(0.01)
-        seen.append(set(world.burning))
+        seen.append(set(world.lit))
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(0.2)
         seen.append((bench.out / LOCK_NAME).exists())
@@ -320,7 +320,7 @@ def test_a_light_that_is_lit_anew_settles_anew(take, world, monkeypatch):
         lit.append(self._light_settled)
 
     def watch(event):
-        if event[0] == "grab" and world.burning:
+        if event[0] == "grab" and world.lit:
             waited.append(time.monotonic() >= lit[-1])
 
     monkeypatch.setattr(CapturePlan, "relighting_s", 0.01)
@@ -342,7 +342,7 @@ def test_an_exposure_for_which_the_light_may_not_burn_is_not_begun():
     devices = SimpleNamespace(camera=camera, remaining_on_s=lambda name: 0.01)
     engine = AcquisitionEngine(devices, plan, sensor=None, identities={}, timing=Timing())
     engine._lit, engine._held_us = ("light1", {}), 20_000.0
-    with pytest.raises(HardwareError, match=r"light1 may burn 0\.01 s more \(max_on_s\)"):
+    with pytest.raises(HardwareError, match=r"light1 may be on for 0\.01 s more \(max_on_s\)"):
         engine._grab()
     engine.close()
 

@@ -51,11 +51,11 @@ def test_each_light_alone_in_each_posture(take, world, bench):
 def test_no_two_lights_burn_at_once_and_none_while_the_stage_moves(take, world):
     def watch(event):
         if event[0] == "move":
-            assert not world.burning
+            assert not world.lit
         if event[0] == "level" and event[3]:
-            assert not world.burning
+            assert not world.lit
         if event[0] == "grab":
-            assert len(world.burning) <= 1
+            assert len(world.lit) <= 1
 
     world.trouble = watch
     take(exposures=(1.0, 1 / 16), dark=True)
@@ -163,7 +163,7 @@ def burning_after(monkeypatch, world, module, name, *, seconds=0.15):
 
     def slow(*arguments, **options):
         time.sleep(seconds)
-        seen.append(set(world.burning))
+        seen.append(set(world.lit))
         return plain(*arguments, **options)
 
     monkeypatch.setattr(module, name, slow)
@@ -302,7 +302,7 @@ def test_lights_are_off_after_an_error_at(take, world, kind):
     with pytest.raises(HardwareError, match="all lights are off") as raised:
         take()
     assert raised.value.messages[0].startswith("while ")
-    assert not world.burning
+    assert not world.lit
     assert {event[0] for event in world.log[-3:]} == {"close"}
 
 
@@ -311,7 +311,7 @@ def test_lights_are_off_after_ctrl_c_at(take, world, kind):
     world.trouble = broken(kind, number=1 if kind == "home" else 2, error=KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
         take()
-    assert not world.burning
+    assert not world.lit
     assert bool(world.did("stop")) == (kind != "grab")  # the stage was moving
     assert {event[0] for event in world.log[-3:]} == {"close"}
 
@@ -355,7 +355,7 @@ def test_a_disk_that_refuses_ends_with_lights_off(take, world, monkeypatch):
     ) as raised:
         take()
     assert "all lights are off" in str(raised.value)
-    assert not world.burning
+    assert not world.lit
 
 
 # --- images that are not what they say
@@ -383,7 +383,7 @@ def test_a_light_that_does_not_go_out_is_named(take, world):
             super().__setitem__(key, value or self.get(key, 0))
 
     world.levels = Stuck()
-    with pytest.raises(HardwareError, match="light1 burns together with light3"):
+    with pytest.raises(HardwareError, match="light1 is on together with light3"):
         take()
 
 

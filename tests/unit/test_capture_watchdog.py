@@ -13,8 +13,8 @@ from capture_doubles import Lights, Stage, World
 
 from lightopt.config import load_lights, load_rig
 from lightopt.core.errors import HardwareError, InputError, error_text
-from lightopt.rig.capture import Devices, _lights, _watchdog, switch_off, wiring_of
-from lightopt.rig.capture._lights import open_lights
+from lightopt.rig.capture import Devices, _lights_off, _watchdog, switch_off, wiring_of
+from lightopt.rig.capture._lights_off import open_lights
 from lightopt.rig.capture._watchdog import LightWatchdog
 
 LONGEST_S = 0.05
@@ -109,7 +109,7 @@ def test_what_the_driver_says_is_told_as_long_as_the_light_burns(error):
     watch.start("light1", LONGEST_S)
     told = []
     until(lambda: told or told.extend(filter(None, [watch.pop_problem("light1")])))
-    assert told[0].startswith(f"light1 burns longer than its max_on_s of {LONGEST_S:g} s: ")
+    assert told[0].startswith(f"light1 is on for longer than its max_on_s of {LONGEST_S:g} s: ")
     assert error_text(error) in told[0]
     watch.stop_all()
 
@@ -160,7 +160,7 @@ def test_a_light_whose_time_is_up_before_it_is_lit_does_not_stay_on(opened, worl
         try:
             devices.light_on("light1")
         finally:
-            assert not world.burning
+            assert not world.lit
 
 
 # --- ways out
@@ -170,16 +170,16 @@ def test_a_light_whose_time_is_up_before_it_is_lit_does_not_stay_on(opened, worl
 def test_the_way_out_ends_dark_whatever_the_driver_raised(opened, world, error):
     with opened as devices:
         devices.light_on("light3")
-        assert world.burning
+        assert world.lit
         world.trouble = failing(error, 2)
-    assert not world.burning
+    assert not world.lit
     assert {event[1] for event in world.did("close")} == {"stage", "bench1"}
 
 
 @of(UNFORESEEN)
 def test_a_driver_that_never_darkens_is_told_and_all_is_closed(opened, world, error):
     with (
-        pytest.raises(HardwareError, match=r"lights that may still burn: .*light3") as raised,
+        pytest.raises(HardwareError, match=r"lights that may still be on: .*light3") as raised,
         opened as devices,
     ):
         devices.light_on("light3")
@@ -196,7 +196,7 @@ def test_ctrl_c_while_a_driver_fails_ends_dark(opened, world, error):
         world.trouble = failing(error, 3)
         until(lambda: len([event for event in world.did("level") if event[2:] == (1, 0)]) > 1)
         signal.raise_signal(signal.SIGINT)
-    assert not world.burning
+    assert not world.lit
     assert {event[1] for event in world.did("close")} == {"stage", "bench1"}
 
 
@@ -214,7 +214,7 @@ def test_a_stage_that_fails_in_its_own_way_keeps_nothing_open(opened, world, met
         devices.light_on("light3")
         world.trouble = lost
         devices.move_to(devices.stage.world.posture)
-    assert not world.burning
+    assert not world.lit
     assert {event[1] for event in world.did("close")} == {"stage", "bench1"}
 
 
@@ -231,11 +231,11 @@ def test_controllers_that_open_go_dark_and_the_others_are_named(bench, world, mo
             raise error
         return Lights(world, which, 4)
 
-    monkeypatch.setattr(_lights, "open_controller", open_controller)
+    monkeypatch.setattr(_lights_off, "open_controller", open_controller)
     found = open_lights(
         wiring, wiring.hardware.controllers, ports={}, log=None, darken=True, opened=lambda _: None
     )
-    assert not world.burning
+    assert not world.lit
     assert set(found.controllers) == {"other"}
     assert set(found.may_be_on) == {"light1", "light3"}
     assert error_text(error) in str(found.error())
@@ -245,7 +245,7 @@ def test_switching_off_tells_what_may_burn_whatever_the_driver_raised(bench, mon
     def open_controller(_wiring, _name, *, port, log):
         raise ValueError("could not parse")
 
-    monkeypatch.setattr(_lights, "open_controller", open_controller)
+    monkeypatch.setattr(_lights_off, "open_controller", open_controller)
     with pytest.raises(HardwareError, match="could not parse") as raised:
         switch_off(load_lights(bench.rig))
-    assert "lights that may still burn: light1, light3" in raised.value.messages
+    assert "lights that may still be on: light1, light3" in raised.value.messages

@@ -70,7 +70,7 @@ BAD = [
         r"exposure 1e-05 is 0.08 µs .* outside the camera's 10 to 1e\+07 µs",
     ),
     ("", "", ["--exposures", "1,1"], "exposures: the same one was given twice"),
-    ("", "", ["--exposures", "700"], "light1: would burn .* longer than max_on_s 5"),
+    ("", "", ["--exposures", "700"], "light1: would be on for .* longer than max_on_s 5"),
     ("", "", ["--average", "0"], "average: expected 1 to 1000 frames, found 0"),
     ("camera: {driver: virtual}", "camera: {driver: folder, folder: nowhere}", [], "nowhere"),
 ]
@@ -240,7 +240,7 @@ def test_a_light_burns_for_the_time_given(cli, wired):
         (("snap", "RIG", "frame.png"), "--part: the virtual camera needs to know"),
         (
             ("light", "RIG", "light1", "--seconds", "6"),
-            "light1 would burn 6 s, longer than its max_on_s of 5 s (",
+            "light1 would be on for 6 s, longer than its max_on_s of 5 s (",
         ),
         (
             ("snap", "RIG", "frame.png", "--part", "PART", "--light", "light1", "--exposure", "700"),

@@ -3,25 +3,16 @@
 Only this package chooses between the virtual bench and real devices.
 """
 
+from lightopt.rig.capture._capture import CaptureResult, capture
+from lightopt.rig.capture._captured_set import check_folder
 from lightopt.rig.capture._connect import check_devices, connect_devices
-from lightopt.rig.capture._devices import Devices
-from lightopt.rig.capture._image_records import check_folder
-from lightopt.rig.capture._lights import switch_off
-from lightopt.rig.capture._manual_control import (
-    check_angles,
-    check_exposure,
-    check_level,
-    check_on_time,
-    device_statuses,
-    hold_light,
-    snap,
-    snap_on_s,
-)
-from lightopt.rig.capture._options import CaptureOptions
-from lightopt.rig.capture._plan import CapturePlan, make_plan
-from lightopt.rig.capture._run import CaptureResult, capture
-from lightopt.rig.capture._simulated_rig import start_bench
+from lightopt.rig.capture._lights_off import switch_off
+from lightopt.rig.capture._limits import check_angles, check_exposure, check_level, check_on_time
+from lightopt.rig.capture._manual_control import device_statuses, hold_light, snap, snap_on_s
+from lightopt.rig.capture._plan import CaptureOptions, CapturePlan, make_plan
+from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._timing import Timing
+from lightopt.rig.capture._virtual_bench import start_bench
 from lightopt.rig.capture._wiring import wiring_of
 
 __all__ = [

@@ -11,10 +11,10 @@ from typing import Any
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
 from lightopt.optics import Sensor
-from lightopt.rig.capture._devices import Devices
 from lightopt.rig.capture._exposures import ExposureImage, FrameMean
-from lightopt.rig.capture._folder_camera import FolderCamera
 from lightopt.rig.capture._plan import CapturePlan
+from lightopt.rig.capture._safe_devices import Devices
+from lightopt.rig.capture._software_cameras import FolderCamera
 from lightopt.rig.capture._timing import Timing, utc
 from lightopt.rig.devices import Event, Frame, frame_limit_s
 
@@ -26,8 +26,6 @@ EXPOSURE_TOLERANCE = 0.005
 class AcquiredImage:
     """An image as it came from the camera.
 
-    Attributes
-    ----------
     light: None for a frame without light.
     exposure: Requested relative exposure.
     future: The image of the frames, which is computed while the light goes out.
@@ -236,7 +234,7 @@ class AcquisitionEngine:
         if self._lit is not None and (left_s := self._remaining_on_s()) is not None:
             if left_s <= exposure_s:
                 raise HardwareError(
-                    f"{self._lit[0]} may burn {max(0.0, left_s):.3g} s more (max_on_s) and the exposure "
+                    f"{self._lit[0]} may be on for {max(0.0, left_s):.3g} s more (max_on_s) and the exposure "
                     "takes longer: frames came later than planned; take fewer or shorter exposures"
                 )
             limit_s = min(limit_s, left_s)

@@ -1,4 +1,4 @@
-"""Opening what a plan needs. Only here is chosen between the virtual bench and real devices."""
+"""Open the devices that a plan needs: real ones, or those of the virtual bench."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Any
 from lightopt.config import PartConfig, RigConfig, StageDeviceConfig
 from lightopt.core.errors import InputError, LightoptError
 from lightopt.core.run_context import RunContext
-from lightopt.rig.capture._devices import Devices
-from lightopt.rig.capture._folder_camera import FolderCamera
-from lightopt.rig.capture._lights import open_lights
+from lightopt.rig.capture._lights_off import open_lights
 from lightopt.rig.capture._plan import CapturePlan
+from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._signals import EndSignals
-from lightopt.rig.capture._simulated_rig import STAGE, start_bench
-from lightopt.rig.capture._wiring import CAMERA, VIRTUAL, Wiring
+from lightopt.rig.capture._software_cameras import FolderCamera, VirtualCamera
+from lightopt.rig.capture._virtual_bench import STAGE, start_bench
+from lightopt.rig.capture._wiring import VIRTUAL, Wiring
 from lightopt.rig.devices import (
     Axis,
     Camera,
@@ -30,7 +30,7 @@ from lightopt.rig.devices import (
     open_stage,
     port_problem,
 )
-from lightopt.rig.simulated import BenchProcess, BenchTruth, VirtualCamera
+from lightopt.rig.simulated import CAMERA, BenchProcess, BenchTruth
 
 
 def connect_devices(
@@ -52,23 +52,18 @@ def connect_devices(
     Lights are opened first, and each controller goes dark as it opens: after a run that was killed this is the only
     way to darken lights that are on while another device is out of order.
 
-    Parameters
-    ----------
     part: The part on the virtual bench; needed for its camera.
     plan: The images that a folder camera must have.
     serial_log: File that gets every byte on the wires.
     truth: How the virtual bench differs from the files.
     bench: A virtual bench that runs already; it is left running.
-    touch_lights: False to only look at the devices: nothing is switched.
+    touch_lights: False to query the devices only: nothing is switched.
     unreachable: Collects the controllers and the stage that do not answer, with why; the others are opened. None: an
         error.
     run: Gets warnings of irregularities on the wires as they happen, and if the serial log ends early.
-
-    Raises
-    ------
-    InputError: A port is not there or in use, or a folder lacks images of the plan.
-    HardwareError: A device does not answer. By then every controller that can be reached was darkened, unless
-        `touch_lights` is false, and the message names the lights that may still burn.
+    Raises InputError: A port is not there or in use, or a folder lacks images of the plan.
+    Raises HardwareError: A device does not answer. By then every controller that can be reached was darkened, unless
+        `touch_lights` is false, and the message names the lights that may still be on.
     """
     run = run or RunContext()
     replay = check_devices(rig, wiring, plan, camera=camera)
@@ -106,19 +101,19 @@ def connect_devices(
             if unreachable is None:
                 raise (lights.error(error) if touch_lights else error) from error
             unreachable[STAGE] = error
-        seen: Camera | None = None
+        opened_camera: Camera | None = None
         if camera:
             try:
-                seen = _open_rig_camera(rig, wiring, replay=replay, bench=bench, log=log)
+                opened_camera = _open_rig_camera(rig, wiring, replay=replay, bench=bench, log=log)
             except LightoptError as error:
                 raise (lights.error(error) if touch_lights else error) from error
-            stack.callback(seen.close)
+            stack.callback(opened_camera.close)
         devices = Devices(
             wiring=wiring,
             controllers=lights.controllers,
             stage=stage,
-            camera=seen,
-            events=lambda: _events([*lights.controllers.values(), stage, seen, log]),
+            camera=opened_camera,
+            events=lambda: _events([*lights.controllers.values(), stage, opened_camera, log]),
             closing=closing,
             signals=signals,
             touch_lights=touch_lights,
@@ -136,7 +131,7 @@ def connect_devices(
 def check_devices(
     rig: RigConfig, wiring: Wiring, plan: CapturePlan | None = None, *, camera: bool = True
 ) -> FolderCamera | None:
-    """Check what can be known of devices before any is opened: ports, axes and speeds, the folder to replay.
+    """Check what is known of devices before any is opened: ports, axes and speeds, the folder to replay.
 
     Returns the folder that is replayed, where one is.
 
@@ -145,7 +140,7 @@ def check_devices(
     problems: list[str] = []
     replay: FolderCamera | None = None
     driver = wiring.hardware.camera.driver
-    if camera and driver in ("aravis", "genicam"):  # is its software on this computer?
+    if camera and driver in ("aravis", "genicam"):  # is its software installed?
         with _collected(problems, where=rig.source.at("hardware", "camera")):
             check_camera_driver(driver, _producer(rig, wiring))
     if camera and driver == "folder":
@@ -184,7 +179,7 @@ def _folder_camera(rig: RigConfig, wiring: Wiring, plan: CapturePlan | None) -> 
 
 
 def _port_problems(rig: RigConfig, wiring: Wiring) -> list[str]:
-    """Ports that are not there; whether a URL can be opened is not known before."""
+    """Serial ports that are missing; a URL is only tried when it is opened."""
     hardware = wiring.hardware
     named = [
         (rig.source.at("hardware", "controllers", name, "port"), config.port)

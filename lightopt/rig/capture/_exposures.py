@@ -34,8 +34,6 @@ TOLERANCE_LEVELS = 0.4
 class ExposureImage:
     """An image at one exposure; arrays of shape (H, W).
 
-    Attributes
-    ----------
     exposure: Relative exposure, as the camera held it.
     mean: Mean of the frames [sensor level].
     saturated: Where any of the frames reached the saturation level, so that the mean is too low.
@@ -145,15 +143,10 @@ def merge_exposures(
 
     Level at exposure 1 = (sensor level − dark) · full scale / ((2^b − 1) · exposure).
 
-    Parameters
-    ----------
     images: The exposures, of one shape (H, W), the longest first.
     full_scale: Grey level of a full-scale sensor level at exposure 1.
     dark: Mean frame without light of each exposure [sensor level], shape (H, W); else the black level is removed.
-
-    Returns
-    -------
-    dict: EXR channels, float32 (H, W): ``Y`` [grey level at exposure 1]; ``valid``, 0 where every exposure was
+    Returns dict: EXR channels, float32 (H, W): ``Y`` [grey level at exposure 1]; ``valid``, 0 where every exposure was
         saturated and `Y` is only a lower bound; ``exposure``, the relative exposure that the pixel came from.
     """
     level = np.zeros(images[0].mean.shape, np.float32)

@@ -51,8 +51,6 @@ LEFT_ON = 0.05
 class PredictedImages:
     """Coarse prediction of what each light makes of the part in one posture.
 
-    Attributes
-    ----------
     cell: Side of a cell [px].
     levels: Linear level at exposure 1 above black [sensor level] by light, shape (rows, columns) of cells.
     part: Cells that show the part, shape (rows, columns).
@@ -67,8 +65,6 @@ class PredictedImages:
 class LightCheck:
     """Result of the check that an image is lit by its light.
 
-    Attributes
-    ----------
     problem: What is wrong, in words; None where nothing is.
     brightness: Mean brightness of the part above dark, as a share of the prediction.
     resemblance: Correlation with the prediction of the light.
@@ -129,8 +125,6 @@ def check_light(
 ) -> LightCheck:
     """Compare an image with the frame without light and with what every light of the rig would make of the part.
 
-    Parameters
-    ----------
     light: The only light that should have been on.
     image, dark: [sensor level], shape (H, W); the dark may be one level.
     exposure: Relative exposure of the image.
@@ -170,7 +164,7 @@ def check_light(
         )
     elif both is not None and both[1] >= clearly and brightness > 1.0 + STAYED_DARK:
         problem = (
-            f"{both[0]} burns together with {light}: the image looks like both (correlation {both[1]:.2f}, "
+            f"{both[0]} is on together with {light}: the image looks like both (correlation {both[1]:.2f}, "
             f"with {light} alone {own:.2f})"
         )
     elif own < RESEMBLES and _self_correlation(alone[light], sensor, predictions.cell) < PLAIN:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -9,9 +10,12 @@ from typing import Any, Literal
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, counted
 from lightopt.core.transforms import Posture
-from lightopt.rig.capture._options import CaptureOptions, exposure_problems, light_problems, posture_problems
+from lightopt.rig.capture._limits import exposure_problems, light_problems, posture_problems
 from lightopt.rig.capture._wiring import Wiring, wiring_of
 from lightopt.scene import part_postures, travel_order, travel_s
+
+MOST_FRAMES = 1000
+"""Frames that one image is the mean of, at most."""
 
 StepKind = Literal["home", "move", "settle", "light on", "expose", "light off"]
 
@@ -24,12 +28,59 @@ _TRANSFER_S_PER_PIXEL = {"virtual": 80e-9, "folder": 10e-9, "aravis": 20e-9, "ge
 _HOME = Posture(0.0, 0.0)
 
 
+@dataclass(frozen=True, kw_only=True)
+class CaptureOptions:
+    """What to capture.
+
+    lights, postures: Instead of all lights of the rig and the part's own postures.
+    exposures: Relative to the rig's ``camera.exposure_us``; all of them under one light before the next is lit.
+    average: Number of frames that each image is the mean of.
+    dark: Whether frames without light are taken in every posture at every exposure, and subtracted in the EXR.
+    home: Whether the stage seeks its origin first.
+    check: Whether each image is checked for being lit by the right light.
+    check_repeatability: Whether the stage returns to its first posture at the end, to see that it lost no steps.
+    Raises InputError: A number is out of range or something is given twice.
+    """
+
+    lights: tuple[str, ...] | None = None
+    postures: tuple[Posture, ...] | None = None
+    exposures: tuple[float, ...] = (1.0,)
+    average: int = 1
+    dark: bool = False
+    home: bool = False
+    check: bool = True
+    check_repeatability: bool = False
+
+    def __post_init__(self) -> None:
+        if problems := tuple(self._problems()):
+            raise InputError(*problems)
+
+    def _problems(self) -> Iterator[str]:
+        if not self.exposures:
+            yield "exposures: expected at least one, such as 1 or 1/16"
+        for exposure in self.exposures:
+            if not (math.isfinite(exposure) and exposure > 0.0):
+                yield f"exposures: expected numbers above 0, found {exposure:g}"
+        for name, values in (
+            ("exposures", self.exposures),
+            ("light", self.lights or ()),
+            ("posture", self.postures or ()),
+        ):
+            if len(set(values)) < len(values):
+                yield f"{name}: the same one was given twice"
+        if not 1 <= self.average <= MOST_FRAMES:
+            yield f"average: expected 1 to {MOST_FRAMES} frames, found {self.average}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """What changes the files of the set, in JSON form."""
+        numbers = {"exposures": list(self.exposures), "average": self.average}
+        return {**numbers, "dark": self.dark, "check": self.check}
+
+
 @dataclass(frozen=True)
 class PlanStep:
     """One step of a plan.
 
-    Attributes
-    ----------
     what: Its object: a posture, a light, an exposure.
     seconds: Estimated duration [s].
     posture, light, exposure: Where the stage stands, which light is on (None: none), at which relative exposure.
@@ -59,8 +110,6 @@ class PostureTask:
 class CapturePlan:
     """A capture as data.
 
-    Attributes
-    ----------
     tasks: Posture by posture, in the order of travel.
     exposures: Relative, the longest first.
     home: Whether the stage seeks its origin first.
@@ -189,7 +238,7 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
         for name in lights
         if name not in known
     ]
-    problems += posture_problems(rig, part, wiring, options)
+    problems += posture_problems(rig, part, wiring, options.postures)
     if options.check_repeatability and (wiring.hardware.stage is None or len(postures) < 2):
         problems.append(
             "come back: expected a stage and two postures or more; there is nothing to come back from otherwise"

@@ -54,8 +54,6 @@ BOUNDED = 0.1
 class Repeatability:
     """Rotation of the part between two images.
 
-    Attributes
-    ----------
     tilt_deg, turn_deg: About the tilt axis and the rotary axis, in the sense of elevation and rotation [°].
     tilt_error_deg, turn_error_deg: Standard errors [°]; those of an unobservable axis are large.
     converged: Whether the comparison found its optimum; if not, the angles say nothing.

@@ -1,4 +1,4 @@
-"""Taking the images of a plan: the order of things between the devices and the disk."""
+"""Take the images of a plan: the order of steps between the devices and the disk."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.rig.capture._acquisition import AcquiredImage, AcquisitionEngine
 from lightopt.rig.capture._background_writer import BackgroundWriter
-from lightopt.rig.capture._devices import Devices
+from lightopt.rig.capture._captured_set import CapturedSet
 from lightopt.rig.capture._exposures import ExposureImage
 from lightopt.rig.capture._image_checks import ImageChecker
-from lightopt.rig.capture._image_records import CapturedSet
 from lightopt.rig.capture._plan import CapturePlan, PostureTask
 from lightopt.rig.capture._repeatability import measure_repeatability
+from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._timing import Timing
 from lightopt.scene import Scene
@@ -30,9 +30,9 @@ Dark = dict[float, Float32]
 
 
 class CaptureSession:
-    """Takes the missing images of a plan, and reports where an interrupted run stands.
+    """Takes the missing images of a plan, and reports what an interrupted run has on disk.
 
-    `taken` is the number of images taken so far, `warnings` what was noticed so far.
+    `taken` is the number of images that it has taken so far, `warnings` those for the manifest.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class CaptureSession:
         self._run = run
         self._writer = BackgroundWriter(timing)
         self._checker = ImageChecker(scene, check=plan.options.check, with_dark=plan.options.dark)
-        self._there = len(plan.keys) - sum(
+        self._on_disk = len(plan.keys) - sum(
             len(records.missing(light, task.posture)) for task in plan.tasks for light in task.lights
         )
         self._devices: Devices | None = None
@@ -65,7 +65,7 @@ class CaptureSession:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Finish what is being written, and say where an interrupted run stands; its devices are closed already."""
+        """Finish writing, and report what an interrupted run has on disk; its devices are closed already."""
         del kind, trace
         stopped = isinstance(error, KeyboardInterrupt)
         signalled = self._finish(failed=error is not None, lights="all lights are off; " if stopped else "")
@@ -77,15 +77,15 @@ class CaptureSession:
             self._records.writer.add_warnings(self.warnings)
             self._record_events()
         if (stopped or error is None) and self._devices is not None:
-            raise Interrupted(f"all lights are off; {self._standing()}") from error
+            raise Interrupted(f"all lights are off; {self._progress_text()}") from error
 
     @property
     def _engine(self) -> AcquisitionEngine:
         assert self._started is not None
         return self._started
 
-    def _standing(self) -> str:
-        """What is on disk and how to go on, in words."""
+    def _progress_text(self) -> str:
+        """Message about what is on disk and how to go on."""
         there, planned = len(self._records.writer.manifest.images), len(self._plan.keys)
         on_disk = f"{there} of {counted(planned, 'image')} {'is' if planned == 1 else 'are'} on disk"
         if not self.todo():
@@ -98,20 +98,15 @@ class CaptureSession:
             "followed them"
         )
 
-    @property
-    def replaced(self) -> int:
-        """Files of another set that were removed."""
-        return self._records.writer.replaced
-
     def warn(self, *texts: str) -> None:
-        """Issue a warning once, and keep it for the manifest."""
+        """Issue a warning once, and record it for the manifest."""
         for text in texts:
             if text not in self.warnings:
                 self.warnings += (text,)
         self._run.warn(*texts)
 
     def todo(self) -> tuple[PostureTask, ...]:
-        """Postures in which something is missing."""
+        """Postures in which images are missing."""
         return tuple(
             task
             for task in self._plan.tasks
@@ -120,9 +115,9 @@ class CaptureSession:
         )
 
     def execute(self, devices: Devices) -> None:
-        """Take all that is missing."""
+        """Take all missing images."""
         self._devices = devices
-        devices.step = "asking the devices who they are"
+        devices.step = "querying the identity of the devices"
         with self._timing.spent("opening_s"):
             identities = devices.identities()
             self._started = AcquisitionEngine(
@@ -163,7 +158,7 @@ class CaptureSession:
             return
         self._records.record_repeatability({"light": light, "posture": posture.as_dict(), **found.as_dict()})
         if not found.converged:
-            text = "the comparison of its two images did not converge: nothing tells whether steps were lost"
+            text = "the comparison of its two images did not converge: whether steps were lost is unknown"
         elif found.deviation is not None:
             text = (
                 f"the part has turned since the first image there, {found.deviation}, and the stage does not know: "
@@ -194,9 +189,9 @@ class CaptureSession:
         self._records.record_events([event.as_dict() for event in (source() if source else ())])
 
     def _finish(self, *, failed: bool, lights: str) -> bool:
-        """Let what is being written be finished, whatever happens; whether a signal came meanwhile.
+        """Finish writing, whatever happens; returns whether a signal came meanwhile.
 
-        Signals are held back: what writes into the folder must have ended before another capture may.
+        Signals are held back: all writing into the folder must have ended before another capture may begin.
         """
         signals = EndSignals()
         signals.install()
@@ -221,20 +216,20 @@ class CaptureSession:
         self._report_progress(f"moving to {task.posture}")
         self._engine.move(task.posture)
         todo = self._records.todo(task)
-        anew = [light for light, missing in todo.items() if missing]
-        if anew:
-            self._writer.submit_image(self._records.discard, task.posture, anew)
+        incomplete = [light for light, missing in todo.items() if missing]
+        if incomplete:
+            self._writer.submit_image(self._records.discard, task.posture, incomplete)
         dark = self._capture_darks(task)
         for light, missing in todo.items():
             self._capture_light(task, light, missing, dark)
-        if anew:
-            self._confirm_stage(task.posture, anew)
-        if self._plan.options.check and anew:
+        if incomplete:
+            self._confirm_stage(task.posture, incomplete)
+        if self._plan.options.check and incomplete:
             acquired = self._expose(task, self._plan.exposures[0])
-            self._writer.submit_image(self._check_final_dark, acquired, anew)
+            self._writer.submit_image(self._check_final_dark, acquired, incomplete)
 
     def _confirm_stage(self, posture: Posture, lights: Sequence[str]) -> None:
-        """Check that the stage stood still for the images of a posture; without that they do not count."""
+        """Check that the stage stood still during the images of a posture; otherwise they are dropped."""
         try:
             self._engine.confirm_stage()
         except HardwareError as error:
@@ -246,7 +241,7 @@ class CaptureSession:
             ) from error
 
     def _set_dark_references(self) -> None:
-        """Let frames without light be compared with those that an earlier run kept."""
+        """Compare frames without light with those of a previous run."""
         for task in self._plan.tasks:
             for exposure in task.dark_exposures:
                 wanted = not self._checker.has_dark_reference(exposure)
@@ -260,7 +255,7 @@ class CaptureSession:
             if not self._records.dark_missing(task.posture, exposure):
                 dark[exposure] = self._records.read_dark(task.posture, exposure)
                 continue
-            self._writer.submit_image(self._keep_dark, self._expose(task, exposure), dark)
+            self._writer.submit_image(self._add_dark, self._expose(task, exposure), dark)
         for exposure in self._plan.exposures if self._plan.needs_dark_reference else ():
             if not self._checker.has_dark_reference(exposure):
                 self._writer.submit_image(self._checker.check_dark, self._expose(task, exposure), self.warn)
@@ -268,7 +263,7 @@ class CaptureSession:
 
     def _capture_light(self, task: PostureTask, light: str, missing: Sequence[float], dark: Dark) -> None:
         engine = self._engine
-        taken: dict[float, ExposureImage] = {}
+        captured: dict[float, ExposureImage] = {}
         if missing:
             engine.set_exposure(missing[0])
             engine.light_on(light)
@@ -276,32 +271,32 @@ class CaptureSession:
             acquired = self._expose(task, exposure, light=light, rest=missing[i:])
             if exposure == missing[-1]:
                 engine.light_off()  # before anything is done with the frames
-            self._writer.submit_image(self._keep, acquired, dark, taken)
+            self._writer.submit_image(self._add, acquired, dark, captured)
             self.taken += 1
         engine.devices.step = "checking and writing the images before"
-        self._writer.submit_linear(self._records.add_linear, light, task.posture, taken, dark)
+        self._writer.submit_linear(self._records.add_linear, light, task.posture, captured, dark)
 
-    def _keep(self, acquired: AcquiredImage, dark: Dark, taken: dict[float, ExposureImage]) -> None:
-        """Check that the image is lit by its light, as those of its other exposures were, and put it on disk."""
-        acquired.facts["lit"] = self._checker.check(acquired, dark, taken, self.warn)
+    def _add(self, acquired: AcquiredImage, dark: Dark, captured: dict[float, ExposureImage]) -> None:
+        """Check that the image is lit by its light, as those of its other exposures were, and write it."""
+        acquired.facts["lit"] = self._checker.check(acquired, dark, captured, self.warn)
         self._records.add(acquired)
-        taken[acquired.exposure] = acquired.image
+        captured[acquired.exposure] = acquired.image
 
-    def _keep_dark(self, acquired: AcquiredImage, dark: Dark) -> None:
-        """Check that no light is on, and put the frame on disk."""
+    def _add_dark(self, acquired: AcquiredImage, dark: Dark) -> None:
+        """Check that no light is on, and write the frame."""
         self._checker.check_dark(acquired, self.warn)
         self._records.add_dark(acquired)
         dark[acquired.exposure] = acquired.image.mean
 
     def _check_final_dark(self, acquired: AcquiredImage, lights: Sequence[str]) -> None:
-        """Check that no light stayed on; only then do the images of the posture count."""
+        """Check that no light stayed on; otherwise the images of the posture are dropped."""
         try:
             self._checker.check_dark(acquired, self.warn)
         except HardwareError as error:
             self._in_doubt = (acquired.posture, lights)
             raise HardwareError(
                 *error.messages,
-                f"it may have burned during images of {acquired.posture} as well: those taken since the frame without "
+                f"it may have been on during images of {acquired.posture} as well: those taken since the frame without "
                 "light before were not kept; --resume takes them anew",
             ) from error
         self._records.record_dark_check(acquired.posture)
@@ -309,10 +304,10 @@ class CaptureSession:
     def _expose(
         self, task: PostureTask, exposure: float, *, light: str | None = None, rest: Sequence[float] = ()
     ) -> AcquiredImage:
-        """Take an image once everything has settled and the image before it is on disk.
+        """Take an image once everything has settled and the previous image is on disk.
 
-        A light that is on waits for the disk no longer than lighting it anew would take, nor longer than it may be on:
-        then it goes dark until the image is there. `rest` are the exposures that it is still needed for.
+        A light that is on waits for the disk no longer than lighting it again would take, nor longer than it may be on:
+        then it goes dark until the image is written. `rest` are the exposures for which it is still needed.
         """
         engine = self._engine
         self._report_progress(f"{light or 'dark'} {task.posture} exposure {exposure:g}")
@@ -331,4 +326,4 @@ class CaptureSession:
 
     def _report_progress(self, what: str) -> None:
         if (report := self._run.stage(what)) is not None:
-            report((self._there + self.taken) / len(self._plan.keys))
+            report((self._on_disk + self.taken) / len(self._plan.keys))

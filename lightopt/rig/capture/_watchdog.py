@@ -25,10 +25,9 @@ class _LitPeriod:
 class LightWatchdog:
     """Darkens lights that have been on for their `max_on_s`, each from a thread of its own.
 
-    A camera that hangs, a disk that is slow, a person who went away: the light goes dark all the same. What was being
-    done then fails at its next step, because its images would be wrong. Whatever the driver raises, the light is tried
-    again, and no light waits for another whose controller hangs. `darken` switches a light off; a command that is under
-    way on its link is broken off for it.
+    A light goes dark even if a camera hangs, a disk is slow or nobody is there. What was being done then fails at its
+    next step, because its images would be wrong. If switching off fails, it is tried again, and no light waits for
+    another whose controller hangs. `darken` switches a light off; a command under way on its link is broken off for it.
     """
 
     def __init__(self, darken: Callable[[str], None]) -> None:
@@ -65,7 +64,7 @@ class LightWatchdog:
                 period.over.set()
 
     def stop_all(self) -> None:
-        """Stop watching: all lights are dark, or all was tried."""
+        """Stop watching all lights: they are dark, or switching them off was tried."""
         for light in tuple(self._periods):
             self.stop(light)
 
@@ -81,18 +80,18 @@ class LightWatchdog:
             with self._darkening_of(light):
                 if period.over.is_set():
                     return
-                problem = _tried(self._darken, light)
+                problem = _try(self._darken, light)
                 with self._lock:
                     if problem is None:
                         self._periods.pop(light, None)
                         period.over.set()
                         self._problems[light] = (
-                            f"{light} burned for its max_on_s of {period.longest_s:g} s and was switched off, "
+                            f"{light} was on for its max_on_s of {period.longest_s:g} s and was switched off, "
                             "although it was still needed: something took longer than planned"
                         )
                     else:
                         self._problems[light] = (
-                            f"{light} burns longer than its max_on_s of {period.longest_s:g} s: {problem}"
+                            f"{light} is on for longer than its max_on_s of {period.longest_s:g} s: {problem}"
                         )
             wait_s = _RETRY_S
 
@@ -101,8 +100,8 @@ class LightWatchdog:
             return self._darkening[light]
 
 
-def _tried(darken: Callable[[str], None], light: str) -> str | None:
-    """Darken a light; why that failed, or None."""
+def _try(darken: Callable[[str], None], light: str) -> str | None:
+    """Darken a light; returns why that failed, or None."""
     try:
         darken(light)
     except BaseException as error:  # noqa: BLE001  (nothing that a driver raises may end the watch)

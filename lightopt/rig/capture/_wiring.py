@@ -18,9 +18,6 @@ from lightopt.scene import VIRTUAL_DEG_PER_S
 VIRTUAL = "virtual"
 """Port of a device that is simulated on this computer."""
 
-CAMERA = "camera"
-"""Name of a simulated GigE camera among the devices of a virtual bench."""
-
 VIRTUAL_EXPOSURE_US = 10_000.0
 """Exposure time of exposure 1 where all is virtual and the rig does not give one."""
 
@@ -34,8 +31,6 @@ _VIRTUAL_ROTATION = AxisConfig(axis="2", steps_per_deg=200.0, speed_deg_per_s=VI
 class Wiring:
     """The devices of a rig.
 
-    Attributes
-    ----------
     hardware: From the rig file, or the virtual bench.
     given: Whether the rig file has it.
     exposure_us: Exposure time of exposure 1 [µs].

@@ -1,13 +1,13 @@
-"""Devices of a rig behind three roles (``_roles.py``): light controller, stage, camera. One module per protocol.
+"""Devices of a rig in three roles: light controller, stage, camera. One module per protocol.
 
 A new driver is a module ``_light_NAME.py``, ``_stage_NAME.py`` or ``_camera_NAME.py``, and a line in ``_drivers.py``:
 
-- light: derives from ``LightDriver`` (``_lights.py``);
-- stage: a ``Dialogue`` (``_stage_dialogue.py``), which ``MovingStage`` (``_stage.py``) checks, watches and verifies;
-- camera: a ``CameraSdk`` (``_camera_sdk.py``), which ``MachineCamera`` (``_camera.py``) sets, triggers and checks.
+- light: derives from ``LightController`` (``_light.py``);
+- stage: a ``Dialogue`` (``_stage_dialogue.py``), with which ``Stage`` (``_stage.py``) moves, watches and verifies;
+- camera: a ``CameraSdk`` (``_camera_sdk.py``), with which ``MachineCamera`` (``_camera.py``) sets, triggers and checks.
 
 Its simulated counterpart is the module of the same name in ``lightopt.rig.simulated``. Drivers have a ``SerialLink``
-(``_link.py``), the one home of pyserial. Aravis and harvesters are loaded where a camera is looked for.
+(``_serial_link.py``), the one home of pyserial. Aravis and harvesters are loaded where a camera is looked for.
 """
 
 from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSettings
@@ -19,12 +19,18 @@ from lightopt.rig.devices._drivers import (
     open_camera,
     open_stage,
 )
-from lightopt.rig.devices._lights import LightSettings, LightsStillOnError, all_off
-from lightopt.rig.devices._log import Event, SerialLog
-from lightopt.rig.devices._parallel import run_in_parallel
-from lightopt.rig.devices._ports import port_problem, serial_ports
+from lightopt.rig.devices._light import (
+    LightController,
+    LightSettings,
+    LightsStillOnError,
+    all_off,
+    run_in_parallel,
+)
 from lightopt.rig.devices._retry import frame_limit_s
-from lightopt.rig.devices._roles import Camera, Frame, Identity, LightController, Stage, StageState
+from lightopt.rig.devices._roles import Camera, Frame, Identity
+from lightopt.rig.devices._serial_log import Event, SerialLog
+from lightopt.rig.devices._serial_ports import port_problem, serial_ports
+from lightopt.rig.devices._stage import Stage, StageState
 from lightopt.rig.devices._stage_dialogue import Axis
 
 __all__ = [

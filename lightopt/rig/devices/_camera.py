@@ -16,10 +16,9 @@ from lightopt.rig.devices._camera_features import (
 )
 from lightopt.rig.devices._camera_pixels import levels_of
 from lightopt.rig.devices._camera_sdk import CameraSdk, CameraSettings, RawFrame
-from lightopt.rig.devices._errors import ReplyError
-from lightopt.rig.devices._log import Event, now
-from lightopt.rig.devices._retry import ATTEMPTS, Retry
+from lightopt.rig.devices._retry import ATTEMPTS, ReplyError, Retry
 from lightopt.rig.devices._roles import Frame, Identity
+from lightopt.rig.devices._serial_log import Event, now
 
 _LAST_ID = 0xFFFF
 _NEAR = 0x1000  # numbers so near to the end and the beginning of the count are a wrap, not a step back

@@ -11,7 +11,7 @@ import numpy as np
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSettings, RawFrame, choose_camera
-from lightopt.rig.devices._errors import LinkLostError
+from lightopt.rig.devices._retry import LinkLostError
 
 _BUFFERS = 4
 _SLICE_S = 0.1  # signals are heard between two waits

@@ -20,14 +20,13 @@ from lightopt.rig.devices._camera_genicam import (
     load_harvester,
 )
 from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSdk, CameraSettings
+from lightopt.rig.devices._light import LightController, LightSettings
 from lightopt.rig.devices._light_ccs import CcsController
 from lightopt.rig.devices._light_sa import SaController
 from lightopt.rig.devices._light_template import TemplateController
-from lightopt.rig.devices._lights import LightSettings
-from lightopt.rig.devices._link import SerialLink
-from lightopt.rig.devices._log import Event, SerialLog
-from lightopt.rig.devices._roles import LightController
-from lightopt.rig.devices._stage import Clock, MovingStage
+from lightopt.rig.devices._serial_link import SerialLink
+from lightopt.rig.devices._serial_log import Event, SerialLog
+from lightopt.rig.devices._stage import Clock, Stage
 from lightopt.rig.devices._stage_dialogue import Axis, Dialogue
 from lightopt.rig.devices._stage_grbl import GrblDialogue, check_grbl
 from lightopt.rig.devices._stage_sigmakoki import GscDialogue, ShotDialogue, check_gsc, check_shot
@@ -91,7 +90,7 @@ def open_stage(
     home_timeout_s: float = 180.0,
     log: SerialLog | None = None,
     clock: Clock | None = None,
-) -> MovingStage:
+) -> Stage:
     """Open a stage; nothing moves.
 
     baud: Baud rate; the protocol's usual one if None.
@@ -115,9 +114,7 @@ def open_stage(
     except LightoptError:
         link.close()
         raise
-    return MovingStage(
-        driver=driver, dialogue=dialogue, axes=axes, home_timeout_s=home_timeout_s, clock=clock
-    )
+    return Stage(driver=driver, dialogue=dialogue, axes=axes, home_timeout_s=home_timeout_s, clock=clock)
 
 
 def open_camera(

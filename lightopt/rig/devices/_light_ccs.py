@@ -10,9 +10,9 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from lightopt.rig.devices._errors import RefusedError, ReplyError, printable
-from lightopt.rig.devices._lights import LightDriver, LightSettings
-from lightopt.rig.devices._link import SerialLink
+from lightopt.rig.devices._light import LightController, LightSettings
+from lightopt.rig.devices._retry import RefusedError, ReplyError, printable
+from lightopt.rig.devices._serial_link import SerialLink
 
 _DAMAGED = "02"
 _REFUSALS = {
@@ -22,7 +22,7 @@ _REFUSALS = {
 }
 
 
-class CcsController(LightDriver):
+class CcsController(LightController):
     """A light controller with CCS ``@`` frames; `dialect` ``lan`` without unit number, ``serial`` with it.
 
     The first thing on the wire is the question for the unit's status: some controllers need a power cycle after a

@@ -11,9 +11,9 @@ import re
 from typing import Any
 
 from lightopt.core.errors import InputError
-from lightopt.rig.devices._errors import RefusedError, ReplyError
-from lightopt.rig.devices._lights import LightDriver
-from lightopt.rig.devices._link import SerialLink
+from lightopt.rig.devices._light import LightController
+from lightopt.rig.devices._retry import RefusedError, ReplyError
+from lightopt.rig.devices._serial_link import SerialLink
 
 _LETTERS = "ABCDEF"
 _TOP = 9999
@@ -21,7 +21,7 @@ _ACK = re.compile(rb"NG|[A-Fa-f!]")
 _VALUE = re.compile(rb"NG|[A-Fa-f]\d{4}")
 
 
-class SaController(LightDriver):
+class SaController(LightController):
     """A light controller of the ``SA0255#`` family; opening asks for the intensity of channel A, no light changes."""
 
     NAME = "sa"

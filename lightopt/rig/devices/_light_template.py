@@ -11,13 +11,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from lightopt.core.errors import InputError
-from lightopt.rig.devices._errors import ReplyError
-from lightopt.rig.devices._lights import LightDriver, LightSettings
-from lightopt.rig.devices._link import SerialLink
-from lightopt.rig.devices._log import SerialLog
+from lightopt.rig.devices._light import LightController, LightSettings
+from lightopt.rig.devices._retry import ReplyError
+from lightopt.rig.devices._serial_link import SerialLink
+from lightopt.rig.devices._serial_log import SerialLog
 
 
-class TemplateController(LightDriver):
+class TemplateController(LightController):
     """A light controller with the commands of a template; opening asks for the intensity of channel 1 where it can.
 
     template: ``set``, ``set_reply``, ``off``, ``off_reply``, ``read``, ``read_reply``, ``end`` as in the rig file; what
@@ -38,7 +38,7 @@ class TemplateController(LightDriver):
         self._query_identity()
 
     @classmethod
-    def open(cls, settings: LightSettings, log: SerialLog | None = None) -> LightDriver:
+    def open(cls, settings: LightSettings, log: SerialLog | None = None) -> LightController:
         if settings.template is None:
             raise InputError(f"light controller {settings.name} (template): there is no template")
         return super().open(settings, log)

@@ -1,27 +1,58 @@
-"""Commands sent again: only such as may be repeated, a bounded number of times, each reported."""
+"""How a dialogue with a device fails, and commands sent again: only those that may be repeated, each reported."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Protocol, TypeVar
 
-from lightopt.rig.devices._errors import ReplyError
+from lightopt.core.errors import HardwareError
 
 ATTEMPTS = 3
 
 Value = TypeVar("Value")
 
 
+class ReplyError(HardwareError):
+    """A reply did not come, came in part, or cannot be what was asked for; asking again may help."""
+
+
+class RefusedError(HardwareError):
+    """The device heard the command and said no. Asking again cannot help."""
+
+
+class PreemptedError(HardwareError):
+    """A dialogue was broken off, because something that cannot wait needed the wire."""
+
+
+class LinkLostError(HardwareError):
+    """The device is gone: unplugged, switched off, or its connection closed. Asking again cannot help."""
+
+
+def printable(data: bytes) -> str:
+    r"""Bytes for people: text as it is, everything else as an escape.
+
+    Examples
+    --------
+    >>> printable(b"@00F25582\r\n")
+    '"@00F25582\\r\\n"'
+    >>> printable(b"")
+    'nothing'
+    """
+    if not data:
+        return "nothing"
+    text = "".join(chr(b) if 32 <= b < 127 and b != 92 else repr(bytes([b]))[2:-1] for b in data)
+    return f'"{text}"'
+
+
 class Repeatable(Protocol):
-    """What can be asked again: a serial link, a camera."""
+    """A link on which a command can be sent again: a serial link, a camera.
 
-    def drain(self) -> None:
-        """Throw away what is still on its way, so that it is not taken for the answer to the next question."""
-        ...
+    drain: Throw away what is still on its way, so that it is not taken for the reply to the next command.
+    note: Report an irregularity.
+    """
 
-    def note(self, what: str, *, retry: bool = False) -> None:
-        """Report something out of the ordinary."""
-        ...
+    def drain(self) -> None: ...
+    def note(self, what: str, *, retry: bool = False) -> None: ...
 
 
 class Retry:
@@ -31,33 +62,29 @@ class Retry:
     controller must not take a minute.
     """
 
-    def __init__(self, link: Repeatable, attempts: int = ATTEMPTS, *, verb: str = "sent") -> None:
+    def __init__(self, link: Repeatable, *, verb: str = "sent") -> None:
         self._link = link
-        self._most = attempts
-        self._attempts = attempts
+        self._attempts = ATTEMPTS
         self._verb = verb
 
     def ask(self, question: Callable[[], Value]) -> Value:
         """Call `question` until it returns, or raise its last :class:`ReplyError`; other errors are raised at once."""
         attempt = 1
-        while (outcome := self._try(question, attempt)) is None:
-            attempt += 1
-        self._attempts = self._most
-        return outcome[0]
-
-    def _try(self, question: Callable[[], Value], attempt: int) -> tuple[Value] | None:
-        try:
-            return (question(),)
-        except ReplyError as error:
-            if attempt >= self._attempts:
-                self._attempts = 1
-                raise self._exhausted(error, attempt) from None
-            # A late reply must not be taken for the reply to the repeated command.
-            self._link.drain()
-            self._link.note(
-                f"{self._verb} again ({attempt} of {self._attempts - 1}) after: {error}", retry=True
-            )
-            return None
+        while True:
+            try:
+                answer = question()
+            except ReplyError as error:  # noqa: PERF203
+                if attempt >= self._attempts:
+                    self._attempts = 1
+                    raise self._exhausted(error, attempt) from None
+                self._link.drain()  # a late reply must not be taken for the reply to the repeated command
+                self._link.note(
+                    f"{self._verb} again ({attempt} of {self._attempts - 1}) after: {error}", retry=True
+                )
+                attempt += 1
+            else:
+                self._attempts = ATTEMPTS
+                return answer
 
     def _exhausted(self, error: ReplyError, attempts: int) -> ReplyError:
         return ReplyError(f"{error} ({self._verb} {attempts} times)") if attempts > 1 else error
@@ -65,9 +92,6 @@ class Retry:
 
 def frame_limit_s(exposure_us: float, wait_s: float) -> float:
     """How long a camera may take for one frame [s]: every attempt exposes anew, and the waits share `wait_s`.
-
-    exposure_us: Exposure time that the camera holds [µs].
-    wait_s: Longest wait beyond the exposures [s].
 
     Examples
     --------

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
-from lightopt.rig.devices._errors import ReplyError
-from lightopt.rig.devices._log import Event
-from lightopt.rig.devices._roles import Identity, StageState
+from lightopt.rig.devices._retry import ReplyError
+from lightopt.rig.devices._roles import Identity
+from lightopt.rig.devices._serial_log import Event
 from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading
 
 HOME_FIRST = "home it first: lightopt bench home RIG"
@@ -30,8 +30,26 @@ class Clock:
     sleep: Callable[[float], None] = field(default=time.sleep)
 
 
-class MovingStage:
-    """The :class:`~lightopt.rig.devices.Stage` role over any :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`.
+@dataclass(frozen=True)
+class StageState:
+    """State of a stage.
+
+    posture: Where it stands [°]; an axis that the stage lacks stands at 0.
+    referenced: Whether it knows where its origin is; None where that is unknown.
+    alarm: The device's alarm in words; None without one.
+    """
+
+    posture: Posture
+    moving: bool
+    referenced: bool | None
+    alarm: str | None = None
+
+
+class Stage:
+    """The tilt and rotation axes that hold the part, over any :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`.
+
+    Every method raises :class:`~lightopt.core.errors.HardwareError` when the device does not answer, or answers no.
+    Alarms are reported and never cleared.
 
     A move is refused when the posture lies outside the range (before a command is sent), when the device has an alarm
     or knows that it is not referenced, when it moves already, and when it does not stand where it was left. After a
@@ -60,14 +78,16 @@ class MovingStage:
 
     @property
     def events(self) -> list[Event]:
-        """What was out of the ordinary on the link so far."""
+        """Irregularities on the link so far."""
         return self._link.events
 
     def identify(self) -> Identity:
+        """Query the identity of the device, without moving it."""
         with self._link.lock:
             return Identity(driver=self._driver, port=self._link.port, details=self._dialogue.identify())
 
     def state(self) -> StageState:
+        """Query where it stands and how it is."""
         with self._link.lock:
             return self._state(self._dialogue.read())
 
@@ -88,7 +108,11 @@ class MovingStage:
             raise InputError(*wrong)
 
     def move_to(self, posture: Posture) -> StageState:
-        """Move, wait and verify; returns where it stands, to the step."""
+        """Move, wait and verify; returns where it stands, to the step.
+
+        InputError when the posture lies outside the limits; nothing was sent then. HardwareError when it cannot get
+        there; it is then stopped.
+        """
         self.check(posture)
         with self._link.lock:
             try:
@@ -135,9 +159,10 @@ class MovingStage:
             return self._state(reading)
 
     def confirm(self) -> StageState:
-        """Ask whether it still stands where the last move left it; moves nothing.
+        """Check that it still stands where the last move left it; moves nothing.
 
-        It does not after it was moved by hand, or switched off and on: then most devices count from elsewhere.
+        HardwareError when it stands elsewhere, moves, or has an alarm or lost its origin. It stands elsewhere after it
+        was moved by hand, or switched off and on: then most devices count from another place.
         """
         with self._link.lock:
             reading = self._dialogue.read()
@@ -189,6 +214,7 @@ class MovingStage:
             return reading
 
     def close(self) -> None:
+        """Give up the link; never moves an axis, never raises."""
         self._link.close()
 
     def _note_rounding(self, posture: Posture, targets: Mapping[str, float]) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from lightopt.core.errors import InputError
-from lightopt.rig.devices._link import SerialLink
+from lightopt.rig.devices._serial_link import SerialLink
 
 _ROUNDING = 1e-9  # relative; angles that differ by less are the same
 

@@ -20,9 +20,8 @@ import time
 from collections.abc import Mapping, Sequence
 
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices._errors import LinkLostError, ReplyError
-from lightopt.rig.devices._link import SerialLink
-from lightopt.rig.devices._retry import Retry
+from lightopt.rig.devices._retry import LinkLostError, ReplyError, Retry
+from lightopt.rig.devices._serial_link import SerialLink
 from lightopt.rig.devices._stage_dialogue import Axis, Reading, describe_range
 from lightopt.rig.devices._stage_grbl_messages import (
     CRITICAL_ALARMS,

@@ -22,9 +22,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from lightopt.core.errors import InputError
-from lightopt.rig.devices._errors import ReplyError, printable
-from lightopt.rig.devices._link import SerialLink
-from lightopt.rig.devices._retry import Retry
+from lightopt.rig.devices._retry import ReplyError, Retry, printable
+from lightopt.rig.devices._serial_link import SerialLink
 from lightopt.rig.devices._stage_dialogue import Axis, Reading
 
 END = b"\r\n"

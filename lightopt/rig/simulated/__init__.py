@@ -3,22 +3,23 @@
 A new device is a module ``_light_NAME.py`` or ``_stage_NAME.py`` as ``_firmware.py`` says, and a line there. It must
 not import the driver, nor the driver it: the two meet on the wire only.
 
-``BenchProcess`` (``_process.py``) is the bench from outside; in its process ``_host.py`` serves the devices
-(``_devices.py``) on their wires and the control socket (``_control.py``).
+``BenchProcess`` (``_bench_process.py``) is the bench from outside; in its process ``_host.py`` serves the devices
+(``_devices.py``) on their wires, and the control socket.
 """
 
-from lightopt.rig.simulated._camera_client import VirtualCamera
-from lightopt.rig.simulated._camera_setup import (
+from lightopt.rig.simulated._bench_process import BenchProcess
+from lightopt.rig.simulated._camera import (
+    CAMERA,
     EXPOSURE_RANGE_US,
     AxisWire,
     BenchTruth,
     CameraSetup,
     LightWire,
 )
-from lightopt.rig.simulated._gige import GigeCamera
-from lightopt.rig.simulated._process import BenchProcess
+from lightopt.rig.simulated._camera_gige import GigeCamera
 
 __all__ = [
+    "CAMERA",
     "EXPOSURE_RANGE_US",
     "AxisWire",
     "BenchProcess",
@@ -26,5 +27,4 @@ __all__ = [
     "CameraSetup",
     "GigeCamera",
     "LightWire",
-    "VirtualCamera",
 ]

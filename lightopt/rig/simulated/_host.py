@@ -1,27 +1,31 @@
-"""The process of a virtual bench: serves simulated devices on their wires until whoever started it is gone."""
+"""The process of a virtual bench: serves simulated devices on their wires until whoever started it is gone.
+
+It takes requests about the devices over a control socket: JSON lines on the loopback.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import hmac
 import json
 import os
 import secrets
 import select
 import socket
+import socketserver
 import sys
 import threading
 import time
 from collections.abc import Mapping
+from dataclasses import astuple
 from typing import Any
 
-from lightopt.rig.simulated._camera import BenchCamera
-from lightopt.rig.simulated._camera_setup import CameraSetup
-from lightopt.rig.simulated._control import ControlServer, Handler, Response, handlers
+from lightopt.core.errors import error_text
+from lightopt.rig.simulated._camera import CAMERA, BenchCamera, CameraSetup, Handler, Response
+from lightopt.rig.simulated._camera_gige import GigeCamera
 from lightopt.rig.simulated._devices import SimulatedDevices
-from lightopt.rig.simulated._gige import GigeCamera
+from lightopt.rig.simulated._faults import Trigger
 from lightopt.rig.simulated._wires import have_ptys
-
-CAMERA = "camera"
-"""Name of a GigE camera among the devices."""
 
 
 def run(spec: Mapping[str, Any]) -> None:
@@ -30,7 +34,7 @@ def run(spec: Mapping[str, Any]) -> None:
     spec: ``devices`` (see :class:`SimulatedDevices`), ``tcp``, and ``camera`` (see :class:`CameraSetup`).
     """
     devices = SimulatedDevices(spec["devices"], tcp=bool(spec.get("tcp", not have_ptys)))
-    requests = handlers(devices)
+    camera: BenchCamera | None = None
     gige: GigeCamera | None = None
     if "camera" in spec:
         camera = BenchCamera(
@@ -38,11 +42,10 @@ def run(spec: Mapping[str, Any]) -> None:
             lambda device: devices.levels()[device],
             lambda device: devices.positions(time.monotonic())[device],
         )
-        requests |= camera.requests()
         if spec["camera"].get("gige"):
             resolution_px, bit_depth = camera.sensor()
             gige = GigeCamera(camera.expose, resolution_px=resolution_px, bit_depth=bit_depth)
-            requests |= _camera_faults(dict(requests), gige)
+    requests = {**_device_requests(devices, gige), **(camera.requests() if camera is not None else {})}
     token = secrets.token_hex(16)
     control = ControlServer(requests, token)
     hello = {"control": control.port, "token": token, "ports": devices.ports()}
@@ -58,24 +61,6 @@ def run(spec: Mapping[str, Any]) -> None:
         devices.close()
         if gige is not None:
             gige.close()
-
-
-def _camera_faults(requests: Mapping[str, Handler], gige: GigeCamera) -> dict[str, Handler]:
-    """Requests about faults and cables, for the camera as for the devices."""
-
-    def fault(request: Mapping[str, Any]) -> Response:
-        if request["device"] != CAMERA:
-            return requests["fault"](request)
-        gige.inject(request["fault"], dict(request.get("options", {})))
-        return {}, b""
-
-    def unplug(request: Mapping[str, Any]) -> Response:
-        if request["device"] != CAMERA:
-            return requests["unplug"](request)
-        gige.unplug()
-        return {}, b""
-
-    return {"fault": fault, "unplug": unplug}
 
 
 def _await_end(bell: socket.socket) -> None:
@@ -96,3 +81,87 @@ def _serve(devices: SimulatedDevices, bell: socket.socket) -> None:
         if bell.fileno() in ready:
             return
         devices.serve(time.monotonic(), ready)
+
+
+def _device_requests(devices: SimulatedDevices, gige: GigeCamera | None) -> dict[str, Handler]:
+    """Requests about the simulated devices, a GigE camera included."""
+
+    def state(_: Mapping[str, Any]) -> Response:
+        now = time.monotonic()
+        with devices.lock:
+            return {
+                "pid": os.getpid(),
+                "time": now,
+                "ports": devices.ports(),
+                "deliveries": {name: device.deliveries for name, device in devices.devices.items()},
+                "struck": Trigger.struck,
+                "levels": devices.levels(),
+                "positions": devices.positions(now),
+            }, b""
+
+    def trace(_: Mapping[str, Any]) -> Response:
+        with devices.lock:
+            return {"changes": [astuple(change) for change in devices.trace]}, b""
+
+    def fault(request: Mapping[str, Any]) -> Response:
+        device, kind, options = request["device"], request["fault"], dict(request.get("options", {}))
+        if gige is not None and device == CAMERA:
+            gige.inject(kind, options)
+        else:
+            devices.inject(device, kind, options, time.monotonic())
+        return {}, b""
+
+    def unplug(request: Mapping[str, Any]) -> Response:
+        if gige is not None and request["device"] == CAMERA:
+            gige.unplug()
+        else:
+            devices.pull(request["device"])
+        return {}, b""
+
+    return {"state": state, "trace": trace, "fault": fault, "unplug": unplug}
+
+
+class ControlServer:
+    """Answers requests on a loopback port, one thread per connection.
+
+    The first line of a connection is the token. Each request is a line ``{"do": name, …}``; each answer is a line
+    ``{"ok": true, …, "bytes": n}`` followed by n bytes, or ``{"ok": false, "error": text, "bytes": 0}``.
+
+    token: Secret that a client must know: other users of the computer reach the loopback too.
+    """
+
+    def __init__(self, handlers: Mapping[str, Handler], token: str) -> None:
+        class Connection(socketserver.StreamRequestHandler):
+            disable_nagle_algorithm = True
+
+            def handle(self) -> None:
+                with contextlib.suppress(OSError):
+                    if not hmac.compare_digest(self.rfile.readline(1000).strip(), token.encode()):
+                        return
+                    for line in self.rfile:
+                        answer, data = _answer(handlers, line)
+                        self.wfile.write(json.dumps({**answer, "bytes": len(data)}).encode() + b"\n" + data)
+
+        class Server(socketserver.ThreadingTCPServer):
+            daemon_threads = True
+
+        self._server = Server(("127.0.0.1", 0), Connection)
+        self.port = int(self._server.server_address[1])
+        threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True).start()
+
+    def close(self) -> None:
+        """Take no more connections."""
+        self._server.shutdown()
+        self._server.server_close()
+
+
+def _answer(handlers: Mapping[str, Handler], line: bytes) -> Response:
+    try:
+        request: dict[str, Any] = json.loads(line)
+        name = request["do"]
+        if name not in handlers:
+            raise ValueError(f'no request called "{name}"; there is {", ".join(handlers)}')
+        answer, data = handlers[name](request)
+    except (ValueError, KeyError, TypeError) as error:
+        return {"ok": False, "error": error_text(error)}, b""
+    return {"ok": True, **answer}, data

@@ -11,7 +11,7 @@ from lightopt.rig.simulated._faults import Trigger, trigger
 class Lamps:
     """Intensity and switch of each channel, counted from 1.
 
-    Faults: ``dark`` (the lamp gives no light, the controller does not know), ``lit`` (it burns at the full, the
+    Faults: ``dark`` (the lamp gives no light, the controller does not know), ``lit`` (it is on at full brightness, the
     controller does not know), ``deaf`` (the controller acknowledges and keeps what it has), ``aged`` (it gives that
     ``share`` of its light), ``swapped`` (its plug is where that of channel ``other`` belongs, and the other way round),
     each for one channel; ``power_cycle`` (the channels are as at power-up).

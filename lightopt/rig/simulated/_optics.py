@@ -17,7 +17,7 @@ from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
 from lightopt.optics import expose
 from lightopt.rendering import cast_rays_at, render_posture
-from lightopt.rig.simulated._camera_setup import BenchTruth
+from lightopt.rig.simulated._camera import BenchTruth
 from lightopt.scene import Scene, move_part
 
 Levels = UInt8 | NDArray[np.uint16]
@@ -79,8 +79,8 @@ class BenchOptics:
         level = np.full(
             (self._scene.camera.height, self._scene.camera.width), self._truth.ambient_level, np.float32
         )
-        burning = {name: share for name, share in sorted(shares.items()) if share > 0.0}
-        for name, share in burning.items():
+        lit = {name: share for name, share in sorted(shares.items()) if share > 0.0}
+        for name, share in lit.items():
             factor = self._truth.gains.get(name, 1.0)
             level += np.float32(share * factor) * self._layer(posture, name)
         return expose(
@@ -88,14 +88,14 @@ class BenchOptics:
             sensor=sensor,
             exposure=exposure * gain,
             full_scale=self._scene.reflectance.full_scale,
-            rng=self._noise(burning, posture, exposure, counted=counted),
+            rng=self._noise(lit, posture, exposure, counted=counted),
         )
 
     def _noise(
-        self, burning: Mapping[str, float], posture: Posture, exposure: float, *, counted: bool
+        self, lit: Mapping[str, float], posture: Posture, exposure: float, *, counted: bool
     ) -> np.random.Generator:
-        numbers = (*burning.values(), posture.elevation_deg, posture.rotation_deg, exposure)
-        state = ",".join(burning).encode() + struct.pack(f"<{len(numbers)}d", *numbers)
+        numbers = (*lit.values(), posture.elevation_deg, posture.rotation_deg, exposure)
+        state = ",".join(lit).encode() + struct.pack(f"<{len(numbers)}d", *numbers)
         number = self._taken.get(state, -1) + 1
         if counted:
             self._taken[state] = number

@@ -1,24 +1,25 @@
 """Light controllers whatever their protocol: settings, the base class of the drivers, and all lights off.
 
-A driver (``_light_*.py``) derives from :class:`LightDriver` and only adds its protocol: how a level is set, and how the
-level that the device holds is asked for.
+A driver (``_light_*.py``) derives from :class:`LightController` and only adds its protocol: how a level is set, and how
+the level that the device holds is read.
 """
 
 from __future__ import annotations
 
+import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
-from lightopt.rig.devices._errors import RefusedError
-from lightopt.rig.devices._link import SerialLink
-from lightopt.rig.devices._log import Event, SerialLog
-from lightopt.rig.devices._parallel import run_in_parallel
-from lightopt.rig.devices._retry import Retry
-from lightopt.rig.devices._roles import Identity, LightController
+from lightopt.rig.devices._retry import RefusedError, Retry
+from lightopt.rig.devices._roles import Identity
+from lightopt.rig.devices._serial_link import SerialLink
+from lightopt.rig.devices._serial_log import Event, SerialLog
+
+T = TypeVar("T")
 
 _ATTEMPTS = 3  # to darken a channel whose driver fails in a way that it does not know
 
@@ -37,11 +38,11 @@ class LightSettings:
 
     name: Name of the controller in the rig file.
     port: Serial port or pyserial URL.
-    baud: Baud rate; None is the protocol's usual one.
-    dialect: ccs: ``lan`` or ``serial``.
-    template: template: commands and patterns of replies, by the words of the rig file.
+    baud: None is the protocol's usual rate.
+    dialect: For driver ccs: ``lan`` or ``serial``.
+    template: For driver template: commands and patterns of replies, by the keys of the rig file.
     timeout_s: Longest wait for a reply [s].
-    max_levels: Intensities never exceeded, by channel; where none is given it is `top_level`.
+    max_levels: Highest allowed intensities by channel; where none is given it is `top_level`.
     """
 
     name: str
@@ -120,10 +121,11 @@ def _darken(controller: LightController, channel: int) -> str | None:
     return reason
 
 
-class LightDriver(ABC):
-    """A :class:`~lightopt.rig.devices.LightController` on a serial link: checks, sets, and reads back.
+class LightController(ABC):
+    """Panels behind one controller on a serial link; channels are counted from 1, as printed on the device.
 
-    max_levels: Intensities never exceeded, by channel.
+    Every method raises :class:`~lightopt.core.errors.HardwareError` when the device does not answer, answers no, or
+    does not hold what was set. `max_levels` are the highest allowed intensities by channel.
     """
 
     NAME: ClassVar[str]
@@ -152,7 +154,7 @@ class LightDriver(ABC):
         self._reads = False  # whether levels can be read back, which each protocol finds out in its own way
 
     @classmethod
-    def open(cls, settings: LightSettings, log: SerialLog | None = None) -> LightDriver:
+    def open(cls, settings: LightSettings, log: SerialLog | None = None) -> LightController:
         """Open the link of a controller and let its driver talk first; a link on which that fails is closed."""
         link = SerialLink(
             settings.port,
@@ -169,34 +171,40 @@ class LightDriver(ABC):
             raise
 
     @classmethod
-    def _on(cls, link: SerialLink, settings: LightSettings) -> LightDriver:
+    def _on(cls, link: SerialLink, settings: LightSettings) -> LightController:
         return cls(link, **settings.limits)
 
     @property
     def channels(self) -> int:
+        """Number of channels."""
         return self._channels
 
     @property
     def top_level(self) -> int:
+        """Highest intensity."""
         return self._top_level
 
     @property
     def level_set_s(self) -> float:
+        """When [s, monotonic clock] the device had the last intensity, before it was read back."""
         return self._level_set_s
 
     @property
     def events(self) -> list[Event]:
-        """What was out of the ordinary on the wire."""
+        """Irregularities on the wire so far."""
         return self._link.events
 
     def identify(self) -> Identity:
+        """Query the identity of the device; no light changes."""
         details = {**self._query_identity(), "read_back": "yes" if self._reads else "no"}
         return Identity(self.NAME, self._link.port, details)
 
     def set_level(self, channel: int, level: int) -> int | None:
-        """Set the intensity and read it back where that can be; returns what is held, None where that is unknown.
+        """Light a channel at an intensity in 1 … top_level, or darken it with 0; returns the intensity read back.
 
-        Darkening has priority: a dialogue under way on the wire is broken off for it, retries included.
+        None where it cannot be read back. InputError before anything is sent: no such channel, or an intensity above
+        what it may have. Darkening has priority: a dialogue under way on the wire is broken off for it, retries
+        included.
         """
         self._check(channel, level)
         lock = self._link.lock
@@ -209,10 +217,12 @@ class LightDriver(ABC):
             return level
 
     def read_level(self, channel: int) -> int | None:
+        """Intensity that the device holds, 0 when it is off; None where it cannot be read back."""
         self._check(channel, 0)
         return self._query_level(channel) if self._reads else None
 
     def close(self) -> None:
+        """Give up the link; never changes a light, never raises."""
         self._link.close()
 
     @abstractmethod
@@ -253,3 +263,52 @@ class LightDriver(ABC):
                 f"{device}: channel {channel} may have an intensity of {self._max_levels[channel]} at most "
                 f"(max_level), found {level}; nothing was sent"
             )
+
+
+def run_in_parallel(work: Mapping[str, Callable[[], T]]) -> dict[str, T]:
+    """Run the work of each device in a thread of its own; results in the order of the devices.
+
+    All of it is done, whatever fails; then the first error in the order of the devices is raised, and Ctrl-C once all
+    has ended. While the interpreter shuts down, when no thread can be started any more, one is done after the other.
+    """
+    results: dict[str, T] = {}
+    errors: dict[str, BaseException] = {}
+
+    def do(name: str) -> None:
+        try:
+            results[name] = work[name]()
+        except BaseException as error:  # noqa: BLE001  (raised below)
+            errors[name] = error
+
+    threads = [_start_thread(lambda name=name: do(name)) for name in [*work][1:]]
+    try:
+        if work:
+            do(next(iter(work)))
+    finally:
+        _join_all([thread for thread in threads if thread is not None])
+    for name in work:
+        if name in errors:
+            raise errors[name]
+    return {name: results[name] for name in work}
+
+
+def _start_thread(action: Callable[[], None]) -> threading.Thread | None:
+    """Do it in a thread, or at once where none can be started."""
+    thread = threading.Thread(target=action)
+    try:
+        thread.start()
+    except RuntimeError:
+        action()
+        return None
+    return thread
+
+
+def _join_all(threads: list[threading.Thread]) -> None:
+    """Wait for all of them; what interrupts that is raised afterwards."""
+    try:
+        for thread in threads:
+            thread.join()
+    except BaseException:
+        for thread in threads:
+            thread.join()
+        raise

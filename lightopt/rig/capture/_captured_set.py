@@ -1,4 +1,4 @@
-"""The captured image set on disk: what is there, what is missing, and what is written."""
+"""The captured image set on disk: which images exist, which are missing, and how they are written."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt import __version__
-from lightopt.config import PartConfig, RigConfig, input_hashes
+from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Float32
 from lightopt.core.errors import InputError
-from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
 from lightopt.images import (
     DARK_CHECKED_KEY,
@@ -22,8 +20,6 @@ from lightopt.images import (
     REPEATABILITY_KEY,
     ImageEntry,
     ImageSetWriter,
-    Manifest,
-    SourceFile,
     dark_name,
     make_folder,
     read_manifest,
@@ -32,6 +28,7 @@ from lightopt.images import (
     remove_file,
     resumable_manifest,
 )
+from lightopt.rendering import set_manifest
 from lightopt.rig.capture._acquisition import AcquiredImage
 from lightopt.rig.capture._exposures import ExposureImage, mean_of_frames, merge_exposures
 from lightopt.rig.capture._plan import CapturePlan, PostureTask
@@ -48,13 +45,12 @@ def open_set(
     resume: bool,
     force: bool,
 ) -> CapturedSet:
-    """Begin a captured set, or continue one; one in which nothing is listed is begun anew.
+    """Begin a captured set, or continue one; a set without any image is begun anew.
 
-    InputError when the folder holds a set already (without `resume` or `force`), or one of another rig, part or plan;
-    the message says what differs.
+    InputError when the folder holds a set already (without `resume` or `force`), or one of another rig, part or plan.
     """
     _refuse_set(folder, resume=resume, force=force)
-    header = _header(rig, part, scene, plan)
+    header = set_manifest("captured", rig, part, scene, options=plan.as_dict())
     if not (resume or force) and _lists_nothing(folder):
         try:  # of this plan: a killed run may have left a file that it did not list
             resumable_manifest(folder, header)
@@ -71,11 +67,12 @@ def check_folder(
     Raises InputError as :func:`open_set`, and where a file is in the way of the folder.
     """
     if folder.exists() and not folder.is_dir():
-        make_folder(folder)  # which says so
+        make_folder(folder)  # raises with the reason
     _refuse_set(folder, resume=resume, force=force)
     if resume and (folder / MANIFEST_NAME).exists():
         scene = build_scene(rig, part, postures=[task.posture for task in plan.tasks], defects=False)
-        resumable_manifest(folder, _header(rig, part, scene, plan))
+        header = set_manifest("captured", rig, part, scene, options=plan.as_dict())
+        resumable_manifest(folder, header)
 
 
 def _refuse_set(folder: Path, *, resume: bool, force: bool) -> None:
@@ -95,22 +92,8 @@ def _lists_nothing(folder: Path) -> bool:
     return manifest.kind == "captured" and not (manifest.images or manifest.files)
 
 
-def _header(rig: RigConfig, part: PartConfig, scene: Scene, plan: CapturePlan) -> Manifest:
-    return Manifest(
-        kind="captured",
-        bit_depth=scene.sensor.bit_depth,
-        full_scale=scene.reflectance.full_scale,
-        saturation_level=scene.sensor.saturation_level,
-        black_level=scene.sensor.black_level,
-        lightopt=__version__,
-        rig=SourceFile(rig.source.path.name, rig.source.sha256),
-        part=SourceFile(part.source.path.name, part.source.sha256),
-        provenance=provenance(input_hashes(rig, part), plan.as_dict()),
-    )
-
-
 class CapturedSet:
-    """The image set of a plan: what is on disk, and how the rest is written."""
+    """The image set of a plan, partly on disk."""
 
     def __init__(self, writer: ImageSetWriter, scene: Scene, plan: CapturePlan) -> None:
         self.writer = writer
@@ -122,7 +105,7 @@ class CapturedSet:
         }
 
     def missing(self, light: str, posture: Posture) -> tuple[float, ...]:
-        """Exposures to take: all of them where one is, because the lamp may now give another brightness.
+        """Exposures to take: all of them where one is missing, because the brightness of the lamp may have changed.
 
         The images of a posture count once a frame at its end has shown that no light stayed on. Means of frames are
         not on disk, only rounded, so that no linear image is made of them.
@@ -132,11 +115,11 @@ class CapturedSet:
             return exposures
         if not all(self.writer.done(light, posture, exposure) for exposure in exposures):
             return exposures
-        again = self._plan.options.average > 1 and not self.writer.linear_done(light, posture)
-        return exposures if again else ()
+        lacks_means = self._plan.options.average > 1 and not self.writer.linear_done(light, posture)
+        return exposures if lacks_means else ()
 
     def todo(self, task: PostureTask) -> dict[str, tuple[float, ...]]:
-        """Incomplete lights of a posture with their exposures to take; none where only the linear image lacks."""
+        """Incomplete lights of a posture, each with its exposures to take: none if only the linear image is missing."""
         missing = {light: self.missing(light, task.posture) for light in task.lights}
         return {
             light: exposures
@@ -153,14 +136,14 @@ class CapturedSet:
         self.writer.add_extra(DARK_CHECKED_KEY, [*self._dark_checks, posture.as_dict()])
 
     def discard(self, posture: Posture, lights: Iterable[str]) -> None:
-        """Drop images of a posture, to take them anew or because they are in doubt, and its final dark check."""
-        ended = [there for there in self._dark_checks if there != posture.as_dict()]
-        changed = {DARK_CHECKED_KEY: ended} if ended != self._dark_checks else None
+        """Remove images of a posture, to take them again or because they are in doubt, and its final dark check."""
+        others = [checked for checked in self._dark_checks if checked != posture.as_dict()]
+        changed = {DARK_CHECKED_KEY: others} if others != self._dark_checks else None
         self.writer.drop(images=[(light, posture) for light in lights], extra=changed)
 
     @property
     def in_doubt(self) -> int:
-        """Number of images on disk that no frame without light followed, so that they are taken anew."""
+        """Number of images on disk that no frame without light followed, so that they are taken again."""
         images = self.writer.manifest.images if self._plan.options.check else ()
         return sum(not self.dark_checked(entry.posture) for entry in images)
 
@@ -181,7 +164,7 @@ class CapturedSet:
         return read_png(self.writer.folder / dark_name(posture, exposure)).astype(np.float32)
 
     def add_dark(self, acquired: AcquiredImage) -> None:
-        """Put a dark frame on disk and into the manifest."""
+        """Write a dark frame, and list it in the manifest."""
         facts = {
             "light": None,
             "posture": acquired.posture.as_dict(),
@@ -194,7 +177,7 @@ class CapturedSet:
         self.writer.add_levels(name, acquired.image.png, metadata=facts)
 
     def add(self, acquired: AcquiredImage) -> None:
-        """Put an image on disk and into the manifest."""
+        """Write an image, and list it in the manifest."""
         assert acquired.light is not None
         angles = self._angles[acquired.light]
         extra = {"capture": _facts(acquired)}
@@ -206,6 +189,7 @@ class CapturedSet:
         return read_png(self._png(light, posture, exposure))
 
     def _png(self, light: str, posture: Posture, exposure: float) -> Path:
+        """Path of an image that is on disk."""
         entry = next(e for e in self.writer.manifest.images if e.key == (light, posture, exposure))
         return self.writer.folder / (entry.png or "")
 
@@ -223,12 +207,12 @@ class CapturedSet:
         self,
         light: str,
         posture: Posture,
-        taken: Mapping[float, ExposureImage],
+        captured: Mapping[float, ExposureImage],
         dark: Mapping[float, Float32],
     ) -> None:
-        """Merge the exposures of a light, those taken now and those on disk, and put the linear image on disk."""
+        """Merge the exposures of a light, those of this run and those on disk, and write the linear image."""
         images = [
-            taken[exposure] if exposure in taken else self._read_exposure(light, posture, exposure)
+            captured[exposure] if exposure in captured else self._read_exposure(light, posture, exposure)
             for exposure in self._plan.exposures
         ]
         frames: Sequence[Float32] | None = [dark[e] for e in self._plan.exposures] if dark else None

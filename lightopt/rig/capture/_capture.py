@@ -1,4 +1,4 @@
-"""Capturing: plans, opens the set and the devices in the order that keeps both safe, and takes what is missing."""
+"""Capture an image set: plan, open set and devices in the order that keeps both safe, take what is missing."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ from pathlib import Path
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
+from lightopt.rig.capture._captured_set import open_set
 from lightopt.rig.capture._connect import connect_devices
-from lightopt.rig.capture._devices import Devices
-from lightopt.rig.capture._image_records import open_set
 from lightopt.rig.capture._lock import lock_folder
-from lightopt.rig.capture._options import CaptureOptions
-from lightopt.rig.capture._plan import CapturePlan, make_plan
+from lightopt.rig.capture._plan import CaptureOptions, CapturePlan, make_plan
+from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._session import CaptureSession
 from lightopt.rig.capture._timing import Timing
 from lightopt.rig.devices import Camera
@@ -30,9 +29,7 @@ Connect = Callable[[CapturePlan], Devices]
 class CaptureResult:
     """Result of a capture.
 
-    Attributes
-    ----------
-    images, taken: Number of images of the plan, and of those taken now; the others were there.
+    images, taken: Number of images of the plan, and of those taken by this run; the others existed before.
     replaced: Number of files of another set that were removed.
     retries: Number of commands that were sent again.
     virtual_bench: Whether the rig has no hardware section, so that all devices were simulated.
@@ -63,34 +60,25 @@ def capture(
 ) -> CaptureResult:
     """Capture an image set: every light in every posture at every exposure.
 
-    Parameters
-    ----------
     resume: Continue the set that is there: only what is missing is taken.
     force: Replace the set that is there.
-    connect: Opens the devices; by default those of the rig's file.
+    connect: Opens the devices; by default those of the rig file.
     serial_log: File that gets every byte on the wires with its time.
-    run: Gets warnings, also of irregularities on the wires, and with what is being done the share of images on disk.
-
-    Raises
-    ------
-    InputError: The plan is impossible, the folder holds something else, or the disk refuses; before anything is
+    run: Gets warnings, also of irregularities on the wires, and for each step the share of images on disk.
+    Raises InputError: The plan is impossible, the folder holds something else, or the disk refuses; before anything is
         opened wherever that can be known.
-    HardwareError: A device fails or an image is not lit by its light; the message says in which step and the state
-        of the devices. The lights are off then, or it says which may not be.
-    Interrupted: After Ctrl-C and the signals that end a program, once the lights are off; the message says what is
-        on disk.
+    Raises HardwareError: A device fails or an image is not lit by its light; the message names the step and the state
+        of the devices. The lights are off then, or those that may not be are named.
+    Raises Interrupted: After Ctrl-C and the signals that end a program, once the lights are off; the message says what
+        is on disk.
     """
     run = run or RunContext()
     folder, timing, begun = Path(folder), Timing(), time.monotonic()
     with timing.spent("opening_s"):
         plan = make_plan(rig, part, options)
         scene = build_scene(rig, part, postures=[task.posture for task in plan.tasks], defects=False)
-    # the devices are made safe first, then what is still being written is finished
-    with lock_folder(folder), ExitStack() as after, ExitStack() as safe:
-
-        def begin() -> CaptureSession:
-            records = open_set(folder, rig, part, scene, plan, resume=resume, force=force)
-            return after.enter_context(CaptureSession(plan, scene, records, timing, run))
+    # on the way out the devices are made safe first, then pending images are written
+    with lock_folder(folder), ExitStack() as finishing, ExitStack() as safe:
 
         def open_devices() -> Devices:
             if connect is not None:
@@ -106,7 +94,8 @@ def capture(
         with timing.spent("opening_s"):
             # a set that is there is removed only once the devices that are to replace it are open and dark
             devices = open_devices() if force else None
-            session = begin()
+            records = open_set(folder, rig, part, scene, plan, resume=resume, force=force)
+            session = finishing.enter_context(CaptureSession(plan, scene, records, timing, run))
             session.warn(*scene.warnings)
             if devices is None and session.todo():
                 devices = open_devices()
@@ -120,7 +109,7 @@ def capture(
         folder=folder,
         images=len(plan.keys),
         taken=session.taken,
-        replaced=session.replaced,
+        replaced=records.writer.replaced,
         retries=0 if devices is None else devices.retries,
         virtual_bench=not plan.wiring.given,
         timing=timing,

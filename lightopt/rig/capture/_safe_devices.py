@@ -10,7 +10,7 @@ from typing import Any
 
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
 from lightopt.core.transforms import Posture
-from lightopt.rig.capture._lights import NONE_OF_THE_RIG, lights_on
+from lightopt.rig.capture._lights_off import NONE_OF_THE_RIG, lights_on
 from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._watchdog import LightWatchdog
 from lightopt.rig.capture._wiring import VIRTUAL, Wiring
@@ -28,17 +28,15 @@ from lightopt.rig.devices import (
 class Devices:
     """Lights, stage and camera of a rig, opened.
 
-    Entering switches every channel off, because nobody knows what an earlier run left. On every way out, whatever
-    the reason, every channel is switched off, each tried even if another fails; a stage that may move is stopped;
-    then all is closed. Meanwhile the signals that end a program wait.
+    Entering switches every channel off, because a previous run may have left lights on. On every way out, whatever the
+    reason, every channel is switched off, each tried even if another fails; a stage that may move is stopped; then all
+    is closed. Signals that end a program wait until that is done.
 
-    Parameters
-    ----------
     stage, camera: None where the rig has none, or none is needed.
     events: Irregularities on the links so far.
     closing: Called last, in order: the links' log, the virtual bench.
-    signals: Installed already where devices were opened under their protection.
-    touch_lights: False to only look at the devices: lights that are on stay on.
+    signals: Already installed where devices were opened under their protection.
+    touch_lights: False to query the devices only: lights that are on stay on.
     dark: Whether every channel has been switched off since it was opened.
     """
 
@@ -121,12 +119,9 @@ class Devices:
     def light_on(self, name: str, level: int | None = None) -> int | None:
         """Light a panel, at its level unless another is given; returns the level read back, None where impossible.
 
-        From here on the channel is lit for its `max_on_s` at most, whatever hangs: see :meth:`check_watchdog`.
-
-        Raises
-        ------
-        InputError: The level is above the channel's `max_level`; nothing was sent.
-        HardwareError: The controller does not obey.
+        From here on the channel is on for its `max_on_s` at most, whatever hangs: see :meth:`check_watchdog`.
+        Raises InputError: The level is above the channel's `max_level`; nothing was sent.
+        Raises HardwareError: The controller does not obey.
         """
         channel = self.wiring.light(name)
         controller = self.controllers[channel.controller]
@@ -145,7 +140,7 @@ class Devices:
         return held
 
     def level_sent_s(self, name: str) -> float:
-        """When [s, monotonic clock] the controller of a panel got its last level, before it was read back."""
+        """When the controller of a panel got its last level, before it was read back [s, monotonic clock]."""
         return self.controllers[self.wiring.light(name).controller].level_set_s
 
     def light_off(self, name: str) -> None:
@@ -172,25 +167,25 @@ class Devices:
         self.controllers[channel.controller].set_level(channel.channel, 0)
 
     def all_off(self) -> list[str]:
-        """Switch every channel off, what this program lit first, each even if another fails; returns failures."""
-        burning: dict[str, list[int]] = {}
+        """Switch every channel off, lit ones first, each even if another fails; returns failures."""
+        lit: dict[str, list[int]] = {}
         for channel in map(self.wiring.light, tuple(self._lit)):
-            burning.setdefault(channel.controller, []).append(channel.channel)
+            lit.setdefault(channel.controller, []).append(channel.channel)
         try:
-            all_off(self.controllers, lit=burning)
+            all_off(self.controllers, lit=lit)
         except LightsStillOnError as error:
             lights = lights_on(self.wiring, error.channels)
-            return [*error.messages, f"lights that may still burn: {', '.join(lights) or NONE_OF_THE_RIG}"]
+            return [*error.messages, f"lights that may still be on: {', '.join(lights) or NONE_OF_THE_RIG}"]
         except Exception as error:  # noqa: BLE001  (the stage must be stopped and all be closed, whatever this is)
             lights = sorted(self.wiring.hardware.lights)
-            return [error_text(error), f"lights that may still burn: {', '.join(lights)}"]
+            return [error_text(error), f"lights that may still be on: {', '.join(lights)}"]
         self._lit.clear()
         return []
 
     def check_referenced(self) -> None:
         """Refuse a real stage that may not have been homed since it was switched on; moves nothing.
 
-        HardwareError when it says that it was not, or cannot say it and the rig file does not vouch for it.
+        HardwareError when it reports that it was not, or cannot report it and the rig file does not assume it.
         """
         config = self.wiring.hardware.stage
         if self.stage is None or config is None or config.port == VIRTUAL:
@@ -199,7 +194,7 @@ class Devices:
         if referenced is False:
             raise HardwareError(
                 "the stage does not know where its origin is, so it was not moved; home it: lightopt bench home RIG, "
-                "or --home with this command"
+                "or let this command home it first"
             )
         if referenced is None and not config.assume_referenced:
             raise HardwareError(
@@ -224,13 +219,13 @@ class Devices:
             return self.stage.move_to(posture)
 
     def confirm_stage(self) -> None:
-        """Refuse a stage that does not stand where it was left; moves nothing."""
+        """Check that the stage stands where it was left; moves nothing."""
         if self.stage is not None:
             self.stage.confirm()
 
     @contextmanager
     def _moving(self) -> Generator[None]:
-        """Remember that the stage may move; a driver that fails has stopped it and says so."""
+        """Record that the stage may move; a driver that fails has stopped it."""
         self._stage_may_move = True
         try:
             yield
@@ -271,7 +266,7 @@ class Devices:
             self.all_off()
 
     def _close(self) -> list[str]:
-        """Close all, each even if another fails; returns what failed, in words."""
+        """Close all, each even if another fails; returns messages about what failed."""
         devices = (self._camera, self.stage, *self.controllers.values())
         closing = [device.close for device in devices if device is not None]
         attempts = [_attempt(close) for close in (*closing, *self._closing)]

@@ -18,9 +18,9 @@ from typing import TypeVar
 import serial
 
 from lightopt.core.errors import HardwareError
-from lightopt.rig.devices._errors import LinkLostError, PreemptedError, ReplyError, printable
-from lightopt.rig.devices._log import Event, LogEntry, SerialLog, now
-from lightopt.rig.devices._ports import cannot_open
+from lightopt.rig.devices._retry import LinkLostError, PreemptedError, ReplyError, printable
+from lightopt.rig.devices._serial_log import Event, LogEntry, SerialLog, now
+from lightopt.rig.devices._serial_ports import cannot_open
 
 try:
     from termios import error as _termios_error  # not an OSError

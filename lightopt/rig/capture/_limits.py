@@ -1,11 +1,8 @@
-"""Options of a capture, and checks against what stage, camera and channels can do."""
+"""Limits of stage, camera and lights, checked before any device is opened, lit or moved."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError
@@ -14,70 +11,13 @@ from lightopt.rig.capture._wiring import VIRTUAL, Wiring
 from lightopt.rig.simulated import EXPOSURE_RANGE_US
 from lightopt.scene import part_postures
 
-MOST_FRAMES = 1000
-"""Frames that one image is the mean of, at most."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class CaptureOptions:
-    """What to capture.
-
-    Attributes
-    ----------
-    lights, postures: Instead of all lights of the rig and the part's own postures.
-    exposures: Relative to the rig's ``camera.exposure_us``; all of them under one light before the next is lit.
-    average: Number of frames that each image is the mean of.
-    dark: Whether frames without light are taken in every posture at every exposure, and subtracted in the EXR.
-    home: Whether the stage seeks its origin first.
-    check: Whether each image is checked for being lit by the right light.
-    check_repeatability: Whether the stage returns to its first posture at the end, to see that it lost no steps.
-
-    Raises
-    ------
-    InputError: A number is out of range or something is given twice.
-    """
-
-    lights: tuple[str, ...] | None = None
-    postures: tuple[Posture, ...] | None = None
-    exposures: tuple[float, ...] = (1.0,)
-    average: int = 1
-    dark: bool = False
-    home: bool = False
-    check: bool = True
-    check_repeatability: bool = False
-
-    def __post_init__(self) -> None:
-        if problems := tuple(self._problems()):
-            raise InputError(*problems)
-
-    def _problems(self) -> Iterator[str]:
-        if not self.exposures:
-            yield "exposures: expected at least one, such as 1 or 1/16"
-        for exposure in self.exposures:
-            if not (math.isfinite(exposure) and exposure > 0.0):
-                yield f"exposures: expected numbers above 0, found {exposure:g}"
-        for name, values in (
-            ("exposures", self.exposures),
-            ("light", self.lights or ()),
-            ("posture", self.postures or ()),
-        ):
-            if len(set(values)) < len(values):
-                yield f"{name}: the same one was given twice"
-        if not 1 <= self.average <= MOST_FRAMES:
-            yield f"average: expected 1 to {MOST_FRAMES} frames, found {self.average}"
-
-    def as_dict(self) -> dict[str, Any]:
-        """What changes the files of the set, in JSON form."""
-        numbers = {"exposures": list(self.exposures), "average": self.average}
-        return {**numbers, "dark": self.dark, "check": self.check}
-
 
 def posture_problems(
-    rig: RigConfig, part: PartConfig, wiring: Wiring, options: CaptureOptions
+    rig: RigConfig, part: PartConfig, wiring: Wiring, postures: Sequence[Posture] | None
 ) -> Iterator[str]:
     """Postures beyond the stage's range, or that a stage without one of the axes cannot take."""
-    if options.postures is not None:
-        named = [(posture, "--posture") for posture in options.postures]
+    if postures is not None:
+        named = [(posture, "--posture") for posture in postures]
     else:
         named = [(posture, part.source.at("postures", i)) for i, posture in enumerate(part_postures(part))]
     stage = wiring.hardware.stage
@@ -132,6 +72,50 @@ def light_problems(
             yield f"{where}: level {channel.level} is above the highest allowed, {top}"
         if channel.max_on_s is not None and on_s > channel.max_on_s:
             yield (
-                f"{where}: would burn {on_s:.3g} s at a stretch (settling and {taken}), longer than max_on_s "
+                f"{where}: would be on for {on_s:.3g} s at a stretch (settling and {taken}), longer than max_on_s "
                 f"{channel.max_on_s:g}; take fewer or shorter exposures"
             )
+
+
+def check_level(wiring: Wiring, rig: RigConfig, name: str, level: int | None) -> int:
+    """Level to light a panel at: the rig's unless one is given.
+
+    Raises InputError for a light that the rig does not have, or a level above what its channel may have.
+    """
+    if name not in wiring.hardware.lights:
+        raise InputError(
+            f'no light "{name}" in {rig.source.path}; it has {", ".join(wiring.hardware.lights)}'
+        )
+    requested = wiring.light(name).level if level is None else level
+    top = wiring.top_level(name)
+    if not 1 <= requested <= top:
+        where = f" ({rig.source.at('hardware', 'lights', name)})" if wiring.given else ""
+        raise InputError(
+            f"{name}: expected a level from 1 to {top}{where}, found {requested}; "
+            "to switch off, use: lightopt bench off RIG"
+        )
+    return requested
+
+
+def check_angles(rig: RigConfig, *, elevation: float | None, rotation: float | None) -> None:
+    """Check angles [°] against the stage's range; None is not checked. InputError with one message per angle."""
+    requested = (("elevation", elevation), ("rotation", rotation))
+    outside = (outside_range(rig, name, angle) for name, angle in requested if angle is not None)
+    if problems := [problem for problem in outside if problem is not None]:
+        raise InputError(*problems)
+
+
+def check_on_time(wiring: Wiring, rig: RigConfig, name: str, seconds: float) -> None:
+    """Refuse to keep a light on longer [s] than its `max_on_s` (InputError); nothing is opened."""
+    longest = wiring.light(name).max_on_s
+    if longest is not None and seconds > longest:
+        raise InputError(
+            f"{name} would be on for {seconds:.3g} s, longer than its max_on_s of {longest:g} s "
+            f"({rig.source.at('hardware', 'lights', name)}); nothing was opened"
+        )
+
+
+def check_exposure(wiring: Wiring, rig: RigConfig, exposure: float) -> None:
+    """Refuse a relative exposure that the camera is known not to have (InputError); nothing is opened."""
+    if problems := tuple(exposure_problems(rig, wiring, (exposure,))):
+        raise InputError(*problems)

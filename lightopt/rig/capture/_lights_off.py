@@ -1,4 +1,4 @@
-"""Open light controllers so that reachable lights go dark and the others are named; switch all lights off."""
+"""Switch all lights off, and open light controllers so that what can be reached goes dark and the rest is named."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lightopt.config import LightsOnly
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
 from lightopt.core.run_context import RunContext
 from lightopt.rig.capture._signals import EndSignals
-from lightopt.rig.capture._simulated_rig import start_lights
+from lightopt.rig.capture._virtual_bench import start_lights
 from lightopt.rig.capture._wiring import VIRTUAL, VIRTUAL_EXPOSURE_US, Wiring, wiring_of
 from lightopt.rig.devices import (
     LightController,
@@ -31,8 +31,6 @@ NONE_OF_THE_RIG = "none that the rig has a name for"
 class OpenedLights:
     """Result of opening the controllers.
 
-    Attributes
-    ----------
     controllers: Those that answered, by name.
     problems: Why others did not, or did not go dark, by name.
     may_be_on: Lights that may still be on.
@@ -49,7 +47,7 @@ class OpenedLights:
         messages = [message for problem in problems for message in problem.messages]
         if not self.problems:
             return kind(*messages, "all lights are off")
-        return kind(*messages, f"lights that may still burn: {', '.join(self.may_be_on) or NONE_OF_THE_RIG}")
+        return kind(*messages, f"lights that may still be on: {', '.join(self.may_be_on) or NONE_OF_THE_RIG}")
 
 
 def open_lights(
@@ -63,10 +61,8 @@ def open_lights(
 ) -> OpenedLights:
     """Open controllers in parallel, each even if another fails, and darken each as it opens.
 
-    Parameters
-    ----------
     ports: Ports of those that are simulated.
-    darken: False to only look.
+    darken: Whether every channel is switched off; False to query the controllers only.
     opened: Called with each that is open, before anything else is sent to it, from the thread that opened it.
     """
 
@@ -130,12 +126,12 @@ def open_controller(wiring: Wiring, name: str, *, port: str, log: SerialLog | No
 
 
 def lights_on(wiring: Wiring, channels: Mapping[str, Iterable[int]]) -> list[str]:
-    """The rig's lights on some channels of controllers, by name."""
-    there = {(name, number) for name, numbers in channels.items() for number in numbers}
+    """Names of the rig's lights on some channels of controllers."""
+    wanted = {(name, number) for name, numbers in channels.items() for number in numbers}
     return [
         light
         for light, channel in wiring.hardware.lights.items()
-        if (channel.controller, channel.channel) in there
+        if (channel.controller, channel.channel) in wanted
     ]
 
 
@@ -155,11 +151,9 @@ def switch_off(
     `lights` are the rig's, as far as its file can be read. `serial_log` gets every byte on the wires, `run` warnings
     of irregularities on the wires as they happen, and if that file ends early.
 
-    Raises
-    ------
-    HardwareError: Once all were tried, with what failed, the controllers that are dark and the lights that may still
-        burn.
-    InputError: The same, where nothing failed but controllers of the file cannot be read.
+    Raises HardwareError: Once all were tried, with what failed, the controllers that are dark and the lights that may
+        still be on.
+    Raises InputError: The same, where nothing failed but controllers of the file cannot be read.
     """
     run = run or RunContext()
     wiring = _wiring(lights)
@@ -191,13 +185,14 @@ def switch_off(
     dark = SwitchedOff(tuple(name for name in names if name not in problems), tuple(unverified))
     if problems or lights.unreadable or lights.lights_unknown:
         unknown = [name for name in lights.lights_unknown if name not in may_be_on]
-        raise _failed(lights, problems.values(), dark, [*may_be_on, *unknown])
+        raise _switch_off_error(lights, problems.values(), dark, [*may_be_on, *unknown])
     if signals.pending is not None:
         raise KeyboardInterrupt(signals.pending)
     return dark
 
 
 def _wiring(lights: LightsOnly) -> Wiring:
+    """Controllers and lights of a rig, without its stage."""
     if lights.rig is not None:
         wiring = wiring_of(lights.rig)
         return replace(wiring, hardware=wiring.hardware.model_copy(update={"stage": None}))
@@ -205,10 +200,10 @@ def _wiring(lights: LightsOnly) -> Wiring:
     return Wiring(lights.hardware, given=True, exposure_us=VIRTUAL_EXPOSURE_US)
 
 
-def _failed(
+def _switch_off_error(
     lights: LightsOnly, problems: Collection[LightoptError], dark: SwitchedOff, may_be_on: Iterable[str]
 ) -> LightoptError:
-    """The error with what failed, what is dark and what may be on."""
+    """Error with what failed, what is dark and what may be on."""
     messages = [message for problem in problems for message in problem.messages]
     if lights.unreadable:
         messages.append(
@@ -219,13 +214,13 @@ def _failed(
     return kind(
         *messages,
         f"controllers that went dark: {', '.join(dark.controllers) or 'none'}",
-        f"lights that may still burn: {', '.join(may_be_on) or NONE_OF_THE_RIG}",
+        f"lights that may still be on: {', '.join(may_be_on) or NONE_OF_THE_RIG}",
     )
 
 
 def _cannot_read_back(controller: LightController) -> bool:
-    """Whether it cannot be read back; where reading fails, darkening failed before, which is reported."""
+    """Whether levels cannot be read back; where reading fails, darkening failed before and was reported."""
     try:
         return controller.read_level(1) is None
-    except Exception:  # noqa: BLE001  (what is dark and what is not must be said)
+    except Exception:  # noqa: BLE001  (what is dark and what is not must be reported)
         return False
