@@ -23,7 +23,7 @@ from lightopt.scene._camera import (
     screen_window,
 )
 from lightopt.scene._defects import build_catalogue, defect_facts, place_defects
-from lightopt.scene._light import PanelLight, panel_grid, place_light
+from lightopt.scene._panel_light import PanelLight, panel_grid, place_light
 from lightopt.scene._part_size import guess_unit, is_absurd, view_size
 from lightopt.scene._rectangles import image_area, panel_corners, rectangles_meet, segments_blocked
 from lightopt.scene._sampling import (

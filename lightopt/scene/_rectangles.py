@@ -8,7 +8,7 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64
 from lightopt.scene._camera import PinholeCamera, pixel_directions, project
-from lightopt.scene._light import PanelLight
+from lightopt.scene._panel_light import PanelLight
 
 _NEAR_MM = 1e-3
 
