@@ -1,13 +1,25 @@
+"""The panel light: where it stands, its point lights, what a camera sees of it, and whether two panels collide."""
+
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from lightopt.core.arrays import Float64
+from lightopt.core.arrays import Bool, Float64
 from lightopt.core.transforms import azimuth_tangent, direction, elevation_tangent
+from lightopt.scene._camera import PinholeCamera, pixel_directions, project
+
+_NEAR_MM = 1e-3
+
+_PIECES = 32
+"""Of an edge that a lens bends, each drawn as a straight line."""
+
+_LEAST_AREA = 1e-6
+"""Bent outlines that run along the image's border leave less than this by rounding [px²]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,3 +116,126 @@ def panel_grid(light: PanelLight, points: int) -> Float64:
     across = (offsets * light.size[0])[None, :, None] * light.across
     along = (offsets * light.size[1])[:, None, None] * light.along
     return np.ascontiguousarray((light.centre + across + along).reshape(-1, 3))
+
+
+def panel_corners(light: PanelLight) -> Float64:
+    """Corners of a panel in order around it [mm], shape (4, 3), frame of the panel's vectors."""
+    across = 0.5 * light.size[0] * light.across
+    along = 0.5 * light.size[1] * light.along
+    return np.array([light.centre + s * across + t * along for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+
+
+def image_area(camera: PinholeCamera, polygon: Float64) -> float:
+    """How much of the image a flat convex polygon covers [px²].
+
+    polygon: Corners in order [mm], shape (k, 3), frame of the camera's vectors
+    """
+    offset = polygon - camera.position
+    # right, down, forward; the viewing pyramid then is |x| ≤ w·z, |y| ≤ h·z
+    local = np.stack([offset @ camera.right, -(offset @ camera.up), offset @ camera.forward], axis=1)
+    scale = camera.image_distance / camera.pixel_size
+    w, h = _half_view(camera)
+    planes = ((0.0, 0.0, 1.0), (1.0, 0.0, w), (-1.0, 0.0, w), (0.0, 1.0, h), (0.0, -1.0, h))
+    for plane, least in zip(planes, (_NEAR_MM, 0.0, 0.0, 0.0, 0.0), strict=True):
+        local = _clip(local, np.array(plane), least)
+        if len(local) < 3:
+            return 0.0
+    if not camera.distortion.is_zero:
+        return _bent_area(camera, local)
+    return _area(local[:, :2] / local[:, 2:] * scale)
+
+
+def _half_view(camera: PinholeCamera) -> tuple[float, float]:
+    # the least rectangle about the optical axis, at depth 1, that has all that the lens shows
+    scale = camera.image_distance / camera.pixel_size
+    w, h = 0.5 * camera.width / scale, 0.5 * camera.height / scale
+    if camera.distortion.is_zero:
+        return w, h
+    across, down = np.linspace(0.0, camera.width, 65), np.linspace(0.0, camera.height, 65)
+    columns = np.concatenate([across, across, np.zeros(65), np.full(65, float(camera.width))])
+    rows = np.concatenate([np.zeros(65), np.full(65, float(camera.height)), down, down])
+    rays = pixel_directions(camera, columns, rows)
+    depth = rays @ camera.forward
+    margin = 1.01  # between the samples
+    return (
+        margin * float(np.abs(rays @ camera.right / depth).max()),
+        margin * float(np.abs(rays @ camera.up / depth).max()),
+    )
+
+
+def _bent_area(camera: PinholeCamera, local: Float64) -> float:
+    # the outline in short pieces through the lens, cut by the image's border
+    steps = np.arange(_PIECES)[:, None] / _PIECES
+    outline = np.concatenate(
+        [a + steps * (b - a) for a, b in zip(local, np.roll(local, -1, axis=0), strict=True)]
+    )
+    world = camera.position + outline @ np.array([camera.right, -camera.up, camera.forward])
+    columns, rows, _ = project(camera, world)
+    flat = np.stack([columns - 0.5 * camera.width, rows - 0.5 * camera.height, np.ones(len(columns))], axis=1)
+    w, h = 0.5 * camera.width, 0.5 * camera.height
+    for plane in ((1.0, 0.0, w), (-1.0, 0.0, w), (0.0, 1.0, h), (0.0, -1.0, h)):
+        flat = _clip(flat, np.array(plane), 0.0)
+        if len(flat) < 3:
+            return 0.0
+    area = _area(flat[:, :2])
+    return area if area > _LEAST_AREA else 0.0
+
+
+def _area(polygon: Float64) -> float:
+    # shoelace formula
+    x, y = polygon.T
+    return 0.5 * abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
+
+
+def _clip(polygon: Float64, plane: Float64, least: float) -> Float64:
+    # the part of a polygon where plane·x ≥ least (Sutherland and Hodgman 1974, doi:10.1145/360767.360802); parts of one
+    # that is not convex stay joined along the plane, which does not change the area
+    height = polygon @ plane - least
+    clipped: list[Float64] = []
+    for i in range(len(polygon)):
+        j = (i + 1) % len(polygon)
+        if height[i] >= 0.0:
+            clipped.append(polygon[i])
+        if (height[i] >= 0.0) != (height[j] >= 0.0):
+            clipped.append(polygon[i] + height[i] / (height[i] - height[j]) * (polygon[j] - polygon[i]))
+    return np.array(clipped).reshape(-1, 3)
+
+
+def segments_blocked(light: PanelLight, start: Float64, ends: Float64) -> Bool:
+    """Whether the way from one point to others passes through a panel; shape (k,).
+
+    start: [mm], shape (3,), frame of the panel's vectors
+    ends: [mm], shape (k, 3)
+    """
+    height = (ends - light.centre) @ light.outward
+    from_height = float((start - light.centre) @ light.outward)
+    crosses = height * from_height < 0.0
+    share = np.where(crosses, from_height / np.where(crosses, from_height - height, 1.0), 0.0)
+    at = start + share[:, None] * (ends - start) - light.centre
+    inside = (np.abs(at @ light.across) <= 0.5 * light.size[0]) & (
+        np.abs(at @ light.along) <= 0.5 * light.size[1]
+    )
+    return crosses & inside
+
+
+def rectangles_meet(a: PanelLight, b: PanelLight) -> bool:
+    """Whether two panels touch or cross: no axis separates them (Gottschalk et al. 1996, doi:10.1145/237170.237244)."""
+    between = b.centre - a.centre
+    if float(np.linalg.norm(between)) > 0.5 * (float(np.hypot(*a.size)) + float(np.hypot(*b.size))):
+        return False
+    sides = [
+        0.5 * light.size[i] * axis for light in (a, b) for i, axis in enumerate((light.across, light.along))
+    ]
+    edges = [light_axis for light in (a, b) for light_axis in (light.across, light.along)]
+    axes = [a.outward, b.outward, *edges]
+    axes += [np.cross(p, q) for p, q in itertools.product(edges[:2], edges[2:])]
+    # sides within the planes, which separate rectangles that lie in one plane
+    axes += [np.cross(light.outward, edge) for light in (a, b) for edge in edges]
+    for axis in axes:
+        length = float(np.linalg.norm(axis))
+        if length < 1e-9:
+            continue
+        reach = sum(abs(float(side @ axis)) for side in sides)
+        if abs(float(between @ axis)) > reach + 1e-9 * length:
+            return False
+    return True
