@@ -19,7 +19,7 @@ from hypothesis import settings
 
 from lightopt.cli._main import run
 from lightopt.core.threads import available_processors
-from lightopt.geometry import _load
+from lightopt.geometry import _load_mesh
 from lightopt.geometry._step import read_step
 
 # a busy machine is no reason for an example to fail; CI draws the same every time, make test-nightly ten times as many
@@ -170,14 +170,14 @@ def step_files_once(tmp_path_factory: pytest.TempPathFactory) -> Generator[None]
         return pickle.loads(file.read_bytes())
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_load, "read_step", once)
+        patch.setattr(_load_mesh, "read_step", once)
         yield
 
 
 @pytest.fixture
 def real_step_files(monkeypatch: pytest.MonkeyPatch) -> None:
     """STEP files are tessellated as a command does it."""
-    monkeypatch.setattr(_load, "read_step", read_step)
+    monkeypatch.setattr(_load_mesh, "read_step", read_step)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -5,16 +5,21 @@ move nothing: neither points nor silhouettes nor shadows.
 """
 
 from lightopt.defects._catalogue import BUILT_IN_CATALOGUE, CatalogueEntry
-from lightopt.defects._mark import mark_surface
-from lightopt.defects._pixel import PIXEL_RATIOS, pixel_shares
-from lightopt.defects._placed import PlacedDefect, surface_coordinates, tangent_direction, tangent_references
-from lightopt.defects._profile import radial_place
+from lightopt.defects._pixel_shares import PIXEL_RATIOS, pixel_shares
+from lightopt.defects._placed_defects import (
+    PlacedDefect,
+    mark_surface,
+    surface_coordinates,
+    tangent_direction,
+    tangent_references,
+)
 from lightopt.defects._shape import (
     MAX_SLOPE,
     SHAPE_KINDS,
     DefectKind,
     DefectShape,
     depth_of_slope,
+    radial_place,
     slope_of_depth,
 )
 

@@ -1,10 +1,25 @@
-"""What a defect is like, wherever it lies: its kind, size, steepness, and what it does to the coefficients."""
+"""What a defect is like, wherever it lies: its kind, size and profile, and what it does to the coefficients.
+
+A place of the outline is ρ = 1, the centre (for a scratch its middle line) ρ = 0. A wall's slope, in units of the
+steepest, is a function g(ρ) that vanishes at both ends, so that heights are smooth:
+
+========  =====================================================================
+dent      sin πρ, a cosine bowl; a bump the same upwards
+blister   0 up to ρ = 0.6, the flat top; then sin π(ρ − 0.6)/0.4, upwards
+pit       1, a cone, from ρ = 0.2 to 0.8; rounded linearly at the tip and at the rim
+scratch   the same across: a V with a rounded bottom and rounded lips
+========  =====================================================================
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from typing import Final, Literal
+
+import numpy as np
+
+from lightopt.core.arrays import Float64
 
 DefectKind = Literal["scratch", "dent", "bump", "pit", "blister", "stain", "haze"]
 
@@ -83,3 +98,43 @@ def _rise(kind: DefectKind) -> float:
     if kind == "blister":
         return (1.0 - BLISTER_TOP) * 2.0 / math.pi
     return 1.0 - BLEND
+
+
+def radial_place(shape: DefectShape, x: Float64, y: Float64) -> Float64:
+    """ρ at places x along the length and y across [mm]: 0 in the middle, 1 on the outline, shape (k,)."""
+    if shape.kind == "scratch":
+        return np.hypot(x - _on_middle_line(shape, x), y) / (0.5 * shape.width)
+    return np.hypot(x / (0.5 * shape.length), y / (0.5 * shape.width))
+
+
+def height_gradient(shape: DefectShape, x: Float64, y: Float64) -> tuple[Float64, Float64]:
+    """Slopes along x and along y of the height above the undisturbed surface, each of shape (k,)."""
+    rho = radial_place(shape, x, y)
+    steepness = np.where(rho < 1.0, _relative_slope(shape, rho), 0.0)
+    # the height falls off as ρ grows; d(ρ)/dx in units of 1 / (width/2)
+    fall = -_sign(shape) * math.tan(shape.slope) * steepness
+    if shape.kind == "scratch":
+        across_x, across_y = x - _on_middle_line(shape, x), y
+        scale = 1.0 / np.where(rho > 0.0, rho * 0.5 * shape.width, 1.0)
+        return fall * across_x * scale, fall * across_y * scale
+    a, b = 0.5 * shape.length, 0.5 * shape.width
+    scale = b / np.where(rho > 0.0, rho, 1.0)
+    return fall * x / a**2 * scale, fall * y / b**2 * scale
+
+
+def _relative_slope(shape: DefectShape, rho: Float64) -> Float64:
+    if shape.kind in ("dent", "bump", "blister"):
+        top = BLISTER_TOP if shape.kind == "blister" else 0.0
+        return np.sin(math.pi * np.clip((rho - top) / (1.0 - top), 0.0, 1.0))
+    if shape.kind in ("pit", "scratch"):
+        return np.clip(np.minimum(rho, 1.0 - rho) / BLEND, 0.0, 1.0)
+    return np.zeros_like(rho)
+
+
+def _on_middle_line(shape: DefectShape, x: Float64) -> Float64:
+    half = 0.5 * (shape.length - shape.width)
+    return np.clip(x, -half, half)
+
+
+def _sign(shape: DefectShape) -> float:
+    return 1.0 if shape.kind in ("bump", "blister") else -1.0

@@ -5,7 +5,7 @@ the frame of the part's file, in mm, Z up.
 """
 
 from lightopt.geometry._caster import Hits, RayCaster, resolve_hits
-from lightopt.geometry._load import UNITLESS_SUFFIXES, load_mesh
+from lightopt.geometry._load_mesh import UNITLESS_SUFFIXES, load_mesh
 from lightopt.geometry._nearest import SurfaceFinder, SurfacePlace, surface_place
 from lightopt.geometry._patches import Patches, estimate_patch_count, refine
 from lightopt.geometry._topology import merge_rows, mesh_edges

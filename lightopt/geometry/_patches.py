@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from lightopt.core.arrays import Bool, Float64, Int32, UInt8
+from lightopt.core.arrays import Bool, Float64, Int32, UInt8, read_only
 from lightopt.core.errors import InputError
-from lightopt.geometry._bisection import build_pieces, count_pieces, find_pieces
+from lightopt.core.kernels import kernel
 from lightopt.geometry._triangle_mesh import TriangleMesh, face_areas, face_normals
+
+# Pending triangles of one face: one for each level of its tree. Two cuts at most halve the longest edge, so
+# 512 levels outlast float64.
+_LEVELS = 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +50,7 @@ class Patches:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            view = np.asarray(getattr(self, field.name)).view()
-            view.flags.writeable = False
-            object.__setattr__(self, field.name, view)
+            object.__setattr__(self, field.name, read_only(np.asarray(getattr(self, field.name))))
 
     def __len__(self) -> int:
         return len(self.triangles)
@@ -82,7 +85,7 @@ class Patches:
             raise InputError(
                 f"patch_at: faces from {faces.min()} to {faces.max()}, expected −1 to {len(self.roots) - 1}"
             )
-        return find_pieces(self.roots, self.children, self.cut_edge, faces.astype(np.int32), us, vs)
+        return _find(self.roots, self.children, self.cut_edge, faces.astype(np.int32), us, vs)
 
 
 def refine(
@@ -105,7 +108,7 @@ def refine(
             f"patches: at an edge of {max_edge_mm:g} mm the {len(mesh.faces):,} faces give {count:,} patches "
             f"or more, at most {max_patches:,} are accepted; take a longer edge"
         )
-    vertices, triangles, weights, depth, face, roots, children, cut_edge = build_pieces(
+    vertices, triangles, weights, depth, face, roots, children, cut_edge = _build(
         mesh.vertices, mesh.faces, selected, max_edge_mm, count
     )
     flat = face_normals(mesh)[face]
@@ -149,7 +152,7 @@ def estimate_patch_count(
     least = float(face_areas(mesh)[selected].sum()) / largest * (1.0 - 1e-9) if largest > 0.0 else math.inf
     if least >= limit:
         return max(limit, math.ceil(least)) if math.isfinite(least) else limit
-    return int(count_pieces(mesh.vertices, mesh.faces, selected, max_edge_mm, limit))
+    return int(_count(mesh.vertices, mesh.faces, selected, max_edge_mm, limit))
 
 
 def _checked(mesh: TriangleMesh, max_edge_mm: float, select: Bool | None) -> Bool:
@@ -163,3 +166,159 @@ def _checked(mesh: TriangleMesh, max_edge_mm: float, select: Bool | None) -> Boo
             f"{select.dtype} {select.shape}"
         )
     return select
+
+
+@kernel
+def _longest_edge(a: Float64, b: Float64, c: Float64, limit: float) -> int:
+    """Edge k (from corner k to k + 1) that is longest, the first of equals; −1 if none is over the limit."""
+    best, edge = limit * limit, -1
+    for k in range(3):
+        p, q = (a, b) if k == 0 else ((b, c) if k == 1 else (c, a))
+        x, y, z = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+        square = x * x + y * y + z * z
+        if square > best:
+            best, edge = square, k
+    return edge
+
+
+@kernel
+def _halves(
+    triangle: NDArray[Any], edge: int, middle: Any, first: NDArray[Any], second: NDArray[Any]
+) -> None:
+    """Cut a triangle, keeping its sense of rotation; the first half holds the start of the cut edge."""
+    for k in range(3):
+        first[k] = triangle[k]
+        second[k] = triangle[k]
+    first[(edge + 1) % 3] = middle
+    second[edge] = middle
+
+
+@kernel
+def _count(vertices: Float64, faces: Int32, selected: Bool, limit: float, enough: int) -> int:
+    """Count the pieces of all faces, up to `enough`."""
+    stack = np.empty((_LEVELS, 3, 3))
+    triangle = np.empty((3, 3))
+    middle = np.empty(3)
+    total = len(faces)
+    for f in range(len(faces)):
+        if not selected[f]:
+            continue
+        for k in range(3):
+            stack[0, k] = vertices[faces[f, k]]
+        top = 1
+        while top > 0:
+            top -= 1
+            triangle[:] = stack[top]
+            edge = _longest_edge(triangle[0], triangle[1], triangle[2], limit)
+            if edge < 0 or top + 2 > _LEVELS:
+                continue
+            for axis in range(3):
+                middle[axis] = 0.5 * (triangle[edge, axis] + triangle[(edge + 1) % 3, axis])
+            _halves(triangle, edge, middle, stack[top + 1], stack[top])
+            top += 2
+            total += 1
+            if total >= enough:
+                return total
+    return total
+
+
+@kernel
+def _build(
+    vertices: Float64, faces: Int32, selected: Bool, limit: float, count: int
+) -> tuple[NDArray[Any], ...]:
+    """Cut all faces: vertices, triangles, centroid weights, depths, faces, and the trees of `Patches`.
+
+    Follows `_count` exactly. A child's tree entry is written into its parent when the child is taken
+    up.
+    """
+    n, m = len(vertices), len(faces)
+    cuts = count - m
+    points = np.empty((n + cuts, 3))
+    points[:n] = vertices
+    triangles = np.empty((count, 3), dtype=np.int32)
+    weights = np.empty((count, 3))
+    depths = np.empty(count, dtype=np.int32)
+    face = np.empty(count, dtype=np.int32)
+    roots = np.empty(m, dtype=np.int32)
+    children = np.empty((cuts, 2), dtype=np.int32)
+    cut_edge = np.empty(cuts, dtype=np.uint8)
+    stack = np.empty((_LEVELS, 3), dtype=np.int32)
+    stack_weights = np.empty((_LEVELS, 3, 3))
+    stack_depth = np.empty(_LEVELS, dtype=np.int32)
+    stack_parent = np.empty((_LEVELS, 2), dtype=np.int32)
+    triangle = np.empty(3, dtype=np.int32)
+    corner_weights = np.empty((3, 3))
+    middle = np.empty(3)
+    patch, node = 0, 0
+    for f in range(m):
+        stack[0] = faces[f]
+        stack_weights[0] = np.eye(3)
+        stack_depth[0] = 0
+        stack_parent[0, 0] = -1
+        top = 1
+        while top > 0:
+            top -= 1
+            triangle[:] = stack[top]
+            corner_weights[:] = stack_weights[top]
+            depth, parent, side = stack_depth[top], stack_parent[top, 0], stack_parent[top, 1]
+            edge = -1
+            if selected[f] and top + 2 <= _LEVELS:
+                edge = _longest_edge(points[triangle[0]], points[triangle[1]], points[triangle[2]], limit)
+            entry = -1 - patch if edge < 0 else node
+            if parent < 0:
+                roots[f] = entry
+            else:
+                children[parent, side] = entry
+            if edge < 0:
+                triangles[patch] = triangle
+                for axis in range(3):
+                    weights[patch, axis] = corner_weights[:, axis].sum() / 3.0
+                depths[patch] = depth
+                face[patch] = f
+                patch += 1
+                continue
+            new = n + node
+            after = (edge + 1) % 3
+            for axis in range(3):
+                points[new, axis] = 0.5 * (points[triangle[edge], axis] + points[triangle[after], axis])
+                middle[axis] = 0.5 * (corner_weights[edge, axis] + corner_weights[after, axis])
+            _halves(triangle, edge, new, stack[top + 1], stack[top])
+            _halves(corner_weights, edge, middle, stack_weights[top + 1], stack_weights[top])
+            for half in range(2):
+                stack_depth[top + half] = depth + 1
+                stack_parent[top + half, 0] = node
+                stack_parent[top + half, 1] = 1 - half
+            cut_edge[node] = edge
+            node += 1
+            top += 2
+    return points, triangles, weights, depths, face, roots, children, cut_edge
+
+
+@kernel
+def _find(roots: Int32, children: Int32, cut_edge: UInt8, faces: Int32, us: Float64, vs: Float64) -> Int32:
+    """Patch of each point; −1 for face −1.
+
+    Down the tree the weights of the corners tell the half: the point is nearer to the end of the cut edge
+    that weighs more, and against the half's own corners it has weights w_near − w_far, 2·w_far (the middle)
+    and the third as it was.
+    """
+    found = np.full(len(faces), -1, dtype=np.int32)
+    weight = np.empty(3)
+    for i in range(len(faces)):
+        if faces[i] < 0:
+            continue
+        weight[0], weight[1], weight[2] = 1.0 - us[i] - vs[i], us[i], vs[i]
+        entry = roots[faces[i]]
+        while entry >= 0:
+            start = cut_edge[entry]
+            end = (start + 1) % 3
+            if weight[start] >= weight[end]:
+                weight[start] -= weight[end]
+                weight[end] *= 2.0
+                entry = children[entry, 0]
+            else:
+                weight[end] -= weight[start]
+                weight[start] *= 2.0
+                entry = children[entry, 1]
+        found[i] = -1 - entry
+    return found

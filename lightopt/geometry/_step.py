@@ -18,7 +18,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.units import step_units_mm, unit_name
 from lightopt.geometry import _step_worker
 from lightopt.geometry._glb import glb_triangle_count, parse_glb, split_glb
-from lightopt.geometry._soup import Soup, check_budget
+from lightopt.geometry._mesh_formats import RawMesh, check_budget
 
 _LARGEST_MM, _SMALLEST_MM = 1000.0, 0.1
 _MM_PER_GLB_UNIT = 1000.0
@@ -46,7 +46,7 @@ class StepLimits:
 
 def read_step(
     path: Path, data: bytes, *, unit_mm: float | None, limits: StepLimits, max_triangles: int
-) -> Soup:
+) -> RawMesh:
     """Triangles of a STEP file [mm], Z up, all solids of an assembly in place.
 
     The file declares its unit; a unit that the caller gives has to be the same. A first, coarse tessellation
@@ -75,7 +75,7 @@ def read_step(
     check_budget(name, glb_triangle_count(name, split_glb(name, fine)[0]), max_triangles)
     parts = parse_glb(name, fine)
     starts = np.cumsum([0] + [len(part["vertices"]) for part in parts])
-    return Soup(
+    return RawMesh(
         np.concatenate([part["vertices"] for part in parts]) * _MM_PER_GLB_UNIT,
         np.concatenate([part["faces"] + start for part, start in zip(parts, starts, strict=False)]),
         np.concatenate([part["vertex_normals"] for part in parts]),

@@ -13,20 +13,17 @@ from lightopt.core.kernels import kernel
 
 @dataclass(frozen=True, eq=False)
 class EdgePairs:
-    """Edges that exactly two faces use, and the number of the others.
+    """Edges that exactly two faces use.
 
     corners: The two corners that begin the edge, one in each face, as 3·face + corner, lower face first, shape (e, 2),
         int32
     same_direction: True where both faces run along the edge in the same direction (their windings disagree), shape (e,)
     rim: True for faces that touch an edge used once or more than twice, shape (m,)
-    open_edges, nonmanifold_edges: Number of edges used by one face, and by three or more
     """
 
     corners: Int32
     same_direction: Bool
     rim: Bool
-    open_edges: int
-    nonmanifold_edges: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,8 +90,6 @@ def edge_pairs(faces: Int32) -> EdgePairs:
         corners=corners,
         same_direction=start[corners[:, 0]] == start[corners[:, 1]],
         rim=rim,
-        open_edges=int(np.count_nonzero(edges.uses == 1)),
-        nonmanifold_edges=int(np.count_nonzero(edges.uses > 2)),
     )
 
 

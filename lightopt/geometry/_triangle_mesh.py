@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from lightopt.core.arrays import Float64, Int32
+from lightopt.core.arrays import Float64, Int32, read_only
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
 
@@ -44,7 +43,7 @@ class TriangleMesh:
                 f"mesh faces: vertex indices from {faces.min()} to {faces.max()} for {len(vertices)} vertices"
             )
         object.__setattr__(self, "vertices", vertices)
-        object.__setattr__(self, "faces", _read_only(np.ascontiguousarray(faces, dtype=np.int32)))
+        object.__setattr__(self, "faces", read_only(np.ascontiguousarray(faces, dtype=np.int32)))
         if self.normals is None:
             return
         normals = _rows_of_three("normals", self.normals)
@@ -118,10 +117,4 @@ def _rows_of_three(name: str, values: Float64) -> Float64:
             f"mesh {name}: {np.count_nonzero(~finite)} rows are not finite, the first is row "
             f"{int(np.argmin(finite))}"
         )
-    return _read_only(array)
-
-
-def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    view = array.view()
-    view.flags.writeable = False
-    return view
+    return read_only(array)

@@ -20,13 +20,11 @@ _NO_VOLUME = 1e-9
 class Repaired:
     """Faces with a winding that agrees across every edge of two faces.
 
-    components: Number of surfaces connected through edges of two faces
     warnings: What was turned, with numbers
     """
 
     faces: Int32
     pairs: EdgePairs
-    components: int
     warnings: tuple[str, ...]
 
 
@@ -69,7 +67,7 @@ def repair_winding(vertices: Float64, faces: Int32) -> Repaired:
         )
         faces = _turned(faces, turn)
         pairs = edge_pairs(faces)
-    return Repaired(faces, pairs, components, tuple(warnings))
+    return Repaired(faces, pairs, tuple(warnings))
 
 
 def _turned(faces: Int32, turn: Bool) -> Int32:

@@ -4,13 +4,13 @@ A model is a scalar function compiled as a kernel, called per surface point and 
 :mod:`lightopt.rendering`; it knows neither meshes nor rigs.
 """
 
-from lightopt.optics._reflectance import (
+from lightopt.optics._reflection_model import (
     MAX_LOBE_EXPONENT,
     MIN_COS_VIEW,
     Reflectance,
-    half_vector_angle_squared,
     lambert,
-    torrance_sparrow,
+    specular_cosine,
+    specular_lobe,
 )
 from lightopt.optics._saturated_region import saturated_region
 from lightopt.optics._sensor import Sensor, expose, image_rng, saturated
@@ -21,10 +21,10 @@ __all__ = [
     "Reflectance",
     "Sensor",
     "expose",
-    "half_vector_angle_squared",
     "image_rng",
     "lambert",
     "saturated",
     "saturated_region",
-    "torrance_sparrow",
+    "specular_cosine",
+    "specular_lobe",
 ]

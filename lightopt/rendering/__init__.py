@@ -1,6 +1,6 @@
 """From a scene to what the camera would see, linear and exact; and the patches that optimisation works on."""
 
-from lightopt.rendering._converged import converged_panel, highlight_level, shade_converged
+from lightopt.rendering._converged_panel import converged_panel, highlight_level, shade_converged
 from lightopt.rendering._image_set import RenderOptions, RenderProgress, render_image_set, set_manifest
 from lightopt.rendering._images import (
     Geometry,
@@ -10,7 +10,7 @@ from lightopt.rendering._images import (
     render,
     render_posture,
 )
-from lightopt.rendering._layers import LightLayer, light_layer
+from lightopt.rendering._light_layer import LightLayer, light_layer
 from lightopt.rendering._patches import (
     DEFAULT_PATCH_BUDGET,
     PatchTable,
@@ -23,10 +23,10 @@ from lightopt.rendering._patches import (
     visible_points,
 )
 from lightopt.rendering._pixels import UNLIT, WHOLE, PosturePixels, panel_verdict, trace_pixels
-from lightopt.rendering._points import shade_points
+from lightopt.rendering._point_lights import shade_points
 from lightopt.rendering._scene_checks import panels_in_part, refuse_unusable_scene, too_few_pixels
 from lightopt.rendering._surface import GRAZING_COSINE, GRAZING_DEG, SurfacePoints, trace_samples
-from lightopt.rendering._variants import shade_variants, surface_variants
+from lightopt.rendering._surface_variants import shade_variants, surface_variants
 
 __all__ = [
     "DEFAULT_PATCH_BUDGET",

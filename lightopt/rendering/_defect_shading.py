@@ -16,8 +16,8 @@ from lightopt.core.arrays import Float64, Index, Int32
 from lightopt.defects import PlacedDefect, mark_surface
 from lightopt.geometry import RayCaster
 from lightopt.optics import Reflectance
-from lightopt.rendering._converged import ConvergedPanel, PanelSight, shade_again
-from lightopt.rendering._points import shade_points
+from lightopt.rendering._converged_panel import ConvergedPanel, PanelSight, shade_again
+from lightopt.rendering._point_lights import shade_points
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PanelLight
 

@@ -14,9 +14,9 @@ from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.geometry import Hits, Patches, RayCaster, TriangleMesh
-from lightopt.rendering._converged import ConvergedPanel, PanelSight, converged_panel, shade_converged
+from lightopt.rendering._converged_panel import ConvergedPanel, PanelSight, converged_panel, shade_converged
 from lightopt.rendering._defect_shading import DefectSamples, defect_samples
-from lightopt.rendering._points import shade_points
+from lightopt.rendering._point_lights import shade_points
 from lightopt.rendering._surface import SurfacePoints, trace_hits, trace_samples
 from lightopt.scene import PanelLight, PartView, Scene, screen_window, view_from_part
 

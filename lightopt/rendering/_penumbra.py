@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.geometry import RayCaster
-from lightopt.rendering._cells import (
+from lightopt.rendering._panel_light import PanelNumbers, panel_point
+from lightopt.rendering._penumbra_cells import (
     BELOW,
     BLOCKED,
     MOST_BISECTIONS,
@@ -30,7 +31,6 @@ from lightopt.rendering._cells import (
     add_visible_cells,
     places_beside_chords,
 )
-from lightopt.rendering._panel import PanelNumbers, panel_point
 from lightopt.rendering._surface import SurfacePoints
 
 GRIDS = (8, 4, 4)

@@ -11,8 +11,8 @@ from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
 from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
-from lightopt.rendering._converged import probe_targets
-from lightopt.rendering._points import facing_pairs
+from lightopt.rendering._converged_panel import probe_targets
+from lightopt.rendering._point_lights import facing_pairs
 from lightopt.rendering._surface import GRAZING_COSINE, SurfacePoints, trace_samples
 from lightopt.scene import PanelLight, PartView, Scene, panel_grid, screen_window, view_from_part
 

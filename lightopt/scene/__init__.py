@@ -23,10 +23,17 @@ from lightopt.scene._camera import (
     screen_window,
 )
 from lightopt.scene._defects import build_catalogue, defect_facts, place_defects
-from lightopt.scene._light import PanelLight, panel_grid, place_light
+from lightopt.scene._panel_light import (
+    PanelLight,
+    image_area,
+    panel_corners,
+    panel_grid,
+    place_light,
+    rectangles_meet,
+    segments_blocked,
+)
 from lightopt.scene._part_size import guess_unit, is_absurd, view_size
-from lightopt.scene._rectangles import image_area, panel_corners, rectangles_meet, segments_blocked
-from lightopt.scene._sampling import (
+from lightopt.scene._point_spacing import (
     COARSE_SHARE,
     coarse_points,
     coarse_warnings,
@@ -35,7 +42,7 @@ from lightopt.scene._sampling import (
     points_advice,
 )
 from lightopt.scene._scene import PartView, Placement, Scene, move_part, view_from_part
-from lightopt.scene._travel import VIRTUAL_DEG_PER_S, pace_text, travel_order, travel_s
+from lightopt.scene._stage_travel import VIRTUAL_DEG_PER_S, pace_text, travel_order, travel_s
 
 __all__ = [
     "COARSE_SHARE",

@@ -33,7 +33,7 @@ from lightopt.scene._camera import (
     place_camera,
 )
 from lightopt.scene._defects import outside_stage_range, place_defects
-from lightopt.scene._light import PanelLight, place_light
+from lightopt.scene._panel_light import PanelLight, place_light
 from lightopt.scene._part_size import guess_unit, view_size
 from lightopt.scene._scene import Placement, Scene, view_from_part
 

@@ -10,7 +10,7 @@ from lightopt.defects import PlacedDefect
 from lightopt.geometry import TriangleMesh, transformed
 from lightopt.optics import Reflectance, Sensor
 from lightopt.scene._camera import PinholeCamera
-from lightopt.scene._light import PanelLight
+from lightopt.scene._panel_light import PanelLight
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

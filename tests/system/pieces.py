@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.defects import PlacedDefect, mark_surface, surface_coordinates, tangent_references
-from lightopt.defects._mark import Marks
+from lightopt.defects._placed_defects import Marks
 from lightopt.design import DIRECTIONS
 from lightopt.geometry import Patches, RayCaster
 from lightopt.rendering import SurfacePoints, shade_points, trace_samples

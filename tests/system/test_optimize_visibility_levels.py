@@ -25,7 +25,7 @@ from lightopt.rendering import (
     shade_variants,
     surface_variants,
 )
-from lightopt.rendering._converged import panel_probes, probe_targets
+from lightopt.rendering._converged_panel import panel_probes, probe_targets
 from lightopt.scene import pixel_footprint, view_from_part
 
 TRIALS = defect_hypotheses(BUILT_IN_CATALOGUE)

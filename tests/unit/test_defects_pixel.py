@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lightopt.defects import PIXEL_RATIOS, DefectShape, pixel_shares
-from lightopt.defects._pixel import grid_shares
+from lightopt.defects._pixel_shares import grid_shares
 
 SLOPE = math.radians(10.0)
 

@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from mesh_surface import Surface, surface_of
 
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import rotation_x
 from lightopt.geometry import TriangleMesh, face_areas, face_normals, load_mesh, transformed
 from lightopt.geometry._glb import parse_glb
-from lightopt.geometry._load import LoadedMesh
+from lightopt.geometry._load_mesh import _READERS, LoadedMesh
 
 CREASE = math.radians(30)
 
@@ -61,12 +62,12 @@ FORMATS = [
 @pytest.mark.parametrize(("suffix", "options", "kind"), FORMATS)
 def test_every_unitless_format_gives_the_same_box(tmp_path, suffix, options, kind):
     box = trimesh.creation.box(extents=(1, 2, 3))
-    loaded = load(export(tmp_path, box, suffix, **options), unit_mm=25.4)
+    path = export(tmp_path, box, suffix, **options)
+    assert _READERS[path.suffix](path.name, path.read_bytes(), 12).format == kind
+    loaded = load(path, unit_mm=25.4)
     assert loaded.warnings == ()
-    assert loaded.description.format == kind
-    assert loaded.description.watertight
-    assert loaded.description.components == 1
-    assert loaded.description.size_mm == pytest.approx((25.4, 50.8, 76.2), rel=1e-6)
+    assert surface_of(loaded.mesh) == Surface(open_edges=0, nonmanifold_edges=0, components=1)
+    assert np.ptp(loaded.mesh.bounds, axis=0) == pytest.approx((25.4, 50.8, 76.2), rel=1e-6)
     assert loaded.mesh.bounds == pytest.approx(box.bounds * 25.4, rel=1e-6)
     assert face_areas(loaded.mesh).sum() == pytest.approx(box.area * 25.4**2, rel=1e-6)
     assert signed_volume(loaded.mesh) == pytest.approx(6 * 25.4**3, rel=1e-6)
@@ -83,10 +84,9 @@ def test_glb_is_metres_and_y_up_with_its_scene_in_place(tmp_path):
     loaded = load(path, unit_mm=None)
     # (x, y, z) of the file is (x, −z, y) here: the second box is 30 × 20 × 10 at (100, 200, 0) in the file
     assert loaded.mesh.bounds == pytest.approx(np.array([[-5, -15, -10], [115, 15, 210]]), abs=1e-4)
-    assert loaded.description.components == 2
-    assert loaded.description.unit_mm == 1000.0
+    assert surface_of(loaded.mesh).components == 2
     assert signed_volume(loaded.mesh) == pytest.approx(2 * 10 * 20 * 30, rel=1e-5)
-    assert load(path, unit_mm=1.0).description.size_mm == pytest.approx((0.12, 0.03, 0.22), rel=1e-5)
+    assert np.ptp(load(path, unit_mm=1.0).mesh.bounds, axis=0) == pytest.approx((0.12, 0.03, 0.22), rel=1e-5)
 
 
 def test_glb_mirrored_node_keeps_its_outside_and_its_normals(tmp_path):
@@ -98,7 +98,6 @@ def test_glb_mirrored_node_keeps_its_outside_and_its_normals(tmp_path):
     path = tmp_path / "part.glb"
     scene.export(path)
     loaded = load(path, unit_mm=None)
-    assert loaded.description.normals == "file"
     assert loaded.warnings == ()
     assert signed_volume(loaded.mesh) > 0
     gradient = loaded.mesh.vertices / np.array([4.0, 1.0, 1.0])
@@ -188,7 +187,7 @@ def test_inside_out_solid_is_turned_but_a_cavity_is_not(tmp_path):
     part = trimesh.util.concatenate([outer, cavity, other])
     loaded = load(export(tmp_path, part, "stl"))
     assert loaded.warnings == ("1 closed surface (12 triangles) inside out: turned",)
-    assert loaded.description.components == 3
+    assert surface_of(loaded.mesh).components == 3
     assert signed_volume(loaded.mesh) == pytest.approx(64 - cavity.volume * -1 + 1, rel=1e-6)
 
 
@@ -226,8 +225,8 @@ def test_open_and_nonmanifold_meshes_are_fine(tmp_path):
     vertices = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1)]
     loaded = load(soup_stl(tmp_path, vertices, [(0, 1, 2), (1, 0, 3), (0, 1, 4)]))
     assert loaded.warnings == ()
-    assert (loaded.description.open_edges, loaded.description.nonmanifold_edges) == (6, 1)
-    assert not loaded.description.watertight
+    surface = surface_of(loaded.mesh)
+    assert (surface.open_edges, surface.nonmanifold_edges) == (6, 1)
 
 
 def test_moebius_strip_is_kept_with_a_warning(tmp_path):
@@ -245,7 +244,7 @@ def test_moebius_strip_is_kept_with_a_warning(tmp_path):
         faces += [(a, c, b), (b, c, d)]
     loaded = load(soup_stl(tmp_path, vertices, faces))
     assert any("cannot be made to agree" in w for w in loaded.warnings)
-    assert loaded.description.triangles == 2 * n
+    assert len(loaded.mesh.faces) == 2 * n
 
 
 @pytest.mark.parametrize("mirror", [1, -1])
@@ -266,7 +265,7 @@ def test_closed_one_sided_surface_has_no_inside(tmp_path, mirror):
             c, d = number[i + 1, (j + 1) % k], number[i + 1, j]
             faces += [(a, b, c), (a, c, d)]
     loaded = load(soup_stl(tmp_path, grid.reshape(-1, 3), faces))
-    assert loaded.description.watertight
+    assert surface_of(loaded.mesh).watertight
     assert any("cannot be made to agree" in w for w in loaded.warnings)
     assert not any("inside out" in w for w in loaded.warnings)
 

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mesh_surface import surface_of
 
 from lightopt.core.errors import InputError
 from lightopt.geometry import _step_worker, load_mesh
-from lightopt.geometry._load import LoadedMesh
+from lightopt.geometry._load_mesh import LoadedMesh
 from lightopt.geometry._step import declared_unit_mm
 
 pytestmark = pytest.mark.usefixtures("real_step_files")
@@ -113,9 +114,7 @@ def refused(tmp_path: Path, text: str, match: str, **changes) -> None:
 def test_ball_keeps_the_normals_of_the_cad_surface(tmp_path):
     loaded = load(tmp_path, ball(), chord_tolerance_mm=0.05, angular_tolerance=0.3, unit_mm=1.0)
     assert loaded.warnings == ()
-    assert loaded.description.format == "STEP"
-    assert loaded.description.normals == "CAD surface"
-    assert loaded.description.watertight
+    assert surface_of(loaded.mesh).watertight
     from_centre = loaded.mesh.vertices - (1, 2, 3)
     distance = np.linalg.norm(from_centre, axis=1)
     assert distance == pytest.approx(10.0, abs=1e-5)
@@ -126,9 +125,9 @@ def test_ball_keeps_the_normals_of_the_cad_surface(tmp_path):
 
 
 def test_tolerances_reach_the_kernel(tmp_path):
-    coarse = load(tmp_path, ball(), chord_tolerance_mm=0.5, angular_tolerance=0.5).description.triangles
-    fine = load(tmp_path, ball(), chord_tolerance_mm=0.02, angular_tolerance=0.5).description.triangles
-    assert fine > 3 * coarse
+    coarse = load(tmp_path, ball(), chord_tolerance_mm=0.5, angular_tolerance=0.5).mesh
+    fine = load(tmp_path, ball(), chord_tolerance_mm=0.02, angular_tolerance=0.5).mesh
+    assert len(fine.faces) > 3 * len(coarse.faces)
 
 
 @pytest.mark.parametrize(
@@ -161,7 +160,7 @@ def test_size_that_looks_like_a_unit_mistake_is_refused_quickly(tmp_path):
 
 def test_assembly_is_put_together(tmp_path):
     loaded = load(tmp_path, two_balls(), chord_tolerance_mm=0.01)
-    assert loaded.description.components == 2
+    assert surface_of(loaded.mesh).components == 2
     # the second placement takes x to +Y: the ball's centre (1, 0, 0) goes to (0, 21, 5)
     centres = np.array([[11.0, 0, 0], [0, 21, 5]])
     from_centre = loaded.mesh.vertices[:, None] - centres
@@ -179,7 +178,7 @@ def test_facets_of_a_step_file(tmp_path):
 
 
 def test_stp_and_names_that_need_care(tmp_path):
-    assert load(tmp_path, ball(), name="-part ü.STP", chord_tolerance_mm=0.5).description.format == "STEP"
+    assert len(load(tmp_path, ball(), name="-part ü.STP", chord_tolerance_mm=0.5).mesh.faces)
 
 
 @pytest.mark.slow
@@ -198,8 +197,8 @@ def test_sample_part_same_bytes_twice():
     assert first.mesh.vertices.tobytes() == second.mesh.vertices.tobytes()
     assert first.mesh.faces.tobytes() == second.mesh.faces.tobytes()
     assert first.mesh.normals is not None
-    assert max(first.description.size_mm) == pytest.approx(50, rel=0.2)
-    assert first.description.watertight
+    assert np.ptp(first.mesh.bounds, axis=0).max() == pytest.approx(50, rel=0.2)
+    assert surface_of(first.mesh).watertight
 
 
 def test_cut_off_damaged_and_empty_files(tmp_path):

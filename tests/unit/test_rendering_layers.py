@@ -95,7 +95,7 @@ def test_pixels_near_flagged_ones_are_those_within_two_rows_and_columns():
 
 
 def test_quadrature_rules_are_read_only():
-    from lightopt.rendering._lobe import NODES, WEIGHTS
+    from lightopt.rendering._panel_quadrature import NODES, WEIGHTS
 
     assert not NODES.flags.writeable
     assert np.allclose(WEIGHTS.sum(axis=1)[1:], 1.0)

@@ -17,12 +17,18 @@ from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.geometry import RayCaster
 from lightopt.optics import Reflectance
-from lightopt.rendering._cells import ConvergedLight
-from lightopt.rendering._lobe import WHOLE_PANEL, out_of_reach, rectangle_diffuse, rectangle_specular
-from lightopt.rendering._panel import Vector, dot, panel_numbers, vector_at
+from lightopt.rendering._panel_light import panel_numbers
+from lightopt.rendering._panel_quadrature import (
+    WHOLE_PANEL,
+    out_of_reach,
+    rectangle_diffuse,
+    rectangle_specular,
+)
 from lightopt.rendering._penumbra import shade_penumbra
-from lightopt.rendering._points import facing_pairs
+from lightopt.rendering._penumbra_cells import ConvergedLight
+from lightopt.rendering._point_lights import facing_pairs
 from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._vectors import Vector, dot, vector_at
 from lightopt.scene import PanelLight, Scene
 
 DIFFUSE_TOLERANCE = 1e-4

@@ -10,7 +10,7 @@ import numpy as np
 
 from lightopt.config import MOST_POINTS
 from lightopt.core.arrays import Float64
-from lightopt.scene._light import PanelLight
+from lightopt.scene._panel_light import PanelLight
 
 COARSE_SHARE = 0.1
 """A saturated area that is off by more than this share is worth a warning."""

@@ -17,20 +17,9 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
-from lightopt.rendering._panel import (
-    PanelNumbers,
-    Vector,
-    cross,
-    divided,
-    dot,
-    half_diagonal,
-    length,
-    minus,
-    panel_point,
-    plus,
-    point_terms,
-    scaled,
-)
+from lightopt.rendering._panel_light import PanelNumbers, half_diagonal, panel_point
+from lightopt.rendering._point_lights import point_terms
+from lightopt.rendering._vectors import Vector, cross, divided, dot, length, minus, plus, scaled
 
 MAX_NODES = 48
 """Most Gauss–Legendre nodes along a side; only a view or a light that grazes the surface asks for as many."""
@@ -234,9 +223,21 @@ def rectangle_specular(
 def out_of_reach(
     p: Vector, n: Vector, v: Vector, panel: PanelNumbers, inverse_two_sigma_squared: float
 ) -> bool:
-    """Whether the lobe is surely negligible all over the panel: a quick test that looks at its centre alone.
+    """Whether the lobe is surely negligible all over the panel: a quick test that looks at its centre alone."""
+    half, spread = half_vector_cone(p, v, panel)
+    if spread >= math.pi:
+        return False
+    # the chord is never more than the angle
+    nearest = length(minus(n, half)) - spread
+    return nearest > 0.0 and nearest * nearest * inverse_two_sigma_squared > NEGLIGIBLE_EXPONENT
 
-    While L turns by α, H turns by no more than α / (2·cos(half the angle between L and V)).
+
+@kernel
+def half_vector_cone(p: Vector, v: Vector, panel: PanelNumbers) -> tuple[Vector, float]:
+    """Unit half vector of the panel's centre, and how far those of its other points are from it, at most [rad].
+
+    While L turns by α, H turns by no more than α / (2·cos(half the angle between L and V)). Where nothing is known, the
+    angle is π or more, and the vector may be of another length.
     """
     light = minus(panel.centre, p)
     r = length(light)
@@ -244,15 +245,12 @@ def out_of_reach(
     size = length(half)
     reach = half_diagonal(panel)
     if reach >= 0.9 * r or size < 1e-3:
-        return False
+        return half, math.pi
     turn = math.asin(reach / r)
-    half_angle = math.acos(min(1.0, 0.5 * size)) + 0.5 * turn
-    cosine = math.cos(half_angle)
+    cosine = math.cos(math.acos(min(1.0, 0.5 * size)) + 0.5 * turn)
     if cosine < 0.1:
-        return False
-    # the chord is never more than the angle
-    nearest = length(minus(n, divided(half, size))) - turn / (2.0 * cosine)
-    return nearest > 0.0 and nearest * nearest * inverse_two_sigma_squared > NEGLIGIBLE_EXPONENT
+        return half, math.pi
+    return divided(half, size), turn / (2.0 * cosine)
 
 
 @kernel

@@ -1,3 +1,5 @@
+"""The reflection model: Lambert's diffuse and Torrance–Sparrow's specular component, as functions of cosines."""
+
 from __future__ import annotations
 
 import math
@@ -70,15 +72,20 @@ def half_vector_angle_squared(chord_squared: float) -> float:
 
 
 @kernel
-def torrance_sparrow(chord_squared: float, n_dot_v: float, inverse_two_sigma_squared: float) -> float:
-    """Specular component per unit of R_s (paper, equation 3), for N·L > 0 and N·V > 0.
+def specular_lobe(chord_squared: float, inverse_two_sigma_squared: float) -> float:
+    """Specular component per unit of R_s times cosθ_o: e^(−δ²/(2σ²)) (paper, equation 3), for N·L > 0 and N·V > 0.
 
     chord_squared: |N − H|² of the unit normal and the unit vector halfway between light and view
-    n_dot_v: cosθ_o, clamped from below by :data:`MIN_COS_VIEW`
     inverse_two_sigma_squared: 1/(2σ²) [rad⁻²]
     """
     # δ is never less than the chord, so that most pixels of a glossy part need no exponential
     if chord_squared * inverse_two_sigma_squared > MAX_LOBE_EXPONENT:
         return 0.0
     exponent = half_vector_angle_squared(chord_squared) * inverse_two_sigma_squared
-    return math.exp(-exponent) / max(n_dot_v, MIN_COS_VIEW)
+    return math.exp(-exponent)
+
+
+@kernel
+def specular_cosine(n_dot_v: float) -> float:
+    """Divisor cosθ_o of the specular component (paper, equation 3), clamped from below by :data:`MIN_COS_VIEW`."""
+    return max(n_dot_v, MIN_COS_VIEW)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,12 +18,48 @@ import numpy as np
 from lightopt.core.arrays import Float64, Int64
 from lightopt.core.errors import InputError
 from lightopt.geometry._glb import glb_triangle_count, placed, split_glb
-from lightopt.geometry._soup import Soup, check_budget
 
 _STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("vertices", "<f4", (3, 3)), ("attributes", "<u2")])
 
 
-def read_stl(name: str, data: bytes, max_triangles: int) -> Soup:
+# Peak of loading and smoothing a binary STL of 1.3 million triangles: 700 bytes each, measured.
+_BYTES_PER_TRIANGLE = 700
+
+
+@dataclass(frozen=True, eq=False)
+class RawMesh:
+    """Triangles of a file in the file's unit.
+
+    vertices: Positions [file unit], Z up, shape (n, 3)
+    faces: Vertex indices as found in the file, shape (m, 3)
+    normals: Vertex normals carried by the file, not necessarily of unit length, shape (n, 3), or None
+    format: What the file is, for people ("binary STL")
+    repeats_vertices: The format repeats a vertex for each face or seam, so coinciding vertices are nothing to report
+    warnings: What was noticed while reading
+    """
+
+    vertices: Float64
+    faces: Int64
+    normals: Float64 | None
+    format: str
+    repeats_vertices: bool
+    warnings: tuple[str, ...] = ()
+
+
+def check_budget(name: str, triangles: int, max_triangles: int) -> None:
+    """Refuse a mesh of more than `max_triangles` before its data is loaded.
+
+    Raises InputError: With both numbers and the memory that loading would take
+    """
+    if triangles > max_triangles:
+        gigabytes = triangles * _BYTES_PER_TRIANGLE / 1e9
+        raise InputError(
+            f"{name}: {triangles:,} triangles, at most {max_triangles:,} are accepted; loading them would "
+            f"take about {gigabytes:.1f} GB of memory. Export the part with a coarser tolerance"
+        )
+
+
+def read_stl(name: str, data: bytes, max_triangles: int) -> RawMesh:
     """Triangles of a binary or ASCII STL file.
 
     Raises InputError: The file is cut off, is no STL, or has more than `max_triangles`
@@ -38,7 +75,7 @@ def read_stl(name: str, data: bytes, max_triangles: int) -> Soup:
         if not claimed:
             raise InputError(f"{name}: the binary STL file has no triangles")
         vertices = np.frombuffer(data, _STL_TRIANGLE, offset=84)["vertices"].reshape(-1, 3)
-        return Soup(
+        return RawMesh(
             vertices.astype(np.float64), np.arange(3 * claimed).reshape(-1, 3), None, "binary STL", True
         )
     from trimesh.exchange.stl import load_stl
@@ -47,12 +84,12 @@ def read_stl(name: str, data: bytes, max_triangles: int) -> Soup:
     check_budget(name, claimed, max_triangles)
     loaded = _trimesh(name, "STL", lambda: load_stl(io.BytesIO(data)))
     parts = list(loaded["geometry"].values()) if "geometry" in loaded else [loaded]
-    soup = _joined(name, parts, "ASCII STL", repeats_vertices=True)
-    if len(soup.faces) != claimed:
+    raw = _joined(name, parts, "ASCII STL", repeats_vertices=True)
+    if len(raw.faces) != claimed:
         raise InputError(
-            f"{name}: {claimed} triangles in the ASCII STL file, but only {len(soup.faces)} could be read"
+            f"{name}: {claimed} triangles in the ASCII STL file, but only {len(raw.faces)} could be read"
         )
-    return soup
+    return raw
 
 
 def _no_binary_stl(name: str, data: bytes, claimed: int) -> str:
@@ -80,7 +117,7 @@ def _check_ascii_stl(name: str, data: bytes) -> int:
     return begun
 
 
-def read_ply(name: str, data: bytes, max_triangles: int) -> Soup:
+def read_ply(name: str, data: bytes, max_triangles: int) -> RawMesh:
     """Triangles of an ASCII or binary PLY file; polygons are cut into fans, vertex normals kept.
 
     Raises InputError: The file is cut off, is no PLY, or has more than `max_triangles`
@@ -109,20 +146,20 @@ def read_ply(name: str, data: bytes, max_triangles: int) -> Soup:
     )
     if "faces" not in loaded:
         raise InputError(f"{name}: the {kind} file has no triangles ({_listed(counts)})")
-    soup = _joined(name, [loaded], kind, repeats_vertices=False)
-    if len(soup.vertices) != counts.get("vertex", 0) or len(soup.faces) < counts.get("face", 0):
+    raw = _joined(name, [loaded], kind, repeats_vertices=False)
+    if len(raw.vertices) != counts.get("vertex", 0) or len(raw.faces) < counts.get("face", 0):
         raise InputError(
-            f"{name}: the PLY header announces {_listed(counts)}; found {len(soup.vertices)} vertices and "
-            f"{len(soup.faces)} triangles. The file is damaged; export it again"
+            f"{name}: the PLY header announces {_listed(counts)}; found {len(raw.vertices)} vertices and "
+            f"{len(raw.faces)} triangles. The file is damaged; export it again"
         )
-    return soup
+    return raw
 
 
 def _listed(counts: dict[str, int]) -> str:
     return ", ".join(f"{key} {n:,}" for key, n in counts.items())
 
 
-def read_obj(name: str, data: bytes, max_triangles: int) -> Soup:
+def read_obj(name: str, data: bytes, max_triangles: int) -> RawMesh:
     """Triangles of a Wavefront OBJ file; polygons are cut into fans, vertex normals kept where all have them.
 
     Raises InputError: A face has fewer than three vertices or one numbered 0, the file is no OBJ, or has more than
@@ -151,7 +188,7 @@ def read_obj(name: str, data: bytes, max_triangles: int) -> Soup:
     return _joined(name, parts, "OBJ", repeats_vertices=seams)
 
 
-def read_glb(name: str, data: bytes, max_triangles: int) -> Soup:
+def read_glb(name: str, data: bytes, max_triangles: int) -> RawMesh:
     """Triangles of a binary glTF 2.0 file [m], all nodes of the scene in place, turned from Y up to Z up.
 
     glTF is Y up by its specification: (x, y, z) becomes (x, −z, y).
@@ -180,12 +217,10 @@ def read_glb(name: str, data: bytes, max_triangles: int) -> Soup:
             parts.append(placed(matrix, np.asarray(geometry.vertices), np.asarray(geometry.faces), normals))
     if not parts:
         raise InputError(f"{name}: the GLB file has no triangles in its scene")
-    soup = _joined(name, parts, "GLB", repeats_vertices=seams)
+    raw = _joined(name, parts, "GLB", repeats_vertices=seams)
     z_up = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-    normals = None if soup.normals is None else soup.normals @ z_up.T
-    return Soup(
-        soup.vertices @ z_up.T, soup.faces, normals, soup.format, soup.repeats_vertices, soup.warnings
-    )
+    normals = None if raw.normals is None else raw.normals @ z_up.T
+    return replace(raw, vertices=raw.vertices @ z_up.T, normals=normals)
 
 
 def _trimesh(name: str, kind: str, read: Callable[[], Any]) -> Any:
@@ -200,7 +235,7 @@ def _trimesh(name: str, kind: str, read: Callable[[], Any]) -> Any:
         ) from error
 
 
-def _joined(name: str, parts: list[dict[str, Any]], kind: str, *, repeats_vertices: bool) -> Soup:
+def _joined(name: str, parts: list[dict[str, Any]], kind: str, *, repeats_vertices: bool) -> RawMesh:
     vertices: list[Float64] = []
     faces: list[Int64] = []
     normals: list[Float64] = []
@@ -222,7 +257,7 @@ def _joined(name: str, parts: list[dict[str, Any]], kind: str, *, repeats_vertic
         warnings = (
             f"{len(normals)} of {len(parts)} pieces of the {kind} file carry vertex normals: not used",
         )
-    return Soup(
+    return RawMesh(
         np.concatenate(vertices),
         np.concatenate(faces),
         np.concatenate(normals) if complete else None,

@@ -15,27 +15,18 @@ from lightopt.core.arrays import Float64, Index
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.geometry import RayCaster
-from lightopt.rendering._converged import converged_panel
-from lightopt.rendering._lobe import (
+from lightopt.rendering._converged_panel import converged_panel
+from lightopt.rendering._panel_light import PanelNumbers, panel_numbers, panel_point
+from lightopt.rendering._panel_quadrature import (
     WHOLE_PANEL,
     mirror_point,
     out_of_reach,
     rectangle_diffuse,
     rectangle_specular,
 )
-from lightopt.rendering._panel import (
-    PanelNumbers,
-    divided,
-    dot,
-    length,
-    minus,
-    panel_numbers,
-    panel_point,
-    plus,
-    point_terms,
-    vector_at,
-)
+from lightopt.rendering._point_lights import point_terms
 from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._vectors import divided, dot, length, minus, plus, vector_at
 from lightopt.scene import PanelLight, panel_grid
 
 _PIECE = 8192

@@ -17,28 +17,19 @@ from lightopt.core.arrays import Float32, Float64, Int32, Int64
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.geometry import RayCaster
-from lightopt.optics import MIN_COS_VIEW, Reflectance, half_vector_angle_squared
-from lightopt.rendering._converged import (
+from lightopt.optics import MIN_COS_VIEW, Reflectance, lambert, specular_cosine, specular_lobe
+from lightopt.rendering._converged_panel import (
     ConvergedPanel,
     panel_probes,
     probe_targets,
     shade_converged,
     verdict_of_probes,
 )
-from lightopt.rendering._panel import (
-    PanelNumbers,
-    cross,
-    dot,
-    minus,
-    panel_numbers,
-    plus,
-    point_terms,
-    scaled,
-    vector_at,
-)
-from lightopt.rendering._panel_variants import VariantNumbers, panel_variants
-from lightopt.rendering._points import PAIRS_AT_ONCE, facing_pairs
+from lightopt.rendering._converged_variants import VariantNumbers, panel_variants
+from lightopt.rendering._panel_light import PanelNumbers, attenuated, panel_numbers
+from lightopt.rendering._point_lights import PAIRS_AT_ONCE, facing_pairs, point_terms
 from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._vectors import cross, dot, minus, plus, scaled, vector_at
 from lightopt.scene import PanelLight, panel_grid
 
 CONVERGED_AT_ONCE = 1 << 13
@@ -271,16 +262,11 @@ def _point_kernel(
             light = minus(q, p)
             r2 = dot(light, light)
             light = scaled(light, 1.0 / math.sqrt(r2))
-            own = weight
-            if panel.inverse_square:
-                own *= panel.distance * panel.distance / r2
-            if panel.emission_exponent > 0.0:
-                own *= max(0.0, dot(panel.outward, light)) ** panel.emission_exponent
             half = plus(light, v)
             h = 1.0 / math.sqrt(dot(half, half))
             seen[j, 0], seen[j, 1], seen[j, 2] = dot(n, light), dot(r, light), dot(a, light)
             seen[j, 3], seen[j, 4], seen[j, 5] = dot(n, half) * h, dot(r, half) * h, dot(a, half) * h
-            seen[j, 6] = own
+            seen[j, 6] = attenuated(weight, panel, r2, dot(panel.outward, light))
         diffuse[i], specular[i] = d_sum, s_sum
         for t in range(tries):
             c0, c1, c2 = lean[t, 0], lean[t, 1], lean[t, 2]
@@ -291,12 +277,12 @@ def _point_kernel(
                 n_dot_l = c0 * seen[j, 0] + c1 * seen[j, 1] + c2 * seen[j, 2]
                 if n_dot_l <= 0.0:
                     continue
-                d_sum += seen[j, 6] * n_dot_l
+                d_sum += seen[j, 6] * lambert(n_dot_l)
                 if n_dot_v <= 0.0:
                     continue
                 # |N − H|² of unit vectors; in float64 it is off by 1e-16 where it is 1e-6 and more that matter
                 chord = max(0.0, 2.0 - 2.0 * (c0 * seen[j, 3] + c1 * seen[j, 4] + c2 * seen[j, 5]))
                 if chord < least_chord:
-                    s_sum += seen[j, 6] * math.exp(-half_vector_angle_squared(chord) * inverse[t])
-            varied[i, t] = R_d[t] * d_sum + R_s[t] * s_sum / max(n_dot_v, MIN_COS_VIEW)
+                    s_sum += seen[j, 6] * specular_lobe(chord, inverse[t])
+            varied[i, t] = R_d[t] * d_sum + R_s[t] * s_sum / specular_cosine(n_dot_v)
     return diffuse, specular, varied

@@ -1,4 +1,4 @@
-"""Load a part's mesh from a file: read, check, repair, give it normals, and describe what was done."""
+"""Load a part's mesh from a file: read, check, repair, and give it normals."""
 
 from __future__ import annotations
 
@@ -9,15 +9,14 @@ from typing import Literal
 
 import numpy as np
 
-from lightopt.core.arrays import Float64, Int32
-from lightopt.core.errors import InputError
-from lightopt.geometry._formats import read_glb, read_obj, read_ply, read_stl
+from lightopt.core.arrays import Bool, Float64, Int32
+from lightopt.core.errors import InputError, counted
+from lightopt.geometry._mesh_formats import RawMesh, check_budget, read_glb, read_obj, read_ply, read_stl
 from lightopt.geometry._normals import carried_normals, smooth_normals
-from lightopt.geometry._soup import Soup, check_budget, check_soup, keep_faces_with_area
 from lightopt.geometry._step import StepLimits, read_step
 from lightopt.geometry._topology import merge_rows
 from lightopt.geometry._triangle_mesh import TriangleMesh
-from lightopt.geometry._winding import Repaired, repair_winding
+from lightopt.geometry._winding import repair_winding
 
 UNITLESS_SUFFIXES: tuple[str, ...] = (".stl", ".ply", ".obj")
 """Formats that carry no unit, so that one has to be given."""
@@ -33,43 +32,20 @@ _FILE_BYTES_PER_TRIANGLE = 1000
 # Corner numbers are int32.
 _MOST_TRIANGLES = 700_000_000
 
+# A height below this part of the longest edge is rounding of the coordinates, not a surface: it has no
+# direction.
+_FLAT = 1e-12
 
-@dataclass(frozen=True)
-class MeshDescription:
-    """What a loaded mesh is, in numbers.
-
-    format: The file's format ("binary STL")
-    unit_mm: Length of one unit of the file [mm]; 1 for STEP, which is converted as it is read
-    triangles, vertices: Numbers after repair; vertices are counted after splitting at creases
-    components: Surfaces connected through edges that exactly two triangles share
-    open_edges, nonmanifold_edges: Edges of one triangle, and of three or more
-    size_mm: Sides of the bounding box, part file's frame [mm]
-    normals: Where the normals come from: "facets", "smoothed", "file" or "CAD surface"
-    """
-
-    format: str
-    unit_mm: float
-    triangles: int
-    vertices: int
-    components: int
-    open_edges: int
-    nonmanifold_edges: int
-    size_mm: tuple[float, float, float]
-    normals: Literal["facets", "smoothed", "file", "CAD surface"]
-
-    @property
-    def watertight(self) -> bool:
-        """Every edge is shared by exactly two triangles."""
-        return self.open_edges == 0 and self.nonmanifold_edges == 0
+# Farther from the origin rounding eats the part, and no part is that large.
+_FARTHEST_MM = 1e9
 
 
 @dataclass(frozen=True, eq=False)
 class LoadedMesh:
-    """A mesh and what there is to say about it."""
+    """A mesh, and what was repaired or is odd."""
 
     mesh: TriangleMesh
     warnings: tuple[str, ...]
-    description: MeshDescription
 
 
 def load_mesh(
@@ -120,62 +96,100 @@ def load_mesh(
     data = _read(path, max_triangles)
     if suffix in (".step", ".stp"):
         limits = StepLimits(chord_tolerance_mm, angular_tolerance, step_timeout_s, step_memory_gb)
-        soup = read_step(path, data, unit_mm=unit_mm, limits=limits, max_triangles=max_triangles)
+        raw = read_step(path, data, unit_mm=unit_mm, limits=limits, max_triangles=max_triangles)
         unit_mm = 1.0
     else:
-        soup = _READERS[suffix](str(path), data, max_triangles)
+        raw = _READERS[suffix](str(path), data, max_triangles)
         unit_mm = 1000.0 if unit_mm is None else unit_mm
     del data
-    check_budget(str(path), len(soup.faces), min(max_triangles, _MOST_TRIANGLES))
-    check_soup(str(path), soup, unit_mm)
-    return _finish(str(path), soup, unit_mm, crease_angle if normals == "smooth" else None)
+    check_budget(str(path), len(raw.faces), min(max_triangles, _MOST_TRIANGLES))
+    _check_triangles(str(path), raw, unit_mm)
+    return _finish(str(path), raw, unit_mm, crease_angle if normals == "smooth" else None)
 
 
-def _finish(name: str, soup: Soup, unit_mm: float, crease_angle: float | None) -> LoadedMesh:
+def _finish(name: str, raw: RawMesh, unit_mm: float, crease_angle: float | None) -> LoadedMesh:
     """Repaired mesh with normals; facets where there is no crease angle."""
-    warnings = list(soup.warnings)
-    placed = soup.vertices * unit_mm
+    warnings = list(raw.warnings)
+    placed = raw.vertices * unit_mm
     first, number = merge_rows(placed)
-    vertices, faces = placed[first], number[soup.faces]
-    keep = keep_faces_with_area(vertices, faces)
+    vertices, faces = placed[first], number[raw.faces]
+    keep = _have_area(vertices, faces)
     if not keep.any():
-        raise InputError(f"{name}: none of the {len(faces)} triangles of the {soup.format} file has an area")
+        raise InputError(f"{name}: none of the {len(faces)} triangles of the {raw.format} file has an area")
     # a tessellator closes poles with empty triangles: true of every dome in STEP, and nothing to act on
-    if not keep.all() and soup.format != "STEP":
+    if not keep.all() and raw.format != "STEP":
         warnings.append(f"{np.count_nonzero(~keep)} of {len(faces)} triangles have no area: left out")
     repaired = repair_winding(vertices, faces[keep])
     warnings += repaired.warnings
     merged = len(placed) - len(first)
     if crease_angle is None:
-        mesh, source = _compact(vertices, repaired.faces), "facets"
-        merged = merged if soup.normals is None else 0
-    elif soup.normals is None:
+        mesh = _compact(vertices, repaired.faces)
+        merged = merged if raw.normals is None else 0
+    elif raw.normals is None:
         mesh, cancelled = smooth_normals(vertices, repaired.faces, repaired.pairs, crease_angle=crease_angle)
-        source = "smoothed"
         if cancelled:
             warnings.append(f"{cancelled} vertex normals cancelled out: taken from a face")
     else:
-        own = soup.faces[keep].astype(np.int32)
+        own = raw.faces[keep].astype(np.int32)
         turned = repaired.faces[:, 1] != faces[keep][:, 1]
         own[turned] = own[turned][:, (0, 2, 1)]
-        is_cad = soup.format == "STEP"
+        is_cad = raw.format == "STEP"
         mesh, replaced, merged = carried_normals(
-            placed, own, repaired.pairs, soup.normals, crease_angle=None if is_cad else crease_angle
+            placed, own, repaired.pairs, raw.normals, crease_angle=None if is_cad else crease_angle
         )
         warnings += replaced
-        source = "CAD surface" if is_cad else "file"
-    warnings += _vertex_warnings(soup, merged)
-    return LoadedMesh(mesh, tuple(warnings), _described(mesh, soup.format, unit_mm, repaired, source))
+    warnings += _vertex_warnings(raw, merged)
+    return LoadedMesh(mesh, tuple(warnings))
 
 
-def _vertex_warnings(soup: Soup, merged: int) -> list[str]:
-    used = np.zeros(len(soup.vertices), dtype=np.bool_)
-    used[soup.faces] = True
+def _check_triangles(name: str, raw: RawMesh, unit_mm: float) -> None:
+    """Refuse triangles that cannot be repaired.
+
+    Raises InputError: No triangles, a vertex that is not finite or beyond all reason, or a vertex index out of range
+    """
+    if not len(raw.faces):
+        raise InputError(f"{name}: the {raw.format} file has no triangles ({len(raw.vertices)} vertices)")
+    low, high = int(raw.faces.min()), int(raw.faces.max())
+    if low < 0 or high >= len(raw.vertices):
+        bad = (raw.faces < 0) | (raw.faces >= len(raw.vertices))
+        count = counted(int(np.count_nonzero(bad.any(axis=1))), "triangle")
+        raise InputError(
+            f"{name}: {count} with vertices that do not exist: indices "
+            f"{low} to {high} (counted from 0) for {len(raw.vertices)} vertices. The file is damaged; "
+            "export it again"
+        )
+    bad = ~np.isfinite(raw.vertices).all(axis=1)
+    if bad.any():
+        where = int(np.argmax(bad))
+        raise InputError(
+            f"{name}: {np.count_nonzero(bad)} vertices have coordinates that are not finite, the first is "
+            f"vertex {where} (counted from 0): {raw.vertices[where].tolist()}. Export the file again"
+        )
+    farthest = float(np.abs(raw.vertices).max())
+    if farthest > _FARTHEST_MM / unit_mm:
+        raise InputError(
+            f"{name}: coordinates up to {farthest:g} units of {unit_mm:g} mm, at most {_FARTHEST_MM:g} mm "
+            "are accepted; the file is damaged or its unit is wrong"
+        )
+
+
+def _have_area(vertices: Float64, faces: Int32) -> Bool:
+    """Which faces have an area, and so a direction, shape (m,)."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    u, v, w = b - a, c - a, c - b
+    cross = np.cross(u, v)
+    longest = np.maximum(np.maximum((u * u).sum(axis=1), (v * v).sum(axis=1)), (w * w).sum(axis=1))
+    return np.sqrt((cross * cross).sum(axis=1)) > _FLAT * longest
+
+
+def _vertex_warnings(raw: RawMesh, merged: int) -> list[str]:
+    used = np.zeros(len(raw.vertices), dtype=np.bool_)
+    used[raw.faces] = True
     unused = int(np.count_nonzero(~used))
     warnings: list[str] = []
     if unused:
         warnings.append(f"{unused} of {len(used)} vertices belong to no triangle: left out")
-    if merged and not soup.repeats_vertices:
+    if merged and not raw.repeats_vertices:
         warnings.append(f"{merged} of {len(used)} vertices repeat another one: merged")
     return warnings
 
@@ -185,27 +199,6 @@ def _compact(vertices: Float64, faces: Int32) -> TriangleMesh:
     used[faces] = True
     number = np.cumsum(used, dtype=np.int32) - 1
     return TriangleMesh(vertices[used], number[faces])
-
-
-def _described(
-    mesh: TriangleMesh,
-    kind: str,
-    unit_mm: float,
-    repaired: Repaired,
-    source: Literal["facets", "smoothed", "file", "CAD surface"],
-) -> MeshDescription:
-    x, y, z = (mesh.bounds[1] - mesh.bounds[0]).tolist()
-    return MeshDescription(
-        format=kind,
-        unit_mm=unit_mm,
-        triangles=len(mesh.faces),
-        vertices=len(mesh.vertices),
-        components=repaired.components,
-        open_edges=repaired.pairs.open_edges,
-        nonmanifold_edges=repaired.pairs.nonmanifold_edges,
-        size_mm=(x, y, z),
-        normals=source,
-    )
 
 
 def _check_arguments(

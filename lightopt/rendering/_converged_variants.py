@@ -15,31 +15,20 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float64, Int64
 from lightopt.core.kernels import kernel
 from lightopt.geometry import RayCaster
-from lightopt.optics import MIN_COS_VIEW
-from lightopt.rendering._converged import ConvergedPanel, panel_probes
-from lightopt.rendering._lobe import (
+from lightopt.optics import specular_cosine
+from lightopt.rendering._converged_panel import ConvergedPanel, panel_probes
+from lightopt.rendering._panel_light import PanelNumbers, attenuated, panel_numbers, panel_point
+from lightopt.rendering._panel_quadrature import (
     NODES,
     WEIGHTS,
     WHOLE_PANEL,
     Rectangle,
+    half_vector_cone,
     rectangle_diffuse,
     rectangle_specular,
 )
-from lightopt.rendering._panel import (
-    PanelNumbers,
-    Vector,
-    cross,
-    divided,
-    dot,
-    half_diagonal,
-    length,
-    minus,
-    panel_numbers,
-    panel_point,
-    plus,
-    vector_at,
-)
 from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._vectors import Vector, cross, dot, minus, vector_at
 from lightopt.scene import panel_grid
 
 CELLS = 4
@@ -124,7 +113,6 @@ def _levels(
     levels: Float64,
 ) -> None:
     lean, R_d, R_s, inverse, most = variants
-    half_panel = half_diagonal(panel)
     for i in range(len(points)):
         if number[i] == 0:
             continue
@@ -137,18 +125,8 @@ def _levels(
         )
         a = cross(n, r)
         towards = _light_vector(p, panel, panel_nodes, cells[i], whole)
-        # how far the half vectors of the panel's points are from that of its centre, at most
+        half, spread = half_vector_cone(p, v, panel)
         light = minus(panel.centre, p)
-        distance = length(light)
-        half = plus(divided(light, distance), v)
-        size = length(half)
-        spread = math.pi
-        if half_panel < 0.9 * distance and size > 1e-3:
-            half = divided(half, size)
-            turn = math.asin(half_panel / distance)
-            cosine = math.cos(math.acos(min(1.0, 0.5 * size)) + 0.5 * turn)
-            if cosine > 0.1:
-                spread = turn / (2.0 * cosine)
         for t in range(len(lean)):
             turned = leaning(lean, t, n, r, a)
             lowest = dot(turned, light)
@@ -163,7 +141,7 @@ def _levels(
             s = 0.0
             n_dot_v = dot(turned, v)
             if n_dot_v > 0.0:
-                furthest = most[t] - math.log(max(n_dot_v, MIN_COS_VIEW))
+                furthest = most[t] - math.log(specular_cosine(n_dot_v))
                 reach = spread + math.sqrt(max(0.0, furthest) / inverse[t])
                 if reach >= math.pi or dot(turned, half) > math.cos(reach):
                     if whole:
@@ -194,10 +172,7 @@ def _light_vector(p: Vector, panel: PanelNumbers, count: int, cells: Bool, whole
                     r2 = dot(light, light)
                     r = 1.0 / math.sqrt(r2)
                     w = WEIGHTS[few, i] * WEIGHTS[few, j] / (parts * parts)
-                    if panel.inverse_square:
-                        w *= panel.distance * panel.distance / r2
-                    if panel.emission_exponent > 0.0:
-                        w *= max(0.0, dot(panel.outward, light) * r) ** panel.emission_exponent
+                    w = attenuated(w, panel, r2, dot(panel.outward, light) * r)
                     x += w * r * light.x
                     y += w * r * light.y
                     z += w * r * light.z

@@ -22,8 +22,7 @@ import math
 import numpy as np
 
 from lightopt.core.arrays import Float64
-from lightopt.defects._profile import height_gradient, radial_place
-from lightopt.defects._shape import SHAPE_KINDS, DefectShape
+from lightopt.defects._shape import SHAPE_KINDS, DefectShape, height_gradient, radial_place
 
 PER_OCTAVE = 4
 LEAST_OCTAVE, MOST_OCTAVE = -5, 3
