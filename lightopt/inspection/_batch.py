@@ -52,22 +52,13 @@ def inspect_batch(
 
     Predictions are reused from set to set. A set of unusable images is refused, and the others are inspected.
 
-    Parameters
-    ----------
-    sets
-        Rendered or captured.
-    calibration
-        Learned from good parts.
-    truth
-        From :func:`truth_sources`: the results are evaluated against it.
-    folders
-        That the results will be written to: each is made before its set is inspected, and removed where the set is
+    sets: Rendered or captured.
+    calibration: Learned from good parts.
+    truth: From :func:`truth_sources`: the results are evaluated against it.
+    folders: That the results will be written to: each is made before its set is inspected, and removed where the set is
         refused and the folder is new.
 
-    Raises
-    ------
-    InputError
-        Wrong options, or a calibration of another rig, part or way to inspect; before the first set.
+    Raises InputError: wrong options, or a calibration of another rig, part or way to inspect; before the first set.
     """
     options, run = options or InspectOptions(), run or RunContext()
     if problems := options.problems():

@@ -45,10 +45,7 @@ def inspection_provenance(
 ) -> dict[str, Any]:
     """What an inspection depends on, in the layout of :mod:`lightopt.core.provenance`.
 
-    Parameters
-    ----------
-    before
-        The sets of its batch that were inspected before: a part that lies near one of theirs reuses its prediction.
+    before: The sets of its batch that were inspected before: a part that lies near one of theirs reuses its prediction.
     """
     inputs: dict[str, Any] = {
         **input_hashes(rig, part),
@@ -128,10 +125,7 @@ class InspectionFolder(ResultFolder):
     def write(self, result: InspectionResult, verdict: Verdict) -> list[Path]:
         """Write ``defects.csv``, ``defects.ply`` and at last ``defects.json``.
 
-        Parameters
-        ----------
-        verdict
-            On it.
+        verdict: On it.
         """
         written = [
             self.write_text("defects.csv", _table(result, verdict)),
@@ -158,10 +152,7 @@ class BatchFolder(ResultFolder):
 def set_names(sets: Sequence[ImageSet], out: Path) -> list[str]:
     """Names of the folders below `out` for the results of several sets: those of the sets.
 
-    Raises
-    ------
-    InputError
-        Sets of the same name.
+    Raises InputError: sets of the same name.
     """
     names = [image_set.folder.resolve().name for image_set in sets]
     if twice := sorted({name for name in names if names.count(name) > 1}):

@@ -48,12 +48,8 @@ class GreyPicture:
 def grey_picture(level: Float32, mask: Bool) -> GreyPicture:
     """Show an image: white is the level that one in a thousand pixels exceeds, and dark images are stretched.
 
-    Parameters
-    ----------
-    level
-        Shape (H, W) [grey level].
-    mask
-        Pixels that show the part; the others are black, shape (H, W).
+    level: Shape (H, W) [grey level].
+    mask: Pixels that show the part; the others are black, shape (H, W).
     """
     inside = level[mask]
     white = max(float(np.percentile(inside, 99.9)), 1e-6) if inside.size else 1.0

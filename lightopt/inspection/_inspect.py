@@ -44,19 +44,11 @@ def inspect_set(
 ) -> InspectionResult:
     """Find the defects of the part that a set of images shows.
 
-    Parameters
-    ----------
-    image_set
-        Rendered or captured.
-    cache
-        Of predictions, for the sets of a batch.
-    calibration
-        Learned from good parts: thresholds are theirs, and what they have in common is no defect.
+    image_set: Rendered or captured.
+    cache: Of predictions, for the sets of a batch.
+    calibration: Learned from good parts: thresholds are theirs, and what they have in common is no defect.
 
-    Raises
-    ------
-    InputError
-        Images that are not the rig's or not the part's, or not as those of the calibration.
+    Raises InputError: images that are not the rig's or not the part's, or not as those of the calibration.
     """
     options, run = options or InspectOptions(), run or RunContext()
     if problems := options.problems():

@@ -34,21 +34,12 @@ def random_defects_text(
 ) -> str:
     """Text of a part file with defects: the part's own, comments and all, and the list at its end.
 
-    Parameters
-    ----------
-    part
-        Read from a file that names no defects.
-    folder
-        That the text will lie in: the mesh is named relative to it.
-    comment
-        Of the list.
-    made_from
-        From :func:`random_defect_provenance`: a second line of comment, as JSON.
+    part: Read from a file that names no defects.
+    folder: That the text will lie in: the mesh is named relative to it.
+    comment: Of the list.
+    made_from: From :func:`random_defect_provenance`: a second line of comment, as JSON.
 
-    Raises
-    ------
-    InputError
-        The part names defects already, or its file is written so that nothing can be added to it.
+    Raises InputError: the part names defects already, or its file is written so that nothing can be added to it.
     """
     if ("defects",) in part.source.lines:
         raise InputError(
@@ -63,10 +54,7 @@ def random_defects_text(
 def write_random_defects(path: Path, text: str, *, force: bool) -> None:
     """Write the part file.
 
-    Raises
-    ------
-    InputError
-        Something else is there, and `force` is not given; or the file cannot be written.
+    Raises InputError: something else is there, and `force` is not given; or the file cannot be written.
     """
     if path.is_dir():
         raise InputError(f"{path}: expected the name of a part file to write, found a folder")

@@ -81,19 +81,11 @@ def place_random_defects(
     directions evenly all around; a place is taken where the defect is seen whole in one posture, off silhouettes,
     creases and grazing views, and apart from those before it. The same files, count and seed give the same defects.
 
-    Parameters
-    ----------
-    rig, part
-        The part's own defects do not matter.
-    count
-        Number of defects, 1 to 500.
-    seed
-        Of the random numbers, 0 or more.
+    rig, part: The part's own defects do not matter.
+    count: Number of defects, 1 to 500.
+    seed: Of the random numbers, 0 or more.
 
-    Raises
-    ------
-    InputError
-        Whatever is wrong with the files; a count or seed out of range; no room for so many defects.
+    Raises InputError: whatever is wrong with the files; a count or seed out of range; no room for so many defects.
     """
     problems: list[str] = []
     if not 1 <= count <= MOST_DEFECTS:

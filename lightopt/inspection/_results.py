@@ -141,10 +141,7 @@ class Verdict:
 def judge(result: InspectionResult, limits: InspectionConfig) -> Verdict:
     """Hold an inspection against the part's limits.
 
-    Parameters
-    ----------
-    limits
-        From the part's file.
+    limits: From the part's file.
     """
     counting = [
         defect.number

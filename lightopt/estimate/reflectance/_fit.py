@@ -66,15 +66,9 @@ def fit_diffuse(
 
     Where the highlights are is found by a fit of the whole model first.
 
-    Parameters
-    ----------
-    options
-        Of the numbers of points only the first is used.
+    options: Of the numbers of points only the first is used.
 
-    Raises
-    ------
-    InputError
-        Images that are not the rig's or not the part's, or that do not determine R_d.
+    Raises InputError: images that are not the rig's or not the part's, or that do not determine R_d.
     """
     options, run = options or FitOptions(), run or RunContext()
     points = options.points[0] if options.points else None
@@ -135,17 +129,10 @@ def fit_specular(
 ) -> FitResult:
     """Fit R_s and σ, and R_d where ``options.joint``.
 
-    Parameters
-    ----------
-    options
-        Each number of points is fitted, and the one under which the images are likeliest is kept.
-    save_prediction
-        Called with each image that validation predicted without having seen it, and its prediction.
+    options: Each number of points is fitted, and the one under which the images are likeliest is kept.
+    save_prediction: Called with each image that validation predicted without having seen it, and its prediction.
 
-    Raises
-    ------
-    InputError
-        Images that are not the rig's or not the part's, or that do not determine R_s and σ.
+    Raises InputError: images that are not the rig's or not the part's, or that do not determine R_s and σ.
     """
     options, run = options or FitOptions(), run or RunContext()
     tried: list[tuple[FitResult, FitSetup, Samples, PointsRow | None]] = []

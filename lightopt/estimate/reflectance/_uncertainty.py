@@ -67,10 +67,7 @@ def uncertainty(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> tupl
     for clusters of observations) over that of the first. A few dozen pieces carry a highlight, so that this ratio
     scatters by tenths even where the model is right: only what is beyond that scatter counts.
 
-    Returns
-    -------
-    tuple of numpy.ndarray
-        Shape (k, k), and shape (k,) of at least 1; 0 and 1 for noise parameters that the images do not determine.
+    Returns Shape (k, k), and shape (k,) of at least 1; 0 and 1 for noise parameters that the images do not determine.
     """
     places = determined_parameters(likelihood, x, free)
     rows = [list(free).index(place) for place in places]

@@ -73,10 +73,8 @@ def read_observations(
 
     From the images of a set captured with frames without light those are subtracted.
 
-    Raises
-    ------
-    InputError
-        No images; lights, angles, bit depth, levels or sizes that are not the rig's. All problems at once.
+    Raises InputError: no images; lights, angles, bit depth, levels or sizes that are not the rig's. All problems at
+        once.
     """
     problems = [*_manifest_problems(image_set, rig, part), *_light_problems(image_set.images, rig, image_set)]
     if problems:

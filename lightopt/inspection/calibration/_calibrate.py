@@ -62,17 +62,11 @@ def calibrate(
     Each set is judged by what the others have in common, so that its greatest score is that of a set which was not
     learned from.
 
-    Parameters
-    ----------
-    sets
-        Of good parts, all of the same postures and lights.
-    options
-        How later sets will be inspected; `false_alarms` is the rate that is to be held.
+    sets: Of good parts, all of the same postures and lights.
+    options: How later sets will be inspected; `false_alarms` is the rate that is to be held.
 
-    Raises
-    ------
-    InputError
-        Too few sets for the rate, sets that differ in their postures or images, or images that are not the part's.
+    Raises InputError: too few sets for the rate, sets that differ in their postures or images, or images that are not
+        the part's.
     """
     run = run or RunContext()
     if problems := options.problems():
@@ -102,14 +96,9 @@ def calibrate_registered(
 ) -> Calibration:
     """Learn from registered image sets of good parts.
 
-    Parameters
-    ----------
-    sets
-        Each with its name for messages; taken one at a time.
-    names
-        Of all sets.
-    fingerprint
-        What the calibration is valid for, from :func:`calibration_fingerprint`.
+    sets: Each with its name for messages; taken one at a time.
+    names: Of all sets.
+    fingerprint: What the calibration is valid for, from :func:`calibration_fingerprint`.
     """
     require_good_sets(len(names), options)
     postures: dict[Posture, _GoodPosture] = {}
@@ -150,10 +139,7 @@ def calibrate_registered(
 def require_good_sets(sets: int, options: InspectOptions) -> None:
     """Refuse a number of good sets that is too small for the rate of false alarms.
 
-    Raises
-    ------
-    InputError
-        Says how many are needed.
+    Raises InputError: says how many are needed.
     """
     if options.false_alarms < least_rate(sets):
         raise InputError(too_few_good_sets(sets, options.false_alarms, "--calibrate"))

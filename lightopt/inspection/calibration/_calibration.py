@@ -45,10 +45,7 @@ class CalibratedPosture:
     def threshold(self, rate: float) -> float:
         """Score that holds a rate of false alarms.
 
-        Raises
-        ------
-        InputError
-            There are too few good sets for the rate.
+        Raises InputError: there are too few good sets for the rate.
         """
         peak = tolerance_limit(self.peaks, rate)
         if peak is None:
@@ -78,10 +75,7 @@ class Calibration:
     def require_match(self, rig: RigConfig, part: PartConfig, options: InspectOptions) -> None:
         """Refuse another rig, part, way to inspect or program, and a rate that needs more good sets.
 
-        Raises
-        ------
-        InputError
-            Names all that differs.
+        Raises InputError: names all that differs.
         """
         now = calibration_fingerprint(rig, part, options)
         parts = {
@@ -115,10 +109,7 @@ class Calibration:
     def of(self, posture: Posture, exposures: ExposuresByLight, *, where: str) -> CalibratedPosture:
         """What was learned of a posture that was taken in this way.
 
-        Raises
-        ------
-        InputError
-            Nothing: no such posture, other lights, exposures or numbers of frames.
+        Raises InputError: nothing: no such posture, other lights, exposures or numbers of frames.
         """
         found = next((one for one in self.postures if one.posture == posture), None)
         if found is None:

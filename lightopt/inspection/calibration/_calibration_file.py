@@ -59,15 +59,9 @@ class CalibrationFolder(ResultFolder):
 def read_calibration(path: Path) -> Calibration:
     """Read a calibration.
 
-    Parameters
-    ----------
-    path
-        ``calibration.json``, or its folder.
+    path: ``calibration.json``, or its folder.
 
-    Raises
-    ------
-    InputError
-        No such file, no calibration, or maps that are not those it names.
+    Raises InputError: no such file, no calibration, or maps that are not those it names.
     """
     if path.is_dir():
         path = path / CALIBRATION_NAME

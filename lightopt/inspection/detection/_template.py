@@ -42,10 +42,7 @@ def templates() -> tuple[Float64, ...]:
 def score_templates(image: SyntheticImage) -> Float32:
     """−log₁₀ of the probability that a place of even texture answers to a template as strongly, shape (H, W).
 
-    Parameters
-    ----------
-    image
-        Without highlights.
+    image: Without highlights.
     """
     mask = image.mask
     if not mask.any():
@@ -111,17 +108,10 @@ def score_posture(
 ) -> tuple[Float32, int]:
     """The scores of a posture by the detector that was chosen, and how many scores each is the greatest of.
 
-    Parameters
-    ----------
-    found
-        Deviations from the good part, for the residual detector.
-    synthetic
-        Makes the image without highlights, for the template detector; the other does not call it.
+    found: Deviations from the good part, for the residual detector.
+    synthetic: Makes the image without highlights, for the template detector; the other does not call it.
 
-    Returns
-    -------
-    tuple
-        −log₁₀ of the probability that noise alone looks as much like a defect, shape (H, W); number of tests.
+    Returns −log₁₀ of the probability that noise alone looks as much like a defect, shape (H, W); number of tests.
     """
     if options.detector == "template":
         assert synthetic is not None

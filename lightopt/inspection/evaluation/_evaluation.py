@@ -81,10 +81,7 @@ def evaluate_set(
 ) -> SetEvaluation:
     """Compare an inspection with the labels of its images, or with `known` defects where these have none.
 
-    Raises
-    ------
-    InputError
-        Neither labels nor known defects.
+    Raises InputError: neither labels nor known defects.
     """
     labels = true_labels(image_set, result, known=known)
     listed = labels.listed
@@ -131,12 +128,8 @@ def defect_size(one: Mapping[str, Any]) -> float:
 def region_hits(labels: Int32, truth: Int32) -> list[Int32]:
     """For each region the defects that it finds: those that it touches, unless it is far larger than all of them.
 
-    Parameters
-    ----------
-    labels
-        Number of the region of each pixel, from 1, 0 for none, shape (H, W).
-    truth
-        Index of the defect of each pixel, −1 for none, same shape.
+    labels: Number of the region of each pixel, from 1, 0 for none, shape (H, W).
+    truth: Index of the defect of each pixel, −1 for none, same shape.
     """
     hits: list[Int32] = []
     size = np.bincount(truth[truth >= 0], minlength=1)
@@ -155,12 +148,8 @@ def region_hits(labels: Int32, truth: Int32) -> list[Int32]:
 def area_under_roc(score: Float64, positive: Bool) -> float:
     """Probability that a positive scores more than a negative, ties counting half (Mann and Whitney).
 
-    Parameters
-    ----------
-    score
-        Shape (n,).
-    positive
-        Shape (n,), neither all true nor all false.
+    score: Shape (n,).
+    positive: Shape (n,), neither all true nor all false.
     """
     p = int(positive.sum())
     q = len(positive) - p

@@ -38,15 +38,9 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
     which is `part`, or lies beside it with the content that it had. A set without the name of its part file, or taken
     by this file before it was edited, has the defects that `part` names.
 
-    Parameters
-    ----------
-    part
-        That the images are inspected by.
+    part: That the images are inspected by.
 
-    Raises
-    ------
-    InputError
-        There is no source, or labels are listed and their images are not.
+    Raises InputError: there is no source, or labels are listed and their images are not.
     """
     manifest = image_set.manifest
     if isinstance(manifest.extra.get("defects"), list):
@@ -84,10 +78,7 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
 def truth_sources(sets: Sequence[ImageSet], part: PartConfig) -> list[TruthSource]:
     """The sources of ground truth of several sets, by :func:`truth_source`.
 
-    Raises
-    ------
-    InputError
-        The problems of all sets together.
+    Raises InputError: the problems of all sets together.
     """
     problems: list[str] = []
 

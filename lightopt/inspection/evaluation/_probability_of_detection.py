@@ -52,12 +52,8 @@ class DetectionCurve:
 def fit_detection_curve(sizes: Sequence[float], found: Sequence[bool]) -> DetectionCurve:
     """Fit the curve of detection.
 
-    Parameters
-    ----------
-    sizes
-        Of the defects [mm].
-    found
-        Whether each was.
+    sizes: Of the defects [mm].
+    found: Whether each was.
     """
     x, hit = np.log(np.asarray(sizes, np.float64)), np.asarray(found, np.bool_)
     n, k = len(x), int(hit.sum())

@@ -132,12 +132,8 @@ class PoissonGrid:
 def poisson_grid(mask: Bool, wx: Float64, wy: Float64) -> PoissonGrid:
     """Prepare the integration over a mask.
 
-    Parameters
-    ----------
-    mask
-        Pixels of the image, shape (H, W).
-    wx, wy
-        Weight of the differences to the pixel to the right, shape (H, W − 1), and below, (H − 1, W); above 0. Those
+    mask: Pixels of the image, shape (H, W).
+    wx, wy: Weight of the differences to the pixel to the right, shape (H, W − 1), and below, (H − 1, W); above 0. Those
         of edges that leave the mask do not matter.
     """
     components = np.zeros(mask.shape, np.int32)

@@ -105,18 +105,12 @@ def fuse_images(
     as much as shading. Of those it is taken off, as estimated from the prediction with noise; where gradients are
     averaged it counts as uncertainty.
 
-    Parameters
-    ----------
-    levels, deviations
-        Of the images and of their noise, shape (images, H, W) [grey level].
-    weights
-        From :func:`pixel_weights`, same shape.
-    mask
-        Pixels to make an image of, shape (H, W).
-    predicted, specular
-        Levels of the good part, and the highlights' share of them, shape of `levels`; nothing is taken off without.
-    probes
-        How many times noise is added to find the uncertainty; 0 for an uncertainty of 0.
+    levels, deviations: Of the images and of their noise, shape (images, H, W) [grey level].
+    weights: From :func:`pixel_weights`, same shape.
+    mask: Pixels to make an image of, shape (H, W).
+    predicted, specular: Levels of the good part, and the highlights' share of them, shape of `levels`; nothing is taken
+        off without.
+    probes: How many times noise is added to find the uncertainty; 0 for an uncertainty of 0.
     """
     rows, columns = (
         slice(max(0, side.start - MARGIN_PX), side.stop + MARGIN_PX) for side in mask_window(mask)

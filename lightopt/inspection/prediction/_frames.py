@@ -30,12 +30,8 @@ def world_to_mesh_file(
 def nominal_pixels(view: PostureView, scene: Scene, placement: Placement) -> Int32:
     """For each pixel the one that shows its place where the part's file has it: flat index or −1, shape (H, W).
 
-    Parameters
-    ----------
-    scene
-        With the part where its file has it.
-    placement
-        Where it lies from there.
+    scene: With the part where its file has it.
+    placement: Where it lies from there.
     """
     geometry = view.prediction.images.geometry
     index = np.full(geometry.hit.shape, -1, np.int32)

@@ -88,10 +88,7 @@ def nominal_scene(
 ) -> tuple[Scene, tuple[Observation, ...]]:
     """The part without defects where its file has it, under the lights and in the postures of a set, and the images.
 
-    Parameters
-    ----------
-    scenes
-        Of the same rig and part by postures and lights, to reuse and to add to: reading a mesh takes time.
+    scenes: Of the same rig and part by postures and lights, to reuse and to add to: reading a mesh takes time.
     """
     observations = read_observations(image_set, rig, part, threads=threads)
     used = {o.light for o in observations}
