@@ -541,12 +541,12 @@ def test_sixteen_bits_and_exposures_and_sets_without_exr_will_do(cli, bench, tmp
 @pytest.mark.parametrize(
     ("option", "said"),
     [
-        (("--detector", "magic"), "--detector: expected residual or template"),
-        (("--fusion", "mean"), "--fusion: expected paper, median, minimum, second-largest or none"),
-        (("--false-alarms", "0"), "--false-alarms: expected a number from 1e-9 to 1"),
-        (("--seen-by", "0"), "--seen-by: expected 1 or more"),
+        (("--detector", "magic"), "detector: expected residual or template"),
+        (("--fusion", "mean"), "fusion: expected paper, median, minimum, second-largest or none"),
+        (("--false-alarms", "0"), "false_alarms: expected a number from 1e-9 to 1"),
+        (("--seen-by", "0"), "seen_by: expected 1 or more"),
         (("--threads", "0"), "--threads: expected at least 1"),
-        (("--detector", "template", "--fusion", "none"), "needs a --fusion"),
+        (("--detector", "template", "--fusion", "none"), "needs a fusion"),
     ],
 )
 def test_wrong_options_are_named(cli, bench, parts, option, said):

@@ -18,22 +18,23 @@ from lightopt.inspection.calibration._calibration import (
     CalibratedPosture,
     Calibration,
     calibration_fingerprint,
+    least_rate,
+    too_few_good_sets,
 )
-from lightopt.inspection.calibration._false_alarm_rates import least_rate, too_few_good_sets
 from lightopt.inspection.calibration._systematic import (
     PackedDeviations,
     SystematicSums,
     subtract_systematic,
 )
+from lightopt.inspection.detection._detectors import DETECTORS
 from lightopt.inspection.detection._deviation import deviations
 from lightopt.inspection.detection._score import score_deviations
-from lightopt.inspection.detection._template import score_posture
 from lightopt.inspection.fusion._synthetic_image import synthetic_image
-from lightopt.inspection.prediction._frames import nominal_pixels
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
 from lightopt.inspection.prediction._registered_set import (
     ExposuresByLight,
     RegisteredSet,
+    nominal_pixels,
     register_set,
 )
 
@@ -76,7 +77,7 @@ def calibrate(
         cache = PredictionCache()
         for one in sets:
             inner = run.within(f"good set {one.folder.name}")
-            yield str(one.folder), register_set(rig, part, one, options=options, cache=cache, run=inner)
+            yield str(one.folder), register_set(rig, part, one, shift=options.shift, cache=cache, run=inner)
 
     require_good_sets(len(sets), options)
     names = tuple(one.folder.resolve().name for one in sets)
@@ -101,6 +102,7 @@ def calibrate_registered(
     fingerprint: What the calibration is valid for, from :func:`calibration_fingerprint`.
     """
     require_good_sets(len(names), options)
+    detector = DETECTORS[options.detector]
     postures: dict[Posture, _GoodPosture] = {}
     with tempfile.TemporaryDirectory(prefix="lightopt-calibration-") as folder:
         for number, (name, registered) in enumerate(sets):
@@ -111,10 +113,10 @@ def calibrate_registered(
                 gathered = _same_images(postures, view.posture, exposures, name)
                 seen.append(view.posture)
                 found = deviations(view, threads=threads)
-                if options.detector == "template":
+                if detector.uses_synthetic:
                     assert options.fusion is not None
                     make_synthetic = partial(synthetic_image, view, options.fusion, probes=0, threads=threads)
-                    score, _ = score_posture(found, options, make_synthetic, threads=threads)
+                    score = detector.score(found, options.seen_by, make_synthetic, threads)
                     gathered.peaks.append(float(score.max(initial=0.0)))
                     continue
                 nominal = nominal_pixels(view, registered.nominal, registered.placement)
@@ -142,7 +144,7 @@ def require_good_sets(sets: int, options: InspectOptions) -> None:
     Raises InputError: says how many are needed.
     """
     if options.false_alarms < least_rate(sets):
-        raise InputError(too_few_good_sets(sets, options.false_alarms, "--calibrate"))
+        raise InputError(too_few_good_sets(sets, options.false_alarms, "the calibration"))
 
 
 def _same_images(

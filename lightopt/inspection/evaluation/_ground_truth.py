@@ -16,7 +16,7 @@ from lightopt.defects import PlacedDefect, mark_surface
 from lightopt.estimate.registration import Placement
 from lightopt.images import ImageSet
 from lightopt.inspection._results import InspectedPosture, InspectionResult
-from lightopt.inspection.prediction._frames import world_to_mesh_file
+from lightopt.inspection.prediction._registered_set import world_to_mesh_file
 from lightopt.scene import defect_facts
 
 
@@ -61,7 +61,7 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
             raise InputError(
                 f"{image_set.folder}: nothing is known of defects on this part: the images have no labels, and were "
                 f"taken by {own.file}, which does not lie beside {part.source.path} as it was then; put it there, or "
-                "leave --truth out"
+                "inspect without ground truth"
             )
         return _part_file_source(load_part(beside), own.file)
     if own is not None and own.sha256 == part.source.sha256:
@@ -70,7 +70,7 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
         raise InputError(
             f"{image_set.folder}: nothing is known of defects on this part: the images have no labels, as lightopt "
             f"render writes them, and {part.source.path}, by which they were not taken as it is now, names no defects; "
-            "give the part file whose defects: are those of the part in the images, or leave --truth out"
+            "give the part file whose defects: are those of the part in the images, or inspect without ground truth"
         )
     return TruthSource(part)
 
@@ -99,7 +99,8 @@ def _part_file_source(part: PartConfig, name: str) -> TruthSource:
     if part.defects:
         return TruthSource(part)
     return TruthSource(
-        part, warnings=(f"--truth: {name}, by which it was taken, names no defects: held to be a good part",)
+        part,
+        warnings=(f"ground truth: {name}, by which it was taken, names no defects: held to be a good part",),
     )
 
 

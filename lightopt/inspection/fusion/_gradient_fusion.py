@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Final, Literal
 
 import numpy as np
 
@@ -15,8 +16,11 @@ from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.inspection._image_blocks import in_row_blocks
-from lightopt.inspection._options import FUSIONS, Fusion
 from lightopt.inspection.fusion._pixel_weights import LIT
+
+Fusion = Literal["paper", "median", "minimum", "second-largest"]
+FUSIONS: Final = ("paper", "median", "minimum", "second-largest")
+"""Rules of fusion; :func:`fuse_gradients` has their definitions."""
 
 Gradients = list[Float64]
 """Differences to the pixel to the right, shape (H, W − 1), and to the one below, shape (H − 1, W)."""

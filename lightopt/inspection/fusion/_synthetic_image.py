@@ -13,9 +13,9 @@ from scipy import ndimage
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.threads import in_threads
 from lightopt.inspection._image_blocks import filter_tile, gaussian_taps, in_row_blocks, mask_window
-from lightopt.inspection._options import Fusion
 from lightopt.inspection.fusion._gradient_fusion import (
     FusedGradients,
+    Fusion,
     FusionRule,
     fuse_with_prediction,
 )
