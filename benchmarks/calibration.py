@@ -24,8 +24,8 @@ from benchmarks.inspection import FIRST, FULL, Size, prepare, replace_block
 from lightopt import load_part
 from lightopt.estimate.registration import Observation, Placement, place_part
 from lightopt.inspection import (
+    DETECTORS,
     CalibratedPosture,
-    Detector,
     Deviations,
     InspectOptions,
     PostureView,
@@ -38,7 +38,6 @@ from lightopt.inspection import (
     posture_view,
     predict,
     region_hits,
-    score_posture,
     sets_needed,
     subtract_systematic,
     synthetic_image,
@@ -57,7 +56,6 @@ MISPLACED_PX = 0.01
 """Error of the place that the inspection is told: normal, of this standard deviation."""
 
 WIDER_LOBE = 1.01
-DETECTORS: tuple[Detector, ...] = ("residual", "template")
 
 
 def strewn(folder: Path, part: Path, rig: Path, size: Size) -> Path:
@@ -169,8 +167,9 @@ def regions_of(
     make_synthetic = (
         None if options.fusion is None else partial(synthetic_image, view, options.fusion, probes=0)
     )
-    score, tests = score_posture(found, options, make_synthetic)
-    noise = threshold(options.false_alarms, int(view.clean.sum()), tests)
+    detector = DETECTORS[options.detector]
+    score = detector.score(found, options.seen_by, make_synthetic, None)
+    noise = threshold(options.false_alarms, int(view.clean.sum()), detector.tests)
     high = noise if taught is None else taught.threshold(options.false_alarms)
     return find_regions(score, high)[0]
 

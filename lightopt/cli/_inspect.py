@@ -31,8 +31,7 @@ from lightopt.core.run_context import RunContext, StageShare
 if TYPE_CHECKING:
     from lightopt.config import PartConfig, RigConfig
     from lightopt.images import ImageSet
-    from lightopt.inspection import Calibration, Detector, Fusion, InspectOptions
-    from lightopt.report import BatchRow
+    from lightopt.inspection import BatchRow, Calibration, Fusion, InspectOptions
 
 
 DEFAULT_FALSE_ALARMS = 0.05
@@ -119,7 +118,7 @@ def inspect(
     if false_alarms is None:
         false_alarms = DEFAULT_FALSE_ALARMS if learned is None else learned.rate
     options = InspectOptions(
-        detector=cast("Detector", detector),
+        detector=detector,
         fusion=None if fusion == "none" else cast("Fusion", fusion),
         false_alarms=false_alarms,
         seen_by=min_images,
@@ -175,6 +174,7 @@ def _inspect(
     # one set goes to `out`; several go to folders below it, and what is said of all of them to `out`
     from lightopt.inspection import (
         BatchFolder,
+        BatchRow,
         InspectionFolder,
         SetEvaluation,
         inspect_batch,
@@ -182,7 +182,6 @@ def _inspect(
         set_names,
         truth_sources,
     )
-    from lightopt.report import BatchRow
 
     rig, part, several = output.rig, output.part, len(sets) > 1
     names = set_names(sets, out)

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from lightopt.config import PartConfig, RigConfig
     from lightopt.inspection import (
         BatchFolder,
+        BatchRow,
         Calibration,
         InspectedSet,
         InspectionFolder,
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
         SetEvaluation,
         Verdict,
     )
-    from lightopt.report import BatchRow
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,8 +45,8 @@ def write_set(
 ) -> BatchRow:
     """Print a result, write its files, and the evaluation where it is `summarised` for this set alone."""
     from lightopt.images import posture_folder
-    from lightopt.inspection import REPORT_NAME, TRUTH_NAME, summarise, truth_text
-    from lightopt.report import BatchRow, defect_overlay, inspection_report
+    from lightopt.inspection import REPORT_NAME, TRUTH_NAME, BatchRow, summarise, truth_text
+    from lightopt.report import defect_overlay, inspection_report
 
     result, verdict = inspected.result, inspected.verdict
     assert result is not None

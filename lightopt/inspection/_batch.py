@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
+from typing import Any
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError
@@ -37,6 +38,35 @@ class InspectedSet:
     error: InputError | None = None
 
 
+@dataclass(frozen=True, kw_only=True)
+class BatchRow:
+    """One part of a batch, in the batch's table.
+
+    name: of its folder.
+    report: its own report, relative to the batch's; empty where it has none.
+    defects: number of those found, whether they count or not.
+    verdict: None where the part was refused.
+    refused: why it was not inspected.
+    """
+
+    name: str
+    report: str = ""
+    defects: int = 0
+    verdict: Verdict | None = None
+    refused: tuple[str, ...] = ()
+
+    @property
+    def word(self) -> str:
+        """``OK``, ``NG`` or ``not inspected``."""
+        return "not inspected" if self.verdict is None else self.verdict.word
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        if self.verdict is None:
+            return {"folder": self.name, "verdict": self.word, "reasons": list(self.refused)}
+        return {"folder": self.name, "defects": self.defects, **self.verdict.as_dict()}
+
+
 def inspect_batch(
     rig: RigConfig,
     part: PartConfig,
@@ -52,22 +82,13 @@ def inspect_batch(
 
     Predictions are reused from set to set. A set of unusable images is refused, and the others are inspected.
 
-    Parameters
-    ----------
-    sets
-        Rendered or captured.
-    calibration
-        Learned from good parts.
-    truth
-        From :func:`truth_sources`: the results are evaluated against it.
-    folders
-        That the results will be written to: each is made before its set is inspected, and removed where the set is
+    sets: Rendered or captured.
+    calibration: Learned from good parts.
+    truth: From :func:`truth_sources`: the results are evaluated against it.
+    folders: That the results will be written to: each is made before its set is inspected, and removed where the set is
         refused and the folder is new.
 
-    Raises
-    ------
-    InputError
-        Wrong options, or a calibration of another rig, part or way to inspect; before the first set.
+    Raises InputError: wrong options, or a calibration of another rig, part or way to inspect; before the first set.
     """
     options, run = options or InspectOptions(), run or RunContext()
     if problems := options.problems():

@@ -1,29 +1,31 @@
-"""The files of an inspection: defects as JSON, CSV and PLY, synthetic images and scores."""
+"""The files of an inspection: defects as JSON, CSV and PLY, synthetic images (also as grey pictures) and scores."""
 
 from __future__ import annotations
 
 import csv
 import io
 import json
+import math
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lightopt.config import PartConfig, RigConfig, input_hashes
+from lightopt.core.arrays import Bool, Float32, UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
 from lightopt.estimate.registration import Placement
 from lightopt.images import ImageSet, ResultFolder, make_folder, posture_folder, write_exr, write_png
-from lightopt.inspection._grey_picture import grey_picture
 from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._results import InspectedPosture, InspectionResult, Verdict
 from lightopt.inspection.calibration._calibration import Calibration
 from lightopt.inspection.detection._defects import KIND_COLOURS
 from lightopt.inspection.detection._regions import region_pixels
-from lightopt.inspection.prediction._frames import world_to_mesh_file
+from lightopt.inspection.prediction._registered_set import world_to_mesh_file
 
 DEFECTS_NAME, BATCH_NAME = "defects.json", "batch.json"
 TRUTH_NAME, REPORT_NAME = "truth.json", "report.html"
@@ -32,6 +34,10 @@ COLUMNS = (
     *("number", "kind", "counts", "x_mm", "y_mm", "z_mm", "length_mm", "width_mm", "area_mm2", "score"),
     *("greatest_contrast", "lights", "postures", "column_px", "row_px"),
 )
+
+DARK, LIFTED, LEAST_POWER = 0.1, 0.25, 0.2
+"""Where the middle level of the part is less than this share of white, levels are raised to the power that takes it to
+the second share, but to no less than the third."""
 
 
 def inspection_provenance(
@@ -45,10 +51,7 @@ def inspection_provenance(
 ) -> dict[str, Any]:
     """What an inspection depends on, in the layout of :mod:`lightopt.core.provenance`.
 
-    Parameters
-    ----------
-    before
-        The sets of its batch that were inspected before: a part that lies near one of theirs reuses its prediction.
+    before: The sets of its batch that were inspected before: a part that lies near one of theirs reuses its prediction.
     """
     inputs: dict[str, Any] = {
         **input_hashes(rig, part),
@@ -128,10 +131,7 @@ class InspectionFolder(ResultFolder):
     def write(self, result: InspectionResult, verdict: Verdict) -> list[Path]:
         """Write ``defects.csv``, ``defects.ply`` and at last ``defects.json``.
 
-        Parameters
-        ----------
-        verdict
-            On it.
+        verdict: On it.
         """
         written = [
             self.write_text("defects.csv", _table(result, verdict)),
@@ -158,10 +158,7 @@ class BatchFolder(ResultFolder):
 def set_names(sets: Sequence[ImageSet], out: Path) -> list[str]:
     """Names of the folders below `out` for the results of several sets: those of the sets.
 
-    Raises
-    ------
-    InputError
-        Sets of the same name.
+    Raises InputError: sets of the same name.
     """
     names = [image_set.folder.resolve().name for image_set in sets]
     if twice := sorted({name for name in names if names.count(name) > 1}):
@@ -226,3 +223,51 @@ def _points(result: InspectionResult) -> str:
         "end_header",
     ]
     return "\n".join([*head, *lines]) + "\n"
+
+
+@dataclass(frozen=True, eq=False)
+class GreyPicture:
+    """An image as grey: 255 · ((level − black) / (white − black)) ^ power.
+
+    black, white: the levels that are shown black and white [grey level].
+    """
+
+    grey: UInt8
+    black: float
+    white: float
+    power: float
+
+    @property
+    def legend(self) -> str:
+        """What grey stands for."""
+        black = f"black: {self.black:.3g}, " if self.black < 0.0 else ""
+        stretched = (
+            "" if self.power == 1.0 else f"; stretched by a power of {self.power:g}, so that dark places show"
+        )
+        return f"{black}white: {self.white:.3g} grey levels{stretched}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form, for a picture's metadata."""
+        return {
+            "black_level": round(self.black, 4),
+            "white_level": round(self.white, 4),
+            "power": self.power,
+        }
+
+
+def grey_picture(level: Float32, mask: Bool) -> GreyPicture:
+    """Show an image: white is the level that one in a thousand pixels exceeds, and dark images are stretched.
+
+    level: Shape (H, W) [grey level].
+    mask: Pixels that show the part; the others are black, shape (H, W).
+    """
+    inside = level[mask]
+    white = max(float(np.percentile(inside, 99.9)), 1e-6) if inside.size else 1.0
+    # gradients say nothing of the level of a dark field: integrated, it may be below black
+    black = min(0.0, float(np.percentile(inside, 1.0))) if inside.size else 0.0
+    share = np.where(mask, np.clip((level - black) / (white - black), 0.0, 1.0), 0.0)
+    middle = float(np.median(share[mask])) if inside.size else 1.0
+    power = 1.0
+    if middle < DARK:
+        power = max(LEAST_POWER, round(math.log(LIFTED) / math.log(max(middle, 1e-6)), 2))
+    return GreyPicture((255.0 * share**power + 0.5).astype(np.uint8), black, white, power)

@@ -1,35 +1,38 @@
-"""Inspect the images of a part: from rig, part and image set to defects and inspected surface."""
+"""Inspect the images of a part: from rig, part and image set to defects, inspected surface and warnings."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache, partial
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, counted
 from lightopt.core.run_context import RunContext
+from lightopt.core.transforms import Posture
+from lightopt.estimate.registration import DARK_SPREAD
 from lightopt.images import ImageSet
 from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._results import InspectedPosture, InspectionResult
-from lightopt.inspection._warnings import inspection_warnings
 from lightopt.inspection.calibration._calibration import CalibratedPosture, Calibration
 from lightopt.inspection.calibration._systematic import subtract_systematic
-from lightopt.inspection.detection._coverage import measure_coverage
+from lightopt.inspection.detection._coverage import measure_coverage, surface_coverage
 from lightopt.inspection.detection._defects import merge_detections
+from lightopt.inspection.detection._detectors import DETECTORS, RESIDUAL
 from lightopt.inspection.detection._deviation import deviations
 from lightopt.inspection.detection._measurement import measure_regions
 from lightopt.inspection.detection._regions import find_regions, split_regions
-from lightopt.inspection.detection._score import SCALES_PX, threshold
-from lightopt.inspection.detection._surface_coverage import surface_coverage
-from lightopt.inspection.detection._template import score_posture
+from lightopt.inspection.detection._score import threshold
 from lightopt.inspection.fusion._synthetic_image import synthetic_image
-from lightopt.inspection.prediction._frames import nominal_pixels
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
-from lightopt.inspection.prediction._registered_set import RegisteredSet, register_set
+from lightopt.inspection.prediction._registered_set import RegisteredSet, nominal_pixels, register_set
 from lightopt.scene import part_postures
 
 MOST_REGIONS = 1000
 """A posture with more regions than this is not a part with so many defects: its model does not describe it."""
+
+MOST_DARK_SHARE = 0.01
+"""A black level that is further off than this share of the sensor's range is reported."""
 
 
 def inspect_set(
@@ -44,19 +47,11 @@ def inspect_set(
 ) -> InspectionResult:
     """Find the defects of the part that a set of images shows.
 
-    Parameters
-    ----------
-    image_set
-        Rendered or captured.
-    cache
-        Of predictions, for the sets of a batch.
-    calibration
-        Learned from good parts: thresholds are theirs, and what they have in common is no defect.
+    image_set: Rendered or captured.
+    cache: Of predictions, for the sets of a batch.
+    calibration: Learned from good parts: thresholds are theirs, and what they have in common is no defect.
 
-    Raises
-    ------
-    InputError
-        Images that are not the rig's or not the part's, or not as those of the calibration.
+    Raises InputError: images that are not the rig's or not the part's, or not as those of the calibration.
     """
     options, run = options or InspectOptions(), run or RunContext()
     if problems := options.problems():
@@ -78,7 +73,7 @@ def find_defects(
     run: RunContext,
 ) -> InspectionResult:
     """As :func:`inspect_set`, with options and calibration that are checked; warnings are in the result only."""
-    registered = register_set(rig, part, image_set, options=options, cache=cache, run=run)
+    registered = register_set(rig, part, image_set, shift=options.shift, cache=cache, run=run)
     where = str(image_set.folder)
     postures: list[InspectedPosture] = []
     for view, exposures in registered.views:
@@ -122,9 +117,11 @@ def _inspect_posture(
     make_synthetic = None
     if options.fusion is not None:
         make_synthetic = cache(partial(synthetic_image, view, options.fusion, threads=threads))
-    score, tests = score_posture(found, options, make_synthetic, threads=threads)
+    detector = DETECTORS[options.detector]
+    score = detector.score(found, options.seen_by, make_synthetic, threads)
+    pixels = int(view.clean.sum())
     if calibrated is None:
-        high = threshold(options.false_alarms, int(view.clean.sum()), tests)
+        high = threshold(options.false_alarms, pixels, detector.tests)
     else:
         high = calibrated.threshold(options.false_alarms)
     labels, count = find_regions(score, high)
@@ -148,10 +145,74 @@ def _inspect_posture(
             view,
             found,
             seen_by=options.seen_by,
-            # templates have no deviations to measure a contrast by: theirs is what the other detector would find
-            high=high
-            if options.detector == "residual"
-            else threshold(options.false_alarms, int(view.clean.sum()), len(SCALES_PX)),
+            # the synthetic image has no deviations to measure a contrast by: what the residual detector would find
+            high=threshold(options.false_alarms, pixels, RESIDUAL.tests) if detector.uses_synthetic else high,
             threads=threads,
         ),
     )
+
+
+def inspection_warnings(
+    rig: RigConfig,
+    postures: Sequence[InspectedPosture],
+    options: InspectOptions,
+    *,
+    expected: Sequence[Posture] = (),
+    registration: Sequence[str] = (),
+    calibrated: bool = False,
+) -> tuple[str, ...]:
+    """Warnings of an inspection; `expected` are the postures that there should be images of."""
+    there = {p.view.posture for p in postures}
+    return (
+        *_of_options(rig, options, calibrated=calibrated),
+        *registration,
+        *(warning for p in postures for warning in _of_posture(rig, p, options)),
+        *(
+            f"posture {posture}: no images; what only it shows was not inspected"
+            for posture in expected
+            if posture not in there
+        ),
+    )
+
+
+def _of_options(rig: RigConfig, options: InspectOptions, *, calibrated: bool) -> list[str]:
+    warnings: list[str] = []
+    sensor = rig.camera.sensor
+    if not calibrated and (caveat := DETECTORS[options.detector].caveat):
+        warnings.append(f"detector {options.detector}: {caveat}")
+    if not calibrated and sensor.read_noise_levels == 0.0 and not sensor.electrons_per_level:
+        warnings.append(
+            f"{rig.source.at('camera', 'sensor')}: no read_noise_levels and no electrons_per_level, so that rounding "
+            "is all the noise there is; good parts may show regions; give what the sensor has"
+        )
+    return warnings
+
+
+def _of_posture(rig: RigConfig, inspected: InspectedPosture, options: InspectOptions) -> list[str]:
+    view, warnings = inspected.view, list[str]()
+    sensor, dark = rig.camera.sensor, view.photometry.dark
+    if abs(dark) > max(DARK_SPREAD, MOST_DARK_SHARE * 2**sensor.bit_depth):
+        side = "above" if dark > 0.0 else "below"
+        warnings.append(
+            f"posture {view.posture}: black is {abs(dark):.3g} sensor levels {side} the rig's black_level of "
+            f"{sensor.black_level:g}; judged with that taken out; correct the rig file, or keep other light off "
+            "the part"
+        )
+    missing = [light.name for light in rig.lights if light.name not in view.lights]
+    if missing:
+        warnings.append(f"posture {view.posture}: no image under {', '.join(missing)}; judged without")
+    if len(view.lights) < options.seen_by:
+        warnings.append(
+            f"posture {view.posture}: fewer images than the {options.seen_by} that a defect must show in; what "
+            "shows in all there are counts"
+        )
+    if not view.clean.any():
+        warnings.append(
+            f"posture {view.posture}: no pixel shows the part off its edges; nothing was inspected"
+        )
+    elif inspected.coverage.inspected == 0.0:
+        warnings.append(
+            f"posture {view.posture}: no pixel is reached by light and unsaturated in any image; nothing "
+            "was inspected"
+        )
+    return warnings

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any, Final, Literal
+from typing import Any
 
-Detector = Literal["residual", "template"]
-DETECTORS: Final = ("residual", "template")
-Fusion = Literal["paper", "median", "minimum", "second-largest"]
-FUSIONS: Final = ("paper", "median", "minimum", "second-largest")
+from lightopt.inspection.detection._detectors import DETECTORS
+from lightopt.inspection.fusion._gradient_fusion import FUSIONS, Fusion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +20,7 @@ class InspectOptions:
     shift: whether the part is searched for around its nominal place.
     """
 
-    detector: Detector = "residual"
+    detector: str = "residual"
     fusion: Fusion | None = "paper"
     false_alarms: float = 0.05
     seen_by: int = 2
@@ -31,20 +29,21 @@ class InspectOptions:
     def problems(self) -> list[str]:
         """Messages about wrong options."""
         found: list[str] = []
-        if self.detector not in DETECTORS:
-            found.append(f'--detector: expected {" or ".join(DETECTORS)}, found "{self.detector}"')
+        detector = DETECTORS.get(self.detector)
+        if detector is None:
+            found.append(f'detector: expected {" or ".join(DETECTORS)}, found "{self.detector}"')
         if self.fusion is not None and self.fusion not in FUSIONS:
-            found.append(f'--fusion: expected {", ".join(FUSIONS)} or none, found "{self.fusion}"')
-        if self.detector == "template" and self.fusion is None:
+            found.append(f'fusion: expected {", ".join(FUSIONS)} or none, found "{self.fusion}"')
+        if detector is not None and detector.uses_synthetic and self.fusion is None:
             found.append(
-                "--detector template looks at the synthetic image: it needs a --fusion other than none"
+                f"detector {self.detector} uses the synthetic image: it needs a fusion other than none"
             )
         if not 1e-9 <= self.false_alarms <= 1.0:
-            found.append(f"--false-alarms: expected a number from 1e-9 to 1, found {self.false_alarms:g}")
+            found.append(f"false_alarms: expected a number from 1e-9 to 1, found {self.false_alarms:g}")
         if self.seen_by < 1:
-            found.append(f"--seen-by: expected 1 or more, found {self.seen_by}")
+            found.append(f"seen_by: expected 1 or more, found {self.seen_by}")
         return found
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form of what changes the result."""
+        """JSON form."""
         return asdict(self)

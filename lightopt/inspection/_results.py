@@ -11,9 +11,8 @@ from lightopt.config import InspectionConfig
 from lightopt.core.arrays import Float32, Int32
 from lightopt.core.errors import counted
 from lightopt.estimate.registration import Placement, Registration
-from lightopt.inspection.detection._coverage import PostureCoverage
+from lightopt.inspection.detection._coverage import REFERENCE_CONTRAST, PostureCoverage, SurfaceCoverage
 from lightopt.inspection.detection._defects import Detection, FoundDefect
-from lightopt.inspection.detection._surface_coverage import REFERENCE_CONTRAST, SurfaceCoverage
 from lightopt.inspection.fusion._synthetic_image import SyntheticImage
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.scene import Scene
@@ -141,10 +140,7 @@ class Verdict:
 def judge(result: InspectionResult, limits: InspectionConfig) -> Verdict:
     """Hold an inspection against the part's limits.
 
-    Parameters
-    ----------
-    limits
-        From the part's file.
+    limits: From the part's file.
     """
     counting = [
         defect.number

@@ -4,7 +4,7 @@ from lightopt.report._charts import chart
 from lightopt.report._contact_sheet import add_contact_sheets, contact_sheet
 from lightopt.report._drawing import figure_image, fixed_style
 from lightopt.report._fit_pictures import fit_chart, residual_picture
-from lightopt.report._inspection_batch import BatchRow, batch_report
+from lightopt.report._inspection_batch import batch_report
 from lightopt.report._inspection_pictures import defect_overlay
 from lightopt.report._inspection_report import inspection_report
 from lightopt.report._inspection_tables import (
@@ -22,7 +22,6 @@ from lightopt.report._rig_drawing import rig_drawing
 from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer
 
 __all__ = [
-    "BatchRow",
     "ColouredSurface",
     "Page",
     "Section",

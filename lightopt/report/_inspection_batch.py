@@ -3,63 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from lightopt.core.errors import counted, percent
-from lightopt.inspection import REFERENCE_CONTRAST, REFERENCE_DEFECT, Verdict
+from lightopt.inspection import REFERENCE_CONTRAST, REFERENCE_DEFECT, BatchRow
 from lightopt.report._page import Answer, Page, Section, Table
 from lightopt.report._page_html import page_html
 from lightopt.report._truth_blocks import truth_blocks
-
-NOT_INSPECTED = "not inspected"
-
-
-@dataclass(frozen=True, kw_only=True)
-class BatchRow:
-    """One part of a batch.
-
-    Attributes
-    ----------
-    name
-        Of its folder.
-    report
-        Its own report, relative to the batch's; empty where it has none.
-    defects
-        Number of those found, whether they count or not.
-    verdict
-        None where the part was refused.
-    refused
-        Why it was not inspected.
-    """
-
-    name: str
-    report: str = ""
-    defects: int = 0
-    verdict: Verdict | None = None
-    refused: tuple[str, ...] = ()
-
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        if self.verdict is None:
-            return {"folder": self.name, "verdict": NOT_INSPECTED, "reasons": list(self.refused)}
-        return {"folder": self.name, "defects": self.defects, **self.verdict.as_dict()}
-
-    def cells(self) -> list[str]:
-        """Of the batch's table."""
-        verdict = self.verdict
-        if verdict is None:
-            return [self.name, NOT_INSPECTED, "; ".join(self.refused), *"-----"]
-        return [
-            self.name,
-            verdict.word,
-            verdict.explanation,
-            str(self.defects),
-            str(len(verdict.counting)),
-            percent(verdict.inspected),
-            percent(verdict.finds),
-            percent(verdict.glints),
-        ]
 
 
 def batch_report(
@@ -94,7 +44,7 @@ def batch_report(
             f"finds {100 * REFERENCE_CONTRAST:g} %",
             "only glints",
         ],
-        rows=[row.cells() for row in rows],
+        rows=[_cells(row) for row in rows],
         numbers_from=3,
         caption="A set's name leads to its own report. Inspected: share of the surface that the part's postures show. "
         f"Finds: share of it where {REFERENCE_DEFECT} is found half of the time. Only glints: share of it that was "
@@ -114,3 +64,19 @@ def batch_report(
             sections=[section for section in sections if section.blocks],
         )
     )
+
+
+def _cells(row: BatchRow) -> list[str]:
+    verdict = row.verdict
+    if verdict is None:
+        return [row.name, row.word, "; ".join(row.refused), *"-----"]
+    return [
+        row.name,
+        row.word,
+        verdict.explanation,
+        str(row.defects),
+        str(len(verdict.counting)),
+        percent(verdict.inspected),
+        percent(verdict.finds),
+        percent(verdict.glints),
+    ]

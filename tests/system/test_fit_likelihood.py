@@ -16,10 +16,10 @@ from captured import PART, PARTS, RIG, captured
 from lightopt import build_scene
 from lightopt.estimate.reflectance._criterion import LOG_R_S, LOG_SIGMA
 from lightopt.estimate.reflectance._estimate import Estimate
-from lightopt.estimate.reflectance._profile_intervals import profile_interval
+from lightopt.estimate.reflectance._fit_samples import fit_reflectance
 from lightopt.estimate.reflectance._quality import assess_quality, poor_fit_warnings
 from lightopt.estimate.reflectance._samples import collect_samples
-from lightopt.estimate.reflectance._search import fit_reflectance
+from lightopt.estimate.reflectance._uncertainty import profile_interval
 from lightopt.optics import Reflectance
 from lightopt.rendering import cast_rays_at
 

@@ -13,10 +13,10 @@ import pytest
 from captured import PART, PARTS, RIG, observe
 
 from lightopt import build_scene
-from lightopt.estimate.reflectance._cross_validation import leave_lights_out
+from lightopt.estimate.reflectance._fit_samples import fit_reflectance
 from lightopt.estimate.reflectance._quality import assess_quality, poor_fit_warnings
 from lightopt.estimate.reflectance._samples import collect_samples
-from lightopt.estimate.reflectance._search import fit_reflectance
+from lightopt.estimate.reflectance._validation import leave_lights_out
 from lightopt.optics import expose, image_rng
 from lightopt.rendering import UNLIT, cast_rays_at, panel_verdict, trace_pixels
 from lightopt.scene import panel_grid

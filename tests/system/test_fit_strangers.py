@@ -16,10 +16,10 @@ from captured import PART, PARTS, RIG, captured
 
 from lightopt import build_scene
 from lightopt.core.errors import InputError
+from lightopt.estimate.reflectance._fit_samples import fit_reflectance
 from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_images
 from lightopt.estimate.reflectance._quality import assess_quality, poor_fit_warnings
 from lightopt.estimate.reflectance._samples import collect_samples
-from lightopt.estimate.reflectance._search import fit_reflectance
 from lightopt.estimate.reflectance._setup import FitSetup
 from lightopt.estimate.registration import Placement, place_part
 from lightopt.rendering import cast_rays_at

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lightopt.estimate.registration._dark_frames import smoothed
+from lightopt.estimate.registration._observations import smoothed
 from lightopt.optics import Sensor
 
 SENSOR = Sensor(bit_depth=8, read_noise_levels=0.8, electrons_per_level=60.0)

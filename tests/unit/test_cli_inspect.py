@@ -546,7 +546,7 @@ def test_sixteen_bits_and_exposures_and_sets_without_exr_will_do(cli, bench, tmp
         (("--false-alarms", "0"), "--false-alarms: expected a number from 1e-9 to 1"),
         (("--min-images", "0"), "--min-images: expected 1 or more"),
         (("--threads", "0"), "--threads: expected at least 1"),
-        (("--detector", "template", "--fusion", "none"), "needs a --fusion"),
+        (("--detector", "template", "--fusion", "none"), "needs a fusion"),
     ],
 )
 def test_wrong_options_are_named(cli, bench, parts, option, said):

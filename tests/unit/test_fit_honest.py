@@ -21,14 +21,17 @@ from lightopt.estimate.reflectance._criterion import (
     Evaluation,
     parameter_name,
 )
-from lightopt.estimate.reflectance._cross_validation import Comparison, LeftOut, validation_warnings
 from lightopt.estimate.reflectance._estimate import Estimate, Optimum, ScanPoint
 from lightopt.estimate.reflectance._newton import has_settled, maximise
-from lightopt.estimate.reflectance._profile_intervals import profile_interval, profile_regions
-from lightopt.estimate.reflectance._quality import poor_fit_warnings
+from lightopt.estimate.reflectance._quality import (
+    convergence_warnings,
+    poor_fit_warnings,
+    refuse_out_of_range,
+)
 from lightopt.estimate.reflectance._result import bounded, separate_region_warnings
-from lightopt.estimate.reflectance._sigma_profile import peaks, profile_over_sigma
-from lightopt.estimate.reflectance._warnings import convergence_warnings, refuse_out_of_range
+from lightopt.estimate.reflectance._sigma_scan import peaks, profile_over_sigma
+from lightopt.estimate.reflectance._uncertainty import profile_interval, profile_regions
+from lightopt.estimate.reflectance._validation import Comparison, LeftOut, validation_warnings
 
 
 class Landscape:

@@ -13,7 +13,7 @@ import pytest
 from lightopt.cli._main import run
 from lightopt.images import read_image_set
 from lightopt.inspection import Deviations, least_rate, score_deviations, sets_needed
-from lightopt.inspection.calibration._false_alarm_rates import tolerance_limit
+from lightopt.inspection.calibration._calibration import tolerance_limit
 from lightopt.inspection.calibration._systematic import PackedDeviations, SystematicSums, subtract_systematic
 
 # --- rates
@@ -269,7 +269,7 @@ def test_a_rate_that_the_good_sets_do_not_bear_is_refused(cli, bench, good, taug
         "8 good sets bear a rate of false alarms of 0.312 per posture or more with 95 % confidence" in ran.err
     )
     assert "0.05 takes 59" in ran.err
-    assert "--false-alarms 0.313" in ran.err
+    assert "a rate of 0.313" in ran.err
     assert not bench.out.exists()
     ran = inspect(cli, bench, good[0][-1:], "--calibration", taught, "--false-alarms", "0.1")
     assert ran.status == 2
@@ -317,9 +317,9 @@ def test_files_that_are_no_calibration_are_refused(cli, bench, good, taught):
     one = good[0][-1:]
     other = bench.folder / "other.json"
     for text, said in [
-        ("{", "expected the JSON that --calibrate wrote"),
+        ("{", "expected the JSON of a calibration"),
         ('{"format": "lightopt-fit/1"}', "expected a file of format lightopt-calibration/1"),
-        ('{"format": "lightopt-calibration/1"}', "not as --calibrate wrote it"),
+        ('{"format": "lightopt-calibration/1"}', "not a calibration that lightopt wrote"),
     ]:
         other.write_text(text, encoding="utf-8")
         ran = inspect(cli, bench, one, "--calibration", other)

@@ -13,7 +13,7 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Placement, place_part
 from lightopt.images import read_image_set
 from lightopt.inspection import PredictionCache, nominal_scene, predict
-from lightopt.inspection.prediction._derivatives import (
+from lightopt.inspection.prediction._nearby_placement import (
     difference_steps,
     placement_derivatives,
     shift_prediction,

@@ -24,6 +24,7 @@ from lightopt.inspection import (
     threshold,
 )
 from lightopt.inspection.detection._defects import Detection, merge_detections
+from lightopt.inspection.detection._matched_filter import templates
 from lightopt.inspection.detection._regions import box_sums, core_pixels
 from lightopt.inspection.detection._score import (
     STRONGEST_Z,
@@ -31,7 +32,6 @@ from lightopt.inspection.detection._score import (
     rank_probability,
     smoothed_deviations,
 )
-from lightopt.inspection.detection._template import templates
 
 
 def noise(lights, rows=200, columns=240, *, seed=0, holes=False):
@@ -240,7 +240,7 @@ def test_templates_answer_to_no_even_image_and_are_of_one_size():
 def test_places_go_back_to_the_file_through_posture_placement_and_anchor(shared_bench):
     from lightopt import build_scene
     from lightopt.estimate.registration import place_part
-    from lightopt.inspection.prediction._frames import world_to_mesh_file
+    from lightopt.inspection.prediction._registered_set import world_to_mesh_file
     from lightopt.scene import view_from_part
 
     bench = shared_bench.part.with_name("turned.yaml")

@@ -11,8 +11,7 @@ from lightopt import build_scene
 from lightopt.core.transforms import Posture
 from lightopt.geometry import face_areas
 from lightopt.inspection import PostureCoverage
-from lightopt.inspection.detection._coverage import SurfaceState
-from lightopt.inspection.detection._surface_coverage import surface_coverage
+from lightopt.inspection.detection._coverage import SurfaceState, surface_coverage
 from lightopt.inspection.prediction._predict import map_surface
 from lightopt.rendering import GRAZING_COSINE, cast_rays_at, trace_pixels
 

@@ -15,7 +15,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, refuse_mismatch
 from lightopt.inspection import InspectOptions, deviations, posture_view, predict
-from lightopt.inspection._warnings import inspection_warnings
+from lightopt.inspection._inspect import inspection_warnings
 from lightopt.rendering import cast_rays_at
 
 FLAT = Posture(0.0, 0.0)

@@ -11,10 +11,18 @@ from PIL import Image
 
 from lightopt.config import InspectionConfig
 from lightopt.core.transforms import Posture
-from lightopt.inspection import KIND_COLOURS, FoundDefect, SetEvaluation, Verdict, grey_picture, summarise
+from lightopt.inspection import (
+    KIND_COLOURS,
+    BatchRow,
+    FoundDefect,
+    SetEvaluation,
+    Verdict,
+    grey_picture,
+    summarise,
+)
 from lightopt.inspection.detection._defects import Detection
 from lightopt.inspection.evaluation._evaluation import KnownDefect
-from lightopt.report import BatchRow, batch_report
+from lightopt.report import batch_report
 from lightopt.report._inspection_pictures import LABEL_COLOURS, overlay_image
 from lightopt.report._inspection_surface import _ball
 from lightopt.report._page import Facts, Note, Picture, Table

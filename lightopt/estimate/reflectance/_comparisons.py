@@ -7,12 +7,12 @@ from collections.abc import Mapping
 
 from lightopt.core.errors import InputError
 from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters
+from lightopt.estimate.reflectance._fit_samples import fit_reflectance, refit
 from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_images
 from lightopt.estimate.reflectance._paper import PaperDiffuse, PaperSpecular
 from lightopt.estimate.reflectance._quality import assess_quality, poor_fit_warnings
 from lightopt.estimate.reflectance._result import FitResult, FittedValue
 from lightopt.estimate.reflectance._samples import Samples, evenly_lit, subsample
-from lightopt.estimate.reflectance._search import fit_reflectance, refit
 from lightopt.estimate.reflectance._setup import FitSetup
 
 BUDGET = 250

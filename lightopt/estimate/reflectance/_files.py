@@ -30,17 +30,10 @@ def fit_provenance(
 class FitFolder(ResultFolder):
     """A folder that a fit is written to.
 
-    Parameters
-    ----------
-    folder
-        Made where it does not exist.
-    made_from
-        From :func:`fit_provenance`.
+    folder: Made where it does not exist.
+    made_from: From :func:`fit_provenance`.
 
-    Raises
-    ------
-    InputError
-        The folder holds a fit of other inputs, and `force` is False.
+    Raises InputError: the folder holds a fit of other inputs, and `force` is False.
     """
 
     def __init__(self, folder: Path, made_from: Mapping[str, Any], *, force: bool) -> None:
@@ -57,10 +50,7 @@ class FitFolder(ResultFolder):
     def write(self, result: FitResult, rig: RigConfig, part: PartConfig) -> list[Path]:
         """Write the part, where gains, the dark level or the noise are written the rig, and at last ``fit.json``.
 
-        Raises
-        ------
-        InputError
-            A file cannot be written.
+        Raises InputError: a file cannot be written.
         """
         texts = {PART_NAME: _part_text(self.folder, result, part)}
         noise = result.noise if result.write_noise else None

@@ -1,4 +1,4 @@
-"""The two fits of the command line: from a rig, a part and images to reflectance."""
+"""The two fits, diffuse and specular: from a rig, a part and images to reflectance."""
 
 from __future__ import annotations
 
@@ -10,27 +10,26 @@ from typing import Literal
 import numpy as np
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.core.arrays import Float64
+from lightopt.core.arrays import Bool, Float64
+from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.estimate.reflectance._comparisons import evenly_lit_warnings, paper_result
 from lightopt.estimate.reflectance._criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
-from lightopt.estimate.reflectance._cross_validation import (
-    SavePrediction,
-    leave_lights_out,
-    validation_warnings,
-)
 from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters
-from lightopt.estimate.reflectance._highlights import LEAST_R_S, WIDENINGS, diffuse_only
+from lightopt.estimate.reflectance._fit_samples import fit_reflectance
 from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_images
 from lightopt.estimate.reflectance._noise import MeasuredNoise, measure_noise, noise_warnings
 from lightopt.estimate.reflectance._paper import paper_diffuse, paper_specular
-from lightopt.estimate.reflectance._predicted_images import PointsRow, compare_regions
 from lightopt.estimate.reflectance._quality import (
     Quality,
     assess_quality,
+    convergence_warnings,
     fit_warnings,
+    held_r_d_warnings,
     mean_levels,
     poor_fit_warnings,
+    refuse_no_highlight,
+    refuse_out_of_range,
 )
 from lightopt.estimate.reflectance._result import (
     FitResult,
@@ -42,16 +41,28 @@ from lightopt.estimate.reflectance._result import (
     separate_region_warnings,
 )
 from lightopt.estimate.reflectance._samples import Samples
-from lightopt.estimate.reflectance._search import fit_reflectance
 from lightopt.estimate.reflectance._setup import FitOptions, FitSetup, Points, prepare_fit
-from lightopt.estimate.reflectance._warnings import (
-    convergence_warnings,
-    held_r_d_warnings,
-    refuse_no_highlight,
-    refuse_out_of_range,
+from lightopt.estimate.reflectance._validation import (
+    PointsRow,
+    SavePrediction,
+    compare_regions,
+    leave_lights_out,
+    validation_warnings,
 )
 from lightopt.images import ImageSet
 from lightopt.scene import coarse_points
+
+HIGHLIGHT_LEVEL = 0.1
+"""Pixels that a highlight lights by less than this are diffuse only [grey level at exposure 1]."""
+
+WIDENINGS = (2.0, 1.5, 1.2, 1.0)
+"""For that, the lobe is taken this much wider than it was found, as far as any pixels are left: real lobes have heavier
+tails than a Gaussian, and what is left of them goes into R_d."""
+
+LEAST_PIXELS = 200
+"""So many pixels must be left."""
+
+LEAST_R_S = 1e-3
 
 
 def fit_diffuse(
@@ -66,15 +77,9 @@ def fit_diffuse(
 
     Where the highlights are is found by a fit of the whole model first.
 
-    Parameters
-    ----------
-    options
-        Of the numbers of points only the first is used.
+    options: Of the numbers of points only the first is used.
 
-    Raises
-    ------
-    InputError
-        Images that are not the rig's or not the part's, or that do not determine R_d.
+    Raises InputError: images that are not the rig's or not the part's, or that do not determine R_d.
     """
     options, run = options or FitOptions(), run or RunContext()
     points = options.points[0] if options.points else None
@@ -135,17 +140,10 @@ def fit_specular(
 ) -> FitResult:
     """Fit R_s and σ, and R_d where ``options.joint``.
 
-    Parameters
-    ----------
-    options
-        Each number of points is fitted, and the one under which the images are likeliest is kept.
-    save_prediction
-        Called with each image that validation predicted without having seen it, and its prediction.
+    options: Each number of points is fitted, and the one under which the images are likeliest is kept.
+    save_prediction: Called with each image that validation predicted without having seen it, and its prediction.
 
-    Raises
-    ------
-    InputError
-        Images that are not the rig's or not the part's, or that do not determine R_s and σ.
+    Raises InputError: images that are not the rig's or not the part's, or that do not determine R_s and σ.
     """
     options, run = options or FitOptions(), run or RunContext()
     tried: list[tuple[FitResult, FitSetup, Samples, PointsRow | None]] = []
@@ -267,3 +265,26 @@ def _parameters(result: FitResult, setup: FitSetup) -> Float64:
     x[LOG_R_S] = math.log(max(result.value("R_s"), LEAST_R_S))
     x[LOG_SIGMA] = math.log(result.value("sigma_rad"))
     return x
+
+
+def diffuse_only(samples: Samples, x: Float64) -> tuple[Samples, float]:
+    """The observations that a lobe wider than the one found leaves dark, and how much wider it was taken.
+
+    Raises InputError: there are none.
+    """
+    lit = samples.diffuse[samples.sample] > 0.0
+    unlit = samples.deflection[samples.sample] == np.pi
+    for widening in WIDENINGS:
+        plain = lit & _beyond(samples, x, widening)
+        if np.count_nonzero(plain & ~samples.saturated) >= LEAST_PIXELS:
+            return samples.select(plain | unlit), widening
+    raise InputError(
+        "no diffuse-only pixel: the highlights reach every pixel that is lit. Add images under lights that the surface "
+        "mirrors elsewhere, or fit all coefficients at once: fit-specular --joint"
+    )
+
+
+def _beyond(samples: Samples, x: Float64, widening: float) -> Bool:
+    peak = max(math.exp(x[LOG_R_S]), LEAST_R_S) * float(np.exp(np.max(np.abs(x[FIRST_GAIN:-2]))))
+    reach = math.sqrt(2.0 * math.log(max(peak / HIGHLIGHT_LEVEL, 1.0)))
+    return samples.deflection[samples.sample] > widening * math.exp(x[LOG_SIGMA]) * reach

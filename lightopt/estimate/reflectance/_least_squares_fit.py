@@ -19,9 +19,9 @@ from lightopt.estimate.reflectance._criterion import FIRST_GAIN, LOG_SIGMA
 from lightopt.estimate.reflectance._estimate import Estimate
 from lightopt.estimate.reflectance._likelihood import likelihood_at
 from lightopt.estimate.reflectance._newton import Maximum, has_settled, maximise
-from lightopt.estimate.reflectance._profile_intervals import criterion_drop
 from lightopt.estimate.reflectance._samples import Samples
 from lightopt.estimate.reflectance._sigma_scan import SigmaScan, optimum_of, scan_points
+from lightopt.estimate.reflectance._uncertainty import criterion_drop
 
 LEAST_GROUPS, MOST_GROUPS = 4, 24
 """Groups of images: lights, where there are so many, else lights by posture, else pieces of the images. Further lights

@@ -19,12 +19,12 @@ from lightopt.estimate.reflectance._estimate import CHI2_95, Estimate, Optimum, 
 from lightopt.estimate.reflectance._likelihood import Likelihood, likelihood_at
 from lightopt.estimate.reflectance._newton import Maximum, maximise
 from lightopt.estimate.reflectance._samples import Samples, subsample
-from lightopt.estimate.reflectance._sigma_profile import profile_outwards
 from lightopt.estimate.reflectance._sigma_scan import (
     SAME_PEAK,
     SigmaScan,
     climb_from_peaks,
     optimum_of,
+    profile_outwards,
     scan_budget,
     scan_points,
 )

@@ -17,10 +17,10 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.estimate.reflectance._estimate import Estimate
+from lightopt.estimate.reflectance._fit_samples import fit_reflectance
 from lightopt.estimate.reflectance._likelihood import clipped_levels, predicted
 from lightopt.estimate.reflectance._quality import Quality
 from lightopt.estimate.reflectance._samples import Samples, collect_samples, subsample
-from lightopt.estimate.reflectance._search import fit_reflectance
 from lightopt.estimate.reflectance._setup import FitSetup, register_with_fit
 from lightopt.estimate.registration import FLIPS, Agreement, Observation, PoseFrame, agreement, place_part
 from lightopt.rendering import cast_rays_at

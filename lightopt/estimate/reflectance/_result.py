@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
-from lightopt.estimate.reflectance._cross_validation import LeftOut
 from lightopt.estimate.reflectance._estimate import Estimate, Interval
 from lightopt.estimate.reflectance._noise import MeasuredNoise
 from lightopt.estimate.reflectance._paper import PaperDiffuse, PaperSpecular
-from lightopt.estimate.reflectance._predicted_images import PointsRow
-from lightopt.estimate.reflectance._profile_intervals import profile_regions
-from lightopt.estimate.reflectance._quality import Quality
-from lightopt.estimate.reflectance._warnings import convergence_warnings
+from lightopt.estimate.reflectance._quality import Quality, convergence_warnings
+from lightopt.estimate.reflectance._uncertainty import profile_regions
+from lightopt.estimate.reflectance._validation import LeftOut, PointsRow
 from lightopt.estimate.registration import PartFilePlacement, Placement, Registration
 from lightopt.scene import Scene
 

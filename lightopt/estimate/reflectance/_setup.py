@@ -12,9 +12,9 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Float64
 from lightopt.core.run_context import RunContext
 from lightopt.estimate.reflectance._estimate import FreeParameters
+from lightopt.estimate.reflectance._fit_samples import least_squares_reflectance
 from lightopt.estimate.reflectance._paper import PaperOptions
 from lightopt.estimate.reflectance._samples import OCTAVES, Samples, collect_samples
-from lightopt.estimate.reflectance._search import least_squares_reflectance
 from lightopt.estimate.registration import (
     Observation,
     PartFilePlacement,

@@ -143,20 +143,12 @@ def refuse_mismatch(
 ) -> None:
     """Refuse images that do not show this part as the model has it.
 
-    Parameters
-    ----------
-    level, predicted, limit, deviation
-        Levels measured and predicted, those from which a pixel is saturated, and the standard deviation of the noise,
-        shape (images, H, W).
-    pixels
-        Flat indices of the pixels to compare.
-    where
-        The set and posture, for the message.
+    level, predicted, limit, deviation: Levels measured and predicted, those from which a pixel is saturated, and the
+        standard deviation of the noise, shape (images, H, W).
+    pixels: Flat indices of the pixels to compare.
+    where: The set and posture, for the message.
 
-    Raises
-    ------
-    InputError
-        The residual is too large; says what would fit better.
+    Raises InputError: the residual is too large; says what would fit better.
     """
 
     def picked(images: Array) -> Array:

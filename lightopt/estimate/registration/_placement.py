@@ -85,16 +85,10 @@ def part_file_placement(
 
     The anchor uses the bounding box of the rotated part, so that the translation takes back what the anchor moves.
 
-    Parameters
-    ----------
-    vertices
-        Of the part at its current file placement, world frame at posture (0, 0), shape (n, 3) [mm].
-    placement
-        Relative to the current file placement.
-    anchor, rotate_deg, translate_mm
-        Current values of the file.
-    pivot
-        Of the stage, shape (3,) [mm].
+    vertices: Of the part at its current file placement, world frame at posture (0, 0), shape (n, 3) [mm].
+    placement: Relative to the current file placement.
+    anchor, rotate_deg, translate_mm: Current values of the file.
+    pivot: Of the stage, shape (3,) [mm].
     """
     turn = rotation_z(placement.turn)
     turned = vertices @ turn.T

@@ -98,24 +98,14 @@ def register(
 ) -> Registration:
     """Find the part's placement on the stage.
 
-    Parameters
-    ----------
-    scene
-        The part at its file placement, with the lights and postures of the observations.
-    observations
-        The images.
-    caster
-        Of the scene's part.
-    reflectance_at
-        A reflectance for the refinement, given the scene with the part placed by the coarse search; that of the scene
-        by default.
-    reduced
-        Whether fewer pixels are enough, for a placement that is only reported.
+    scene: The part at its file placement, with the lights and postures of the observations.
+    observations: The images.
+    caster: Of the scene's part.
+    reflectance_at: A reflectance for the refinement, given the scene with the part placed by the coarse search; that of
+        the scene by default.
+    reduced: Whether fewer pixels are enough, for a placement that is only reported.
 
-    Raises
-    ------
-    InputError
-        No pixel to use: the part is outside the view, or all images are saturated or black.
+    Raises InputError: no pixel to use: the part is outside the view, or all images are saturated or black.
     """
     run = run or RunContext()
     sets = coarse_pixels(scene, observations)

@@ -18,22 +18,23 @@ from lightopt.inspection.calibration._calibration import (
     CalibratedPosture,
     Calibration,
     calibration_fingerprint,
+    least_rate,
+    too_few_good_sets,
 )
-from lightopt.inspection.calibration._false_alarm_rates import least_rate, too_few_good_sets
 from lightopt.inspection.calibration._systematic import (
     PackedDeviations,
     SystematicSums,
     subtract_systematic,
 )
+from lightopt.inspection.detection._detectors import DETECTORS
 from lightopt.inspection.detection._deviation import deviations
 from lightopt.inspection.detection._score import score_deviations
-from lightopt.inspection.detection._template import score_posture
 from lightopt.inspection.fusion._synthetic_image import synthetic_image
-from lightopt.inspection.prediction._frames import nominal_pixels
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
 from lightopt.inspection.prediction._registered_set import (
     ExposuresByLight,
     RegisteredSet,
+    nominal_pixels,
     register_set,
 )
 
@@ -62,17 +63,11 @@ def calibrate(
     Each set is judged by what the others have in common, so that its greatest score is that of a set which was not
     learned from.
 
-    Parameters
-    ----------
-    sets
-        Of good parts, all of the same postures and lights.
-    options
-        How later sets will be inspected; `false_alarms` is the rate that is to be held.
+    sets: Of good parts, all of the same postures and lights.
+    options: How later sets will be inspected; `false_alarms` is the rate that is to be held.
 
-    Raises
-    ------
-    InputError
-        Too few sets for the rate, sets that differ in their postures or images, or images that are not the part's.
+    Raises InputError: too few sets for the rate, sets that differ in their postures or images, or images that are not
+        the part's.
     """
     run = run or RunContext()
     if problems := options.problems():
@@ -82,7 +77,7 @@ def calibrate(
         cache = PredictionCache()
         for one in sets:
             inner = run.within(f"good set {one.folder.name}")
-            yield str(one.folder), register_set(rig, part, one, options=options, cache=cache, run=inner)
+            yield str(one.folder), register_set(rig, part, one, shift=options.shift, cache=cache, run=inner)
 
     require_good_sets(len(sets), options)
     names = tuple(one.folder.resolve().name for one in sets)
@@ -102,16 +97,12 @@ def calibrate_registered(
 ) -> Calibration:
     """Learn from registered image sets of good parts.
 
-    Parameters
-    ----------
-    sets
-        Each with its name for messages; taken one at a time.
-    names
-        Of all sets.
-    fingerprint
-        What the calibration is valid for, from :func:`calibration_fingerprint`.
+    sets: Each with its name for messages; taken one at a time.
+    names: Of all sets.
+    fingerprint: What the calibration is valid for, from :func:`calibration_fingerprint`.
     """
     require_good_sets(len(names), options)
+    detector = DETECTORS[options.detector]
     postures: dict[Posture, _GoodPosture] = {}
     with tempfile.TemporaryDirectory(prefix="lightopt-calibration-") as folder:
         for number, (name, registered) in enumerate(sets):
@@ -122,10 +113,10 @@ def calibrate_registered(
                 gathered = _same_images(postures, view.posture, exposures, name)
                 seen.append(view.posture)
                 found = deviations(view, threads=threads)
-                if options.detector == "template":
+                if detector.uses_synthetic:
                     assert options.fusion is not None
                     make_synthetic = partial(synthetic_image, view, options.fusion, probes=0, threads=threads)
-                    score, _ = score_posture(found, options, make_synthetic, threads=threads)
+                    score = detector.score(found, options.seen_by, make_synthetic, threads)
                     gathered.peaks.append(float(score.max(initial=0.0)))
                     continue
                 nominal = nominal_pixels(view, registered.nominal, registered.placement)
@@ -150,13 +141,10 @@ def calibrate_registered(
 def require_good_sets(sets: int, options: InspectOptions) -> None:
     """Refuse a number of good sets that is too small for the rate of false alarms.
 
-    Raises
-    ------
-    InputError
-        Says how many are needed.
+    Raises InputError: says how many are needed.
     """
     if options.false_alarms < least_rate(sets):
-        raise InputError(too_few_good_sets(sets, options.false_alarms, "--calibrate"))
+        raise InputError(too_few_good_sets(sets, options.false_alarms, "the calibration"))
 
 
 def _same_images(

@@ -1,32 +1,38 @@
-"""What was learned from good parts, and the inspections that it is valid for."""
+"""What was learned from good parts, the inspections that it is valid for, and the rate of false alarms that it holds.
+
+Rates follow from order statistics, whatever the law of the scores. Of `n` good sets let the k-th largest of their
+greatest scores be the threshold. A further good set exceeds it with a probability that is distributed as
+Beta(k, n − k + 1) over all ways to draw the sets (Wilks 1941, doi:10.1214/aoms/1177731788): a distribution-free
+tolerance limit.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
+from scipy import special
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, counted
 from lightopt.core.provenance import computed_by, differences, file_sha256
 from lightopt.core.transforms import Posture
 from lightopt.inspection._options import InspectOptions
-from lightopt.inspection.calibration._false_alarm_rates import (
-    CONFIDENCE,
-    least_rate,
-    tolerance_limit,
-    too_few_good_sets,
-)
 from lightopt.inspection.calibration._systematic import SystematicDeviations
+from lightopt.inspection.detection._detectors import DETECTORS
 from lightopt.inspection.prediction._registered_set import ExposuresByLight, exposures_text
 
 CALIBRATION_NAME: Final = "calibration.json"
 LEAST: Final = 3.0
 """No threshold is below this: of so many pixels, some have a chance of one in a thousand."""
+
+CONFIDENCE: Final = 0.95
+"""Probability with which a threshold holds its rate."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,10 +51,7 @@ class CalibratedPosture:
     def threshold(self, rate: float) -> float:
         """Score that holds a rate of false alarms.
 
-        Raises
-        ------
-        InputError
-            There are too few good sets for the rate.
+        Raises InputError: there are too few good sets for the rate.
         """
         peak = tolerance_limit(self.peaks, rate)
         if peak is None:
@@ -78,10 +81,7 @@ class Calibration:
     def require_match(self, rig: RigConfig, part: PartConfig, options: InspectOptions) -> None:
         """Refuse another rig, part, way to inspect or program, and a rate that needs more good sets.
 
-        Raises
-        ------
-        InputError
-            Names all that differs.
+        Raises InputError: names all that differs.
         """
         now = calibration_fingerprint(rig, part, options)
         parts = {
@@ -90,20 +90,20 @@ class Calibration:
             "mesh_sha256": f"{part.source.resolve(part.mesh.file)}: the mesh",
         }
         problems = [
-            f"{text} differ from those that {self.name} was made for; make it anew (--calibrate)"
+            f"{text} differ from those that {self.name} was made for; calibrate anew"
             for key, text in parts.items()
             if now[key] != self.fingerprint.get(key)
         ]
         if changed := differences(self.computed_by, computed_by()):
             problems.append(
-                f"{self.name} was made by another lightopt, whose scores may be others ({changed}); make it anew "
-                "(--calibrate)"
+                f"{self.name} was made by another lightopt, whose scores may be others ({changed}); "
+                "calibrate anew"
             )
         before = self.fingerprint.get("options")
         before = before if isinstance(before, Mapping) else {}
         problems += [
-            f"--{key.replace('_', '-')}: {self.name} was made with {_shown(before.get(key))}, found {_shown(value)}; "
-            "make it anew (--calibrate), or inspect as it was made"
+            f"{key}: {self.name} was made with {_shown(before.get(key))}, found {_shown(value)}; calibrate anew, or "
+            "inspect as it was made"
             for key, value in now["options"].items()
             if value != before.get(key)
         ]
@@ -115,23 +115,20 @@ class Calibration:
     def of(self, posture: Posture, exposures: ExposuresByLight, *, where: str) -> CalibratedPosture:
         """What was learned of a posture that was taken in this way.
 
-        Raises
-        ------
-        InputError
-            Nothing: no such posture, other lights, exposures or numbers of frames.
+        Raises InputError: nothing: no such posture, other lights, exposures or numbers of frames.
         """
         found = next((one for one in self.postures if one.posture == posture), None)
         if found is None:
             there = ", ".join(str(one.posture) for one in self.postures)
             raise InputError(
-                f"{where}: posture {posture} is none of those that {self.name} was made for ({there}); make it anew "
-                "with good sets of this posture (--calibrate)"
+                f"{where}: posture {posture} is none of those that {self.name} was made for ({there}); "
+                "calibrate anew with good sets of this posture"
             )
         if found.exposures != exposures:
             raise InputError(
                 f"{where}, posture {posture}: expected the images that {self.name} was made for, "
                 f"{exposures_text(found.exposures)}, found {exposures_text(exposures)}; take them as the good sets "
-                "were taken, or make the calibration anew"
+                "were taken, or calibrate anew"
             )
         return found
 
@@ -165,7 +162,8 @@ def calibration_fingerprint(rig: RigConfig, part: PartConfig, options: InspectOp
         "detector": options.detector,
         "no_shift": not options.shift,
     }
-    chosen |= {"fusion": options.fusion} if options.detector == "template" else {"seen_by": options.seen_by}
+    by_synthetic = DETECTORS[options.detector].uses_synthetic
+    chosen |= {"fusion": options.fusion} if by_synthetic else {"seen_by": options.seen_by}
     return {
         "rig": _hash(
             {
@@ -183,3 +181,34 @@ def calibration_fingerprint(rig: RigConfig, part: PartConfig, options: InspectOp
 
 def _hash(values: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+
+
+def sets_needed(rate: float) -> int:
+    """How many good sets it takes to hold a rate: the least n of 1 − (1 − rate)ⁿ ≥ 95 %."""
+    return math.ceil(math.log1p(-CONFIDENCE) / math.log1p(-min(rate, 1.0 - 1e-12)))
+
+
+def least_rate(sets: int) -> float:
+    """The least rate that so many good sets can hold."""
+    return 1.0 - (1.0 - CONFIDENCE) ** (1.0 / sets)
+
+
+def tolerance_limit(peaks: Sequence[float], rate: float) -> float | None:
+    """Lowest threshold that at most this share of good sets exceeds, with 95 % confidence; None if there is none."""
+    ordered = sorted(peaks, reverse=True)
+    limit = None
+    for k, peak in enumerate(ordered, start=1):
+        if float(special.betainc(k, len(ordered) - k + 1, min(rate, 1.0))) < CONFIDENCE - 1e-9:
+            break
+        limit = peak
+    return limit
+
+
+def too_few_good_sets(sets: int, rate: float, where: str) -> str:
+    """Message: so many good sets cannot hold a rate; `where` names the sets."""
+    least = least_rate(sets)
+    return (
+        f"{where}: {counted(sets, 'good set')} bear a rate of false alarms of {least:.3g} per posture or "
+        f"more with {100.0 * CONFIDENCE:.0f} % confidence; {rate:g} takes {sets_needed(rate)}: give more good sets, "
+        f"or accept a rate of {math.ceil(least * 1000.0) / 1000.0:g}"
+    )

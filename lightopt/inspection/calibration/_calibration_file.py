@@ -59,15 +59,9 @@ class CalibrationFolder(ResultFolder):
 def read_calibration(path: Path) -> Calibration:
     """Read a calibration.
 
-    Parameters
-    ----------
-    path
-        ``calibration.json``, or its folder.
+    path: ``calibration.json``, or its folder.
 
-    Raises
-    ------
-    InputError
-        No such file, no calibration, or maps that are not those it names.
+    Raises InputError: no such file, no calibration, or maps that are not those it names.
     """
     if path.is_dir():
         path = path / CALIBRATION_NAME
@@ -76,15 +70,13 @@ def read_calibration(path: Path) -> Calibration:
         content = json.loads(data)
     except OSError as error:
         raise InputError(
-            f"{path}: cannot be read: {error.strerror or error}; give the calibration.json that --calibrate wrote"
+            f"{path}: cannot be read: {error.strerror or error}; give a calibration.json that lightopt wrote"
         ) from error
     except ValueError as error:
-        raise InputError(f"{path}: expected the JSON that --calibrate wrote: {error}") from error
+        raise InputError(f"{path}: expected the JSON of a calibration: {error}") from error
     found = content.get("format") if isinstance(content, dict) else None
     if found != FORMAT:
-        raise InputError(
-            f'{path}: expected a file of format {FORMAT}, found "{found}"; make one with --calibrate'
-        )
+        raise InputError(f'{path}: expected a file of format {FORMAT}, found "{found}"; calibrate anew')
     try:
         sets = tuple(str(name) for name in content["good_sets"])
         calibration = Calibration(
@@ -98,7 +90,7 @@ def read_calibration(path: Path) -> Calibration:
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(
-            f"{path}: not as --calibrate wrote it: {type(error).__name__} at {error}; make it anew"
+            f"{path}: not a calibration that lightopt wrote: {type(error).__name__} at {error}; calibrate anew"
         ) from error
     return calibration
 
@@ -118,7 +110,7 @@ def _posture(path: Path, one: Mapping[str, Any], sets: int) -> CalibratedPosture
                 f"{maps}: cannot be read: {error.strerror or error}; {path.name} needs the maps beside it"
             ) from error
         if sha256 != one["maps"]["sha256"]:
-            raise InputError(f"{maps}: not the maps that {path} was written with; make the calibration anew")
+            raise InputError(f"{maps}: not the maps that {path} was written with; calibrate anew")
         channels = read_exr(maps)
         mean, spread = (
             np.stack([channels[f"{kind}.{light}"] for light in exposures]) for kind in ("mean", "spread")

@@ -110,10 +110,7 @@ class PackedDeviations:
 def subtract_systematic(found: Deviations, systematic: SystematicDeviations, nominal: Int32) -> Deviations:
     """Deviations without what good parts have in common.
 
-    Parameters
-    ----------
-    systematic
-        Of good parts in that posture, under the same lights.
+    systematic: Of good parts in that posture, under the same lights.
     """
     known = nominal >= 0
     at = np.where(known, nominal, 0)

@@ -12,8 +12,8 @@ from lightopt.estimate.registration import Placement
 from lightopt.inspection.detection._defects import Detection, Kind
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._regions import SHOWN_Z, box_sums, core_pixels
-from lightopt.inspection.prediction._frames import world_to_mesh_file
 from lightopt.inspection.prediction._posture_view import PostureView
+from lightopt.inspection.prediction._registered_set import world_to_mesh_file
 from lightopt.scene import Scene
 
 LEAST_OPPOSITE = 0.35

@@ -42,12 +42,8 @@ def find_regions(score: Float32, high: float) -> tuple[Int32, int]:
 
     Hysteresis: a region has a pixel of at least `high`, and spreads over what is connected to it and lower.
 
-    Parameters
-    ----------
-    score
-        Shape (H, W).
-    high
-        Threshold.
+    score: Shape (H, W).
+    high: Threshold.
     """
     low = score >= LOW_SHARE * high
     number, count = _label(_dilated(low)[GAP_PX:-GAP_PX, GAP_PX:-GAP_PX])
@@ -129,17 +125,10 @@ def split_regions(
 ) -> tuple[Int32, int]:
     """Take off what sums only spread, and split regions whose cores lie apart, where each core would be a region.
 
-    Parameters
-    ----------
-    score
-        That they were found in, shape (H, W).
-    high
-        Threshold of the score.
+    score: That they were found in, shape (H, W).
+    high: Threshold of the score.
 
-    Returns
-    -------
-    tuple
-        Labels and number as given, parts of a region one after the other.
+    Returns Labels and number as given, parts of a region one after the other.
     """
     result, number = np.zeros_like(labels), 0
     boxes = cast("list[tuple[slice, slice]]", ndimage.find_objects(labels, count))  # each region has its peak

@@ -129,11 +129,8 @@ def rank_probability(z: Float64, count: Index, rank: int) -> Float64:
 def score_deviations(found: Deviations, *, seen_by: int, threads: int | None = None) -> Float32:
     """−log₁₀ of the probability that noise alone looks as much like a defect, shape (H, W); 0 where no image is usable.
 
-    Parameters
-    ----------
-    seen_by
-        A defect is what shows in so many images: its score is that of the `seen_by`-th largest deviation. Where fewer
-        are lit it has to show in these alone, or in one where none is, and may show in a dark one as well.
+    seen_by: A defect is what shows in so many images: its score is that of the `seen_by`-th largest deviation. Where
+        fewer are lit it has to show in these alone, or in one where none is, and may show in a dark one as well.
     """
     whole = np.zeros(found.z.shape[1:], np.float32)
     window = mask_window(np.asarray(found.usable.any(axis=0), np.bool_))
@@ -223,13 +220,8 @@ def _raise_scores(sums: Float32, counts: Bool, lit: Bool, table: Float32, score:
 def threshold(false_alarms: float, pixels: int, tests: int) -> float:
     """Score that noise alone exceeds anywhere in an image with at most this probability (Bonferroni's bound).
 
-    Parameters
-    ----------
-    false_alarms
-        Expected false alarms per posture.
-    pixels
-        That are judged.
-    tests
-        Scores that each pixel's is the greatest of.
+    false_alarms: Expected false alarms per posture.
+    pixels: That are judged.
+    tests: Scores that each pixel's is the greatest of.
     """
     return -math.log10(false_alarms / max(1, pixels * tests))

@@ -1,13 +1,18 @@
-"""Evaluate an inspection against ground truth: recall, false alarms, ROC, probability of detection."""
+"""Evaluate an inspection against ground truth: recall, false alarms, ROC, probability of detection.
+
+Probability of detection against size is a hit/miss analysis as in MIL-HDBK-1823A, appendix G: logit POD = b₀ + b₁·ln
+size, by maximum likelihood, and the bound of the size that is found 90 % of the time from the ratio of likelihoods.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from scipy import ndimage
+from scipy import ndimage, optimize, special
 
 from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.transforms import Posture
@@ -15,7 +20,6 @@ from lightopt.defects import PlacedDefect
 from lightopt.images import ImageSet
 from lightopt.inspection._results import InspectionResult
 from lightopt.inspection.evaluation._ground_truth import true_labels
-from lightopt.inspection.evaluation._probability_of_detection import fit_detection_curve
 
 SLACK_PX = 2
 """A region that comes this near to a labelled pixel is that defect's."""
@@ -26,6 +30,15 @@ MOST_MORE_PX = 50
 the part finds nothing. Defects of few pixels look larger, since they are found in sums over Gaussians."""
 
 _DISC = np.hypot(*np.mgrid[-SLACK_PX : SLACK_PX + 1, -SLACK_PX : SLACK_PX + 1]) <= SLACK_PX + 0.5
+
+WANTED = 0.9
+ONE_SIDED_95 = 2.7055
+"""Twice the fall of the log-likelihood at a one-sided bound of 95 %: the square of the normal quantile 1.645."""
+
+LEAST_DEFECTS = 8
+STEEPEST = 200.0
+FURTHEST, PLACES = 30.0, 120
+"""Bounds beyond this many times the largest size are none; so many sizes are tried to begin with."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,10 +94,7 @@ def evaluate_set(
 ) -> SetEvaluation:
     """Compare an inspection with the labels of its images, or with `known` defects where these have none.
 
-    Raises
-    ------
-    InputError
-        Neither labels nor known defects.
+    Raises InputError: neither labels nor known defects.
     """
     labels = true_labels(image_set, result, known=known)
     listed = labels.listed
@@ -131,12 +141,8 @@ def defect_size(one: Mapping[str, Any]) -> float:
 def region_hits(labels: Int32, truth: Int32) -> list[Int32]:
     """For each region the defects that it finds: those that it touches, unless it is far larger than all of them.
 
-    Parameters
-    ----------
-    labels
-        Number of the region of each pixel, from 1, 0 for none, shape (H, W).
-    truth
-        Index of the defect of each pixel, −1 for none, same shape.
+    labels: Number of the region of each pixel, from 1, 0 for none, shape (H, W).
+    truth: Index of the defect of each pixel, −1 for none, same shape.
     """
     hits: list[Int32] = []
     size = np.bincount(truth[truth >= 0], minlength=1)
@@ -155,12 +161,8 @@ def region_hits(labels: Int32, truth: Int32) -> list[Int32]:
 def area_under_roc(score: Float64, positive: Bool) -> float:
     """Probability that a positive scores more than a negative, ties counting half (Mann and Whitney).
 
-    Parameters
-    ----------
-    score
-        Shape (n,).
-    positive
-        Shape (n,), neither all true nor all false.
+    score: Shape (n,).
+    positive: Shape (n,), neither all true nor all false.
     """
     p = int(positive.sum())
     q = len(positive) - p
@@ -212,3 +214,83 @@ def summarise(sets: Sequence[SetEvaluation]) -> dict[str, Any]:
             for one in sets
         ],
     }
+
+
+@dataclass(frozen=True)
+class DetectionCurve:
+    """Probability of detection against size.
+
+    intercept, steepness: b₀ and b₁; None where hits and misses do not determine them: too few, all found or missed, or
+        no rise with size.
+    a90: Size that is found 90 % of the time [mm]; None likewise.
+    a90_95: Its upper bound of 95 % confidence [mm]; None likewise, or where there is none.
+    """
+
+    defects: int
+    found: int
+    intercept: float | None = None
+    steepness: float | None = None
+    a90: float | None = None
+    a90_95: float | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        return {
+            name: None if value is None else (value if isinstance(value, int) else float(f"{value:.6g}"))
+            for name, value in vars(self).items()
+        }
+
+
+def fit_detection_curve(sizes: Sequence[float], found: Sequence[bool]) -> DetectionCurve:
+    """Fit the curve of detection.
+
+    sizes: Of the defects [mm].
+    found: Whether each was.
+    """
+    x, hit = np.log(np.asarray(sizes, np.float64)), np.asarray(found, np.bool_)
+    n, k = len(x), int(hit.sum())
+    if n < LEAST_DEFECTS or k in (0, n) or np.ptp(x) == 0.0:
+        return DetectionCurve(n, k)
+    goal = math.log(WANTED / (1.0 - WANTED))
+
+    def likelihood(place: float, steepness: float) -> float:
+        # of a curve that is WANTED at ln size `place`
+        eta = goal + steepness * (x - place)
+        return float(np.sum(np.where(hit, special.log_expit(eta), special.log_expit(-eta))))
+
+    def best_at(place: float) -> tuple[float, float]:
+        # the steepness that suits, and its likelihood
+        answer = optimize.minimize_scalar(
+            lambda s: -likelihood(place, math.exp(s)),
+            bounds=(math.log(1e-2), math.log(STEEPEST)),
+            method="bounded",
+        )
+        return math.exp(float(answer.x)), -float(answer.fun)  # pyright: ignore[reportAttributeAccessIssue]
+
+    reach = math.log(FURTHEST)
+    places = np.linspace(x.min() - reach, x.max() + reach, PLACES)
+    values = np.array([best_at(float(place))[1] for place in places])
+    top = int(values.argmax())
+    if top in (0, len(places) - 1):
+        return DetectionCurve(n, k)
+    answer = optimize.minimize_scalar(
+        lambda place: -best_at(place)[1], bounds=(places[top - 1], places[top + 1]), method="bounded"
+    )
+    place = float(answer.x)  # pyright: ignore[reportAttributeAccessIssue]
+    steepness, most = best_at(place)
+    even = k * math.log(k / n) + (n - k) * math.log(1.0 - k / n)
+    if most - even < 1e-6:
+        return DetectionCurve(n, k)
+    inside = (2.0 * (most - values) <= ONE_SIDED_95) & (places >= place)
+    bound = None
+    if inside.any() and not inside[-1]:
+        last = int(np.flatnonzero(inside)[-1])
+        low, high = float(places[last]), float(places[last + 1])
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            near = 2.0 * (most - best_at(middle)[1]) <= ONE_SIDED_95
+            low, high = (middle, high) if near else (low, middle)
+        bound = math.exp(low)
+    elif not inside.any():
+        bound = math.exp(float(places[int(np.searchsorted(places, place))]))
+    return DetectionCurve(n, k, goal - steepness * place, steepness, math.exp(place), bound)

@@ -16,7 +16,7 @@ from lightopt.defects import PlacedDefect, mark_surface
 from lightopt.estimate.registration import Placement
 from lightopt.images import ImageSet
 from lightopt.inspection._results import InspectedPosture, InspectionResult
-from lightopt.inspection.prediction._frames import world_to_mesh_file
+from lightopt.inspection.prediction._registered_set import world_to_mesh_file
 from lightopt.scene import defect_facts
 
 
@@ -38,15 +38,9 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
     which is `part`, or lies beside it with the content that it had. A set without the name of its part file, or taken
     by this file before it was edited, has the defects that `part` names.
 
-    Parameters
-    ----------
-    part
-        That the images are inspected by.
+    part: That the images are inspected by.
 
-    Raises
-    ------
-    InputError
-        There is no source, or labels are listed and their images are not.
+    Raises InputError: there is no source, or labels are listed and their images are not.
     """
     manifest = image_set.manifest
     if isinstance(manifest.extra.get("defects"), list):
@@ -67,7 +61,7 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
             raise InputError(
                 f"{image_set.folder}: nothing is known of defects on this part: the images have no labels, and were "
                 f"taken by {own.file}, which does not lie beside {part.source.path} as it was then; put it there, or "
-                "leave --truth out"
+                "inspect without ground truth"
             )
         return _part_file_source(load_part(beside), own.file)
     if own is not None and own.sha256 == part.source.sha256:
@@ -76,7 +70,7 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
         raise InputError(
             f"{image_set.folder}: nothing is known of defects on this part: the images have no labels, as lightopt "
             f"render writes them, and {part.source.path}, by which they were not taken as it is now, names no defects; "
-            "give the part file whose defects: are those of the part in the images, or leave --truth out"
+            "give the part file whose defects: are those of the part in the images, or inspect without ground truth"
         )
     return TruthSource(part)
 
@@ -84,10 +78,7 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
 def truth_sources(sets: Sequence[ImageSet], part: PartConfig) -> list[TruthSource]:
     """The sources of ground truth of several sets, by :func:`truth_source`.
 
-    Raises
-    ------
-    InputError
-        The problems of all sets together.
+    Raises InputError: the problems of all sets together.
     """
     problems: list[str] = []
 
@@ -108,7 +99,8 @@ def _part_file_source(part: PartConfig, name: str) -> TruthSource:
     if part.defects:
         return TruthSource(part)
     return TruthSource(
-        part, warnings=(f"--truth: {name}, by which it was taken, names no defects: held to be a good part",)
+        part,
+        warnings=(f"ground truth: {name}, by which it was taken, names no defects: held to be a good part",),
     )
 
 

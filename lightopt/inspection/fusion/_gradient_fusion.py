@@ -7,7 +7,8 @@ others, too. Rules differ in how they separate the two. All use the images that 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial, reduce
+from functools import partial
+from typing import Final, Literal
 
 import numpy as np
 
@@ -15,8 +16,11 @@ from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.inspection._image_blocks import in_row_blocks
-from lightopt.inspection._options import FUSIONS, Fusion
 from lightopt.inspection.fusion._pixel_weights import LIT
+
+Fusion = Literal["paper", "median", "minimum", "second-largest"]
+FUSIONS: Final = ("paper", "median", "minimum", "second-largest")
+"""Rules of fusion; :func:`fuse_gradients` has their definitions."""
 
 Gradients = list[Float64]
 """Differences to the pixel to the right, shape (H, W − 1), and to the one below, shape (H − 1, W)."""
@@ -76,48 +80,75 @@ def fuse_gradients(levels: Float32, edges: Edges, *, fusion: Fusion, threads: in
         magnitude; ``second-largest``: the one of second largest magnitude.
     """
     fused = np.empty(edges.usable.shape[1:])
+    # contiguous, so that the kernels are compiled for one layout
+    levels, usable, noise = (np.ascontiguousarray(a) for a in (levels, edges.usable, edges.noise))
 
     def fuse_rows(rows: slice) -> None:
-        first = max(0, rows.start - REACH_PX)
-        around = slice(first, rows.stop + REACH_PX)
-        inner = slice(rows.start - first, rows.stop - first)
-        pixels = levels[:, first : around.stop + 1 - edges.axis]
-        gradients = np.where(edges.usable[:, around], np.diff(pixels, axis=1 + edges.axis), np.float32(0.0))
-        # contiguous, so that the kernels are compiled for one layout
-        usable, own = (np.ascontiguousarray(a) for a in (edges.usable[:, rows], gradients[:, inner]))
+        first, last = max(0, rows.start - REACH_PX), min(rows.stop + REACH_PX, len(fused))
+        gradients = _usable_gradients(levels, usable, edges.axis, first, last)
         if fusion == "paper":
-            nearby = np.ascontiguousarray(_largest_nearby(np.abs(gradients))[:, inner])
-            noise = np.ascontiguousarray(edges.noise[:, rows])
-            _average_supported(own, nearby, noise, usable, fused[rows])
+            _average_supported(gradients, noise, usable, first, rows.start, fused[rows])
         else:
-            _choose(own, usable, FUSIONS.index(fusion), fused[rows])
+            _choose(gradients, usable, FUSIONS.index(fusion), first, rows.start, fused[rows])
 
     in_row_blocks(fuse_rows, len(fused), threads)
     return fused
 
 
-def _largest_nearby(size: Float32) -> Float32:
-    # a maximum filter, a third of the time of SciPy's
-    height, width = size.shape[1:]
-    padded = np.pad(size, ((0, 0), (REACH_PX, REACH_PX), (REACH_PX, REACH_PX)))
-    shifts = range(2 * REACH_PX + 1)
-    across = reduce(np.maximum, (padded[:, :, k : k + width] for k in shifts))
-    return reduce(np.maximum, (across[:, k : k + height] for k in shifts))
+@kernel
+def _usable_gradients(levels: Float32, usable: Bool, axis: int, first: int, last: int) -> Float32:
+    # the differences at some rows of edges, 0 where an image is not used
+    images, _, width = usable.shape
+    down, right = 1 - axis, axis
+    gradients = np.zeros((images, last - first, width), np.float32)
+    for i in range(images):
+        for y in range(first, last):
+            for x in range(width):
+                if usable[i, y, x]:
+                    gradients[i, y - first, x] = levels[i, y + down, x + right] - levels[i, y, x]
+    return gradients
+
+
+@kernel
+def _largest_nearby(gradients: Float32) -> Float32:
+    # the greatest magnitude within REACH_PX of each edge, image by image
+    images, height, width = gradients.shape
+    across = np.abs(gradients)
+    for i in range(images):
+        for y in range(height):
+            own, most = np.abs(gradients[i, y]), across[i, y]
+            for u in range(1, min(REACH_PX, width - 1) + 1):
+                # slices, so that the compiler sees that no index is negative
+                left, right, before, after = most[: width - u], most[u:], own[: width - u], own[u:]
+                for x in range(width - u):
+                    left[x] = max(left[x], after[x])
+                for x in range(width - u):
+                    right[x] = max(right[x], before[x])
+    nearby = across.copy()
+    for i in range(images):
+        for y in range(height):
+            for v in range(max(y - REACH_PX, 0), min(y + REACH_PX + 1, height)):
+                for x in range(width):
+                    nearby[i, y, x] = max(nearby[i, y, x], across[i, v, x])
+    return nearby
 
 
 @kernel
 def _average_supported(
-    gradients: Float32, nearby: Float32, noise: Float32, usable: Bool, fused: Float64
+    gradients: Float32, noise: Float32, usable: Bool, first: int, top: int, fused: Float64
 ) -> None:
-    images, height, width = gradients.shape
-    for y in range(height):
+    # fused rows of edges from `top` on, given the gradients from `first` on
+    images, _, width = gradients.shape
+    nearby = _largest_nearby(gradients)
+    for row in range(len(fused)):
+        y, here = top + row, top - first + row
         for x in range(width):
             largest, runner_up, who, count = np.float32(-1.0), np.float32(-1.0), -1, 0
             for i in range(images):
                 if not usable[i, y, x]:
                     continue
                 count += 1
-                size = nearby[i, y, x]
+                size = nearby[i, here, x]
                 if size > largest:
                     largest, runner_up, who = size, largest, i
                 else:
@@ -127,26 +158,27 @@ def _average_supported(
                 if not usable[i, y, x]:
                     continue
                 others = runner_up if i == who else largest
-                own = abs(gradients[i, y, x])
+                own = abs(gradients[i, here, x])
                 # a single image needs no support
                 if count == 1 or others >= SUPPORT * own - NOISE_SLACK * noise[i, y, x]:
-                    total += gradients[i, y, x]
+                    total += gradients[i, here, x]
                     supported += 1
-            fused[y, x] = total / max(supported, 1)
+            fused[row, x] = total / max(supported, 1)
 
 
 @kernel
-def _choose(gradients: Float32, usable: Bool, rule: int, fused: Float64) -> None:
+def _choose(gradients: Float32, usable: Bool, rule: int, first: int, top: int, fused: Float64) -> None:
     # by the rule of that number among FUSIONS: ordered by value for the median, else by magnitude
-    images, height, width = gradients.shape
+    images, _, width = gradients.shape
     ordered = np.empty(images, np.float32)
-    for y in range(height):
+    for row in range(len(fused)):
+        y, here = top + row, top - first + row
         for x in range(width):
             count = 0
             for i in range(images):
                 if not usable[i, y, x]:
                     continue
-                own = gradients[i, y, x]
+                own = gradients[i, here, x]
                 k = count
                 while k > 0 and (ordered[k - 1] > own if rule == 1 else abs(ordered[k - 1]) > abs(own)):
                     ordered[k] = ordered[k - 1]
@@ -154,13 +186,13 @@ def _choose(gradients: Float32, usable: Bool, rule: int, fused: Float64) -> None
                 ordered[k] = own
                 count += 1
             if count == 0:
-                fused[y, x] = 0.0
+                fused[row, x] = 0.0
             elif rule == 1:
-                fused[y, x] = 0.5 * (float(ordered[(count - 1) // 2]) + float(ordered[count // 2]))
+                fused[row, x] = 0.5 * (float(ordered[(count - 1) // 2]) + float(ordered[count // 2]))
             elif rule == 2:
-                fused[y, x] = ordered[0]
+                fused[row, x] = ordered[0]
             else:
-                fused[y, x] = ordered[max(count - 2, 0)]
+                fused[row, x] = ordered[max(count - 2, 0)]
 
 
 @dataclass(frozen=True)

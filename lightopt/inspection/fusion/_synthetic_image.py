@@ -13,9 +13,9 @@ from scipy import ndimage
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.threads import in_threads
 from lightopt.inspection._image_blocks import filter_tile, gaussian_taps, in_row_blocks, mask_window
-from lightopt.inspection._options import Fusion
 from lightopt.inspection.fusion._gradient_fusion import (
     FusedGradients,
+    Fusion,
     FusionRule,
     fuse_with_prediction,
 )
@@ -105,18 +105,12 @@ def fuse_images(
     as much as shading. Of those it is taken off, as estimated from the prediction with noise; where gradients are
     averaged it counts as uncertainty.
 
-    Parameters
-    ----------
-    levels, deviations
-        Of the images and of their noise, shape (images, H, W) [grey level].
-    weights
-        From :func:`pixel_weights`, same shape.
-    mask
-        Pixels to make an image of, shape (H, W).
-    predicted, specular
-        Levels of the good part, and the highlights' share of them, shape of `levels`; nothing is taken off without.
-    probes
-        How many times noise is added to find the uncertainty; 0 for an uncertainty of 0.
+    levels, deviations: Of the images and of their noise, shape (images, H, W) [grey level].
+    weights: From :func:`pixel_weights`, same shape.
+    mask: Pixels to make an image of, shape (H, W).
+    predicted, specular: Levels of the good part, and the highlights' share of them, shape of `levels`; nothing is taken
+        off without.
+    probes: How many times noise is added to find the uncertainty; 0 for an uncertainty of 0.
     """
     rows, columns = (
         slice(max(0, side.start - MARGIN_PX), side.stop + MARGIN_PX) for side in mask_window(mask)

@@ -85,17 +85,10 @@ def posture_view(
 ) -> PostureView:
     """Compare the images of one posture with its prediction: fit gains and dark level, merge exposures.
 
-    Parameters
-    ----------
-    observations
-        Of one posture.
-    where
-        The set, for messages.
+    observations: Of one posture.
+    where: The set, for messages.
 
-    Raises
-    ------
-    InputError
-        Images that do not look like the prediction, or that are all saturated.
+    Raises InputError: images that do not look like the prediction, or that are all saturated.
     """
     clean = prediction.clean
     if clean.any() and all(bool((o.saturated | ~clean).all()) for o in observations):

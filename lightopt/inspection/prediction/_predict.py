@@ -70,12 +70,8 @@ def predict(
 ) -> Prediction:
     """Render the good part in a posture.
 
-    Parameters
-    ----------
-    scene
-        With the part where it lies.
-    caster
-        Of the scene's part.
+    scene: With the part where it lies.
+    caster: Of the scene's part.
     """
     chosen = tuple(light for light in scene.lights if light.name in lights)
     # with a trace of scattered light, what a light reaches has some, and what is in its shadow none

@@ -9,19 +9,17 @@ from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, Placement, Registration
 from lightopt.geometry import RayCaster
-from lightopt.inspection.prediction._derivatives import (
-    PlacementDerivatives,
-    difference_steps,
-    placement_derivatives,
-    shift_prediction,
-)
-from lightopt.inspection.prediction._placement_offset import (
+from lightopt.inspection.prediction._nearby_placement import (
     LOOSE,
     TIGHT,
     PixelSample,
+    PlacementDerivatives,
     PlacementOffset,
+    difference_steps,
     fit_placement_offset,
+    placement_derivatives,
     sample_pixels,
+    shift_prediction,
 )
 from lightopt.inspection.prediction._predict import Prediction, SurfaceMap, map_surface, predict
 from lightopt.rendering import cast_rays_at

@@ -1,14 +1,19 @@
-"""A set of images with its part registered: for each posture the images beside the predicted good part."""
+"""A set of images with its part registered: for each posture the images beside the predicted good part.
+
+Also the way back from where the part lies to where its file has it: mesh file coordinates and nominal pixels.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from lightopt.config import PartConfig, RigConfig
-from lightopt.core.arrays import Float64
+from lightopt.core.arrays import Float64, Int32
 from lightopt.core.run_context import RunContext
-from lightopt.core.transforms import Posture
+from lightopt.core.transforms import Posture, rotation_z
 from lightopt.estimate.registration import (
     Observation,
     Placement,
@@ -19,11 +24,10 @@ from lightopt.estimate.registration import (
     register,
 )
 from lightopt.images import ImageSet
-from lightopt.inspection._options import InspectOptions
 from lightopt.inspection.prediction._posture_view import PostureView, posture_view
 from lightopt.inspection.prediction._prediction_cache import PredictionCache, observed_lights
 from lightopt.rendering import cast_rays_at
-from lightopt.scene import Scene, build_scene
+from lightopt.scene import Scene, build_scene, project, view_from_part
 
 ExposuresByLight = dict[str, tuple[tuple[float, int], ...]]
 """By light the exposure and the number of frames of each image."""
@@ -51,14 +55,14 @@ def register_set(
     part: PartConfig,
     image_set: ImageSet,
     *,
-    options: InspectOptions,
+    shift: bool,
     cache: PredictionCache,
     run: RunContext,
 ) -> RegisteredSet:
     """Find the part of a set, and predict the good part for its images; takes what :func:`inspect_set` takes."""
     threads = run.threads
     nominal, observations = nominal_scene(rig, part, image_set, scenes=cache.nominal_scenes, threads=threads)
-    scene, placement, offset = _find(nominal, observations, cache, options, run)
+    scene, placement, offset = _find(nominal, observations, cache, run, shift=shift)
 
     def views() -> Iterator[tuple[PostureView, ExposuresByLight]]:
         for number, posture in enumerate(scene.postures):
@@ -72,10 +76,10 @@ def register_set(
             where = str(image_set.folder)
             view = posture_view(scene, mine, prediction, where=where, threads=threads)
             yield view, _exposures_by_light(mine, view.lights)
-        if options.shift and offset is None:
+        if shift and offset is None:
             cache.measure_misfit(scene, observations)
 
-    return RegisteredSet(nominal, placement, scene, views(), cache.registration if options.shift else None)
+    return RegisteredSet(nominal, placement, scene, views(), cache.registration if shift else None)
 
 
 def nominal_scene(
@@ -88,10 +92,7 @@ def nominal_scene(
 ) -> tuple[Scene, tuple[Observation, ...]]:
     """The part without defects where its file has it, under the lights and in the postures of a set, and the images.
 
-    Parameters
-    ----------
-    scenes
-        Of the same rig and part by postures and lights, to reuse and to add to: reading a mesh takes time.
+    scenes: Of the same rig and part by postures and lights, to reuse and to add to: reading a mesh takes time.
     """
     observations = read_observations(image_set, rig, part, threads=threads)
     used = {o.light for o in observations}
@@ -118,11 +119,12 @@ def _find(
     nominal: Scene,
     observations: Sequence[Observation],
     cache: PredictionCache,
-    options: InspectOptions,
     run: RunContext,
+    *,
+    shift: bool,
 ) -> tuple[Scene, Placement, Float64 | None]:
     # the scene to predict with, where the part lies, and its offset from that scene in steps of the derivatives
-    if not options.shift:
+    if not shift:
         return *cache.use_placement(nominal, Placement()), None
     nearby = cache.nearby_placement(nominal, observations, threads=run.threads)
     if nearby is not None:
@@ -149,3 +151,46 @@ def exposures_text(exposures: ExposuresByLight) -> str:
     return "; ".join(
         f"{light} {', '.join(one(*shot) for shot in images)}" for light, images in exposures.items()
     )
+
+
+def world_to_mesh_file(
+    points: Float64, scene: Scene, placement: Placement, posture: Posture, *, direction: bool = False
+) -> Float64:
+    """World points of a placed part in a posture, shape (k, 3), in the coordinates of the mesh file [mm].
+
+    scene, placement: where the part's file has the part, and where it lies from there.
+    direction: whether `points` are directions, which are rotated only.
+    """
+    file = scene.placement
+    if direction:
+        view = view_from_part(scene, posture)
+        return points @ view.rotation @ rotation_z(placement.turn) @ file.rotation
+    nominal = _world_to_nominal_part(points, scene, placement, posture)
+    return (nominal - file.translation) @ file.rotation
+
+
+def nominal_pixels(view: PostureView, scene: Scene, placement: Placement) -> Int32:
+    """For each pixel the one that shows its place where the part's file has it: flat index or −1, shape (H, W).
+
+    scene: With the part where its file has it.
+    placement: Where it lies from there.
+    """
+    geometry = view.prediction.images.geometry
+    index = np.full(geometry.hit.shape, -1, np.int32)
+    camera = view_from_part(scene, view.posture).camera
+    points = geometry.points[geometry.hit].astype(np.float64)
+    column, row, depth = project(camera, _world_to_nominal_part(points, scene, placement, view.posture))
+    inside = (depth > 0.0) & (column >= 0.0) & (column < camera.width) & (row >= 0.0) & (row < camera.height)
+    pixel = np.full(len(column), -1, np.int32)
+    pixel[inside] = np.floor(row[inside]).astype(np.int32) * camera.width
+    pixel[inside] += np.floor(column[inside]).astype(np.int32)
+    index[geometry.hit] = pixel
+    return index
+
+
+def _world_to_nominal_part(points: Float64, scene: Scene, placement: Placement, posture: Posture) -> Float64:
+    # world points of the placed part in the part frame, with the part where its file has it
+    view = view_from_part(scene, posture)
+    on_stage = (points - view.translation) @ view.rotation
+    shift = np.array([placement.x, placement.y, 0.0])
+    return (on_stage - scene.pivot - shift) @ rotation_z(placement.turn) + scene.pivot

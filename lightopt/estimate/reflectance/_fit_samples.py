@@ -1,4 +1,4 @@
-"""The default fit, in three steps: a scan over σ, a test of the model, and the estimate.
+"""Fit samples in three steps: a scan over σ, a test of the model, and the estimate.
 
 Least squares of clipped levels come first, over the whole range of σ. They show whether the model describes the images:
 where it does, the likelihood of noise and outliers is maximised, which is sharper and allows for dust; where it does

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from scipy import fft, ndimage, special
 
 from lightopt.core.arrays import Float32, Float64
-from lightopt.inspection._options import InspectOptions
-from lightopt.inspection.detection._deviation import Deviations
-from lightopt.inspection.detection._score import SCALES_PX, score_deviations
 from lightopt.inspection.fusion._synthetic_image import SyntheticImage
 
 DOT_PX = (1.0, 2.0, 4.0)
@@ -42,10 +38,7 @@ def templates() -> tuple[Float64, ...]:
 def score_templates(image: SyntheticImage) -> Float32:
     """−log₁₀ of the probability that a place of even texture answers to a template as strongly, shape (H, W).
 
-    Parameters
-    ----------
-    image
-        Without highlights.
+    image: Without highlights.
     """
     mask = image.mask
     if not mask.any():
@@ -100,30 +93,3 @@ def _convolved(image: Float64, template: Float64) -> Float64:
     first, second = (np.asarray(fft.rfft2(a, shape)) for a in (image - image.mean(), template))
     full = np.asarray(fft.irfft2(first * second, shape))
     return full[reach : reach + image.shape[0], reach : reach + image.shape[1]]
-
-
-def score_posture(
-    found: Deviations,
-    options: InspectOptions,
-    synthetic: Callable[[], SyntheticImage] | None,
-    *,
-    threads: int | None = None,
-) -> tuple[Float32, int]:
-    """The scores of a posture by the detector that was chosen, and how many scores each is the greatest of.
-
-    Parameters
-    ----------
-    found
-        Deviations from the good part, for the residual detector.
-    synthetic
-        Makes the image without highlights, for the template detector; the other does not call it.
-
-    Returns
-    -------
-    tuple
-        −log₁₀ of the probability that noise alone looks as much like a defect, shape (H, W); number of tests.
-    """
-    if options.detector == "template":
-        assert synthetic is not None
-        return score_templates(synthetic()), TEMPLATES
-    return score_deviations(found, seen_by=options.seen_by, threads=threads), len(SCALES_PX)
