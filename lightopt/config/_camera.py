@@ -1,4 +1,4 @@
-"""What a rig file says of the camera."""
+"""The camera in a rig file: its geometry, its sensor, and the device behind it."""
 
 from __future__ import annotations
 
@@ -6,10 +6,27 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
-from lightopt.config._fields import Azimuth, Elevation, Frozen, Length, Positive, absent, complaint, expecting
+from lightopt.config._fields import (
+    Azimuth,
+    Elevation,
+    Frozen,
+    Length,
+    Positive,
+    Text,
+    complaint,
+    exactly_one,
+    expecting,
+    only_of_driver,
+)
 
-_Distortion = Annotated[float, Field(ge=-1e3, le=1e3, allow_inf_nan=False), expecting("a number")]
+_Distortion = Annotated[float, Field(ge=-1e3, le=1e3), expecting("a number")]
 _Pixels = Annotated[int, Field(ge=1, le=65535)]
+_Nanoseconds = Annotated[int, Field(ge=0, le=1000000000), expecting("nanoseconds, from 0 to 1000000000")]
+_Pixel = Annotated[int, Field(ge=0, le=65535), expecting("pixels, from 0 to 65535")]
+_Offset = Annotated[
+    tuple[_Pixel, _Pixel], Field(strict=False), expecting("two whole numbers of pixels, [left, top]")
+]
+_PacketSize = Annotated[int, Field(ge=576, le=65535), expecting("bytes, from 576 to 65535")]
 
 
 def _whole(value: object) -> object:
@@ -39,12 +56,10 @@ class SensorConfig(Frozen):
         description="Level [levels] from which a pixel counts as saturated; the full scale unless given. "
         "Some 12-bit cameras stop at 4080.",
     )
-    black_level: Annotated[float, Field(ge=0, allow_inf_nan=False), expecting("a level from 0 up")] = Field(
+    black_level: Annotated[float, Field(ge=0), expecting("a level from 0 up")] = Field(
         default=0.0, description="Level of an unlit pixel [levels of the sensor]."
     )
-    read_noise_levels: Annotated[
-        float, Field(ge=0, le=1e5, allow_inf_nan=False), expecting("a number from 0 up")
-    ] = Field(
+    read_noise_levels: Annotated[float, Field(ge=0, le=1e5), expecting("a number from 0 up")] = Field(
         default=0.0, description="Standard deviation of the noise without light [levels of the sensor]."
     )
     electrons_per_level: Positive | None = Field(
@@ -88,9 +103,9 @@ class CameraConfig(Frozen):
         Field(strict=False),
         expecting("[width, height], two whole numbers from 1 to 65535"),
     ] = Field(description="Width and height of the image [pixels].")
-    pixel_size_um: Annotated[
-        float, Field(ge=0.01, le=1000, allow_inf_nan=False), expecting("a number from 0.01 to 1000")
-    ] = Field(description="Edge of a square pixel on the sensor [µm].")
+    pixel_size_um: Annotated[float, Field(ge=0.01, le=1000), expecting("a number from 0.01 to 1000")] = Field(
+        description="Edge of a square pixel on the sensor [µm]."
+    )
     image_distance_mm: Length | None = Field(
         default=None,
         description="Distance from the pinhole to the image plane [mm]. Give this or focal_length_mm.",
@@ -114,16 +129,103 @@ class CameraConfig(Frozen):
     def _one_of_two(cls, focal: float | None, info: ValidationInfo) -> float | None:
         if "image_distance_mm" not in info.data:
             return focal
-        if info.data["image_distance_mm"] is None and focal is None:
-            keys = ("image_distance_mm", "focal_length_mm")
-            raise absent(
-                f'missing key "{keys[0]}" (pinhole to image plane) or "{keys[1]}" (of the lens)', *keys
-            )
-        if info.data["image_distance_mm"] is not None and focal is not None:
-            raise complaint("given together with image_distance_mm; expected one of the two")
+        missing = (
+            'missing key "image_distance_mm" (pinhole to image plane) or "focal_length_mm" (of the lens)'
+        )
+        exactly_one(focal, info, other="image_distance_mm", missing=missing)
         distance = info.data.get("distance_mm")
         if focal is not None and distance is not None and focal >= distance:
             raise complaint(
                 f"expected less than distance_mm, {distance:g}: a lens of {focal:g} mm cannot focus there"
             )
         return focal
+
+
+class CameraDeviceConfig(Frozen):
+    """The device that takes the images."""
+
+    driver: Annotated[
+        Literal["virtual", "folder", "aravis", "genicam"], expecting("virtual, folder, aravis or genicam")
+    ] = Field(
+        default="virtual",
+        description="virtual: frames rendered by the virtual bench; folder: frames replayed; aravis: GigE Vision and "
+        "USB3 Vision cameras; genicam: any camera, through its maker's GenTL producer.",
+    )
+    folder: Text | None = Field(
+        default=None,
+        description="folder: an image set whose PNG files are replayed; relative to this file.",
+        validate_default=True,
+    )
+    port: Text | None = Field(
+        default=None,
+        description="aravis, genicam: serial number, address or identifier of the camera, in quotes, as lightopt bench "
+        "devices lists it; the only camera that there is if absent. aravis: virtual is a GigE Vision camera simulated "
+        "on this computer.",
+    )
+    producer: Text | None = Field(
+        default=None,
+        description="genicam: the maker's GenTL producer, a .cti file; relative to this file.",
+        validate_default=True,
+    )
+    pixel_format: Text | None = Field(
+        default=None,
+        description="aravis, genicam: pixel format, such as Mono12p; one that has the sensor's bit_depth if absent.",
+    )
+    offset_px: _Offset | None = Field(
+        default=None,
+        description="aravis, genicam: where the image begins on the sensor, from the left and from the top [pixels]; "
+        "centred if absent.",
+    )
+    gain: Annotated[float, Field(ge=-100, le=1000), expecting("a gain")] | None = Field(
+        default=None,
+        description="aravis, genicam: gain in the camera's own units, mostly dB; as the camera has it if absent.",
+    )
+    trigger: Annotated[Literal["auto", "software", "none"], expecting("auto, software or none")] = Field(
+        default="auto",
+        description="aravis, genicam: software: each frame is triggered; none: the camera runs freely and "
+        "timing.discard_frames are thrown away after each change; auto: software where the camera has it.",
+    )
+    fixed_exposure_us: Positive | None = Field(
+        default=None, description="aravis, genicam: exposure time [us] of a camera on which it cannot be set."
+    )
+    packet_size: _PacketSize | None = Field(
+        default=None,
+        description="aravis: size of a camera's packets on the network [bytes]; as it is if absent.",
+    )
+    packet_delay_ns: _Nanoseconds | None = Field(
+        default=None, description="aravis: pause between a camera's packets [ns]; as it is if absent."
+    )
+
+    @field_validator("folder")
+    @classmethod
+    def _of_folder(cls, folder: str | None, info: ValidationInfo) -> str | None:
+        missing = 'missing key "folder": an image set to replay, for driver: folder'
+        return only_of_driver("folder", folder, info, missing=missing)
+
+    @field_validator("producer")
+    @classmethod
+    def _of_genicam(cls, producer: str | None, info: ValidationInfo) -> str | None:
+        missing = 'missing key "producer": the .cti file of the camera\'s maker, for driver: genicam'
+        return only_of_driver("genicam", producer, info, missing=missing)
+
+    @field_validator("packet_size", "packet_delay_ns")
+    @classmethod
+    def _of_aravis(cls, value: int | None, info: ValidationInfo) -> int | None:
+        return only_of_driver("aravis", value, info, what="this")
+
+    @field_validator("port", "pixel_format", "offset_px", "gain", "trigger", "fixed_exposure_us")
+    @classmethod
+    def _of_machine_cameras(cls, value: object, info: ValidationInfo) -> object:
+        driver = info.data.get("driver")
+        if driver in ("virtual", "folder") and value not in (None, "auto"):
+            raise complaint(
+                f"only driver: aravis and driver: genicam have this, and the driver is {driver}; leave this out"
+            )
+        return value
+
+    @field_validator("port")
+    @classmethod
+    def _simulated(cls, port: str | None, info: ValidationInfo) -> str | None:
+        if port == "virtual" and info.data.get("driver") == "genicam":
+            raise complaint("only driver: aravis has a simulated camera (or driver: virtual)")
+        return port

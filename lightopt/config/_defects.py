@@ -1,10 +1,10 @@
-"""What a part file says about defects: the kinds to plan for, and those that are on this part."""
+"""Defects in a part file: the kinds to plan for, and those that are on this part."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field, ValidationInfo, field_validator
 
@@ -16,25 +16,23 @@ from lightopt.config._fields import (
     Text,
     absent,
     complaint,
+    exactly_one,
     expecting,
+    repeated,
+    value_of,
 )
 from lightopt.defects import MAX_SLOPE, SHAPE_KINDS, DefectKind, DefectShape, depth_of_slope, slope_of_depth
 
-_Extent = Annotated[float, Field(ge=1e-3, le=1e3, allow_inf_nan=False)]
+_Extent = Annotated[float, Field(ge=1e-3, le=1e3)]
 _Size = Annotated[
     _Extent | Annotated[tuple[_Extent, _Extent], Field(strict=False)],
     expecting("a diameter, or [length, width], in mm from 0.001 to 1000"),
 ]
-_Slope = Annotated[
-    float, Field(gt=0, le=60, allow_inf_nan=False), expecting("a number above 0, up to 60 (degrees)")
-]
-_Factor = Annotated[float, Field(ge=0, le=100, allow_inf_nan=False), expecting("a number from 0 to 100")]
-_WidthFactor = Annotated[
-    float, Field(ge=0.01, le=100, allow_inf_nan=False), expecting("a number from 0.01 to 100")
-]
-_Turn = Annotated[
-    float, Field(ge=-360, le=360, allow_inf_nan=False), expecting("a number from -360 to 360 (degrees)")
-]
+_Slope = Annotated[float, Field(gt=0, le=60), expecting("a number above 0, up to 60 (degrees)")]
+_Depth = Annotated[float, Field(gt=0, le=1e3), expecting("a number above 0, up to 1000 (mm)")]
+_Factor = Annotated[float, Field(ge=0, le=100), expecting("a number from 0 to 100")]
+_WidthFactor = Annotated[float, Field(ge=0.01, le=100), expecting("a number from 0.01 to 100")]
+_Turn = Annotated[float, Field(ge=-360, le=360), expecting("a number from -360 to 360 (degrees)")]
 _PixelIndex = Annotated[int, Field(ge=0, le=65535)]
 
 
@@ -66,12 +64,7 @@ class CatalogueEntryConfig(Frozen):
         description="Steepest slope of the walls [deg], up to 60. Shapes have this or depth_mm; the other follows.",
         validate_default=True,
     )
-    depth_mm: (
-        Annotated[
-            float, Field(gt=0, le=1e3, allow_inf_nan=False), expecting("a number above 0, up to 1000 (mm)")
-        ]
-        | None
-    ) = Field(
+    depth_mm: _Depth | None = Field(
         default=None,
         description="Depth, or height of bumps and blisters [mm]. Shapes have this or slope_deg; the other follows.",
         validate_default=True,
@@ -113,11 +106,8 @@ class CatalogueEntryConfig(Frozen):
         kind, size = info.data.get("kind"), info.data.get("size_mm")
         if kind not in SHAPE_KINDS or "slope_deg" not in info.data:
             return depth
-        slope = info.data["slope_deg"]
-        if slope is None and depth is None:
-            raise absent('missing key "slope_deg" or "depth_mm": give one of them', "slope_deg", "depth_mm")
-        if slope is not None and depth is not None:
-            raise complaint("given together with slope_deg; expected one of the two")
+        missing = 'missing key "slope_deg" or "depth_mm": give one of them'
+        exactly_one(depth, info, other="slope_deg", missing=missing)
         if depth is not None and size is not None:
             width = _extents(size)[1]
             slope_found = slope_of_depth(kind, width, depth)
@@ -180,25 +170,17 @@ class DefectConfig(CatalogueEntryConfig):
     @field_validator("at_pixel")
     @classmethod
     def _one_place(cls, pixel: PixelPlaceConfig | None, info: ValidationInfo) -> PixelPlaceConfig | None:
-        if "at_mm" not in info.data:
-            return pixel
-        if pixel is None and info.data["at_mm"] is None:
-            raise absent('missing key "at_mm" or "at_pixel": say where the defect is', "at_mm", "at_pixel")
-        if pixel is not None and info.data["at_mm"] is not None:
-            raise complaint("given together with at_mm; expected one of the two")
+        if "at_mm" in info.data:
+            missing = 'missing key "at_mm" or "at_pixel": say where the defect is'
+            exactly_one(pixel, info, other="at_mm", missing=missing)
         return pixel
 
 
 def same_names(entries: list[object] | tuple[object, ...], where: str) -> Iterator[Complaint]:
-    """Complaints about entries of a list that have the name of an earlier one."""
-    first: dict[Any, int] = {}
-    for i, entry in enumerate(entries):
-        name = entry.get("name") if isinstance(entry, dict) else getattr(entry, "name", None)
-        if not isinstance(name, str):
-            continue
-        if name in first:
-            yield (i, "name"), name, complaint(f'the name of {where}[{first[name]}], too: "{name}"')
-        first.setdefault(name, i)
+    """Complaints about entries of a list that have the name of a previous one."""
+    names = [name if isinstance(name := value_of(entry, "name"), str) else None for entry in entries]
+    for i, first in repeated(names):
+        yield (i, "name"), names[i], complaint(f'the name of {where}[{first}], too: "{names[i]}"')
 
 
 def _extents(size: float | tuple[float, float]) -> tuple[float, float]:

@@ -1,10 +1,10 @@
-"""The kinds of value in the files, each with a description of what is expected."""
+"""Kinds of values in the files, each with a description of what is expected, and how errors are reported."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from collections.abc import Hashable, Iterable, Iterator
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast
 
 from pydantic import (
     AfterValidator,
@@ -13,6 +13,7 @@ from pydantic import (
     Field,
     StringConstraints,
     ValidationError,
+    ValidationInfo,
     ValidatorFunctionWrapHandler,
     WrapValidator,
 )
@@ -20,9 +21,11 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 MOST_POINTS = 65_536
 
+Value = TypeVar("Value")
+
 
 def points_problem(points: int | str) -> str | None:
-    """What is wrong with a number of point lights, in words; None for a square up to `MOST_POINTS`, and for auto."""
+    """Message about a number of point lights; None for a square up to `MOST_POINTS`, and for auto."""
     if points == "auto":
         return None
     if isinstance(points, int) and 1 <= points <= MOST_POINTS:
@@ -43,9 +46,9 @@ Complaint = tuple[tuple[str | int, ...], object, PydanticCustomError]
 
 
 class Frozen(BaseModel):
-    """Base of all configuration: unknown keys are errors, nothing is converted, nothing changes."""
+    """Base of all configuration: unknown keys are errors, nothing is converted, numbers are finite."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 def complaint(reason: str) -> PydanticCustomError:
@@ -70,6 +73,42 @@ def expecting(what: str) -> WrapValidator:
             raise PydanticCustomError("expected", "expected {expected}", {"expected": what}) from None
 
     return WrapValidator(check)
+
+
+def only_of_driver(
+    owner: str, value: Value, info: ValidationInfo, *, what: str = "one", missing: str | None = None
+) -> Value:
+    """A value that only one driver has, and which that driver needs where there is a message for its absence."""
+    driver = info.data.get("driver")
+    if driver == owner and value is None and missing is not None:
+        raise absent(missing, str(info.field_name))
+    if driver not in (None, owner) and value is not None:
+        raise complaint(f"only driver: {owner} has {what}, and the driver is {driver}; leave this out")
+    return value
+
+
+def exactly_one(value: object, info: ValidationInfo, *, other: str, missing: str) -> None:
+    """Refuse a value together with that of the field `other`, which is right by itself, and the absence of both."""
+    if value is None and info.data[other] is None:
+        raise absent(missing, other, str(info.field_name))
+    if value is not None and info.data[other] is not None:
+        raise complaint(f"given together with {other}; expected one of the two")
+
+
+def repeated(keys: Iterable[Hashable | None]) -> Iterator[tuple[int, int]]:
+    """Indices of keys that came before, each with the index of the first; None is passed over."""
+    first: dict[Hashable, int] = {}
+    for i, key in enumerate(keys):
+        if key is None:
+            continue
+        if key in first:
+            yield i, first[key]
+        first.setdefault(key, i)
+
+
+def value_of(entry: object, key: str) -> Any:
+    """Value of an entry's key, whether it was read from a file or is a model already."""
+    return entry.get(key) if isinstance(entry, dict) else getattr(entry, key, None)
 
 
 def with_complaints(
@@ -103,25 +142,19 @@ def _square(points: int | str) -> int | str:
     return points
 
 
-_FINITE = Field(allow_inf_nan=False)
 # Lists of fixed length become tuples, which strict validation would refuse.
 _LIST = Field(strict=False)
 
-Number = Annotated[float, Field(ge=-1e6, le=1e6), _FINITE, expecting("a number")]
-Positive = Annotated[float, Field(gt=0, le=1e9), _FINITE, expecting("a number above 0, up to 1e9")]
-Coefficient = Annotated[float, Field(ge=0, le=1e12), _FINITE, expecting("a number from 0 to 1e12")]
-Length = Annotated[
-    float, Field(ge=1e-3, le=1e6), _FINITE, expecting("a length between 0.001 and 1000000 (a number)")
-]
+Number = Annotated[float, Field(ge=-1e6, le=1e6), expecting("a number")]
+Positive = Annotated[float, Field(gt=0, le=1e9), expecting("a number above 0, up to 1e9")]
+Coefficient = Annotated[float, Field(ge=0, le=1e12), expecting("a number from 0 to 1e12")]
+Length = Annotated[float, Field(ge=1e-3, le=1e6), expecting("a length between 0.001 and 1000000 (a number)")]
 Elevation = Annotated[
     float,
     Field(gt=0, lt=180),
-    _FINITE,
     expecting("a number between 0 and 180 (degrees above the table, ends excluded)"),
 ]
-Azimuth = Annotated[
-    float, Field(ge=-360, le=360), _FINITE, expecting("a number from -360 to 360 (degrees about Z)")
-]
+Azimuth = Annotated[float, Field(ge=-360, le=360), expecting("a number from -360 to 360 (degrees about Z)")]
 ElevationRange = Annotated[
     tuple[Elevation, Elevation],
     _LIST,
@@ -134,9 +167,7 @@ AzimuthRange = Annotated[
     AfterValidator(_ordered),
     expecting("[low, high], two numbers from -360 to 360 (degrees)"),
 ]
-Tilt = Annotated[
-    float, Field(ge=-180, le=180), _FINITE, expecting("a number from -180 to 180 (degrees of tilt)")
-]
+Tilt = Annotated[float, Field(ge=-180, le=180), expecting("a number from -180 to 180 (degrees of tilt)")]
 TiltRange = Annotated[
     tuple[Tilt, Tilt],
     _LIST,

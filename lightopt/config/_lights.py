@@ -1,4 +1,4 @@
-"""What a rig file says of the lights."""
+"""The lights in a rig file."""
 
 from __future__ import annotations
 
@@ -21,11 +21,13 @@ from lightopt.config._fields import (
     Size,
     complaint,
     expecting,
+    repeated,
+    value_of,
 )
 
 _Normalisation = Annotated[Literal["mean", "sum"], expecting("mean or sum")]
 _Falloff = Annotated[Literal["none", "inverse_square"], expecting("none or inverse_square")]
-_Exponent = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False), expecting("a number from 0 to 1000")]
+_Exponent = Annotated[float, Field(ge=0, le=1000), expecting("a number from 0 to 1000")]
 _AUTO_SUM = "sum cannot be used with points: auto, which stands for infinitely many; use mean"
 
 
@@ -113,28 +115,21 @@ class LightConfig(Frozen):
         return ends
 
 
-def _key(light: object, key: str) -> object:
-    return light.get(key) if isinstance(light, dict) else getattr(light, key, None)
-
-
 def same_names(lights: list[object] | tuple[object, ...]) -> Iterator[Complaint]:
-    first: dict[str, int] = {}
-    for i, light in enumerate(lights):
-        name = _key(light, "name")
-        if not isinstance(name, str):
-            continue
-        if name.lower() in first:
-            of = first[name.lower()]
-            other = "" if _key(lights[of], "name") == name else " (upper and lower case are not told apart)"
-            yield (i, "name"), name, complaint(f'the name "{name}" is already that of lights[{of}]{other}')
-        first.setdefault(name.lower(), i)
+    """Complaints about lights that have the name of a previous one, upper and lower case alike."""
+    names = [name if isinstance(name := value_of(light, "name"), str) else None for light in lights]
+    for i, first in repeated(None if name is None else name.lower() for name in names):
+        other = "" if names[first] == names[i] else " (upper and lower case are not told apart)"
+        reason = f'the name "{names[i]}" is already that of lights[{first}]{other}'
+        yield (i, "name"), names[i], complaint(reason)
 
 
 def auto_sums(
     lights: list[object] | tuple[object, ...], shared: LightSourceConfig | None
 ) -> Iterator[Complaint]:
+    """Complaints about lights whose points and normalisation, their own or the shared ones, exclude each other."""
     for i, light in enumerate(lights):
-        own = {key: _key(light, key) for key in ("points", "normalisation")}
+        own = {key: value_of(light, key) for key in ("points", "normalisation")}
         if shared is None or own == {"points": None, "normalisation": None}:
             continue
         both = {key: getattr(shared, key) if value is None else value for key, value in own.items()}

@@ -9,11 +9,11 @@ from typing import Any, Literal, TypeVar
 
 from pydantic import ValidationError
 
-from lightopt.config._document import Document, Problem, YamlError, parse
 from lightopt.config._messages import describe, model_problems
 from lightopt.config._part import PartConfig
 from lightopt.config._rig import RigConfig
 from lightopt.config._source import Source, dotted
+from lightopt.config._strict_yaml import Document, Problem, YamlError, parse
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256
 
@@ -26,7 +26,7 @@ Config = TypeVar("Config", RigConfig, PartConfig)
 def load_rig(path: Path | str) -> RigConfig:
     """Read a rig file (``lightopt-rig/1``).
 
-    Returns: What the file says, in its own units; ``source`` names file, hash and lines.
+    Returns: The file's content, in its own units; ``source`` names file, hash and lines.
     Raises lightopt.core.errors.InputError: With one message per thing that is wrong, sorted by line
     """
     return _load(Path(path), RigConfig, "lightopt-rig/1")
@@ -35,7 +35,7 @@ def load_rig(path: Path | str) -> RigConfig:
 def load_part(path: Path | str) -> PartConfig:
     """Read a part file (``lightopt-part/1``); its mesh file must exist.
 
-    Returns: What the file says, in its own units; ``source`` names file, hash and lines, and
+    Returns: The file's content, in its own units; ``source`` names file, hash and lines, and
         ``source.resolve(part.mesh.file)`` is the path of the mesh.
     Raises lightopt.core.errors.InputError: With one message per thing that is wrong, sorted by line
     """

@@ -1,4 +1,4 @@
-"""The lights of a rig whose file is wrong elsewhere: its ``hardware`` section, as far as that can be read."""
+"""The lights of a rig whose file is wrong elsewhere: its ``hardware`` section, as far as it can be read."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ from typing import TypeVar, cast
 
 from pydantic import BaseModel, ValidationError
 
-from lightopt.config._document import YamlError, parse
-from lightopt.config._hardware import CameraDeviceConfig, ChannelConfig, ControllerConfig, HardwareConfig
+from lightopt.config._camera import CameraDeviceConfig
+from lightopt.config._hardware import HardwareConfig
+from lightopt.config._light_controllers import ChannelConfig, ControllerConfig
 from lightopt.config._load import load_rig, read_text
 from lightopt.config._rig import RigConfig
+from lightopt.config._strict_yaml import YamlError, parse
 from lightopt.core.errors import InputError
 
 Entry = TypeVar("Entry", bound=BaseModel)
@@ -52,12 +54,12 @@ def load_lights(path: Path | str) -> LightsOnly:
     try:
         rig = load_rig(path)
     except InputError as error:
-        return _salvaged(path, error)
+        return _read_what_is_valid(path, error)
     return LightsOnly(rig.name, rig, rig.hardware)
 
 
-def _salvaged(path: Path, wrong: InputError) -> LightsOnly:
-    """What can be read of a file with which something is wrong."""
+def _read_what_is_valid(path: Path, wrong: InputError) -> LightsOnly:
+    """Lights and controllers of a file that is wrong in other places."""
     try:
         text = read_text(path, "lightopt-rig/1")
     except InputError:

@@ -1,4 +1,4 @@
-"""What is wrong with a configuration, in words for the person who wrote it."""
+"""Messages about what is wrong with a configuration."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
-from lightopt.config._document import INVALID, Document, Problem
-from lightopt.config._scalars import is_number
 from lightopt.config._source import Keys
+from lightopt.config._strict_yaml import INVALID, Document, Problem, is_number
 
 KNOWN_ERRORS = frozenset(
     {"absent", "complaint", "expected", "extra_forbidden", "missing", "model_type", "too_long", "too_short"}
@@ -32,7 +31,7 @@ _UNITS = {
     "inch": "inches",
     "px": "pixels",
 }
-"""Units in words, by the end of the keys that carry them."""
+"""Names of units, by the end of the keys that carry them."""
 
 
 def describe(value: object) -> str:
@@ -144,7 +143,7 @@ def _unknown_key(model: type[BaseModel], loc: Keys, known: str | None) -> str:
 
 
 def _home(model: type[BaseModel], parent: type[BaseModel] | None, key: str) -> str | None:
-    """Key of the list whose entries say more than those of the mapping at hand, such as this."""
+    """Key of a list whose entries have this key, where they extend those of the mapping at hand."""
     more = () if parent is None else tuple(m for m in parent.__subclasses__() if key in m.model_fields)
     return next(
         (name for name, field in model.model_fields.items() if _inner_model(field.annotation) in more), None

@@ -1,4 +1,4 @@
-"""What a part file says: mesh, placement, postures, reflectance and defects."""
+"""A part file: mesh, placement, postures, reflectance and defects."""
 
 from __future__ import annotations
 
@@ -23,23 +23,28 @@ from lightopt.config._fields import (
     absent,
     complaint,
     expecting,
+    repeated,
+    value_of,
     with_complaints,
 )
 from lightopt.config._source import Source
 from lightopt.core.units import step_units_mm, unit_name
 
-_Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False), expecting("a number from 0 to 1")]
+_Unit = Annotated[Literal["um", "mm", "cm", "m", "inch", "ft"], expecting("um, mm, cm, m, inch or ft")]
+_ChordTolerance = Annotated[float, Field(ge=1e-4, le=10), expecting("a number from 0.0001 to 10 (mm)")]
+_Catalogue = Annotated[tuple[CatalogueEntryConfig, ...], Field(strict=False, min_length=1, max_length=100)]
+_Share = Annotated[float, Field(ge=0, le=1), expecting("a number from 0 to 1")]
 
 
 class InspectionConfig(Frozen):
-    """Limits that `lightopt inspect` says OK or NG by."""
+    """Limits by which `lightopt inspect` judges OK or NG."""
 
     most_defects: Annotated[int, Field(ge=0, le=10**6), expecting("a whole number from 0 to 1000000")] = (
         Field(default=0, description="A part with more defects than this is no good.")
     )
-    least_size_mm: Annotated[
-        float, Field(ge=0, le=1e3, allow_inf_nan=False), expecting("a number from 0 to 1000 (mm)")
-    ] = Field(default=0.0, description="Defects shorter than this do not count [mm].")
+    least_size_mm: Annotated[float, Field(ge=0, le=1e3), expecting("a number from 0 to 1000 (mm)")] = Field(
+        default=0.0, description="Defects shorter than this do not count [mm]."
+    )
     least_contrast: _Share = Field(
         default=0.0,
         description="Defects that change the light by less than this share, under the light that shows them best, do "
@@ -63,9 +68,7 @@ class MeshConfig(Frozen):
     file: Text = Field(
         description="Mesh or CAD file, relative to this file: .stl, .ply, .obj, .glb, .step or .stp."
     )
-    units: (
-        Annotated[Literal["um", "mm", "cm", "m", "inch", "ft"], expecting("um, mm, cm, m, inch or ft")] | None
-    ) = Field(
+    units: _Unit | None = Field(
         default=None,
         description="Length unit of the mesh file: um, mm, cm, m, inch or ft. Mandatory for .stl, .ply and "
         ".obj, which carry none; for .glb (metres) and STEP only what the file itself says.",
@@ -77,16 +80,11 @@ class MeshConfig(Frozen):
         "angle; facet: each facet is flat.",
     )
     crease_angle_deg: Annotated[
-        float, Field(gt=0, le=180, allow_inf_nan=False), expecting("a number above 0, up to 180 (degrees)")
+        float, Field(gt=0, le=180), expecting("a number above 0, up to 180 (degrees)")
     ] = Field(
         default=30.0, description="Edges where the facets' normals differ by more than this stay sharp [deg]."
     )
-    chord_tolerance_mm: (
-        Annotated[
-            float, Field(ge=1e-4, le=10, allow_inf_nan=False), expecting("a number from 0.0001 to 10 (mm)")
-        ]
-        | None
-    ) = Field(
+    chord_tolerance_mm: _ChordTolerance | None = Field(
         default=None,
         description="STEP: largest distance of the triangles from the CAD surface [mm]. More makes fewer triangles, "
         "with the CAD surface's normals at their corners; the angle between neighbours follows, from 0.1 rad at 0.01 "
@@ -128,12 +126,12 @@ class MeshConfig(Frozen):
         if suffix in _STEP and units is not None and info.context is not None:
             declared = _declared_units(info.context["folder"] / file)
             if units not in declared:
-                says = (
+                unit = (
                     f"the file is in {' and '.join(sorted(declared))}"
                     if declared
                     else "no unit is found in it"
                 )
-                raise complaint(f"found {units}, but {says}; STEP carries its own unit, remove this key")
+                raise complaint(f"found {units}, but {unit}; STEP carries its own unit, remove this key")
         return units
 
     @field_validator("chord_tolerance_mm")
@@ -177,7 +175,7 @@ class ReflectanceConfig(Frozen):
     R_s: Coefficient = Field(description="Specular coefficient [levels of full_scale].")
     sigma_rad: Annotated[
         float,
-        Field(ge=1e-5, le=0.5, allow_inf_nan=False),
+        Field(ge=1e-5, le=0.5),
         expecting("a number from 0.00001 to 0.5 (radians)"),
     ] = Field(description="Width σ of the specular lobe [rad]: 0.003 is polished chrome, 0.05 satin plating.")
     full_scale: Positive = Field(
@@ -207,15 +205,13 @@ class PartConfig(Frozen):
     defects: Annotated[tuple[DefectConfig, ...], Field(strict=False, max_length=500)] = Field(
         default=(), description="Defects that are on this part; renders show them. None if absent."
     )
-    defect_catalogue: (
-        Annotated[tuple[CatalogueEntryConfig, ...], Field(strict=False, min_length=1, max_length=100)] | None
-    ) = Field(
+    defect_catalogue: _Catalogue | None = Field(
         default=None,
         description="Kinds of defect that the inspection is planned for; the built-in ones if absent.",
     )
     inspection: InspectionConfig = Field(
         default=InspectionConfig(),
-        description="Limits that inspections say OK or NG by; none allowed if absent.",
+        description="Limits by which inspections judge OK or NG; no defects allowed if absent.",
     )
     _source: Source = PrivateAttr(default=Source(Path("<built in code>"), ""))
 
@@ -242,15 +238,10 @@ class PartConfig(Frozen):
 
 
 def _same_postures(postures: list[object] | tuple[object, ...]) -> Iterator[Complaint]:
-    first: dict[tuple[object, ...], int] = {}
-    for i, posture in enumerate(postures):
-        values = posture if isinstance(posture, dict) else getattr(posture, "__dict__", {})
-        angles = tuple(values.get(key) for key in ("elevation_deg", "rotation_deg"))
-        if not all(type(a) in (int, float) for a in angles):
-            continue
-        if angles in first:
-            yield (i,), posture, complaint(f"the same posture as postures[{first[angles]}]")
-        first.setdefault(angles, i)
+    angles = [tuple(value_of(p, key) for key in ("elevation_deg", "rotation_deg")) for p in postures]
+    valid = [pair if all(type(angle) in (int, float) for angle in pair) else None for pair in angles]
+    for i, first in repeated(valid):
+        yield (i,), postures[i], complaint(f"the same posture as postures[{first}]")
 
 
 def _declared_units(path: Path) -> frozenset[str]:
@@ -261,7 +252,7 @@ def _declared_units(path: Path) -> frozenset[str]:
 
 
 def _require(folder: Path, file: str) -> None:
-    """Raise unless the mesh file is there, naming the path that was looked at and a file of similar name."""
+    """Raise unless the mesh file exists, with its full path and a file of similar name."""
     path = folder / file
     try:
         if path.is_file():
@@ -270,10 +261,10 @@ def _require(folder: Path, file: str) -> None:
         near = get_close_matches(path.name, sorted(p.name for p in path.parent.iterdir()), n=1, cutoff=0.5)
     except (OSError, ValueError):
         is_folder, near = False, []
-    looked_at = os.path.normpath(folder.resolve() / file)
+    full_path = os.path.normpath(folder.resolve() / file)
     if is_folder:
-        raise complaint(f"{looked_at} is a folder; expected a file")
+        raise complaint(f"{full_path} is a folder; expected a file")
     hint = f'; did you mean "{(PurePath(file).parent / near[0]).as_posix()}"?' if near else ""
     if "\\" in file and os.sep == "/":
         hint = "; separate folders with / , which works everywhere"
-    raise complaint(f"no such file: {looked_at}{hint}")
+    raise complaint(f"no such file: {full_path}{hint}")

@@ -1,4 +1,4 @@
-"""What a rig file says: camera, lights and stage."""
+"""A rig file: camera, lights, stage and hardware."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ from lightopt.config._fields import (
     expecting,
     with_complaints,
 )
-from lightopt.config._hardware import HardwareConfig
-from lightopt.config._hardware_checks import misfits
+from lightopt.config._hardware import HardwareConfig, misfits
 from lightopt.config._lights import LightConfig, LightSourceConfig, auto_sums, same_names
 from lightopt.config._source import Source
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from lightopt.preflight._findings import Finding, Level, percent
-from lightopt.preflight._inputs import CheckedRig, CheckedScene
+from lightopt.preflight._findings import CheckedRig, CheckedScene, Finding, Level, percent
 from lightopt.rendering import too_few_pixels
 from lightopt.scene import Framing, frame_part, pixel_footprint, view_size
 

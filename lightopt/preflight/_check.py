@@ -1,4 +1,4 @@
-"""The checks in the order of their findings."""
+"""All checks, in the order of their findings."""
 
 from __future__ import annotations
 
@@ -15,9 +15,8 @@ from lightopt.preflight._camera import (
     check_resolution,
     check_sensor,
 )
-from lightopt.preflight._findings import CheckResult, Finding
+from lightopt.preflight._findings import CheckedRig, CheckedScene, CheckResult, Finding, prepare_scene
 from lightopt.preflight._highlights import check_facets, check_levels, check_points
-from lightopt.preflight._inputs import CheckedRig, CheckedScene, prepare_rig, prepare_scene
 from lightopt.preflight._lights import (
     check_below_horizon,
     check_collisions,
@@ -26,7 +25,7 @@ from lightopt.preflight._lights import (
     check_lights_in_view,
 )
 from lightopt.preflight._part import check_back_faces, check_mesh, check_size, check_unseen_surface
-from lightopt.scene import build_scene
+from lightopt.scene import build_camera, build_lights, build_scene
 
 RIG_CHECKS: tuple[Callable[[CheckedRig], Iterable[Finding]], ...] = (
     check_lens,
@@ -70,5 +69,5 @@ def check_scene(rig: RigConfig, part: PartConfig) -> CheckResult:
 
 
 def _run_rig(rig: RigConfig) -> tuple[Finding, ...]:
-    checked = prepare_rig(rig)
+    checked = CheckedRig(rig, build_camera(rig), build_lights(rig))
     return tuple(finding for check in RIG_CHECKS for finding in check(checked))

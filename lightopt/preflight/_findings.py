@@ -1,14 +1,26 @@
-"""Findings of the checks."""
+"""The rig and scene that are checked, with samples of what the camera sees, and the findings of the checks."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Literal, get_args
 
+import numpy as np
+
+from lightopt.config import PartConfig, RigConfig
+from lightopt.core.transforms import Posture
+from lightopt.geometry import Hits, RayCaster
+from lightopt.rendering import SurfacePoints, cast_rays_at, trace_samples
+from lightopt.scene import PanelLight, PartView, PinholeCamera, Scene, screen_window, view_from_part
+
 Level = Literal["ok", "note", "warning", "error"]
 """From best to worst: as it should be; good to know; will probably disappoint; impossible."""
+
+SAMPLES = 60_000
+"""Camera rays per posture at most: counts of pixels are estimates from these."""
 
 
 @dataclass(frozen=True)
@@ -55,3 +67,60 @@ class CheckResult:
 def percent(share: float) -> str:
     """A share as percent: two digits of a small one, no more than whole percents of a large one."""
     return f"{100.0 * share:.2g} %" if share < 0.095 else f"{100.0 * share:.0f} %"
+
+
+@dataclass(frozen=True)
+class CheckedRig:
+    """A rig with its camera and lights in the world frame."""
+
+    rig: RigConfig
+    camera: PinholeCamera
+    lights: tuple[PanelLight, ...]
+
+    def at(self, *keys: str | int) -> str:
+        """File, line and key of a setting of the rig."""
+        return self.rig.source.at(*keys)
+
+
+@dataclass(frozen=True)
+class PostureSamples:
+    """What the camera sees of the part in a posture, at every `step`-th pixel of rows and columns; part frame."""
+
+    posture: Posture
+    view: PartView
+    step: int
+    hits: Hits
+    surface: SurfacePoints
+
+
+@dataclass(frozen=True)
+class CheckedScene:
+    """A rig with a part on it."""
+
+    rig: RigConfig
+    part: PartConfig
+    scene: Scene
+    caster: RayCaster
+    samples: tuple[PostureSamples, ...]
+
+    def at_posture(self, index: int) -> str:
+        """File, line and key of a posture of the part."""
+        return self.part.source.at("postures", index)
+
+
+def prepare_scene(rig: RigConfig, part: PartConfig, scene: Scene) -> CheckedScene:
+    """Cast a grid of camera rays in each posture of a scene."""
+    caster = cast_rays_at(scene)
+    return CheckedScene(rig, part, scene, caster, tuple(_sample(scene, p, caster) for p in scene.postures))
+
+
+def _sample(scene: Scene, posture: Posture, caster: RayCaster) -> PostureSamples:
+    view = view_from_part(scene, posture)
+    left, top, right, bottom = screen_window(view.camera, scene.mesh)
+    step = max(1, math.ceil(math.sqrt((right - left) * (bottom - top) / SAMPLES)))
+    columns, rows = np.meshgrid(
+        np.arange(left + step // 2, right, step, dtype=np.float64) + 0.5,
+        np.arange(top + step // 2, bottom, step, dtype=np.float64) + 0.5,
+    )
+    hits, surface = trace_samples(caster, scene.mesh, view.camera, columns.ravel(), rows.ravel())
+    return PostureSamples(posture, view, step, hits, surface)

@@ -24,8 +24,7 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float64
 from lightopt.geometry import TriangleMesh, face_normals, mesh_edges
 from lightopt.optics import Sensor
-from lightopt.preflight._findings import Finding
-from lightopt.preflight._inputs import CheckedScene
+from lightopt.preflight._findings import CheckedScene, Finding
 from lightopt.rendering import highlight_level
 from lightopt.scene import COARSE_SHARE, PanelLight, coarse_points, like_panels, point_spacing, points_advice
 

@@ -9,8 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from lightopt.config import RigConfig
-from lightopt.preflight._findings import Finding, percent
-from lightopt.preflight._inputs import CheckedRig, CheckedScene
+from lightopt.preflight._findings import CheckedRig, CheckedScene, Finding, percent
 from lightopt.rendering import panels_in_part
 from lightopt.scene import (
     PanelLight,

@@ -19,8 +19,7 @@ from lightopt.geometry import (
     mesh_edges,
     refine,
 )
-from lightopt.preflight._findings import Finding, Level, percent
-from lightopt.preflight._inputs import CheckedScene
+from lightopt.preflight._findings import CheckedScene, Finding, Level, percent
 from lightopt.rendering import visible_points
 from lightopt.scene import guess_unit, is_absurd, view_size
 

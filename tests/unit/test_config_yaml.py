@@ -7,7 +7,7 @@ import random
 import pytest
 import yaml
 
-from lightopt.config._document import YamlError, parse
+from lightopt.config._strict_yaml import YamlError, parse
 
 
 @pytest.mark.parametrize(
