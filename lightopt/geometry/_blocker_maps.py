@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -43,8 +42,12 @@ FACING_TOLERANCE = 1e-4
 DEPTH_TOLERANCE = 1e-4
 TEXEL_MARGIN = 0.05
 
-_FRAME = 14
-"""Numbers of a map's view: its axes (right, up, forward), the target, the coordinate of its edge, texels per unit."""
+BlockerMap = tuple[Float32, Float32]
+"""A view's 14 numbers (its axes right, up and forward, the target, the coordinate of its edge, texels per unit), and
+the least depth in each texel, shape (TEXELS, TEXELS)."""
+
+NO_VIEWS, NO_DEPTHS = np.zeros((0, 14), np.float32), np.zeros((0, TEXELS, TEXELS), np.float32)
+"""Of a caster that has no map."""
 
 
 class BlockerMaps:
@@ -59,9 +62,7 @@ class BlockerMaps:
         self._lock = threading.Lock()
         self._surface: tuple[Float32, Bool] | None = None
         self._closed: bool | None = None
-        self._slots: dict[bytes, int] = {}
-        self._frames = np.zeros((0, _FRAME), np.float32)
-        self._depths = np.zeros((0, TEXELS, TEXELS), np.float32)
+        self._maps: dict[bytes, BlockerMap] = {}
 
     @property
     def closed(self) -> bool:
@@ -81,45 +82,53 @@ class BlockerMaps:
                 self._surface = _planes(self._vertices, self._faces), either
         return bool(self._closed)
 
-    def views(
-        self, targets: Float64, *, rays: int, threads: int | None = 1
-    ) -> tuple[Int32, Float32, Float32]:
-        """Number of the map of each target, −1 where it has none, shape (t,); views and least depths of all maps.
+    def find(self, targets: Float64) -> tuple[Int32, Float32, Float32]:
+        """Number of the map of each target, −1 where it has none, shape (t,); views (k, 14) and depths of the maps.
 
         targets: In the mesh's radii from its centre, shape (t, 3)
-        rays: That may go to each of them
         """
         numbers = np.full(len(targets), -1, np.int32)
-        keys = [target.tobytes() for target in np.ascontiguousarray(targets, np.float64)]
+        found: list[BlockerMap] = []
         with self._lock:
-            missing = [i for i, key in enumerate(keys) if key not in self._slots]
-            if missing and rays > WORTHWHILE_SHARE * len(self._faces) and self._is_closed():
-                far = [i for i in missing if np.linalg.norm(targets[i]) >= LEAST_DISTANCE]
-                self._make([keys[i] for i in far], targets[far], threads)
-            for i, key in enumerate(keys):
-                numbers[i] = self._slots.get(key, -1)
-            return numbers, self._frames, self._depths
+            for i, key in enumerate(_keys(targets) if self._maps else ()):
+                if key in self._maps:
+                    numbers[i] = len(found)
+                    found.append(self._maps[key])
+        if not found:
+            return numbers, NO_VIEWS, NO_DEPTHS
+        return numbers, np.stack([view for view, _ in found]), np.stack([depths for _, depths in found])
 
-    def _make(self, keys: Sequence[bytes], targets: Float64, threads: int | None) -> None:
-        fresh = dict(list(zip(keys, targets, strict=True))[:MOST_MAPS])
-        if len(self._slots) + len(fresh) > MOST_MAPS:
-            self._slots = {}
-        begin = len(self._slots)
-        assert self._surface is not None
-        planes, either = self._surface
-        # those who use the arrays that are there go on with them
-        frames = np.zeros((begin + len(fresh), _FRAME), np.float32)
-        depths = np.full((begin + len(fresh), TEXELS, TEXELS), np.inf, np.float32)
-        frames[:begin], depths[:begin] = self._frames[:begin], self._depths[:begin]
-        places = list(fresh.values())
+    def make(self, targets: Float64, *, rays: int, threads: int | None) -> None:
+        """Make the maps of targets that have none, where so many rays to each of them make that worthwhile.
 
-        def make(number: int) -> None:
-            frames[begin + number] = _frame(places[number])
-            _fill(self._vertices, self._faces, planes, either, frames[begin + number], depths[begin + number])
+        targets: As in :meth:`find`
+        """
+        with self._lock:
+            if rays <= WORTHWHILE_SHARE * len(self._faces) or not self._is_closed():
+                return
+            assert self._surface is not None
+            planes, either = self._surface
+            distance = np.linalg.norm(targets, axis=1)
+            keys = [key for i, key in enumerate(_keys(targets)) if distance[i] >= LEAST_DISTANCE]
+            fresh = [key for key in dict.fromkeys(keys) if key not in self._maps][:MOST_MAPS]
+            made = in_threads(
+                lambda i: _made(self._vertices, self._faces, planes, either, np.frombuffer(fresh[i])),
+                range(len(fresh)),
+                threads,
+            )
+            self._maps |= dict(zip(fresh, made, strict=True))
+            for key in list(self._maps)[:-MOST_MAPS]:
+                del self._maps[key]
 
-        in_threads(make, range(len(places)), threads)
-        self._slots |= {key: begin + number for number, key in enumerate(fresh)}
-        self._frames, self._depths = frames, depths
+
+def _keys(targets: Float64) -> list[bytes]:
+    return [target.tobytes() for target in np.ascontiguousarray(targets, np.float64)]
+
+
+def _made(vertices: Float32, faces: Int32, planes: Float32, either: Bool, target: Float64) -> BlockerMap:
+    frame, depths = _frame(target), np.full((TEXELS, TEXELS), np.inf, np.float32)
+    _fill(vertices, faces, planes, either, frame, depths)
+    return frame, depths
 
 
 def _frame(target: Float64) -> Float32:

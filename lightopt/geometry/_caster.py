@@ -10,11 +10,8 @@ from embreex.mesh_construction import TriangleMesh as EmbreeMesh
 
 from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
-from lightopt.geometry._blocker_maps import TEXELS, BlockerMaps, proven_free
+from lightopt.geometry._blocker_maps import NO_DEPTHS, NO_VIEWS, BlockerMaps, proven_free
 from lightopt.geometry._packets import packet_scene
-
-_NO_FRAMES = np.zeros((0, 14), np.float32)
-_NO_DEPTHS = np.zeros((0, TEXELS, TEXELS), np.float32)
 
 SURFACE_OFFSET = 1e-5
 """Shadow rays start this fraction of the mesh's radius off the surface: 0.25 µm on a 50 mm part. Embree's own hits lie
@@ -64,6 +61,10 @@ class RayCaster:
         """Whether rays can be proven free: the mesh is closed and consistently oriented."""
         return self._maps.closed
 
+    def is_outside(self, point: Float64) -> bool:
+        """Whether a point lies outside the mesh's bounding sphere; [mm], shape (3,)."""
+        return bool(np.linalg.norm(point - self.centre) > self.radius)
+
     def first_hit(self, origin: Float64, directions: Float64) -> Int32:
         """Index of the first face that each ray meets, −1 where none; shape (k,).
 
@@ -92,12 +93,12 @@ class RayCaster:
         normals: Unit geometric normals on the side of the surface that the rays leave, shape (n, 3)
         targets: [mm], shape (t, 3)
         point_index, target_index: Shape (k,)
-        outside: Whether the points are seen from outside the mesh's bounding sphere, so that none lies inside a solid
+        outside: Whether all points are seen, from the side of their normals, from outside the mesh's bounding sphere:
+            then none lies inside a solid, and :meth:`map_blockers` serves them
         """
-        numbers, frames, depths = np.full(len(targets), -1, np.int32), _NO_FRAMES, _NO_DEPTHS
-        if outside and len(targets):
-            local = (targets - self.centre) / self.radius
-            numbers, frames, depths = self._maps.views(local, rays=len(point_index) // len(targets))
+        numbers, frames, depths = np.full(len(targets), -1, np.int32), NO_VIEWS, NO_DEPTHS
+        if outside:
+            numbers, frames, depths = self._maps.find((targets - self.centre) / self.radius)
         origins32, directions32, ray = _shadow_rays(
             points,
             normals,
@@ -118,12 +119,12 @@ class RayCaster:
         return found
 
     def map_blockers(self, targets: Float64, *, rays: int, threads: int | None = None) -> None:
-        """Make the maps of blockers of some targets, where so many rays to each of them make that worthwhile.
+        """Make maps that prove rays to some targets free, where so many rays to each of them make that worthwhile.
 
         targets: [mm], shape (t, 3)
-        rays: To each of them from points outside, over all calls of :meth:`occluded`
+        rays: To each of them from points seen from outside, over all calls of :meth:`occluded`
         """
-        self._maps.views((targets - self.centre) / self.radius, rays=rays, threads=threads)
+        self._maps.make((targets - self.centre) / self.radius, rays=rays, threads=threads)
 
     def occluded_from(
         self, points: Float64, normals: Float64, targets: Float64, *, point_index: Int32

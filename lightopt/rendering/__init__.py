@@ -1,7 +1,12 @@
 """From a scene to what the camera would see, linear and exact; and the patches that optimisation works on."""
 
-from lightopt.rendering._converged_panel import converged_panel, highlight_level, shade_converged
-from lightopt.rendering._image_set import RenderOptions, RenderProgress, render_image_set, set_manifest
+from lightopt.rendering._converged_panel import (
+    converged_panel,
+    highlight_level,
+    shade_converged,
+    shadow_targets,
+)
+from lightopt.rendering._image_set import RenderOptions, render_image_set, set_manifest
 from lightopt.rendering._images import (
     Geometry,
     LightImage,
@@ -41,7 +46,6 @@ __all__ = [
     "PostureImages",
     "PosturePixels",
     "RenderOptions",
-    "RenderProgress",
     "SurfacePoints",
     "build_patches",
     "cast_rays_at",
@@ -62,6 +66,7 @@ __all__ = [
     "shade_converged",
     "shade_points",
     "shade_variants",
+    "shadow_targets",
     "sight_of",
     "surface_variants",
     "too_few_pixels",

@@ -29,7 +29,7 @@ from lightopt.rendering._penumbra_cells import ConvergedLight
 from lightopt.rendering._point_lights import facing_pairs
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._vectors import Vector, dot, vector_at
-from lightopt.scene import PanelLight, Scene
+from lightopt.scene import PanelLight, Scene, panel_grid
 
 DIFFUSE_TOLERANCE = 1e-4
 """Error of the diffuse quadrature per unit of R_d: 0.025 level of 255."""
@@ -207,10 +207,22 @@ def probe_targets(light: PanelLight) -> Float64:
     )
 
 
+def shadow_targets(light: PanelLight) -> Float64:
+    """Where shadow rays to a panel go: its points, or the probes of the converged panel; shape (t, 3) [mm]."""
+    return probe_targets(light) if light.points == "auto" else panel_grid(light, light.points)
+
+
 def panel_probes(surface: SurfacePoints, targets: Float64, caster: RayCaster) -> Bool:
     """Which probes each point's face, whatever its normal, faces and sees, shape (k, 5)."""
     point, target = facing_pairs(replace(surface, normals=surface.facets), targets, geometric=False)
-    blocked = caster.occluded(surface.points, surface.facets, targets, point_index=point, target_index=target)
+    blocked = caster.occluded(
+        surface.points,
+        surface.facets,
+        targets,
+        point_index=point,
+        target_index=target,
+        outside=surface.outside,
+    )
     clear = np.zeros((len(surface), len(targets)), np.bool_)
     clear[point[~blocked], target[~blocked]] = True
     return clear
@@ -226,7 +238,14 @@ def verdict_of_probes(surface: SurfacePoints, targets: Float64, clear: Bool) -> 
 def _coarse_verdict(surface: SurfacePoints, light: PanelLight, caster: RayCaster) -> UInt8:
     targets = probe_targets(light)
     point, target = facing_pairs(surface, targets, geometric=True)
-    blocked = caster.occluded(surface.points, surface.facets, targets, point_index=point, target_index=target)
+    blocked = caster.occluded(
+        surface.points,
+        surface.facets,
+        targets,
+        point_index=point,
+        target_index=target,
+        outside=surface.outside,
+    )
     # a point above the interpolated horizon but below the face's own plane is hidden by the face itself
     above, _ = facing_pairs(surface, targets, geometric=False)
     return _verdict(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -23,10 +23,6 @@ from lightopt.rendering._images import Geometry, LightImage, PostureImages, cast
 from lightopt.rendering._patches import DEFAULT_PATCH_BUDGET, build_patches
 from lightopt.rendering._scene_checks import refuse_unusable_scene
 from lightopt.scene import PanelLight, Scene, build_scene, coarse_warnings, defect_facts, pixel_footprint
-
-RenderProgress = Callable[[Posture, float, int], None]
-"""Called with the posture at work, its share done (0 to 1) and the number of its rays cast so far."""
-
 
 BACK_FACE_SHARE = 1e-4
 """Share of the part's pixels that may see back faces without a warning: at the silhouette of a closed mesh, where a ray

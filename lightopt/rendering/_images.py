@@ -14,7 +14,13 @@ from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.geometry import Hits, Patches, RayCaster, TriangleMesh
-from lightopt.rendering._converged_panel import ConvergedPanel, PanelSight, converged_panel, shade_converged
+from lightopt.rendering._converged_panel import (
+    ConvergedPanel,
+    PanelSight,
+    converged_panel,
+    shade_converged,
+    shadow_targets,
+)
 from lightopt.rendering._defect_shading import DefectSamples, defect_samples
 from lightopt.rendering._point_lights import shade_points
 from lightopt.rendering._surface import SurfacePoints, trace_hits, trace_samples
@@ -147,6 +153,11 @@ def render_posture(
     """
     before = caster.rays_cast
     job = _Job(scene, posture, caster, shadows, supersample, layers, patches)
+    if shadows:
+        left, top, right, bottom = job.window
+        targets = np.concatenate([shadow_targets(light) for light in job.view.lights] or [np.zeros((0, 3))])
+        samples = max(0, right - left) * max(0, bottom - top) * supersample**2
+        caster.map_blockers(targets, rays=samples, threads=threads)
     blocks = job.blocks()
     counter = WorkCounter(len(blocks), progress)
 

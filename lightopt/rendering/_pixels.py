@@ -11,10 +11,10 @@ from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
 from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
-from lightopt.rendering._converged_panel import probe_targets
+from lightopt.rendering._converged_panel import shadow_targets
 from lightopt.rendering._point_lights import facing_pairs
 from lightopt.rendering._surface import GRAZING_COSINE, SurfacePoints, trace_samples
-from lightopt.scene import PanelLight, PartView, Scene, panel_grid, screen_window, view_from_part
+from lightopt.scene import PanelLight, PartView, Scene, screen_window, view_from_part
 
 UNLIT, WHOLE, LEFT_OUT = 0, 1, 2
 """What a pixel sees of a panel: nothing, all of it, or (penumbrae) something that is not predicted here."""
@@ -81,6 +81,7 @@ def trace_pixels(
         np.concatenate([b[2].facets for b in blocks] or [empty]),
         np.concatenate([b[2].views for b in blocks] or [empty]),
         np.concatenate([b[2].front for b in blocks] or [none]),
+        caster.is_outside(view.camera.position),
     )
     shape = (scene.camera.height, scene.camera.width)
     edge = _spread(_edges(surface, row, column, shape), row, column)
@@ -99,14 +100,16 @@ def panel_verdict(
     light: Part frame
     """
     surface = pixels.surface
-    # the points that shine; for the converged panel its centre and its corners
-    targets = probe_targets(light) if light.points == "auto" else panel_grid(light, light.points)
+    targets = shadow_targets(light)
     front = np.flatnonzero(surface.front)
+    caster.map_blockers(targets, rays=len(front), threads=threads)
 
     def piece(start: int) -> tuple[Index, Index, Index]:
         some = surface.take(front[start : start + _PIECE])
         point, target = facing_pairs(some, targets, geometric=True)
-        blocked = caster.occluded(some.points, some.facets, targets, point_index=point, target_index=target)
+        blocked = caster.occluded(
+            some.points, some.facets, targets, point_index=point, target_index=target, outside=some.outside
+        )
         above, _ = facing_pairs(some, targets, geometric=False)
         return (
             np.bincount(point[~blocked], minlength=len(some)),

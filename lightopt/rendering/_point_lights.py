@@ -52,7 +52,14 @@ def _shade_piece(
     if caster is None:
         clear = np.ones(len(point), np.bool_)
     else:
-        clear = ~caster.occluded(surface.points, surface.facets, grid, point_index=point, target_index=target)
+        clear = ~caster.occluded(
+            surface.points,
+            surface.facets,
+            grid,
+            point_index=point,
+            target_index=target,
+            outside=surface.outside,
+        )
     return _accumulate(
         surface.points,
         surface.normals,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,6 +37,7 @@ class SurfacePoints:
     facets: Unit geometric normals of the faces, shape (k, 3)
     views: Unit vectors V towards the camera, shape (k, 3)
     front: False where the camera sees the back of a face, which is black; shape (k,)
+    outside: Whether the camera stands outside the part's bounding sphere
     """
 
     points: Float64
@@ -44,6 +45,7 @@ class SurfacePoints:
     facets: Float64
     views: Float64
     front: Bool
+    outside: bool = False
 
     def __len__(self) -> int:
         return len(self.points)
@@ -51,7 +53,12 @@ class SurfacePoints:
     def take(self, index: Index) -> SurfacePoints:
         """The points at `index`, shape (j,)."""
         return SurfacePoints(
-            self.points[index], self.normals[index], self.facets[index], self.views[index], self.front[index]
+            self.points[index],
+            self.normals[index],
+            self.facets[index],
+            self.views[index],
+            self.front[index],
+            self.outside,
         )
 
 
@@ -92,7 +99,8 @@ def trace_samples(
     columns, rows: Image points [px], shape (n,)
     """
     hits = trace_hits(caster, mesh, camera, columns, rows)
-    return hits, interpolate_surface(mesh, hits.face, hits.u, hits.v, hits.points, camera.position)
+    surface = interpolate_surface(mesh, hits.face, hits.u, hits.v, hits.points, camera.position)
+    return hits, replace(surface, outside=caster.is_outside(camera.position))
 
 
 @kernel

@@ -149,7 +149,12 @@ def _point_variants(
         # towards every light that the facet faces, whatever the normals
         point, target = facing_pairs(replace(surface, normals=surface.facets), grid, geometric=False)
         blocked = caster.occluded(
-            surface.points, surface.facets, grid, point_index=point, target_index=target
+            surface.points,
+            surface.facets,
+            grid,
+            point_index=point,
+            target_index=target,
+            outside=surface.outside,
         )
         point, target = point[~blocked], target[~blocked]
     first = np.searchsorted(point, np.arange(len(surface) + 1)).astype(np.int64)

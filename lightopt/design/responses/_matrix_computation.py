@@ -10,7 +10,7 @@ Where images are tested for defects, the same rays decide which defects each ima
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy as np
 from lightopt.core.arrays import Float32, Index
 from lightopt.core.errors import InputError, counted
 from lightopt.core.run_context import Share, WorkCounter
-from lightopt.core.threads import available_processors, run_all
+from lightopt.core.threads import Task, available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.design.responses._detection import DetectionModel, PatchDetection
 from lightopt.design.responses._luminance_matrix import Levels, LuminanceMatrix
@@ -26,7 +26,14 @@ from lightopt.design.responses._packed_bits import Words
 from lightopt.design.responses._visibility import Visibility
 from lightopt.geometry import RayCaster, face_normals
 from lightopt.optics import expose
-from lightopt.rendering import PatchTable, SurfacePoints, converged_panel, shade_converged, shade_points
+from lightopt.rendering import (
+    PatchTable,
+    SurfacePoints,
+    converged_panel,
+    shade_converged,
+    shade_points,
+    shadow_targets,
+)
 from lightopt.scene import PanelLight, Scene, view_from_part
 
 BLOCK_PATCHES = 1 << 15
@@ -113,6 +120,8 @@ def luminance_matrices(
 ) -> tuple[LuminanceMatrix, ...]:
     """As :func:`luminance_matrix`, one for each exposure; the rays are cast once."""
     surface, seen = patch_points(scene, table, posture)
+    part_view = view_from_part(scene, posture)
+    surface = replace(surface, outside=caster.is_outside(part_view.camera.position))
     dtype = np.uint8 if scene.sensor.bit_depth <= 8 else np.uint16
     positions = sum(len(some) for some in panels)
     width = 0 if detection is None else -(-len(detection.hypotheses) // 64)
@@ -161,12 +170,14 @@ def luminance_matrices(
         work.add(1)
         work.report()
 
-    tasks = (
-        (shade, (place, panel, start, block))
-        for place, panel in zip(places, moved, strict=True)
-        for start, block in blocks
-    )
-    run_all(tasks, threads=threads or available_processors(), done=count)
+    def tasks() -> Iterator[Task]:
+        for place, panel in zip(places, moved, strict=True):
+            if shadows:
+                caster.map_blockers(shadow_targets(panel), rays=len(seen), threads=1)
+            for start, block in blocks:
+                yield shade, (place, panel, start, block)
+
+    run_all(tasks(), threads=threads or available_processors(), done=count)
     areas, grazing = table.patches.areas[seen], table.left_out(posture)
     return tuple(
         LuminanceMatrix(
