@@ -124,7 +124,8 @@ class RayCaster:
         targets: [mm], shape (t, 3)
         rays: To each of them from points seen from outside, over all calls of :meth:`occluded`
         """
-        self._maps.make((targets - self.centre) / self.radius, rays=rays, threads=threads)
+        if self._recorder is None:  # which gets all rays
+            self._maps.make((targets - self.centre) / self.radius, rays=rays, threads=threads)
 
     def occluded_from(
         self, points: Float64, normals: Float64, targets: Float64, *, point_index: Int32
