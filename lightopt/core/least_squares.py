@@ -161,14 +161,9 @@ class _Linear:
 def linear_problem(slope: Float64, measured: Float64, weight: Float64 | None = None) -> Problem:
     """A problem whose prediction is linear in its parameters.
 
-    Parameters
-    ----------
-    slope
-        Derivatives in standard deviations, shape (n, K).
-    measured
-        Values in standard deviations, shape (n,).
-    weight
-        How much each row counts, shape (n,); all alike by default.
+    slope: Derivatives in standard deviations, shape (n, K).
+    measured: Values in standard deviations, shape (n,).
+    weight: How much each row counts, shape (n,); all alike by default.
     """
     count = len(measured)
     return _Linear(slope, measured, np.ones(count) if weight is None else weight, np.zeros(count, np.bool_))
@@ -185,18 +180,11 @@ def solve(
 ) -> Solution:
     """Find the parameters with the least robust cost.
 
-    Parameters
-    ----------
-    problem
-        Rows without a finite residual at the start do not count; those without finite slopes have no effect.
-    start
-        Shape (K,).
-    loss
-        Tukey's (far residuals count alike) or Huber's (they pull alike; doi:10.1214/aoms/1177703732).
-    least_spread
-        Lower bound of the residuals' spread [standard deviations].
-    most_iterations
-        Steps to try at most.
+    problem: Rows without a finite residual at the start do not count; those without finite slopes have no effect.
+    start: Shape (K,).
+    loss: Tukey's (far residuals count alike) or Huber's (they pull alike; doi:10.1214/aoms/1177703732).
+    least_spread: Lower bound of the residuals' spread [standard deviations].
+    most_iterations: Steps to try at most.
     """
     return _Solver(problem, limits, _Loss(loss), least_spread).run(
         np.asarray(start, np.float64), most_iterations

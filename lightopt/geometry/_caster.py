@@ -157,8 +157,6 @@ def _shadow_rays(
 class Hits:
     """Rays that met the mesh, solved in float64 on the plane of the triangle that Embree named.
 
-    Attributes
-    ----------
     ray: Index of the ray among those cast, shape (k,)
     face: Face that was met, shape (k,)
     u, v: Barycentric coordinates: the point is (1−u−v)·A + u·B + v·C of the face's vertices; shape (k,)

@@ -15,8 +15,6 @@ from lightopt.geometry._triangle_mesh import TriangleMesh
 class SurfacePlace:
     """A place on a mesh.
 
-    Attributes
-    ----------
     point: [mm], shape (3,), frame of the mesh
     normal: Unit normal there as shading has it: interpolated, or the facet's, shape (3,)
     """

@@ -23,8 +23,6 @@ from lightopt.images._png import read_png
 class LoadedImage:
     """A loaded image; arrays of shape (H, W), read-only.
 
-    Attributes
-    ----------
     levels: float32 [grey level at exposure 1]: linear, black level removed. From a PNG ``(sensor − black level) ·
         full scale / ((2^b − 1) · exposure)``, so clipped where `saturated`.
     saturated: Where `levels` is only a lower bound, or where the camera would have been saturated at the entry's

@@ -19,8 +19,6 @@ Level = TypeVar("Level", bound=np.floating[Any])
 class Sensor:
     """A linear sensor.
 
-    Attributes
-    ----------
     bit_depth: Bits of a delivered level, 1 to 16
     saturation_level: Delivered level from which a pixel counts as saturated; full scale, 2^bit_depth − 1, when not
         given. Real cameras top out lower: 4080 of 4095, for instance.

@@ -44,8 +44,6 @@ LEAST_RAYS_ACROSS = 3
 class RenderOptions:
     """What to render and how.
 
-    Attributes
-    ----------
     lights: Names of the lights to render; all by default
     points: Point lights per panel, instead of the rig's
     exposures: Exposures of the camera's PNGs; the linear images are at exposure 1

@@ -28,8 +28,6 @@ BLOCK_SAMPLES = 65_536
 class LightImage:
     """The part under one light at exposure 1.
 
-    Attributes
-    ----------
     level: Linear, unclipped, noise-free [grey level], shape (height, width)
     diffuse, specular: Its two components [grey level], or None without `layers`
     """
@@ -44,8 +42,6 @@ class LightImage:
 class Geometry:
     """What each pixel's centre looks at; world frame, zero where a ray misses the part.
 
-    Attributes
-    ----------
     points: [mm], shape (height, width, 3)
     normals: Interpolated unit normals of the surface without its defects, shape (height, width, 3)
     distance: From the pinhole along the ray [mm], shape (height, width)
@@ -67,8 +63,6 @@ class Geometry:
 class PostureImages:
     """A part in one posture under each light.
 
-    Attributes
-    ----------
     back_faces: Number of pixels whose centre sees the back of a face; they are black
     """
 

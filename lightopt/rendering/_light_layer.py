@@ -36,8 +36,6 @@ _PIECE = 8192
 class LightLayer:
     """Light of one panel at n surface points that see all of it.
 
-    Attributes
-    ----------
     surface: The points, part frame
     diffuse: Per unit of R_d, shape (n,)
     deflection: About the least angle δ between the normal and the half vectors of the panel's points [rad], shape (n,):

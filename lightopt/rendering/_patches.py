@@ -28,8 +28,6 @@ _MOST_PATCHES = 1 << 24
 class PatchTable:
     """A part's patches and from which postures the camera sees them; part frame.
 
-    Attributes
-    ----------
     postures: The postures that were looked at
     visible: Whether the camera sees a patch's centroid, from the front and in the image; shape (postures, p)
     grazing: Whether it sees it at more than :data:`lightopt.rendering.GRAZING_DEG` to its normal, shape (postures, p):

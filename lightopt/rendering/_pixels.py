@@ -38,8 +38,6 @@ T = TypeVar("T")
 class PosturePixels:
     """What the pixel centres of one posture's images look at, k of them.
 
-    Attributes
-    ----------
     posture, view: Of the part; camera and lights in the part's frame
     row, column: Of each pixel, shape (k,)
     surface: Where the rays meet the part, part frame

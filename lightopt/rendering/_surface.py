@@ -30,8 +30,6 @@ GRAZING_COSINE = math.cos(math.radians(GRAZING_DEG))
 class SurfacePoints:
     """Points of the surface that a camera looks at, k of them, part frame.
 
-    Attributes
-    ----------
     points: [mm], shape (k, 3)
     normals: Interpolated unit normals N that shading uses, shape (k, 3)
     facets: Unit geometric normals of the faces, shape (k, 3)

@@ -26,8 +26,6 @@ _LEAST_AREA = 1e-6
 class PanelLight:
     """A rectangular panel facing the origin, in whichever frame its vectors are given (world or part).
 
-    Attributes
-    ----------
     elevation, azimuth: Where it stands, world frame [rad]
     distance: Panel centre to origin [mm]
     centre: [mm], shape (3,)
