@@ -271,7 +271,7 @@ def _remove_unused(folder: Path) -> None:
 
 
 def _settings() -> list[tuple[str, str]]:
-    """What the environment tells numba's compiler, such as to check bounds."""
+    """Settings of numba's compiler in the environment, such as to check bounds."""
     other = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_THREADING_LAYER")
     return sorted(
         (name, value) for name, value in os.environ.items() if name.startswith("NUMBA_") and name not in other

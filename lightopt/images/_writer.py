@@ -46,7 +46,7 @@ class ImageSetWriter:
         the way are found before any work.
 
     manifest: What is on disk so far.
-    resumed: Whether an earlier run with an equal header is being continued.
+    resumed: Whether a previous run with an equal header is being continued.
     replaced: Number of files of the set of another run that were removed.
     Raises InputError: The folder cannot be written, holds the set of another run or files in the way (without `force`),
         or two images of the plan would share a file; with `force`, the folder holds captured images and the run makes

@@ -99,7 +99,7 @@ def test_large_flat_faces_are_cut_however_fine_the_rest_is(shared_bench, tmp_pat
     near = build_patches(scene, caster=caster, budget=coarse.seen_faces + 10)
     visible = int(near.visible.any(axis=0).sum())
     assert near.exceeded == coarse.seen_faces + 10 < visible <= 1.5 * near.exceeded
-    assert f"more than --patches {near.exceeded:,}: half of these are for cutting" in near.message
+    assert f"more than the patch budget of {near.exceeded:,}: half of it is for cutting" in near.message
     assert (coarse.exceeded, tables[30_000].exceeded, near.seen_faces) == (0, 0, 0)
 
 

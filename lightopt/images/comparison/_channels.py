@@ -137,7 +137,7 @@ def compare_arrays(
         masks = _compare_masks(a >= saturation[0], b >= saturation[1])
         if min_iou is not None and masks["iou"] < min_iou:
             reasons.append(
-                f"{name}: saturated areas overlap by {masks['iou']:.4f} (IoU); at least {min_iou:g} asked"
+                f"{name}: saturated areas overlap by {masks['iou']:.4f} (IoU); at least {min_iou:g} expected"
             )
     return ChannelDifference(
         name=name,
