@@ -55,11 +55,6 @@ class Patches:
     def __len__(self) -> int:
         return len(self.triangles)
 
-    @property
-    def corners(self) -> Float64:
-        """Corners of the patches [mm], shape (p, 3, 3); made anew on each call."""
-        return self.vertices[self.triangles]
-
     def patch_at(self, face: ArrayLike, u: ArrayLike, v: ArrayLike) -> Int32:
         """Patch that holds each point of the mesh's surface; every point of a face belongs to exactly one.
 

@@ -121,7 +121,11 @@ def _states(work: _Work, squares: Squares, square: Index, x: NDArray[Any], y: ND
     state, undecided, targets = _horizon_state(
         surface.points, surface.normals, surface.facets, work.light.panel, point, s, t
     )
-    blocked = work.caster.occluded_from(surface.points, surface.facets, targets, point_index=point[undecided])
+    # each ray has a target of its own
+    index = np.arange(len(undecided), dtype=np.int32)
+    blocked = work.caster.occluded(
+        surface.points, surface.facets, targets, point_index=point[undecided], target_index=index
+    )
     state[undecided] = np.where(blocked, BLOCKED, VISIBLE)
     return state
 

@@ -53,23 +53,6 @@ class SurfacePoints:
         )
 
 
-def interpolate_surface(
-    mesh: TriangleMesh, face: Int32, u: Float64, v: Float64, points: Float64, eye: Float64
-) -> SurfacePoints:
-    """Normals and view directions at points of a mesh.
-
-    mesh: Part frame [mm]
-    face, u, v: Face index and barycentric coordinates of each point, shape (k,)
-    points: [mm], shape (k, 3)
-    eye: Pinhole of the camera, part frame [mm], shape (3,)
-    """
-    smooth = mesh.normals is not None
-    vertex_normals = mesh.normals if mesh.normals is not None else np.zeros((1, 3))
-    return SurfacePoints(
-        points, *_interpolate(mesh.vertices, mesh.faces, vertex_normals, smooth, face, u, v, points, eye)
-    )
-
-
 def trace_hits(
     caster: RayCaster, mesh: TriangleMesh, camera: PinholeCamera, columns: Float64, rows: Float64
 ) -> Hits:
@@ -90,7 +73,20 @@ def trace_samples(
     columns, rows: Image points [px], shape (n,)
     """
     hits = trace_hits(caster, mesh, camera, columns, rows)
-    return hits, interpolate_surface(mesh, hits.face, hits.u, hits.v, hits.points, camera.position)
+    smooth = mesh.normals is not None
+    vertex_normals = mesh.normals if mesh.normals is not None else np.zeros((1, 3))
+    found = _interpolate(
+        mesh.vertices,
+        mesh.faces,
+        vertex_normals,
+        smooth,
+        hits.face,
+        hits.u,
+        hits.v,
+        hits.points,
+        camera.position,
+    )
+    return hits, SurfacePoints(hits.points, *found)
 
 
 @kernel
