@@ -61,20 +61,20 @@ class RecordedRays:
 
 
 def record_rays(scene: Scene) -> RecordedRays:
-    """Render once on one thread and keep every ray that Embree was asked about."""
-    kept: dict[str, list[tuple[Float32, Float32]]] = {"INTERSECT": [], "OCCLUDED": []}
+    """Render once on one thread and record every ray that Embree is given."""
+    recorded: dict[str, list[tuple[Float32, Float32]]] = {"INTERSECT": [], "OCCLUDED": []}
 
-    def keep(query: str, origins: Float32, directions: Float32) -> None:
-        kept[query].append((origins, directions))
+    def record(query: str, origins: Float32, directions: Float32) -> None:
+        recorded[query].append((origins, directions))
 
-    caster = RayCaster(scene.mesh.vertices, scene.mesh.faces, recorder=keep)
-    for batches in kept.values():
+    caster = RayCaster(scene.mesh.vertices, scene.mesh.faces, recorder=record)
+    for batches in recorded.values():
         batches.clear()  # the ray that commits the scene
     render_posture(scene, scene.postures[0], caster=caster, threads=1)
     local = ((scene.mesh.vertices - caster.centre) / caster.radius).astype(np.float32)
     camera, shadow = (
         (np.concatenate([o for o, _ in batches]), np.concatenate([d for _, d in batches]))
-        for batches in kept.values()
+        for batches in recorded.values()
     )
     return RecordedRays(local, np.ascontiguousarray(scene.mesh.faces, np.int32), camera, shadow)
 

@@ -2,7 +2,7 @@
 
 ``python -m benchmarks.calibration`` renders good parts with a lobe 1 % wider than the part's file says, up to 0.5 mm
 and 0.5° off their place, with noise and saturation. Half of them calibrate, the others are held against what those
-taught. The inspection is told where each part lies, but for a hundredth of a pixel: the search for the part, which
+taught. The inspection is assumed where each part lies, but for a hundredth of a pixel: the search for the part, which
 leaves less than that (``benchmarks.inspection`` does it), would take nearly all of the time.
 """
 
@@ -53,7 +53,7 @@ TOY = replace(SMALL, parts=FULL.parts[:1])
 
 FARTHEST_MM, FARTHEST_RAD = 0.5, math.radians(0.5)
 MISPLACED_PX = 0.01
-"""Error of the place that the inspection is told: normal, of this standard deviation."""
+"""Error of the place that the inspection is assumed: normal, of this standard deviation."""
 
 WIDER_LOBE = 1.01
 
@@ -94,16 +94,16 @@ def taken(scene: Scene, images: PostureImages, seed: int) -> list[Observation]:
 def view_of(
     true: Scene, model: Scene, lies: Placement, seed: int, pixel_mm: float
 ) -> tuple[PostureView, Placement]:
-    """Noisy images of the true part where it lies, laid over the model about there."""
+    """Noisy images of the true part where it lies, registered with the model about there."""
     placed = place_part(true, lies)
     images = render_posture(placed, FIRST, caster=cast_rays_at(placed))
     rng = np.random.default_rng([7, seed])
     off = MISPLACED_PX * pixel_mm * rng.standard_normal(3)
-    told = Placement(x=lies.x + off[0], y=lies.y + off[1], turn=lies.turn + off[2] / 20.0)
-    scene = place_part(model, told)
+    assumed = Placement(x=lies.x + off[0], y=lies.y + off[1], turn=lies.turn + off[2] / 20.0)
+    scene = place_part(model, assumed)
     lights = [light.name for light in scene.lights]
     prediction = predict(scene, FIRST, cast_rays_at(scene), lights=lights)
-    return posture_view(scene, taken(scene, images, seed), prediction, where=f"set {seed}"), told
+    return posture_view(scene, taken(scene, images, seed), prediction, where=f"set {seed}"), assumed
 
 
 def try_part(task: tuple[str, int, Size, float]) -> list[str]:
@@ -134,12 +134,12 @@ def try_part(task: tuple[str, int, Size, float]) -> list[str]:
             detector=detector, fusion="paper" if detector == "template" else None, false_alarms=rate
         )
         shots = dict.fromkeys(sets[0][0].lights, ((1.0, 1),))
-        laid = (
-            (str(i), RegisteredSet(model, told, model, iter([(view, shots)])))
-            for i, (view, told) in enumerate(sets[:half])
+        registered = (
+            (str(i), RegisteredSet(model, assumed, model, iter([(view, shots)])))
+            for i, (view, assumed) in enumerate(sets[:half])
         )
         names = [str(i) for i in range(half)]
-        learned = calibrate_registered(laid, names, options=options, fingerprint={}).postures[0]
+        learned = calibrate_registered(registered, names, options=options, fingerprint={}).postures[0]
         cells: list[str] = []
         for taught in (None, learned):
             alarms = [len_of(regions_of(one, model, options, taught)) for one in sets[half:]]
@@ -160,10 +160,10 @@ def regions_of(
     taught: CalibratedPosture | None,
 ) -> np.ndarray:
     """Number of the region of each pixel."""
-    view, told = one
+    view, assumed = one
     found: Deviations = deviations(view)
     if taught is not None and taught.systematic is not None:
-        found = subtract_systematic(found, taught.systematic, nominal_pixels(view, model, told))
+        found = subtract_systematic(found, taught.systematic, nominal_pixels(view, model, assumed))
     make_synthetic = (
         None if options.fusion is None else partial(synthetic_image, view, options.fusion, probes=0)
     )

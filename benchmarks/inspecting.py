@@ -72,14 +72,14 @@ def _part(folder: Path, part: str, size: Size, numbers: dict[str, object]) -> li
         once.append(time.perf_counter() - start)
     scene = result.nominal
     caster = cast_rays_at(scene)
-    turns = {"verdict": 0, "synthetic": 0}
+    calls = {"verdict": 0, "synthetic": 0}
     processor: dict[str, list[float]] = {"base": [], "verdict": [], "synthetic": []}
 
     def task(name: str) -> Callable[[], object]:
         def inspect() -> object:
-            turns[name] += 1
+            calls[name] += 1
             begun = time.process_time()
-            result = _verdict(rig, good, sets[1 + turns[name] % 2], options, cache)
+            result = _verdict(rig, good, sets[1 + calls[name] % 2], options, cache)
             if name == "synthetic":
                 assert all(posture.synthetic is not None for posture in result.postures)
             processor[name].append(time.process_time() - begun)

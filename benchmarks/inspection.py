@@ -218,7 +218,7 @@ def images(folder: Path, rig: RigConfig, part: Path, seed: int, *, good: bool, s
 
 
 def look(rig: RigConfig, part: PartConfig, image_set: ImageSet, *, told: bool = False) -> PostureView:
-    """The images laid over the model, where the search finds the part or where it is told to lie."""
+    """The images registered with the model, by the search or at a given placement."""
     scene, observations = nominal_scene(rig, part, image_set)
     scene = place_part(scene, LIES) if told else register_part(scene, observations)[0]
     prediction = predict(scene, FIRST, cast_rays_at(scene), lights=[o.light for o in observations])
@@ -284,7 +284,7 @@ def highlights(view: PostureView, image_set: ImageSet) -> list[tuple[str, float,
     lit = (diffuse >= LIT * view.deviation).astype(np.float32)
     weights = pixel_weights(view.saturated, view.predicted, view.specular, view.deviation, view.limit)
     full = ndimage.binary_dilation(view.saturated.any(axis=0), iterations=3) & view.clean
-    pieces, number = ndimage.label(full)
+    regions, number = ndimage.label(full)
     rows: list[tuple[str, float, float, float]] = []
     for fusion in FUSIONS:
         good = {"predicted": view.predicted, "specular": view.specular}
@@ -292,8 +292,8 @@ def highlights(view: PostureView, image_set: ImageSet) -> list[tuple[str, float,
         plain = fuse_images(diffuse, view.deviation, lit, view.clean, fusion=fusion, probes=0)
         off = image.level - plain.level
         worst = (0.0, 1.0, 0.0)
-        for piece in range(1, number + 1):
-            inside = pieces == piece
+        for region in range(1, number + 1):
+            inside = regions == region
             ring = ndimage.binary_dilation(inside, iterations=12) & view.clean & ~full
             if inside.sum() < 200 or ring.sum() < 200:
                 continue

@@ -193,7 +193,7 @@ def placing(
 
 
 def tolerances(drawn: ImageEvaluator, choice: PostureChoice) -> tuple[float, int]:
-    """What the worst corner keeps of the first posture's score, and the patches that this was worked out on."""
+    """What the worst corner keeps of the first posture's score, and the patches that this was computed on."""
     rig = load_rig(RIG)
     setup = Setup(
         rig=rig,
@@ -203,5 +203,5 @@ def tolerances(drawn: ImageEvaluator, choice: PostureChoice) -> tuple[float, int
     )
     names = [light.name for light in rig.lights]
     assess = PairAssessment(drawn, setup, seen_in=1)
-    trust = analyse_tolerances(assess, names, Tolerances(light_deg=2.0, pose_deg=1.0))
-    return trust.worst / max(1, trust.score), len(drawn.patches)
+    found = analyse_tolerances(assess, names, Tolerances(light_deg=2.0, pose_deg=1.0))
+    return found.worst / max(1, found.score), len(drawn.patches)

@@ -44,8 +44,8 @@ TARGETS = {"paper": "≤ 1 s, ≥ 5,000 ×", "coverage": "≤ 0.5 s"}
 class Scale:
     """Patches, step of the angles, and for six lights coarser steps [°].
 
-    Halving faces stops short of the budget (asked for 200,000, it shows 185,258 of the knob and 180,475 of the spout):
-    as many patches as are asked for are drawn from a finer refinement.
+    Halving faces stops short of the budget (of 200,000 patches the knob shows 185,258 and the spout 180,475): as many
+    patches as requested are drawn from a finer refinement.
     """
 
     patches: int
@@ -218,20 +218,20 @@ def matrix_row(
         for light in panels
     )
     posture = scene.postures[0]
-    kept: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = []
+    recorded: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = []
     recorder = RayCaster(
         scene.mesh.vertices,
         scene.mesh.faces,
-        recorder=lambda _, origins, directions: kept.append((origins, directions)),
+        recorder=lambda _, origins, directions: recorded.append((origins, directions)),
     )
-    kept.clear()  # the ray that commits the scene
+    recorded.clear()  # the ray that commits the scene
     luminance_matrix(scene, table, posture, some, caster=recorder, threads=1)
     local = ((scene.mesh.vertices - recorder.centre) / recorder.radius).astype(np.float32)
     faces = np.ascontiguousarray(scene.mesh.faces, np.int32)
-    origins, directions = (np.concatenate([pair[i] for pair in kept]) for i in (0, 1))
-    kept.clear()
+    origins, directions = (np.concatenate([pair[i] for pair in recorded]) for i in (0, 1))
+    recorded.clear()
     reach = np.ones(len(origins), np.float32)
-    pieces = [slice(start, start + BLOCK_RAYS) for start in range(0, len(origins), BLOCK_RAYS)]
+    blocks = [slice(start, start + BLOCK_RAYS) for start in range(0, len(origins), BLOCK_RAYS)]
 
     def bare() -> int:
         embree = rtcore_scene.EmbreeScene(robust=True)
@@ -240,7 +240,7 @@ def matrix_row(
         with ThreadPoolExecutor(THREADS) as pool:
             found = pool.map(
                 lambda p: int((embree.run(origins[p], directions[p], reach[p], query="OCCLUDED") >= 0).sum()),
-                pieces,
+                blocks,
             )
             blocked = sum(found)
         del mesh
@@ -269,7 +269,7 @@ def matrix_row(
 
 
 def peak_bytes() -> int:
-    """Most memory that this process has had; 0 where the system cannot tell."""
+    """Most memory that this process has had; 0 where the system does not report it."""
     if sys.platform == "win32":
         return 0
     import resource

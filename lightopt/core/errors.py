@@ -61,7 +61,7 @@ def error_text(error: BaseException) -> str:
     """The words for any exception: the messages of one of ours, else its kind and text.
 
     It never raises. Devices are driven by code of others, and an exception that cannot be turned into text must not
-    keep a lamp burning: then it is the kind alone, as it is where there is no text.
+    keep a lamp lit: then it is the kind alone, as it is where there is no text.
 
     Examples
     --------

@@ -6,6 +6,9 @@ edit recompiles the kernels that it changes and no others; comments, docstrings 
 count, nor where the package is installed. Of several processes that need the same kernel one compiles, and the others
 wait for its file.
 
+What no process has used for months, mostly kernels of other versions of the source, is removed when a new one is
+written. It goes by time, since several versions of the source may share the folder.
+
 numba's own cache is not used: it keys a kernel by the one file that it stands in, but compiles into it what it calls
 from other files, and two processes that write to the same index may exchange each other's kernels.
 """
@@ -20,6 +23,7 @@ import pickle
 import re
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Generator
 from functools import cache
 from pathlib import Path
@@ -39,6 +43,9 @@ from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
 from numba.extending import intrinsic
 from numba.np import linalg
+
+_UNUSED_S = 90 * 86400.0
+"""Files of kernels that were not used for so long are removed [s]."""
 
 _VERSIONS = repr((sys.version_info[:2], numba.__version__, llvmlite.__version__, np.__version__))
 
@@ -226,6 +233,8 @@ class _DiskCache(NullCache):
             return None
         except (ImportError, AttributeError):  # of another release, whose modules had other names
             return None
+        with contextlib.suppress(OSError):  # a file of another user
+            os.utime(path)
         return self._form.rebuild(target_context, content)
 
     def save_overload(self, sig: Any, cres: Any) -> None:
@@ -238,6 +247,7 @@ class _DiskCache(NullCache):
                 with os.fdopen(descriptor, "wb") as file:
                     file.write(dumps(self._form.reduce(cres)))
                 Path(name).replace(path)
+                _remove_unused(path.parent)
             except BaseException:
                 Path(name).unlink(missing_ok=True)
                 raise
@@ -250,8 +260,18 @@ class _DiskCache(NullCache):
         return cache_folder() / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:32]}.kernel"
 
 
+@cache
+def _remove_unused(folder: Path) -> None:
+    """Remove the files that no process has used for long, once in a process; who still needs one compiles it anew."""
+    oldest = time.time() - _UNUSED_S
+    for path in folder.iterdir():
+        with contextlib.suppress(OSError):  # open in another process on Windows, or removed by it
+            if path.stat().st_mtime < oldest:
+                path.unlink()
+
+
 def _settings() -> list[tuple[str, str]]:
-    """What the environment tells numba's compiler, such as to check bounds."""
+    """Settings of numba's compiler in the environment, such as to check bounds."""
     other = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_THREADING_LAYER")
     return sorted(
         (name, value) for name, value in os.environ.items() if name.startswith("NUMBA_") and name not in other

@@ -78,7 +78,7 @@ class Limits:
     prior: Standard deviation with which the nominal value is known beforehand; infinite where it is not.
     resolution: A direction in the space of these parameters is determined where its standard error is below one of
         these units; infinite for nuisance parameters.
-    undetermined: Directions that the residuals do not determine whatever their slopes say, rows in units of the
+    undetermined: Directions that the residuals do not determine whatever their slopes are, rows in units of the
         parameters, shape (u, K).
     """
 
@@ -161,14 +161,9 @@ class _Linear:
 def linear_problem(slope: Float64, measured: Float64, weight: Float64 | None = None) -> Problem:
     """A problem whose prediction is linear in its parameters.
 
-    Parameters
-    ----------
-    slope
-        Derivatives in standard deviations, shape (n, K).
-    measured
-        Values in standard deviations, shape (n,).
-    weight
-        How much each row counts, shape (n,); all alike by default.
+    slope: Derivatives in standard deviations, shape (n, K).
+    measured: Values in standard deviations, shape (n,).
+    weight: How much each row counts, shape (n,); all alike by default.
     """
     count = len(measured)
     return _Linear(slope, measured, np.ones(count) if weight is None else weight, np.zeros(count, np.bool_))
@@ -185,18 +180,11 @@ def solve(
 ) -> Solution:
     """Find the parameters with the least robust cost.
 
-    Parameters
-    ----------
-    problem
-        Rows without a finite residual at the start do not count; those without finite slopes have no effect.
-    start
-        Shape (K,).
-    loss
-        Tukey's (far residuals count alike) or Huber's (they pull alike; doi:10.1214/aoms/1177703732).
-    least_spread
-        Lower bound of the residuals' spread [standard deviations].
-    most_iterations
-        Steps to try at most.
+    problem: Rows without a finite residual at the start do not count; those without finite slopes have no effect.
+    start: Shape (K,).
+    loss: Tukey's (far residuals count alike) or Huber's (they pull alike; doi:10.1214/aoms/1177703732).
+    least_spread: Lower bound of the residuals' spread [standard deviations].
+    most_iterations: Steps to try at most.
     """
     return _Solver(problem, limits, _Loss(loss), least_spread).run(
         np.asarray(start, np.float64), most_iterations
@@ -253,7 +241,7 @@ class _Solver:
         while True:
             first_point = self._point(before)
             if first_point.cost < here.cost:
-                # an earlier round's spread led elsewhere
+                # a previous round's spread led elsewhere
                 here, converged = self._descend(first_point, self._iterations + 5)
             if not self._fix_scattered_directions(here):
                 return self._solution(first_point, here, converged)
@@ -456,7 +444,7 @@ class _Solver:
         if basis.shape[1]:
             scale, a, _ = _scaled(basis.T @ normal @ basis, basis.T @ pull)
             bent = (basis.T @ inner @ basis) / np.outer(scale, scale)
-            # far from the optimum the bend is not definite: there its weights say how sharp it is
+            # far from the optimum the bend is not definite: there its weights show how sharp it is
             sharp = bent if np.linalg.eigvalsh(bent)[0] > 0.1 * np.linalg.eigvalsh(a)[0] else a
             back = np.linalg.inv(sharp + LEAST_DAMPING * np.eye(len(sharp)))
             values, vectors = np.linalg.eigh((basis.T @ middle @ basis) / np.outer(scale, scale))

@@ -110,7 +110,7 @@ def differences(there: Mapping[str, Any], now: Mapping[str, Any], *, partly: boo
 
     Names of files do not count: the same content under another name gives the same results.
 
-    there, now: Of the earlier and of the present run, JSON of any depth
+    there, now: Of the previous and of the present run, JSON of any depth
     partly: Whether `now` is only a part of what is known of the present run
     """
     old, new = dict(_leaves(there)), dict(_leaves(now))

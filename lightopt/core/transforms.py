@@ -70,8 +70,6 @@ def rigid_transform(points: Float64, rotation: Float64, pivot: Float64) -> Float
 class Posture:
     """How the stage holds the part: tilt θ_j, then rotation φ_j, in degrees as files and people name them.
 
-    Attributes
-    ----------
     elevation_deg, rotation_deg: θ_j and φ_j [°]
     """
 

@@ -29,8 +29,6 @@ LEAST_REFERENCE = 0.1
 class PlacedDefect:
     """A defect on a part, in the frame that its vectors are given in.
 
-    Attributes
-    ----------
     name: Of this one, for people
     position: Its centre, on the surface [mm], shape (3,)
     normal: Unit normal of the undisturbed surface there, shape (3,)

@@ -42,8 +42,6 @@ BLEND: Final = 0.2
 class DefectShape:
     """A defect without its place.
 
-    Attributes
-    ----------
     kind: scratch, dent, bump, pit, blister, stain or haze
     length, width: Of its outline [mm], the length along its direction, at least the width; equal for a round one. The
         outline is an ellipse, for a scratch a strip with round ends.

@@ -1,8 +1,11 @@
+"""Ray casting: the first face that a ray meets, and whether the way to a target is blocked (Embree)."""
+
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from embreex import rtcore_scene
@@ -18,10 +21,8 @@ SURFACE_OFFSET = 1e-5
 within 1e-7 of the radius of the surface, and an offset 100 times smaller already shows no false self-shadow."""
 
 
-class RayRecorder(Protocol):
-    """What a benchmark passes to :class:`RayCaster` to keep the rays exactly as Embree saw them."""
-
-    def __call__(self, query: str, origins: Float32, directions: Float32) -> None: ...
+RayRecorder = Callable[[str, Float32, Float32], None]
+"""Called with a query, and origins and directions of its rays exactly as Embree sees them; for benchmarks."""
 
 
 class RayCaster:
@@ -30,7 +31,6 @@ class RayCaster:
     Safe to use from several threads at once; the answers do not depend on how rays are grouped into calls.
 
     vertices: [mm], shape (n, 3), any frame: rays are given in the same
-    recorder: Called with every batch of rays in Embree's own units (for benchmarks)
     """
 
     def __init__(self, vertices: Float64, faces: Int32, *, recorder: RayRecorder | None = None) -> None:
@@ -127,13 +127,6 @@ class RayCaster:
         if self._recorder is None:  # which gets all rays
             self._maps.make((targets - self.centre) / self.radius, rays=rays, threads=threads)
 
-    def occluded_from(
-        self, points: Float64, normals: Float64, targets: Float64, *, point_index: Int32
-    ) -> Bool:
-        """As :meth:`occluded`, with a target of its own for each ray: targets of shape (k, 3)."""
-        index = np.arange(len(point_index), dtype=np.int32)
-        return self.occluded(points, normals, targets, point_index=point_index, target_index=index)
-
     def _run(self, query: str, origins: Float32, directions: Float32) -> Int32:
         with self._lock:
             self._rays_cast += len(origins)
@@ -218,8 +211,6 @@ def _shadow_rays(
 class Hits:
     """Rays that met the mesh, solved in float64 on the plane of the triangle that Embree named.
 
-    Attributes
-    ----------
     ray: Index of the ray among those cast, shape (k,)
     face: Face that was met, shape (k,)
     u, v: Barycentric coordinates: the point is (1−u−v)·A + u·B + v·C of the face's vertices; shape (k,)

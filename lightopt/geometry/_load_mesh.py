@@ -68,7 +68,7 @@ def load_mesh(
     vertex normals that they carry; anything else is smoothed within the crease angle. GLB is turned from Y up
     to Z up.
 
-    path: File; its ending tells the format (`MESH_SUFFIXES`)
+    path: File; its ending gives the format (`MESH_SUFFIXES`)
     unit_mm: Length of one unit of the file [mm]. Required for formats that carry none (`UNITLESS_SUFFIXES`). STEP
         declares its own, which a value has to agree with. GLB is metres by its specification; a value is believed over
         that, as many programs write other units.
@@ -77,7 +77,7 @@ def load_mesh(
         normals
     chord_tolerance_mm: STEP: largest distance between triangles and the surface [mm]
     angular_tolerance: STEP: largest bend between neighbouring tangents along an edge [rad]
-    max_triangles: More are refused, before loading where the file's header tells
+    max_triangles: More are refused, before loading where the header gives their number
     step_timeout_s, step_memory_gb: STEP: time [s] and memory [10⁹ bytes] the tessellation may take
     Raises InputError: The file is missing, of an unknown format, empty, cut off or damaged; it needs a unit; it has no
         triangles, coordinates that are not finite, or indices out of range; or a limit was reached
@@ -90,9 +90,7 @@ def load_mesh(
             f"{path}: unknown mesh format '{path.suffix}', expected one of {', '.join(MESH_SUFFIXES)}"
         )
     if unit_mm is None and suffix in UNITLESS_SUFFIXES:
-        raise InputError(
-            f"{path}: {suffix[1:].upper()} files carry no unit of length; say which one it is (mm, inch, …)"
-        )
+        raise InputError(f"{path}: {suffix[1:].upper()} files carry no unit of length; give it (mm, inch, …)")
     data = _read(path, max_triangles)
     if suffix in (".step", ".stp"):
         limits = StepLimits(chord_tolerance_mm, angular_tolerance, step_timeout_s, step_memory_gb)

@@ -15,8 +15,6 @@ from lightopt.geometry._triangle_mesh import TriangleMesh
 class SurfacePlace:
     """A place on a mesh.
 
-    Attributes
-    ----------
     point: [mm], shape (3,), frame of the mesh
     normal: Unit normal there as shading has it: interpolated, or the facet's, shape (3,)
     """
@@ -42,7 +40,7 @@ def surface_place(mesh: TriangleMesh, face: int, u: float, v: float) -> SurfaceP
 class SurfaceFinder:
     """Finds the place of a mesh that is nearest to a point.
 
-    mesh: The mesh; what is worth knowing of its faces is worked out once
+    mesh: The mesh; centres and radii of its faces are computed once
     """
 
     def __init__(self, mesh: TriangleMesh) -> None:

@@ -56,10 +56,10 @@ def carried_normals(
     faces: Vertex indices after repair, shape (m, 3)
     pairs: Edges of these faces, coinciding vertices taken as one
     normals: Vertex normals as in the file, shape (n, 3)
-    crease_angle: Largest bend of an edge that is expected to be smooth [rad]; None trusts the normals everywhere
+    crease_angle: Largest bend of an edge that is expected to be smooth [rad]; None accepts the normals everywhere
     Returns: The mesh, warnings about normals that had to be replaced or turned, and the number of vertices merged.
     """
-    # triangle edges are long against rounding, so sums over the faces around a vertex tell its outside
+    # triangle edges are long against rounding, so sums over the faces around a vertex point to its outside
     corners = vertices[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     outside = np.zeros_like(vertices)

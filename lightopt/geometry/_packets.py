@@ -112,7 +112,7 @@ def _nearest(function: int, scene: int, arguments: int, origins: Float32, direct
 
 
 class PacketScene:
-    """A hierarchy over triangles, asked through Embree's own functions."""
+    """A hierarchy over triangles, queried through Embree's own functions."""
 
     def __init__(self, vertices: Float32, faces: Int32) -> None:
         library, device, width = _embree(os.getpid())
@@ -168,7 +168,7 @@ def _address(function: Any) -> int:
 
 
 def packet_scene(vertices: Float32, faces: Int32) -> PacketScene | None:
-    """A hierarchy to be asked with packets; None where this Embree or processor takes none."""
+    """A hierarchy that is queried with packets; None where this Embree or processor takes none."""
     return PacketScene(vertices, faces) if _works(os.getpid()) else None
 
 

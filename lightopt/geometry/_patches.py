@@ -1,4 +1,4 @@
-"""Patches: the faces of a mesh cut into pieces no longer than the pixel's footprint."""
+"""Patches: the faces of a mesh cut into triangles no longer than the pixel's footprint."""
 
 from __future__ import annotations
 
@@ -55,11 +55,6 @@ class Patches:
     def __len__(self) -> int:
         return len(self.triangles)
 
-    @property
-    def corners(self) -> Float64:
-        """Corners of the patches [mm], shape (p, 3, 3); made anew on each call."""
-        return self.vertices[self.triangles]
-
     def patch_at(self, face: ArrayLike, u: ArrayLike, v: ArrayLike) -> Int32:
         """Patch that holds each point of the mesh's surface; every point of a face belongs to exactly one.
 
@@ -94,7 +89,7 @@ def refine(
     """Patches of a mesh: every face bisected at its longest edge until no edge is longer than `max_edge_mm`.
 
     Longest-edge bisection (Rivara, Int. J. Numer. Meth. Eng. 20, 1984) bounds the smallest angle by half of
-    the face's, so pieces do not become slivers. Neighbouring faces are cut independently of each other.
+    the face's, so patches do not become slivers. Neighbouring faces are cut independently of each other.
 
     max_edge_mm: Longest edge of a patch [mm]
     max_patches: More are refused
@@ -195,7 +190,7 @@ def _halves(
 
 @kernel
 def _count(vertices: Float64, faces: Int32, selected: Bool, limit: float, enough: int) -> int:
-    """Count the pieces of all faces, up to `enough`."""
+    """Number of patches of all faces, up to `enough`."""
     stack = np.empty((_LEVELS, 3, 3))
     triangle = np.empty((3, 3))
     middle = np.empty(3)
@@ -298,7 +293,7 @@ def _build(
 def _find(roots: Int32, children: Int32, cut_edge: UInt8, faces: Int32, us: Float64, vs: Float64) -> Int32:
     """Patch of each point; −1 for face −1.
 
-    Down the tree the weights of the corners tell the half: the point is nearer to the end of the cut edge
+    Down the tree the weights of the corners choose the half: the point is nearer to the end of the cut edge
     that weighs more, and against the half's own corners it has weights w_near − w_far, 2·w_far (the middle)
     and the third as it was.
     """

@@ -104,7 +104,7 @@ def _inside_out(vertices: Float64, faces: Int32, label: Int32, closed: Bool) -> 
 
 @kernel
 def _flood(face_count: int, corners: Int32, same_direction: Bool) -> tuple[Int32, Bool]:
-    """Label connected faces; turn[f] tells whether f winds against the first face of its surface."""
+    """Label connected faces; turn[f] is whether f winds against the first face of its surface."""
     neighbour = np.full((face_count, 3), -1, dtype=np.int32)
     against = np.zeros((face_count, 3), dtype=np.bool_)
     for e in range(len(corners)):

@@ -86,7 +86,7 @@ def write_npz_atomic(path: str | Path, arrays: Mapping[str, NDArray[Any]]) -> st
                 entry.compress_type = zipfile.ZIP_DEFLATED
                 # the archive's level is only for entries that it makes itself
                 entry._compresslevel = 1  # pyright: ignore[reportAttributeAccessIssue]
-                entry.create_system = 3  # else the bytes would tell Windows from Linux
+                entry.create_system = 3  # else the bytes would differ between Windows and Linux
                 with archive.open(entry, "w", force_zip64=True) as file:
                     np.lib.format.write_array(file, np.asarray(array, order="C"), allow_pickle=False)
 

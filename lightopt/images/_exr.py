@@ -38,14 +38,9 @@ _BLOCK_ROWS = 256
 def write_exr(path: str | Path, channels: Mapping[str, Channel], *, metadata: Mapping[str, Any]) -> str:
     """Write an OpenEXR image, whole or not at all; the same input gives the same bytes. Returns the SHA-256 in hex.
 
-    Parameters
-    ----------
     channels: Channel name to values, float32, all of one shape (H, W), row 0 at the top.
     metadata: JSON-able values, kept in one attribute ``lightopt:json``.
-
-    Raises
-    ------
-    InputError: The channels are not float32 of one shape (H, W), or the file cannot be written.
+    Raises InputError: The channels are not float32 of one shape (H, W), or the file cannot be written.
     """
     height, width = _common_shape(path, channels)
     text = metadata_json(metadata)

@@ -39,8 +39,6 @@ class SourceFile:
 class ImageEntry:
     """One image of a set: light, posture, exposure, and its files.
 
-    Attributes
-    ----------
     exposure: Requested exposure, relative to that of the reflectance's levels.
     png, exr: Files relative to the set's folder, POSIX style; at least one in a valid set.
     sha256: SHA-256 in hex by ``png`` and ``exr``; may be empty in sets of other programs.
@@ -106,8 +104,6 @@ class GeometryEntry:
 class Manifest:
     """The content of ``manifest.json``.
 
-    Attributes
-    ----------
     kind: ``simulated`` or ``captured``.
     full_scale: Grey level of a full-scale sensor level at exposure 1: the scale of the reflectance.
     saturation_level: Sensor level from which a pixel counts as saturated; None is full scale.

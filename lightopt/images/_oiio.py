@@ -78,7 +78,7 @@ def write_rows(
             break
         top += block.shape[0]
     closed = output.close()
-    # The PNG writer reports success on a full disk; only its error text tells.
+    # The PNG writer reports success on a full disk; only its error text shows it.
     message = output.geterror()
     if not (done and closed) or message or not is_complete(path):
         _raise_system_reason(path)

@@ -30,8 +30,6 @@ GREY_SHARE = 0.45
 class Overlap:
     """Saturated regions of the images of one posture at one exposure.
 
-    Attributes
-    ----------
     saturated, pairs: Number of pixels saturated under each light, and under both lights of a pair.
     count: Number of images in which each pixel is saturated, shape (H, W).
     mean: Mean of the levels, as a share of full scale clipped to 1, shape (H, W).

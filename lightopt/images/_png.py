@@ -40,16 +40,11 @@ def write_png(
 
     Returns the SHA-256 in hex.
 
-    Parameters
-    ----------
     levels: Camera levels (H, W) uint8 or uint16 (10 to 16 bit, right-aligned), or a picture (H, W, 3) uint8; row 0
         at the top.
     metadata: JSON-able values, kept in one text chunk ``lightopt:json``.
     overwrite: Whether a file of other content may be replaced.
-
-    Raises
-    ------
-    InputError: The array is of another type or shape, or the file cannot be written (see :func:`write_atomically`).
+    Raises InputError: The array is of another type or shape, or the file cannot be written
     """
     grey = levels.ndim == 2 and str(levels.dtype) in ("uint8", "uint16")
     picture = levels.ndim == 3 and levels.shape[2] == 3 and levels.dtype == np.uint8

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,6 @@ from lightopt.images._png import read_png
 class LoadedImage:
     """A loaded image; arrays of shape (H, W), read-only.
 
-    Attributes
-    ----------
     levels: float32 [grey level at exposure 1]: linear, black level removed. From a PNG ``(sensor − black level) ·
         full scale / ((2^b − 1) · exposure)``, so clipped where `saturated`.
     saturated: Where `levels` is only a lower bound, or where the camera would have been saturated at the entry's
@@ -35,7 +33,6 @@ class LoadedImage:
     levels: Float32
     saturated: Bool
     sensor: UInt8 | NDArray[np.uint16] | None
-    source: Literal["png", "exr"]
 
 
 @dataclass(frozen=True)
@@ -100,7 +97,7 @@ class ImageSet:
         scale = manifest.full_scale / (manifest.max_level * entry.held_exposure)
         levels = ((sensor.astype(np.float64) - manifest.black_level) * scale).astype(np.float32)
         saturated = sensor >= manifest.saturated_from
-        return LoadedImage(levels=levels, saturated=saturated, sensor=sensor, source="png")
+        return LoadedImage(levels=levels, saturated=saturated, sensor=sensor)
 
     def _load_exr(self, entry: ImageEntry) -> LoadedImage:
         manifest = self.manifest
@@ -115,7 +112,7 @@ class ImageSet:
             scale = entry.held_exposure * manifest.max_level / manifest.full_scale
             sensor = np.floor(levels.astype(np.float64) * scale + manifest.black_level + 0.5)
             saturated = np.minimum(sensor, manifest.max_level) >= manifest.saturated_from
-        return LoadedImage(levels=levels, saturated=saturated, sensor=None, source="exr")
+        return LoadedImage(levels=levels, saturated=saturated, sensor=None)
 
 
 def read_image_set(path: str | Path, *, verify: bool = True) -> ImageSet:

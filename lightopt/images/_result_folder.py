@@ -16,18 +16,13 @@ from lightopt.images._atomic import make_folder, write_text_atomic
 class ResultFolder:
     """A folder for the files of a result; the previous result is removed before the first new file is written.
 
-    Parameters
-    ----------
     made_from: From :func:`lightopt.core.provenance.provenance`: kept under ``provenance`` of the JSON file.
     name, format: The JSON file and its format, such as ``lightopt-fit/1``; the previous file may be of another
         version of it.
     what: The result in words, for messages: ``a fit``.
     also: Names of further files that belong to such a result even where the JSON file does not list them.
     force: Whether files of a result of other inputs are replaced.
-
-    Raises
-    ------
-    InputError: The folder holds a result of other inputs, and `force` is False.
+    Raises InputError: The folder holds a result of other inputs, and `force` is False.
     """
 
     def __init__(

@@ -39,24 +39,17 @@ class ImageSetWriter:
     `done` says what need not be made again. Threads may add files of their own at the same time. Every method that
     writes raises InputError when a foreign file is in the way or the disk refuses.
 
-    Parameters
-    ----------
     header: The manifest without its entries. Two runs with equal headers (rig and part by their SHA-256) are the
         same run.
     force: Replace the set of another run, all of whose files are removed first, and files that belong to none.
     plan: Light, posture and exposure of the images that the run will make, so that names which clash and files in
         the way are found before any work.
 
-    Attributes
-    ----------
     manifest: What is on disk so far.
-    resumed: Whether an earlier run with an equal header is being continued.
+    resumed: Whether a previous run with an equal header is being continued.
     replaced: Number of files of the set of another run that were removed.
-
-    Raises
-    ------
-    InputError: The folder cannot be written, holds the set of another run or files in the way (without `force`), or
-        two images of the plan would share a file; with `force`, the folder holds captured images and the run makes
+    Raises InputError: The folder cannot be written, holds the set of another run or files in the way (without `force`),
+        or two images of the plan would share a file; with `force`, the folder holds captured images and the run makes
         others.
     """
 
@@ -115,8 +108,6 @@ class ImageSetWriter:
 
         The linear image belongs to light and posture: all exposures of them list the same EXR.
 
-        Parameters
-        ----------
         entry: What was imaged; its `png`, `exr` and `sha256` are filled in here.
         png: Camera levels (H, W), as :func:`write_png` takes them.
         exr: Channels (H, W) of the linear image at exposure 1 [grey level], as :func:`write_exr` takes them.

@@ -12,8 +12,6 @@ from lightopt.core.kernels import kernel
 class Reflectance:
     """Coefficients of the reflection model (paper, equations 2 and 3).
 
-    Attributes
-    ----------
     R_d: Diffuse reflection coefficient [grey level]
     R_s: Specular reflection coefficient [grey level]
     sigma: Concentration of the specular lobe, the standard deviation of δ [rad]

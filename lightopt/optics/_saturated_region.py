@@ -37,7 +37,7 @@ def saturated_region(levels: NDArray[Any], saturation_level: float) -> Saturated
 
 
 def _contour_length(values: Float64) -> float:
-    # marching squares: every 2 × 2 square of pixel centres is crossed by straight pieces of the line where values are 0
+    # marching squares: straight segments of the line where values are 0 cross every 2 × 2 square of pixel centres
     corners = (values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1])
     mixed = np.zeros(corners[0].shape, np.bool_)
     for corner in corners[1:]:

@@ -1,4 +1,4 @@
-"""What is known of a sensor."""
+"""The sensor: its levels, saturation and noise, and how it quantises what the camera sees."""
 
 from __future__ import annotations
 
@@ -19,8 +19,6 @@ Level = TypeVar("Level", bound=np.floating[Any])
 class Sensor:
     """A linear sensor.
 
-    Attributes
-    ----------
     bit_depth: Bits of a delivered level, 1 to 16
     saturation_level: Delivered level from which a pixel counts as saturated; full scale, 2^bit_depth − 1, when not
         given. Real cameras top out lower: 4080 of 4095, for instance.
@@ -104,7 +102,7 @@ def expose(
     full_scale: float,
     rng: np.random.Generator | None = None,
 ) -> Quantised:
-    """Quantise what the camera sees: scaled, noisy where asked, rounded half up, clipped to the bit depth.
+    """Quantise what the camera sees: scaled, noisy with a generator, rounded half up, clipped to the bit depth.
 
     Sensor level = black level + exposure · levels · (2^b − 1) / full scale. Shot noise is Poisson in the
     photo-electrons above black, read noise is Gaussian (EMVA Standard 1288, release 4.0, section 2).

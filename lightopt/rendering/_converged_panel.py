@@ -26,7 +26,7 @@ from lightopt.rendering._panel_quadrature import (
 )
 from lightopt.rendering._penumbra import shade_penumbra
 from lightopt.rendering._penumbra_cells import ConvergedLight
-from lightopt.rendering._point_lights import facing_pairs
+from lightopt.rendering._point_lights import clear_pairs, facing_pairs, visible_counts
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._vectors import Vector, dot, vector_at
 from lightopt.scene import PanelLight, Scene, panel_grid
@@ -40,7 +40,7 @@ PROBE_INSET = 0.98
 PENUMBRA_BATCH = 2048
 """Penumbra pixels that are worked on at once: some 10 MiB of rays."""
 
-# what the coarse rays of a pixel and a light say
+# what the coarse rays of a pixel to a light show
 _DARK, _CLEAR, _HIDDEN, _MIXED = 0, 1, 2, 3
 
 
@@ -114,7 +114,7 @@ def shade_converged(
         uncertain = np.zeros(len(surface), np.bool_)
     else:
         if verdict is None:
-            verdict = _coarse_verdict(surface, converged.light, caster)
+            verdict = _verdict(*visible_counts(surface, probe_targets(converged.light), caster))
         uncertain = _disagreeing(verdict, sample, shape)
     light = _converged_light(converged, reflectance)
     diffuse, specular = _whole_panel(surface.points, surface.normals, surface.views, verdict, light)
@@ -155,7 +155,7 @@ def shade_again(
     if caster is None:
         verdict[index] = np.where(surface.front, _CLEAR, _DARK).astype(np.uint8)
     else:
-        verdict[index] = _coarse_verdict(surface, converged.light, caster)
+        verdict[index] = _verdict(*visible_counts(surface, probe_targets(converged.light), caster))
     own = verdict[index]
     light = _converged_light(converged, reflectance)
     diffuse, specular = _whole_panel(surface.points, surface.normals, surface.views, own, light)
@@ -214,43 +214,16 @@ def shadow_targets(light: PanelLight) -> Float64:
 
 def panel_probes(surface: SurfacePoints, targets: Float64, caster: RayCaster) -> Bool:
     """Which probes each point's face, whatever its normal, faces and sees, shape (k, 5)."""
-    point, target = facing_pairs(replace(surface, normals=surface.facets), targets, geometric=False)
-    blocked = caster.occluded(
-        surface.points,
-        surface.facets,
-        targets,
-        point_index=point,
-        target_index=target,
-        outside=surface.outside,
-    )
     clear = np.zeros((len(surface), len(targets)), np.bool_)
-    clear[point[~blocked], target[~blocked]] = True
+    clear[clear_pairs(replace(surface, normals=surface.facets), targets, caster, geometric=False)] = True
     return clear
 
 
 def verdict_of_probes(surface: SurfacePoints, targets: Float64, clear: Bool) -> UInt8:
-    """What the coarse rays say of each point with its own normal, from :func:`panel_probes`, shape (k,)."""
+    """What the coarse rays show for each point with its own normal, from :func:`panel_probes`, shape (k,)."""
     above = np.zeros_like(clear)
     above[facing_pairs(surface, targets, geometric=False)] = True
     return _verdict((clear & above).sum(axis=1), above.sum(axis=1))
-
-
-def _coarse_verdict(surface: SurfacePoints, light: PanelLight, caster: RayCaster) -> UInt8:
-    targets = probe_targets(light)
-    point, target = facing_pairs(surface, targets, geometric=True)
-    blocked = caster.occluded(
-        surface.points,
-        surface.facets,
-        targets,
-        point_index=point,
-        target_index=target,
-        outside=surface.outside,
-    )
-    # a point above the interpolated horizon but below the face's own plane is hidden by the face itself
-    above, _ = facing_pairs(surface, targets, geometric=False)
-    return _verdict(
-        np.bincount(point[~blocked], minlength=len(surface)), np.bincount(above, minlength=len(surface))
-    )
 
 
 def _verdict(clear: Index, all_above: Index) -> UInt8:

@@ -40,8 +40,6 @@ LEAST_RAYS_ACROSS = 3
 class RenderOptions:
     """What to render and how.
 
-    Attributes
-    ----------
     lights: Names of the lights to render; all by default
     points: Point lights per panel, instead of the rig's
     exposures: Exposures of the camera's PNGs; the linear images are at exposure 1
@@ -69,7 +67,7 @@ class RenderOptions:
 class RenderedSet:
     """What :func:`render_image_set` left on disk.
 
-    resumed: Number of those that an earlier run with the same inputs had finished
+    resumed: Number of those that a previous run with the same inputs had finished
     rays: Number of rays cast for images
     patches: What the patch refinement reached; None where nothing was left to do
     replaced: Number of files of another set that were removed (with `force`)
@@ -219,7 +217,7 @@ def _header(rig: RigConfig, part: PartConfig, scene: Scene, options: RenderOptio
         "supersample": options.supersample,
         "patch_budget": options.patch_budget,
     }
-    # sets of parts without defects say nothing about them
+    # sets of parts without defects do not mention them
     if part.defects and not options.defects:
         chosen["defects"] = False
     shown = {"defects": defect_facts(scene.defects, scene.placement)} if scene.defects else {}
@@ -266,7 +264,7 @@ def _narrow_defects(scene: Scene, rig: RigConfig, supersample: int) -> tuple[str
     text = (
         f"{counted(len(names), 'defect')} narrower than the {spacing:.3g} mm between rays "
         f"({', '.join(names[:3])}{', …' if len(names) > 3 else ''}): some pixels miss what they would show; "
-        f"--supersample {min(enough, MOST_SUPERSAMPLE)} shows how far they fill each pixel"
+        f"supersampling by {min(enough, MOST_SUPERSAMPLE)} shows how far they fill each pixel"
     )
     return (text,)
 

@@ -34,8 +34,6 @@ BLOCK_SAMPLES = 65_536
 class LightImage:
     """The part under one light at exposure 1.
 
-    Attributes
-    ----------
     level: Linear, unclipped, noise-free [grey level], shape (height, width)
     diffuse, specular: Its two components [grey level], or None without `layers`
     """
@@ -50,8 +48,6 @@ class LightImage:
 class Geometry:
     """What each pixel's centre looks at; world frame, zero where a ray misses the part.
 
-    Attributes
-    ----------
     points: [mm], shape (height, width, 3)
     normals: Interpolated unit normals of the surface without its defects, shape (height, width, 3)
     distance: From the pinhole along the ray [mm], shape (height, width)
@@ -73,8 +69,6 @@ class Geometry:
 class PostureImages:
     """A part in one posture under each light.
 
-    Attributes
-    ----------
     back_faces: Number of pixels whose centre sees the back of a face; they are black
     """
 
@@ -152,10 +146,11 @@ def render_posture(
     Parameters as in :func:`render`, and any posture, not only one of the scene's.
     """
     before = caster.rays_cast
-    job = _Job(scene, posture, caster, shadows, supersample, layers, patches)
+    view = view_from_part(scene, posture)
+    job = _PostureJob(scene, view, caster, shadows, supersample, layers, patches)
     if shadows:
         left, top, right, bottom = job.window
-        targets = np.concatenate([shadow_targets(light) for light in job.view.lights] or [np.zeros((0, 3))])
+        targets = np.concatenate([shadow_targets(light) for light in view.lights] or [np.zeros((0, 3))])
         samples = max(0, right - left) * max(0, bottom - top) * supersample**2
         caster.map_blockers(targets, rays=samples, threads=threads)
     blocks = job.blocks()
@@ -166,34 +161,41 @@ def render_posture(
         counter.report()
 
     run_all(((job.block, rows) for rows in blocks), threads=threads or available_processors(), done=done)
-    return job.result(caster.rays_cast - before)
+    return PostureImages(
+        posture=posture,
+        lights=tuple(job.images),
+        geometry=job.geometry,
+        back_faces=int(job.back.sum()),
+        rays=caster.rays_cast - before,
+    )
 
 
-class _Job:
+class _PostureJob:
     """The images of one posture while they are being made; blocks write to rows of their own."""
 
     def __init__(
         self,
         scene: Scene,
-        posture: Posture,
+        view: PartView,
         caster: RayCaster,
         shadows: bool,
         supersample: int,
         layers: bool,
         patches: Patches | None,
     ) -> None:
-        self.scene = scene
-        self.posture = posture
-        self.caster = caster
-        self.shadows = shadows
-        self.supersample = supersample
-        self.patches = patches
-        self.view: PartView = view_from_part(scene, posture)
-        self.window = screen_window(self.view.camera, scene.mesh)
+        self.scene, self.view, self.caster = scene, view, caster
+        self.shadow_caster = caster if shadows else None
+        self.supersample, self.patches = supersample, patches
+        self.window = screen_window(view.camera, scene.mesh)
         shape = (scene.camera.height, scene.camera.width)
-        self.levels = [np.zeros(shape, np.float32) for _ in scene.lights]
-        self.layers = [
-            (np.zeros(shape, np.float32), np.zeros(shape, np.float32)) for _ in scene.lights if layers
+        self.images = [
+            LightImage(
+                light=light.name,
+                level=np.zeros(shape, np.float32),
+                diffuse=np.zeros(shape, np.float32) if layers else None,
+                specular=np.zeros(shape, np.float32) if layers else None,
+            )
+            for light in scene.lights
         ]
         self.geometry = Geometry(
             points=np.zeros((*shape, 3), np.float32),
@@ -208,7 +210,7 @@ class _Job:
             converged_panel(light, centre=caster.centre, radius=caster.radius)
             if light.points == "auto"
             else light
-            for light in self.view.lights
+            for light in view.lights
         ]
         # neighbouring samples show where penumbrae are, so that blocks then overlap by a row
         self.halo = int(shadows and any(isinstance(panel, ConvergedPanel) for panel in self.panels))
@@ -239,38 +241,17 @@ class _Job:
             self._store_geometry(centre_hits, centres, self._in_defects(centres), pixels, slice(None), target)
         reflectance = self.scene.reflectance
         sample = hits.ray.astype(np.intp)
-        caster = self.caster if self.shadows else None
-        for index, panel in enumerate(self.panels):
+        for panel, image in zip(self.panels, self.images, strict=True):
             d, s, sight = self._shade(surface, panel, sample, grid)
             light = reflectance.R_d * d, reflectance.R_s * s
             for some in marked:
                 light[0][some.index], light[1][some.index] = some.light(
-                    panel, sight, sample=sample, shape=grid, caster=caster
+                    panel, sight, sample=sample, shape=grid, caster=self.shadow_caster
                 )
-            parts = []
-            for values in light:
-                samples = np.zeros(grid)
-                samples.ravel()[hits.ray] = values
-                parts.append(_pixel_means(samples[own], n))
-            self.levels[index][target] = parts[0] + parts[1]
-            if self.layers:
-                self.layers[index][0][target], self.layers[index][1][target] = parts
-
-    def result(self, rays: int) -> PostureImages:
-        """The finished images."""
-        images: list[LightImage] = []
-        for index, light in enumerate(self.scene.lights):
-            diffuse, specular = self.layers[index] if self.layers else (None, None)
-            images.append(
-                LightImage(light=light.name, level=self.levels[index], diffuse=diffuse, specular=specular)
-            )
-        return PostureImages(
-            posture=self.posture,
-            lights=tuple(images),
-            geometry=self.geometry,
-            back_faces=int(self.back.sum()),
-            rays=rays,
-        )
+            diffuse, specular = (self._pixels(values, hits, grid, own) for values in light)
+            image.level[target] = diffuse + specular
+            if image.diffuse is not None and image.specular is not None:
+                image.diffuse[target], image.specular[target] = diffuse, specular
 
     def _trace(self, columns: Float64, rows: Float64) -> tuple[Hits, SurfacePoints]:
         x, y = np.meshgrid(columns, rows)
@@ -282,8 +263,7 @@ class _Job:
     def _shade(
         self, surface: SurfacePoints, panel: PanelLight | ConvergedPanel, sample: Index, grid: tuple[int, int]
     ) -> tuple[Float64, Float64, PanelSight | None]:
-        caster = self.caster if self.shadows else None
-        reflectance = self.scene.reflectance
+        caster, reflectance = self.shadow_caster, self.scene.reflectance
         if isinstance(panel, ConvergedPanel):
             return shade_converged(
                 surface, panel, sample=sample, shape=grid, reflectance=reflectance, caster=caster
@@ -291,6 +271,14 @@ class _Job:
         assert panel.points != "auto"
         d, s = shade_points(surface, panel, points=panel.points, sigma=reflectance.sigma, caster=caster)
         return d, s, None
+
+    def _pixels(self, values: Float64, hits: Hits, grid: tuple[int, int], own: slice) -> Float64:
+        # means over the samples of each pixel; 0 where a ray misses the part
+        samples, n = np.zeros(grid), self.supersample
+        samples.ravel()[hits.ray] = values
+        samples = samples[own]
+        rows, columns = samples.shape
+        return samples.reshape(rows // n, n, columns // n, n).mean(axis=(1, 3)) if n > 1 else samples
 
     def _store_geometry(
         self,
@@ -328,8 +316,3 @@ class _Job:
 
 def _centres(first: int, end: int) -> Float64:
     return np.arange(first, end, dtype=np.float64) + 0.5
-
-
-def _pixel_means(samples: Float64, n: int) -> Float64:
-    rows, columns = samples.shape
-    return samples.reshape(rows // n, n, columns // n, n).mean(axis=(1, 3)) if n > 1 else samples

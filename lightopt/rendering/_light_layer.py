@@ -29,15 +29,13 @@ from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._vectors import divided, dot, length, minus, plus, vector_at
 from lightopt.scene import PanelLight, panel_grid
 
-_PIECE = 8192
+_CHUNK = 8192
 
 
 @dataclass(frozen=True, kw_only=True)
 class LightLayer:
     """Light of one panel at n surface points that see all of it.
 
-    Attributes
-    ----------
     surface: The points, part frame
     diffuse: Per unit of R_d, shape (n,)
     deflection: About the least angle δ between the normal and the half vectors of the panel's points [rad], shape (n,):
@@ -69,11 +67,11 @@ class LightLayer:
         s = self.surface
         result = np.zeros(len(s))
 
-        def piece(start: int) -> None:
-            end = min(start + _PIECE, len(s))
+        def chunk(start: int) -> None:
+            end = min(start + _CHUNK, len(s))
             _specular(s.points, s.normals, s.views, self.grid, panel, inverse, self.nodes, start, end, result)
 
-        in_threads(piece, range(0, len(s), _PIECE), threads)
+        in_threads(chunk, range(0, len(s), _CHUNK), threads)
         result *= self.light.total_weight
         return result
 
@@ -96,13 +94,13 @@ def light_layer(
     diffuse = np.zeros(len(surface))
     deflection = np.zeros(len(surface))
 
-    def piece(start: int) -> None:
-        end = min(start + _PIECE, len(surface))
+    def chunk(start: int) -> None:
+        end = min(start + _CHUNK, len(surface))
         s = surface
         _diffuse(s.points, s.normals, grid, panel, nodes, start, end, diffuse)
         _deflection(s.points, s.normals, s.views, panel, start, end, deflection)
 
-    in_threads(piece, range(0, len(surface), _PIECE), threads)
+    in_threads(chunk, range(0, len(surface), _CHUNK), threads)
     diffuse *= light.total_weight
     return LightLayer(
         surface=surface, light=light, diffuse=diffuse, deflection=deflection, grid=grid, nodes=nodes

@@ -78,27 +78,46 @@ class _Horizon(NamedTuple):
 @kernel
 def rectangle_diffuse(p: Vector, n: Vector, panel: PanelNumbers, area: Rectangle, count: int) -> float:
     """Diffuse light, per unit of R_d, of a rectangle of a panel of total weight 1, by `count` nodes along each side."""
+    # no specular term: any view will do
+    return _integrals(p, n, n, 0.0, panel, area, 0.0, count, count)[0]
+
+
+@kernel
+def _integrals(
+    p: Vector,
+    n: Vector,
+    v: Vector,
+    n_dot_v: float,
+    panel: PanelNumbers,
+    area: Rectangle,
+    inverse_two_sigma_squared: float,
+    count_s: int,
+    count_t: int,
+) -> tuple[float, float]:
+    # diffuse and specular terms over a rectangle, by Gauss–Legendre nodes along its sides
     horizon = _horizon(p, n, panel, area)
     first, last = _broken_rows(horizon, area)
-    total = 0.0
+    diffuse = specular = 0.0
     for low, high in ((area.t0, first), (first, last), (last, area.t1)):
         if low >= high:
             continue
-        part = 0.0
-        for i in range(count):
-            t = low + (high - low) * NODES[count, i]
+        part_d = part_s = 0.0
+        for i in range(count_t):
+            t = low + (high - low) * NODES[count_t, i]
             r0, r1 = _row_above_horizon(horizon, t, area)
             if r0 >= r1:
                 continue
-            row = 0.0
-            for j in range(count):
-                s = r0 + (r1 - r0) * NODES[count, j]
-                # no specular term: any view will do
-                d, _ = point_terms(p, n, n, 0.0, panel_point(panel, s, t), panel, 0.0)
-                row += WEIGHTS[count, j] * d
-            part += WEIGHTS[count, i] * (r1 - r0) * row
-        total += part * (high - low)
-    return total
+            row_d = row_s = 0.0
+            for j in range(count_s):
+                q = panel_point(panel, r0 + (r1 - r0) * NODES[count_s, j], t)
+                d, s = point_terms(p, n, v, n_dot_v, q, panel, inverse_two_sigma_squared)
+                row_d += WEIGHTS[count_s, j] * d
+                row_s += WEIGHTS[count_s, j] * s
+            part_d += WEIGHTS[count_t, i] * (r1 - r0) * row_d
+            part_s += WEIGHTS[count_t, i] * (r1 - r0) * row_s
+        diffuse += part_d * (high - low)
+        specular += part_s * (high - low)
+    return diffuse, specular
 
 
 @kernel
@@ -196,27 +215,7 @@ def rectangle_specular(
     least_t = math.ceil(panel_nodes * (window.t1 - window.t0)) + 1
     count_s = max(_node_count(a, gs, window.s0 - s, window.s1 - s), least_s)
     count_t = max(_node_count(c, gt, window.t0 - t, window.t1 - t), least_t)
-    horizon = _horizon(p, n, panel, window)
-    first, last = _broken_rows(horizon, window)
-    total = 0.0
-    for low, high in ((window.t0, first), (first, last), (last, window.t1)):
-        if low >= high:
-            continue
-        part = 0.0
-        for i in range(count_t):
-            t = low + (high - low) * NODES[count_t, i]
-            r0, r1 = _row_above_horizon(horizon, t, window)
-            if r0 >= r1:
-                continue
-            row = 0.0
-            for j in range(count_s):
-                s = r0 + (r1 - r0) * NODES[count_s, j]
-                q = panel_point(panel, s, t)
-                _, value = point_terms(p, n, v, n_dot_v, q, panel, inverse_two_sigma_squared)
-                row += WEIGHTS[count_s, j] * value
-            part += WEIGHTS[count_t, i] * (r1 - r0) * row
-        total += part * (high - low)
-    return total
+    return _integrals(p, n, v, n_dot_v, panel, window, inverse_two_sigma_squared, count_s, count_t)[1]
 
 
 @kernel

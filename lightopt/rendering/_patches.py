@@ -18,7 +18,7 @@ from lightopt.rendering._surface import GRAZING_COSINE
 from lightopt.scene import PartView, Scene, pixel_footprint, project, view_from_part
 
 DEFAULT_PATCH_BUDGET = 200_000
-"""Patches visible in at least one posture, unless asked otherwise."""
+"""Patches visible in at least one posture, by default."""
 
 # the geometry image holds patch numbers as float32, which counts no further
 _MOST_PATCHES = 1 << 24
@@ -28,18 +28,16 @@ _MOST_PATCHES = 1 << 24
 class PatchTable:
     """A part's patches and from which postures the camera sees them; part frame.
 
-    Attributes
-    ----------
-    postures: The postures that were looked at
+    postures: The postures considered
     visible: Whether the camera sees a patch's centroid, from the front and in the image; shape (postures, p)
     grazing: Whether it sees it at more than :data:`lightopt.rendering.GRAZING_DEG` to its normal, shape (postures, p):
         such patches count in no score and no share of that posture
     max_edge: Longest edge of a patch that the camera may see, unless the mesh was finer already [mm]
     footprint: Side of a pixel's footprint on the part, where it is smallest [mm]
-    seen_faces: Faces of the mesh that the camera sees, where they are as many as patches were asked for, or more; 0
-        otherwise, and of a table from arrays
-    exceeded: Patches that were asked for, where more are visible although the faces that the camera sees are fewer:
-        half as many are for cutting; 0 otherwise, and of a table from arrays
+    seen_faces: Faces of the mesh that the camera sees, where they use up the budget of patches; 0 otherwise, and of a
+        table from arrays
+    exceeded: The budget of patches, where more are visible although the camera sees fewer faces: half of the budget is
+        for cutting; 0 otherwise, and of a table from arrays
     """
 
     patches: Patches
@@ -70,7 +68,7 @@ class PatchTable:
 
     @property
     def message(self) -> str:
-        """What the refinement reached, for the person at the machine."""
+        """What the refinement reached, as a message."""
         seen = int(self.visible.any(axis=0).sum())
         reached = (
             "the pixel's footprint"
@@ -79,10 +77,12 @@ class PatchTable:
         )
         text = f"{seen:,} visible patches of {len(self.patches):,}; edges up to {self.max_edge:.3g} mm ({reached})"
         if self.seen_faces:
-            text += f"; {self.seen_faces:,} of the mesh's own triangles may show: no --patches makes fewer"
+            text += (
+                f"; {self.seen_faces:,} of the mesh's own triangles may show, however small the patch budget"
+            )
         if self.exceeded:
             text += (
-                f"; more than --patches {self.exceeded:,}: half of these are for cutting long triangles, and the "
+                f"; more than the patch budget of {self.exceeded:,}: half of it is for cutting long triangles, and the "
                 "mesh's other triangles leave less"
             )
         return text

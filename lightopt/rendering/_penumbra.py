@@ -1,8 +1,8 @@
 """The part of a panel that a surface point sees when the part's own shadow edge crosses it.
 
-Rays to the corners of a grid of cells tell visible cells from hidden ones; where the edge of the shadow crosses the
-side of a cell is found by bisection, and between two such crossings the edge is taken as straight. Rays beside the
-middle of that chord tell whether it is; a cell where it is not is divided into a finer grid. How far all this goes
+Rays to the corners of a grid of cells distinguish visible cells from hidden ones. Where the edge of the shadow crosses
+the side of a cell is found by bisection, and between two such crossings the edge is taken as straight. Rays beside the
+middle of that chord test this; a cell where the edge is bent is divided into a finer grid. How far all this goes
 depends on the light that is at stake in a cell: a cell of a tenth of a level is not refined.
 """
 
@@ -34,7 +34,7 @@ from lightopt.rendering._penumbra_cells import (
 from lightopt.rendering._surface import SurfacePoints
 
 GRIDS = (8, 4, 4)
-"""Cells along each side of the panel; of a cell whose piece of edge is bent; and of such a cell of that finer grid."""
+"""Cells along each side of the panel; of a cell where the edge is bent; and of such a cell of that finer grid."""
 
 SQUARES_AT_ONCE = 4096
 """Squares whose rays are cast at once, some 10 MiB of them."""
@@ -121,7 +121,11 @@ def _states(work: _Work, squares: Squares, square: Index, x: NDArray[Any], y: ND
     state, undecided, targets = _horizon_state(
         surface.points, surface.normals, surface.facets, work.light.panel, point, s, t
     )
-    blocked = work.caster.occluded_from(surface.points, surface.facets, targets, point_index=point[undecided])
+    # each ray has a target of its own
+    index = np.arange(len(undecided), dtype=np.int32)
+    blocked = work.caster.occluded(
+        surface.points, surface.facets, targets, point_index=point[undecided], target_index=index
+    )
     state[undecided] = np.where(blocked, BLOCKED, VISIBLE)
     return state
 

@@ -1,6 +1,6 @@
 """Cells of a panel that the edge of a shadow crosses: where it cuts them, and the light of what is left.
 
-Grids of n × n cells are laid over squares of the panel, several perhaps for one surface point. A cell is known by what
+Squares of the panel, several perhaps for one surface point, are divided into n × n cells. A cell is known by what
 is seen at its corners, and by where the edge crosses its sides.
 
 What the functions share
@@ -63,7 +63,7 @@ class ConvergedLight(NamedTuple):
 
 
 class Squares(NamedTuple):
-    """Pieces of the panel that a grid is laid over, q of them; several may belong to one surface point.
+    """Squares of the panel that are divided into a grid, q of them; several may belong to one surface point.
 
     point: Surface point of each, shape (q,)
     s, t: Lower corner, in units of the panel's sides, from 0 to 1; shape (q,)
@@ -80,11 +80,11 @@ class Squares(NamedTuple):
 def places_beside_chords(
     state: UInt8, stake: Float64, across: Float64, along: Float64
 ) -> tuple[Bool, Int64, Float64, Float64, Bool]:
-    """Places that tell whether the edge of the shadow is straight inside the crossed cells where that matters.
+    """Places that show whether the edge of the shadow is straight inside the crossed cells where that matters.
 
     They are on both sides of the chord between the edge's crossings, as far from it as the edge may be without harm.
 
-    Returns bent: Cells that two pieces of edge cross, which need no looking at; shape (q, n, n)
+    Returns bent: Cells that two stretches of edge cross, which need no test; shape (q, n, n)
         cell, x, y, expected: Index of each place's cell in the raveled (q, n, n); the place in its square, in cells;
         and whether a straight edge would hide it
     """

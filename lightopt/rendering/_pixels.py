@@ -12,7 +12,7 @@ from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
 from lightopt.rendering._converged_panel import shadow_targets
-from lightopt.rendering._point_lights import facing_pairs
+from lightopt.rendering._point_lights import visible_counts
 from lightopt.rendering._surface import GRAZING_COSINE, SurfacePoints, trace_samples
 from lightopt.scene import PanelLight, PartView, Scene, screen_window, view_from_part
 
@@ -29,7 +29,7 @@ MARGIN_PX = 2
 """Pixels next to those that are left out are left out, too: the part never lies exactly where the model has it."""
 
 _BLOCK_ROWS = 64
-_PIECE = 32_768
+_CHUNK = 32_768
 
 T = TypeVar("T")
 
@@ -38,8 +38,6 @@ T = TypeVar("T")
 class PosturePixels:
     """What the pixel centres of one posture's images look at, k of them.
 
-    Attributes
-    ----------
     posture, view: Of the part; camera and lights in the part's frame
     row, column: Of each pixel, shape (k,)
     surface: Where the rays meet the part, part frame
@@ -104,22 +102,13 @@ def panel_verdict(
     front = np.flatnonzero(surface.front)
     caster.map_blockers(targets, rays=len(front), threads=threads)
 
-    def piece(start: int) -> tuple[Index, Index, Index]:
-        some = surface.take(front[start : start + _PIECE])
-        point, target = facing_pairs(some, targets, geometric=True)
-        blocked = caster.occluded(
-            some.points, some.facets, targets, point_index=point, target_index=target, outside=some.outside
-        )
-        above, _ = facing_pairs(some, targets, geometric=False)
-        return (
-            np.bincount(point[~blocked], minlength=len(some)),
-            np.bincount(above, minlength=len(some)),
-            front[start : start + _PIECE],
-        )
+    def chunk(start: int) -> tuple[Index, Index, Index]:
+        where = front[start : start + _CHUNK]
+        return *visible_counts(surface.take(where), targets, caster), where
 
     clear = np.zeros(len(surface), np.intp)
     above = np.zeros(len(surface), np.intp)
-    for seen, facing, where in in_threads(piece, range(0, len(front), _PIECE), threads):
+    for seen, facing, where in in_threads(chunk, range(0, len(front), _CHUNK), threads):
         clear[where], above[where] = seen, facing
     # below the horizon of the interpolated normal there is no light, whatever is in the way
     # the terminator, where that horizon runs across the panel, moves with the least error of a normal

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float64, Int32
+from lightopt.core.arrays import Bool, Float64, Index, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.geometry import RayCaster
@@ -29,37 +29,26 @@ def shade_points(
     points: m = k²
     sigma: Of the specular lobe [rad]
     """
-    # points are independent of each other: pieces bound the memory whatever m is
+    # points are independent of each other: chunks bound the memory whatever m is
     step = max(1, PAIRS_AT_ONCE // points)
-    pieces = [
-        _shade_piece(
+    chunks = [
+        _shade_chunk(
             surface.take(np.arange(start, min(start + step, len(surface)))), light, points, sigma, caster
         )
         for start in range(0, len(surface), step)
     ]
-    if len(pieces) == 1:
-        return pieces[0]
+    if len(chunks) == 1:
+        return chunks[0]
     empty = [np.zeros(0)]
-    return np.concatenate([d for d, _ in pieces] or empty), np.concatenate([s for _, s in pieces] or empty)
+    return np.concatenate([d for d, _ in chunks] or empty), np.concatenate([s for _, s in chunks] or empty)
 
 
-def _shade_piece(
+def _shade_chunk(
     surface: SurfacePoints, light: PanelLight, points: int, sigma: float, caster: RayCaster | None
 ) -> tuple[Float64, Float64]:
     end_if_stopped()
     grid = panel_grid(light, points)
-    point, target = facing_pairs(surface, grid, geometric=caster is not None)
-    if caster is None:
-        clear = np.ones(len(point), np.bool_)
-    else:
-        clear = ~caster.occluded(
-            surface.points,
-            surface.facets,
-            grid,
-            point_index=point,
-            target_index=target,
-            outside=surface.outside,
-        )
+    point, target = clear_pairs(surface, grid, caster, geometric=caster is not None)
     return _accumulate(
         surface.points,
         surface.normals,
@@ -67,7 +56,6 @@ def _shade_piece(
         grid,
         point,
         target,
-        clear,
         panel_numbers(light),
         light.total_weight / points,
         0.5 / sigma**2,
@@ -82,6 +70,34 @@ def facing_pairs(surface: SurfacePoints, targets: Float64, *, geometric: bool) -
     geometric: Whether the face's own plane, too, must face the light: below it, the face itself is in the way
     """
     return _facing(surface.points, surface.normals, surface.facets, surface.front, targets, geometric)
+
+
+def clear_pairs(
+    surface: SurfacePoints, targets: Float64, caster: RayCaster | None, *, geometric: bool
+) -> tuple[Int32, Int32]:
+    """The pairs of :func:`facing_pairs` with nothing in the way; all of them without a caster."""
+    point, target = facing_pairs(surface, targets, geometric=geometric)
+    if caster is None:
+        return point, target
+    clear = ~caster.occluded(
+        surface.points,
+        surface.facets,
+        targets,
+        point_index=point,
+        target_index=target,
+        outside=surface.outside,
+    )
+    return point[clear], target[clear]
+
+
+def visible_counts(surface: SurfacePoints, targets: Float64, caster: RayCaster) -> tuple[Index, Index]:
+    """How many targets each point sees, and how many are above its interpolated horizon; two arrays of shape (k,).
+
+    A target above that horizon but below the face's own plane is hidden by the face itself.
+    """
+    point, _ = clear_pairs(surface, targets, caster, geometric=True)
+    above, _ = facing_pairs(surface, targets, geometric=False)
+    return np.bincount(point, minlength=len(surface)), np.bincount(above, minlength=len(surface))
 
 
 @kernel
@@ -115,7 +131,6 @@ def _accumulate(
     targets: Float64,
     point: Int32,
     target: Int32,
-    clear: Bool,
     panel: PanelNumbers,
     weight: float,
     inverse_two_sigma_squared: float,
@@ -123,8 +138,6 @@ def _accumulate(
     diffuse = np.zeros(len(points))
     specular = np.zeros(len(points))
     for j in range(len(point)):
-        if not clear[j]:
-            continue
         i, k = point[j], target[j]
         n, v = vector_at(normals, i), vector_at(views, i)
         q = vector_at(targets, k)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -30,8 +30,6 @@ GRAZING_COSINE = math.cos(math.radians(GRAZING_DEG))
 class SurfacePoints:
     """Points of the surface that a camera looks at, k of them, part frame.
 
-    Attributes
-    ----------
     points: [mm], shape (k, 3)
     normals: Interpolated unit normals N that shading uses, shape (k, 3)
     facets: Unit geometric normals of the faces, shape (k, 3)
@@ -62,23 +60,6 @@ class SurfacePoints:
         )
 
 
-def interpolate_surface(
-    mesh: TriangleMesh, face: Int32, u: Float64, v: Float64, points: Float64, eye: Float64
-) -> SurfacePoints:
-    """Normals and view directions at points of a mesh.
-
-    mesh: Part frame [mm]
-    face, u, v: Face index and barycentric coordinates of each point, shape (k,)
-    points: [mm], shape (k, 3)
-    eye: Pinhole of the camera, part frame [mm], shape (3,)
-    """
-    smooth = mesh.normals is not None
-    vertex_normals = mesh.normals if mesh.normals is not None else np.zeros((1, 3))
-    return SurfacePoints(
-        points, *_interpolate(mesh.vertices, mesh.faces, vertex_normals, smooth, face, u, v, points, eye)
-    )
-
-
 def trace_hits(
     caster: RayCaster, mesh: TriangleMesh, camera: PinholeCamera, columns: Float64, rows: Float64
 ) -> Hits:
@@ -99,8 +80,20 @@ def trace_samples(
     columns, rows: Image points [px], shape (n,)
     """
     hits = trace_hits(caster, mesh, camera, columns, rows)
-    surface = interpolate_surface(mesh, hits.face, hits.u, hits.v, hits.points, camera.position)
-    return hits, replace(surface, outside=caster.is_outside(camera.position))
+    smooth = mesh.normals is not None
+    vertex_normals = mesh.normals if mesh.normals is not None else np.zeros((1, 3))
+    found = _interpolate(
+        mesh.vertices,
+        mesh.faces,
+        vertex_normals,
+        smooth,
+        hits.face,
+        hits.u,
+        hits.v,
+        hits.points,
+        camera.position,
+    )
+    return hits, SurfacePoints(hits.points, *found, outside=caster.is_outside(camera.position))
 
 
 @kernel

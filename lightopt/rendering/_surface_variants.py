@@ -27,7 +27,7 @@ from lightopt.rendering._converged_panel import (
 )
 from lightopt.rendering._converged_variants import VariantNumbers, panel_variants
 from lightopt.rendering._panel_light import PanelNumbers, attenuated, panel_numbers
-from lightopt.rendering._point_lights import PAIRS_AT_ONCE, facing_pairs, point_terms
+from lightopt.rendering._point_lights import PAIRS_AT_ONCE, clear_pairs, point_terms
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._vectors import cross, dot, minus, plus, scaled, vector_at
 from lightopt.scene import PanelLight, panel_grid
@@ -119,11 +119,11 @@ def shade_variants(
     else:
         assert panel.points != "auto"
         step = max(1, PAIRS_AT_ONCE // panel.points)
-    pieces = [shade(start, min(start + step, len(surface))) for start in range(0, len(surface), step)]
+    chunks = [shade(start, min(start + step, len(surface))) for start in range(0, len(surface), step)]
     return VariantLevels(
-        plain=np.concatenate([piece.plain for piece in pieces] or [np.zeros(0, np.float32)]),
-        good=np.concatenate([piece.good for piece in pieces] or [np.zeros(0)]),
-        varied=np.concatenate([piece.varied for piece in pieces] or [np.zeros((0, len(variants.lean)))]),
+        plain=np.concatenate([chunk.plain for chunk in chunks] or [np.zeros(0, np.float32)]),
+        good=np.concatenate([chunk.good for chunk in chunks] or [np.zeros(0)]),
+        varied=np.concatenate([chunk.varied for chunk in chunks] or [np.zeros((0, len(variants.lean)))]),
     )
 
 
@@ -147,16 +147,7 @@ def _point_variants(
         target = np.tile(np.arange(len(grid), dtype=np.int32), len(surface))
     else:
         # towards every light that the facet faces, whatever the normals
-        point, target = facing_pairs(replace(surface, normals=surface.facets), grid, geometric=False)
-        blocked = caster.occluded(
-            surface.points,
-            surface.facets,
-            grid,
-            point_index=point,
-            target_index=target,
-            outside=surface.outside,
-        )
-        point, target = point[~blocked], target[~blocked]
+        point, target = clear_pairs(replace(surface, normals=surface.facets), grid, caster, geometric=False)
     first = np.searchsorted(point, np.arange(len(surface) + 1)).astype(np.int64)
     diffuse, specular, varied = _point_kernel(
         surface.points,

@@ -32,8 +32,6 @@ class Distortion:
 class PinholeCamera:
     """A pinhole with an image plane, in whichever frame its vectors are given (world or part).
 
-    Attributes
-    ----------
     position: Pinhole [mm], shape (3,)
     right, up, forward: Unit vectors of the image, shape (3,)
     pixel_size: Side of a square pixel [mm]
@@ -187,8 +185,6 @@ _WINDOW_MARGIN_PX = 2
 class Framing:
     """Where a part lies in the image.
 
-    Attributes
-    ----------
     left, top, right, bottom: Bounding box of the part's vertices in the image [px]; NaN where part of it is behind the
         camera
     excess: By how much it leaves the image at the left, top, right and bottom, 0 where it does not [px]

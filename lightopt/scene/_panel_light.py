@@ -15,7 +15,7 @@ from lightopt.scene._camera import PinholeCamera, pixel_directions, project
 
 _NEAR_MM = 1e-3
 
-_PIECES = 32
+_CHORDS = 32
 """Of an edge that a lens bends, each drawn as a straight line."""
 
 _LEAST_AREA = 1e-6
@@ -26,8 +26,6 @@ _LEAST_AREA = 1e-6
 class PanelLight:
     """A rectangular panel facing the origin, in whichever frame its vectors are given (world or part).
 
-    Attributes
-    ----------
     elevation, azimuth: Where it stands, world frame [rad]
     distance: Panel centre to origin [mm]
     centre: [mm], shape (3,)
@@ -164,8 +162,8 @@ def _half_view(camera: PinholeCamera) -> tuple[float, float]:
 
 
 def _bent_area(camera: PinholeCamera, local: Float64) -> float:
-    # the outline in short pieces through the lens, cut by the image's border
-    steps = np.arange(_PIECES)[:, None] / _PIECES
+    # the outline in short chords through the lens, cut by the image's border
+    steps = np.arange(_CHORDS)[:, None] / _CHORDS
     outline = np.concatenate(
         [a + steps * (b - a) for a, b in zip(local, np.roll(local, -1, axis=0), strict=True)]
     )

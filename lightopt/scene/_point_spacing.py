@@ -13,7 +13,7 @@ from lightopt.core.arrays import Float64
 from lightopt.scene._panel_light import PanelLight
 
 COARSE_SHARE = 0.1
-"""A saturated area that is off by more than this share is worth a warning."""
+"""A saturated area that is off by more than this share causes a warning."""
 
 SATURATION_SHARE = 0.02
 """The area is compared where the highlight is saturated, from this share of its brightest level: the paper's knob is

@@ -17,8 +17,6 @@ from lightopt.scene._panel_light import PanelLight
 class Placement:
     """Where the mesh file's coordinates are in the part frame: x_part = rotation·x_file + translation.
 
-    Attributes
-    ----------
     translation: [mm], shape (3,)
     """
 
@@ -38,8 +36,6 @@ class Placement:
 class Scene:
     """A part on its stage, the lights around it, the camera above it.
 
-    Attributes
-    ----------
     camera, lights: World frame
     mesh: The part at posture (0, 0), world frame [mm]
     pivot: Point that postures turn about, world frame [mm], shape (3,)
@@ -87,8 +83,6 @@ def move_part(scene: Scene, rotation: Float64, translation: Float64) -> Scene:
 class PartView:
     """Camera and lights as the part sees them in a posture, so that one ray caster serves all postures.
 
-    Attributes
-    ----------
     camera, lights: Part frame: the world frame at posture (0, 0)
     rotation, translation: Part frame to world frame: x_world = rotation·x_part + translation; shapes (3, 3) and (3,)
         [mm]

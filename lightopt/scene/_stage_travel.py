@@ -70,7 +70,7 @@ def _nearest_next(postures: Sequence[Posture], start: Posture, time: Time) -> li
 
 
 def _improved(order: list[Posture], start: Posture, time: Time) -> tuple[Posture, ...]:
-    """Turn pieces round while that shortens the way (2-opt)."""
+    """Reverse stretches while that shortens the way (2-opt)."""
     best, better = _total(order, start, time), True
     while better:
         better = False

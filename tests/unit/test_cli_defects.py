@@ -219,7 +219,7 @@ def test_a_defect_that_rays_may_miss_is_warned_of(cli, catalogue):
     ran = cli(*command, "-o", catalogue.out)
     assert ran.status == 0
     assert "1 defect narrower than the 0.44 mm between rays (hair)" in ran.err
-    assert "--supersample 14 shows how far they fill each pixel" in ran.err
+    assert "supersampling by 14 shows how far they fill each pixel" in ran.err
     assert cli(*command, "-o", catalogue.folder / "fine", "--supersample", "5").err == ""
 
 

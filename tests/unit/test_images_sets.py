@@ -412,7 +412,6 @@ def test_loaded_png_is_linear_at_exposure_1_and_knows_what_is_saturated(whole: P
     entry = images.images[1]
     loaded = images.load(entry)
     sensor = sensor_of("light1", POSTURES[0], 0.0625)
-    assert loaded.source == "png"
     assert np.array_equal(loaded.sensor, sensor)
     assert np.allclose(loaded.levels, (sensor.astype(float) - 2) * 255 / (255 * 0.0625), rtol=1e-6)
     assert np.array_equal(loaded.saturated, sensor >= 250)
@@ -428,7 +427,7 @@ def test_loaded_exr_is_used_only_without_png(tmp_path: Path):
     writer = ImageSetWriter(tmp_path, HEADER)
     entry = writer.add_image(entry_of("light1", POSTURES[0], 0.0625), exr={"Y": linear})
     loaded = read_image_set(tmp_path).load(entry)
-    assert (loaded.source, loaded.sensor) == ("exr", None)
+    assert loaded.sensor is None
     assert np.array_equal(loaded.levels, linear)
     # 0.0625 · 3951 + 2 = 248.94 → 249; 0.0625 · 3952.1 + 2 = 249.006 → 249; 1e6 clips to 255
     assert loaded.saturated.tolist() == [[False, False, False, False, True]]
@@ -644,4 +643,4 @@ def test_exr_written_by_hand_is_found_without_hash(tmp_path: Path):
     del data["images"][0]["png"]
     (tmp_path / "manifest.json").write_text(json.dumps(data))
     images = read_image_set(tmp_path)
-    assert images.load(images.images[0]).source == "exr"
+    assert images.load(images.images[0]).sensor is None

@@ -131,6 +131,22 @@ def test_a_file_that_was_cut_off_is_compiled_anew(folder):
         assert len(file.read_bytes()) == len(whole)
 
 
+def test_files_that_nobody_used_for_months_go_when_a_new_one_comes(folder):
+    made = module()
+    assert made.inner(1.0) == 2.0
+    (used,) = folder.glob("inner-*.kernel")
+    for path in folder.iterdir():
+        os.utime(path, (0.0, 0.0))
+    unused = folder / "inner-0.kernel"
+    unused.write_bytes(b"")
+    os.utime(unused, (0.0, 0.0))
+    module().inner(1.0)  # loads the file, and uses it so
+    kernels._remove_unused.cache_clear()
+    assert made.inner(1) == 2
+    assert used.exists()
+    assert not unused.exists()
+
+
 def test_what_has_no_fingerprint_is_refused(folder):
     made = module(SOURCE.replace("TABLE = np.array([10.0, 20.0])", "TABLE = {0: 10.0}"))
     with pytest.raises(TypeError, match="outer uses TABLE, a dict"):

@@ -58,7 +58,7 @@ def test_with_budget_enough_patches_reach_the_pixels_footprint(scene):
     # the part's top, 18.5 mm above the table and tilted a little, is nearest to the camera
     assert table.footprint == pytest.approx(0.044 / 55 * (550 - 18.5), rel=0.01)
     assert "the pixel's footprint" in table.message
-    corners = table.patches.corners
+    corners = table.patches.vertices[table.patches.triangles]
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     visible = table.visible.any(axis=0)
     # a face that shows neither at a pixel's centre nor at its own centroid is left whole; a corner of it may show
@@ -89,7 +89,7 @@ def test_large_flat_faces_are_cut_however_fine_the_rest_is(shared_bench, tmp_pat
     assert f"{coarse.seen_faces:,} of the mesh's own triangles may show" in coarse.message
     cut = len(coarse.patches) - len(scene.mesh.faces)
     assert 100 < cut <= 200
-    corners = coarse.patches.corners
+    corners = coarse.patches.vertices[coarse.patches.triangles]
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     assert edges[coarse.visible.any(axis=0)].max() <= coarse.max_edge < 10.0
     seen = [t.patches.areas[t.visible.any(axis=0)].sum() / t.patches.areas.sum() for t in tables.values()]
@@ -99,7 +99,7 @@ def test_large_flat_faces_are_cut_however_fine_the_rest_is(shared_bench, tmp_pat
     near = build_patches(scene, caster=caster, budget=coarse.seen_faces + 10)
     visible = int(near.visible.any(axis=0).sum())
     assert near.exceeded == coarse.seen_faces + 10 < visible <= 1.5 * near.exceeded
-    assert f"more than --patches {near.exceeded:,}: half of these are for cutting" in near.message
+    assert f"more than the patch budget of {near.exceeded:,}: half of it is for cutting" in near.message
     assert (coarse.exceeded, tables[30_000].exceeded, near.seen_faces) == (0, 0, 0)
 
 

@@ -22,8 +22,6 @@ PERCENTILES: Mapping[str, float] = MappingProxyType({"p50": 50, "p95": 95, "p99"
 class ComparisonThresholds:
     """When a difference is too large.
 
-    Attributes
-    ----------
     absolute, relative: A pixel differs where |a − b| > absolute + relative · |a|, a being the golden [level of the
         file, 1].
     max_share: Share of pixels that may differ, 0 to 1: of those that are not background in both images, so that a
@@ -32,10 +30,7 @@ class ComparisonThresholds:
         nothing relative.
     min_iou: Least intersection over union of the saturated masks; None: not checked.
     saturation: Level from which a pixel counts as saturated; None: what the file or its manifest says.
-
-    Raises
-    ------
-    InputError: A threshold is negative, not finite, or a share above 1.
+    Raises InputError: A threshold is negative, not finite, or a share above 1.
     """
 
     absolute: float = 0.05
@@ -59,8 +54,6 @@ class ComparisonThresholds:
 class ChannelDifference:
     """Difference of one channel.
 
-    Attributes
-    ----------
     compared: Pixels whose values were compared: not background in both images.
     max, rms, percentiles: Of |a − b| over the compared pixels where both are finite; None where there are none.
     differing, share: Pixels beyond the thresholds, and their share of the compared pixels.
@@ -144,7 +137,7 @@ def compare_arrays(
         masks = _compare_masks(a >= saturation[0], b >= saturation[1])
         if min_iou is not None and masks["iou"] < min_iou:
             reasons.append(
-                f"{name}: saturated areas overlap by {masks['iou']:.4f} (IoU); at least {min_iou:g} asked"
+                f"{name}: saturated areas overlap by {masks['iou']:.4f} (IoU); at least {min_iou:g} expected"
             )
     return ChannelDifference(
         name=name,

@@ -131,14 +131,9 @@ def compare_files(
     Pixels that are background in both images are left out: level 0 (the black level in a PNG), or rays that miss in
     geometry images. Thresholds are in sensor levels for PNG, in grey levels for EXR, in mm for geometry.
 
-    Parameters
-    ----------
     saturation, black: Saturation and background levels of the PNGs, where a manifest knows better than the files;
         `thresholds.saturation` goes before both.
-
-    Raises
-    ------
-    InputError: A file is missing, damaged or no image.
+    Raises InputError: A file is missing, damaged or no image.
     """
     problems: list[str] = []
     golden = _load_image("golden", Path(a), saturation[0], black[0], problems)

@@ -27,8 +27,6 @@ _LEAST_SCALE = 0.05
 class DifferencePicture:
     """A difference picture that was written.
 
-    Attributes
-    ----------
     scale, beyond_scale: Difference of the full colours [level of the files], and number of pixels beyond it.
     only_golden, only_new: Pixels saturated in one image alone, marked in colours of their own.
     sha256: Of the PNG, in hex.
@@ -58,16 +56,11 @@ def difference_picture(
     Pixels saturated only in the golden image `a` are green, only in the new one `b` magenta, values that are not
     finite in either black. The numbers of the scale are in the file's metadata.
 
-    Parameters
-    ----------
     channel: The channel to show; ``Y``, a PNG's levels, or the first one.
     scale: Difference of the full colours [level of the files]; by default the 99.9th percentile of the differences.
     saturation: Level from which a pixel counts as saturated; by default what the files say.
-
-    Raises
-    ------
-    InputError: An image cannot be read, they differ in format or size, a channel is missing, the scale is not above
-        0, the picture cannot be written, or one of other content is there and `overwrite` is False.
+    Raises InputError: An image cannot be read, they differ in format or size, a channel is missing, the scale is not
+        above 0, the picture cannot be written, or one of other content is there and `overwrite` is False.
     """
     golden, new = load_file(Path(a)), load_file(Path(b))
     if golden.kind != new.kind or golden.shape != new.shape:

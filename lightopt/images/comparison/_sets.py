@@ -23,8 +23,6 @@ _PATCHES = "patch table"
 class SetComparison(Comparison):
     """Comparison of two image sets.
 
-    Attributes
-    ----------
     files: The files of the golden set against their counterparts.
     missing, extra: What only the golden set has, and only the new one. Missing fails, extra is reported.
     notes: Differences that fail nothing.
