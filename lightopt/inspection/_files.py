@@ -248,11 +248,7 @@ class GreyPicture:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form, for a picture's metadata."""
-        return {
-            "black_level": round(self.black, 4),
-            "white_level": round(self.white, 4),
-            "power": self.power,
-        }
+        return {"black_level": round(self.black, 4), "white_level": round(self.white, 4), "power": self.power}
 
 
 def grey_picture(level: Float32, mask: Bool) -> GreyPicture:
@@ -263,7 +259,7 @@ def grey_picture(level: Float32, mask: Bool) -> GreyPicture:
     """
     inside = level[mask]
     white = max(float(np.percentile(inside, 99.9)), 1e-6) if inside.size else 1.0
-    # gradients say nothing of the level of a dark field: integrated, it may be below black
+    # gradients do not determine the level of a dark field: integrated, it may be below black
     black = min(0.0, float(np.percentile(inside, 1.0))) if inside.size else 0.0
     share = np.where(mask, np.clip((level - black) / (white - black), 0.0, 1.0), 0.0)
     middle = float(np.median(share[mask])) if inside.size else 1.0

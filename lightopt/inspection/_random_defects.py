@@ -48,7 +48,7 @@ MARGIN_PX = 2.0
 """So much around the outline of a defect must be visible, too."""
 
 LEAST_COSINE = math.cos(math.radians(30.0))
-"""The surface turns by no more than this over a defect: beyond, the tangent plane is a poor approximation."""
+"""The surface bends by no more than this over a defect: beyond, the tangent plane is a poor approximation."""
 
 NEAR_PX = 4.0
 """A place is the one that a pixel sees where they are no further apart than this."""
@@ -90,7 +90,7 @@ def place_random_defects(
 ) -> tuple[RandomDefect, ...]:
     """Place random defects on the surface that the camera sees in at least one of the part's postures.
 
-    The entries of the part's catalogue, or of the built-in one, take turns. Places are drawn evenly by area and
+    The entries of the part's catalogue, or of the built-in one, follow each other in order. Places are drawn evenly by area and
     directions evenly all around; a place is taken where the defect is seen whole in one posture, off silhouettes,
     creases and grazing views, and apart from those before it. The same files, count and seed give the same defects.
 

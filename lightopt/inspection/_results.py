@@ -156,7 +156,7 @@ def judge(result: InspectionResult, limits: InspectionConfig) -> Verdict:
     elif inspected < limits.least_inspected:
         reasons.append(
             f"{100.0 * inspected:.1f} % of the visible surface was inspected, at least "
-            f"{100.0 * limits.least_inspected:g} % are asked for"
+            f"{100.0 * limits.least_inspected:g} % are required"
         )
     return Verdict(
         good=not reasons,

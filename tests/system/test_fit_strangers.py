@@ -64,7 +64,7 @@ def rolled(images, pixels, axis):
     )  # fmt: skip
 
 
-def refused_shift(scene, images, told="Use --register"):
+def refused_shift(scene, images, told="Fit the shift"):
     with pytest.raises(InputError, match=told) as refused:
         judged(scene, images)
     found = re.search(r"shifted by ([0-9.]+) px", str(refused.value))

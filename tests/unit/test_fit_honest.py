@@ -196,13 +196,13 @@ def poor(*, free=(), lights=(0, 1)):
 
 
 def test_only_what_was_not_fitted_is_a_possible_reason():
-    everything = ("--register", "--free gain", "--free dark")
+    everything = ("fit the shift", "fit the gains", "fit it")
     for options, placed, left in (
         ({}, False, everything),
-        ({}, True, ("--free gain", "--free dark")),
-        ({"free": (DARK,)}, False, ("--register", "--free gain")),
-        ({"free": (FIRST_GAIN + 1,)}, True, ("--free dark",)),
-        ({"lights": (1, 1)}, True, ("--free dark",)),
+        ({}, True, ("fit the gains", "fit it")),
+        ({"free": (DARK,)}, False, ("fit the shift", "fit the gains")),
+        ({"free": (FIRST_GAIN + 1,)}, True, ("fit it",)),
+        ({"lights": (1, 1)}, True, ("fit it",)),
     ):
         (said,) = poor_fit_warnings(*poor(**options), placed=placed)
         assert "dirt, the mesh's normals" in said

@@ -1,4 +1,4 @@
-"""Reflection coefficients from images: maximum likelihood, the paper's procedure, and how far to trust either."""
+"""Reflection coefficients from images: maximum likelihood, the paper's procedure, and their uncertainty."""
 
 from lightopt.estimate.reflectance._files import FitFolder, fit_provenance
 from lightopt.estimate.reflectance._fit import fit_diffuse, fit_specular

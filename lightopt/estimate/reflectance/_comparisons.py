@@ -46,7 +46,7 @@ def evenly_lit_warnings(setup: FitSetup, samples: Samples, found: Estimate) -> t
     lit = "1 point" if number == 1 else f"{number} points"
     text = (
         f"evenly lit panels describe these images better than {lit} per panel: R_s would be about {panels.R_s:.4g} "
-        f"and σ {panels.sigma:.4g} rad, and the intervals given here do not hold that. Use --points auto, or "
+        f"and σ {panels.sigma:.4g} rad, and the intervals given here do not hold that. Use "
         "points: auto in the rig"
     )
     return (text,)
@@ -57,8 +57,9 @@ def paper_result(setup: FitSetup, samples: Samples, paper: PaperDiffuse | PaperS
     options, own = setup.options, setup.scene.reflectance
     if options.gain or options.dark or options.shift or options.joint:
         raise InputError(
-            "--method paper knows no --free and no --joint: it fits what sections 4.2 and 4.3 fit"
+            "the paper's method frees nothing else and fits nothing jointly: it fits what sections 4.2 and 4.3 fit"
         )
+    more = paper.warnings() if isinstance(paper, PaperSpecular) else ()
     fitted = (
         {"R_d": paper.R_d}
         if isinstance(paper, PaperDiffuse)
@@ -73,13 +74,13 @@ def paper_result(setup: FitSetup, samples: Samples, paper: PaperDiffuse | PaperS
         fitted=tuple(fitted),
         observations=len(samples.sample),
         pixels=len(samples.diffuse),
-        warnings=(*_likelihood_warnings(setup, samples, fitted), *paper.warnings()),
+        warnings=(*_likelihood_warnings(setup, samples, fitted), *more),
         paper=paper,
     )
 
 
 def _likelihood_warnings(setup: FitSetup, samples: Samples, fitted: Mapping[str, float]) -> tuple[str, ...]:
-    # what the likelihood of all pixels says of the paper's answer, which comes from a mean, a count and a sum
+    # compare the paper's answer, which comes from a mean, a count and a sum, with the likelihood of all pixels
     few = subsample(samples, BUDGET)
     whole = fit_reflectance(few, freed=FreeParameters())
     quality = assess_quality(few, whole)
@@ -93,7 +94,7 @@ def _likelihood_warnings(setup: FitSetup, samples: Samples, fitted: Mapping[str,
     ]
     if off:
         warnings.append(
-            f"the default method, which looks at every pixel, finds other values on these images ({'; '.join(off)}): a "
-            "mean, a count and a sum hardly tell these apart"
+            f"the default method, which uses every pixel, finds other values on these images ({'; '.join(off)}): a "
+            "mean, a count and a sum hardly distinguish these"
         )
     return tuple(warnings)

@@ -280,7 +280,7 @@ def diffuse_only(samples: Samples, x: Float64) -> tuple[Samples, float]:
             return samples.select(plain | unlit), widening
     raise InputError(
         "no diffuse-only pixel: the highlights reach every pixel that is lit. Add images under lights that the surface "
-        "mirrors elsewhere, or fit all coefficients at once: fit-specular --joint"
+        "mirrors elsewhere, or fit all coefficients at once: fit-specular, jointly"
     )
 
 

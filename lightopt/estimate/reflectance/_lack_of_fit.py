@@ -37,11 +37,9 @@ class LackOfFit:
     """The residual of least squares against the noise.
 
     ratio: Residual over noise, both rms over the lit pixels of the images of one exposure; that of the worst exposure.
-    dust: Share of the observations that were left out as dust.
     """
 
     ratio: float
-    dust: float
 
     @property
     def significant(self) -> bool:
@@ -71,7 +69,7 @@ def find_dust(samples: Samples, mean: Float64) -> Bool:
     return far & (share <= MOST_DUST)[group]
 
 
-def measure_lack_of_fit(criterion: LeastSquares, x: Float64, *, dust: float) -> LackOfFit:
+def measure_lack_of_fit(criterion: LeastSquares, x: Float64) -> LackOfFit:
     """Compare the residual of least squares with the noise of the rig file or, where they show more, of the images."""
     s = criterion.samples
     sensor = s.sensor
@@ -80,7 +78,7 @@ def measure_lack_of_fit(criterion: LeastSquares, x: Float64, *, dust: float) -> 
     lit = s.diffuse[s.sample] > 0.0
     seen = lit & ~(s.saturated & (mean >= top))
     if not seen.any():
-        return LackOfFit(ratio=0.0, dust=dust)
+        return LackOfFit(ratio=0.0)
     level, model = clipped_levels(s, mean)
     signal = np.minimum(mean, top) - sensor.black_level - x[DARK]
     variance = sensor.noise_variance(signal, frames=s.facts.frames[s.image])
@@ -90,7 +88,7 @@ def measure_lack_of_fit(criterion: LeastSquares, x: Float64, *, dust: float) -> 
     squares = np.bincount(exposure, weights=weight * (level - model) ** 2)
     floors = np.bincount(exposure, weights=weight * variance)
     ratio = math.sqrt(float(np.max(squares[floors > 0.0] / floors[floors > 0.0])))
-    return LackOfFit(ratio=ratio, dust=dust)
+    return LackOfFit(ratio=ratio)
 
 
 def _medians(key: Index, values: Float64) -> tuple[Float64, Index]:

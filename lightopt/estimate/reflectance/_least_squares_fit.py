@@ -24,7 +24,7 @@ from lightopt.estimate.reflectance._sigma_scan import SigmaScan, optimum_of, sca
 from lightopt.estimate.reflectance._uncertainty import criterion_drop
 
 LEAST_GROUPS, MOST_GROUPS = 4, 24
-"""Groups of images: lights, where there are so many, else lights by posture, else pieces of the images. Further lights
+"""Groups of images: lights, where there are so many, else lights by posture, else blocks of the images. Further lights
 share a group."""
 
 UNDETERMINED = 1e3

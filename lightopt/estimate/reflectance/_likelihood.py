@@ -104,7 +104,7 @@ class Likelihood:
         return Evaluation(*sum_in_chunks(add, len(s.sample), self.size, chunk=_CHUNK, threads=s.threads))
 
     def by_block(self, x: Float64) -> tuple[Float64, Float64]:
-        """Gradients and curvatures of the pieces of the images, (B, K) and (B, K, K); each sums up to the whole."""
+        """Gradients and curvatures of the blocks of the images, (B, K) and (B, K, K); each sums up to the whole."""
         s = self.samples
         block = s.block[s.sample]
         order = np.argsort(block, kind="stable")

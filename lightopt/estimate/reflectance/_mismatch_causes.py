@@ -22,7 +22,15 @@ from lightopt.estimate.reflectance._likelihood import clipped_levels, predicted
 from lightopt.estimate.reflectance._quality import Quality
 from lightopt.estimate.reflectance._samples import Samples, collect_samples, subsample
 from lightopt.estimate.reflectance._setup import FitSetup, register_with_fit
-from lightopt.estimate.registration import FLIPS, Agreement, Observation, PoseFrame, agreement, place_part
+from lightopt.estimate.registration import (
+    FLIPS,
+    LEVEL_CAP,
+    Agreement,
+    Observation,
+    PoseFrame,
+    agreement,
+    place_part,
+)
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene
 
@@ -39,9 +47,6 @@ LEAST_CERTAIN = 3.0
 
 BUDGET = 250
 """Pixels per octave, light and posture that are compared at both places."""
-
-LEVEL_CAP = 0.15
-"""Residuals count as at most this share of the sensor's full scale, dust and all."""
 
 TRIAL_LIGHTS = 6
 """Lights whose images a displaced part is searched in."""
@@ -74,7 +79,7 @@ class Displacement:
             f"{math.degrees(self.turn):.1f}°, the model explains {100.0 * self.explains:.0f} % of what the fit misses"
         )
         if self.posture is None:
-            return f"{moved}. Use --free shift, or correct the part's placement or the camera"
+            return f"{moved}. Fit the shift, or correct the part's placement or the camera"
         return (
             f"in posture {self.posture}, {moved}, but no one place on the stage explains the images of all postures: "
             "correct the camera's distance, angles or roll, or the zero of the stage's axes"

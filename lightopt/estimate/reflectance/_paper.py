@@ -108,10 +108,6 @@ class PaperDiffuse:
         rows = [{"R_d": r, "B_r": b, "D": d} for r, b, d in self.iterations]
         return {"R_d": self.R_d, "image": self.image, "pixels": self.pixels, "iterations": rows}
 
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings about the result."""
-        return ()
-
 
 @dataclass(frozen=True, kw_only=True)
 class SigmaStep:
@@ -132,7 +128,7 @@ class SigmaStep:
 class PaperSpecular:
     """R_s and σ by section 4.3.
 
-    alike: The σ at which both the count and the brightness come as close as was asked for, ascending [rad].
+    alike: The σ at which both the count and the brightness come within λ_s1 and λ_s2, ascending [rad].
     """
 
     R_s: float
@@ -164,12 +160,12 @@ class PaperSpecular:
         }
 
     def warnings(self) -> tuple[str, ...]:
-        """Warnings about the result."""
+        """Warn where the procedure hardly determines σ."""
         if not self.alike or self.alike[-1] <= WIDE_RANGE * self.alike[0]:
             return ()
         text = (
             f"{len(self.alike)} σ of the sweep, from {self.alike[0]:g} to {self.alike[-1]:g} rad, come within λ_s2 of "
-            f"the measured brightness of {self.image}: section 4.3 hardly tells σ here, nor R_s with it"
+            f"the measured brightness of {self.image}: section 4.3 hardly determines σ here, nor R_s with it"
         )
         return (text,)
 
@@ -187,7 +183,7 @@ def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
     if not counts.any():
         raise InputError(
             f"no diffuse-only pixel: none is unsaturated and {math.degrees(options.away):g}° from every highlight; "
-            "add images under lights that the surface mirrors elsewhere, or lower --away"
+            "add images under lights that the surface mirrors elsewhere, or lower the angle `away`"
         )
     # the image without specular reflection, or with the least of it: that with the largest share of such pixels
     share = counts / np.maximum(np.bincount(samples.image, minlength=len(samples.images)), 1)
@@ -213,7 +209,7 @@ def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
         r_d *= measured / simulated  # (5), (7), measured over simulated
     raise InputError(
         f"section 4.2 does not converge: after {MOST_ITERATIONS} rounds the mean brightness is still "
-        f"{iterations[-1][2]:.3g} levels off; λ_d = {options.lambda_d:g} is below rounding, raise --lambda-d"
+        f"{iterations[-1][2]:.3g} levels off; λ_d = {options.lambda_d:g} is below rounding, raise it"
     )
 
 
@@ -253,14 +249,14 @@ def paper_specular(
         raise InputError(
             f"section 4.3 does not converge: at no σ from {options.sigma_least:g} to {options.sigma_most:g} rad does "
             f"the number of saturated pixels come within λ_s1 = {options.lambda_s1:g} of the {measured} measured; "
-            "raise --lambda-s1, or use the default method"
+            "raise λ_s1, or use the default method"
         )
     best = min(reached, key=lambda step: abs(step.brightness - 1.0))  # S_2
     if abs(best.brightness - 1.0) > options.lambda_s2:
         raise InputError(
             f"section 4.3 does not converge: the total specular brightness comes no closer than "
             f"{100.0 * abs(best.brightness - 1.0):.1f} % to the measured one (σ = {best.sigma:g} rad), and "
-            f"λ_s2 = {options.lambda_s2:g}; raise --lambda-s2, or use the default method"
+            f"λ_s2 = {options.lambda_s2:g}; raise it, or use the default method"
         )
     return PaperSpecular(
         R_s=best.R_s,

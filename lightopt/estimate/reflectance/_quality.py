@@ -183,12 +183,12 @@ def _reasons(found: Estimate, *, placed: bool) -> str:
     lights = set(samples.facts.light[samples.image].tolist())
     reasons = ["another shape of the lobe or of the diffuse reflection", "dirt", "the mesh's normals"]
     if not placed:
-        reasons.append("the part's place (--free shift)")
+        reasons.append("the part's place (fit the shift)")
     # of one light alone R_d and R_s are its gain
     if len(lights) > 1 and not any(FIRST_GAIN <= p < found.criterion.size - 2 for p in found.free):
-        reasons.append("a light's gain (--free gain)")
+        reasons.append("a light's gain (fit the gains)")
     if DARK not in found.free:
-        reasons.append("the dark level (--free dark)")
+        reasons.append("the dark level (fit it)")
     reasons.append("the number of points of the panels")
     return f"Possible reasons: {', '.join(reasons)}"
 
@@ -205,7 +205,7 @@ def refuse_no_highlight(samples: Samples, found: Estimate) -> None:
     light = found.R_s * samples.specular(found.sigma)
     if float(light.max()) < 1.0:
         raise InputError(
-            "no highlight in any image: nothing tells R_s and σ. Add images under lights that the surface mirrors "
+            "no highlight in any image: nothing determines R_s and σ. Add images under lights that the surface mirrors "
             "into the camera, or at a longer exposure"
         )
 
@@ -219,7 +219,7 @@ def refuse_out_of_range(found: Estimate) -> None:
     if found.sigma < low * EDGE:
         raise InputError(
             f"σ: the best fit is at {found.sigma:.3g} rad, at or below the lower end {low:g} of the range: the "
-            "highlights are as sharp as mirror images of the panels, and nothing tells how much sharper. Check the "
+            "highlights are as sharp as mirror images of the panels, and it is unknown how much sharper. Check the "
             "panels' sizes, the part's shape and its place, or add images at a shorter exposure"
         )
     if found.sigma > high / EDGE:
@@ -230,8 +230,8 @@ def refuse_out_of_range(found: Estimate) -> None:
         )
     if found.R_s > MOST_R_S:
         raise InputError(
-            f"R_s: the best fit is at {found.R_s:.2g} grey levels and not bounded: nothing but saturated pixels tells "
-            "of the highlights. Add images at a shorter exposure"
+            f"R_s: the best fit is at {found.R_s:.2g} grey levels and not bounded: the highlights show in "
+            "saturated pixels only. Add images at a shorter exposure"
         )
 
 
@@ -273,6 +273,6 @@ def held_r_d_warnings(found: Estimate) -> list[str]:
         return []
     text = (
         f"R_d is held at {found.R_d:.4g}, but these images want a {'larger' if step > 0.0 else 'smaller'} one, and R_s "
-        "and σ suffer from it: run fit-diffuse first, or use --joint"
+        "and σ suffer from it: run fit-diffuse first, or fit both jointly"
     )
     return [text]

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, counted
 from lightopt.core.run_context import Share
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation
@@ -32,10 +32,10 @@ OCTAVES = 11
 of any width has pixels on its flanks."""
 
 BLOCKS = 24
-"""Pieces along the longer side of the image: what the model gets wrong is taken as alike within each of them."""
+"""Blocks along the longer side of the image: what the model gets wrong is taken as alike within each of them."""
 
 UNLIT_SHARE = 0.25
-"""Pixels that no light reaches tell the dark level; this share of an octave's budget is plenty."""
+"""Pixels that no light reaches determine the dark level; this share of an octave's budget is plenty."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +93,7 @@ class Samples:
     diffuse: Light per unit of R_d, 0 where none arrives, shape (n,).
     deflection: Least angle between normal and half vector [rad], π where no light arrives, shape (n,).
     weight: Pixels of the image that each stands for, shape (n,).
-    block: Piece of the image that each pixel lies in, one number per posture and piece, shape (n,).
+    block: Block of the image that each pixel lies in, one number per posture and block, shape (n,).
     sample: Pixel of each observation, shape (N,).
     image: Image of each observation, shape (N,).
     level: Sensor level, shape (N,).
@@ -155,9 +155,14 @@ def collect_samples(
 
     uniform: Whether `budget` is one for all octaves together, so that shares of the pixels are shares of the image.
 
-    Raises InputError: no pixel is left.
+    Raises InputError: images of a posture or a light that the scene lacks, or no pixel is left.
     """
     names = [light.name for light in scene.lights]
+    if lacking := [o.name for o in observations if o.posture not in scene.postures or o.light not in names]:
+        raise InputError(
+            f"{counted(len(lacking), 'image')} of a posture or a light that the scene lacks, such as {lacking[0]}; "
+            "build the scene with the postures and lights of the images"
+        )
     groups: list[SampleGroup] = []
     wanted = sorted({(scene.postures.index(o.posture), names.index(o.light)) for o in observations})
     pixels: PosturePixels | None = None

@@ -166,10 +166,5 @@ def register_with_fit(
         return least_squares_reflectance(samples, moved.reflectance, freed=freed)
 
     return register(
-        scene,
-        observations,
-        caster=caster,
-        reflectance_at=first_reflectance,
-        reduced=reduced,
-        run=run,
+        scene, observations, caster=caster, reflectance_at=first_reflectance, reduced=reduced, run=run
     )

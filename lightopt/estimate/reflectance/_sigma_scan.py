@@ -51,7 +51,7 @@ START_DEVIATION = 4.0
 
 SCAN_STEPS, FIRST_STEPS = 30, 5
 SCAN_TOLERANCE = 0.1
-"""A scan only has to tell basins apart [nat]. Of several starts that which is best after the first steps goes on."""
+"""A scan only has to separate basins [nat]. Of several starts that which is best after the first steps goes on."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ def scan_sigma(
     if dust.any():
         first = profile
         criterion, profile, climbs = search(few.select(~dust), lambda number: [first[number].x])
-    lack = measure_lack_of_fit(criterion, climbs[0][1].x, dust=float(np.mean(dust)))
+    lack = measure_lack_of_fit(criterion, climbs[0][1].x)
     return SigmaScan(few, tuple(free), log_sigmas, starts, criterion, profile, climbs, lack)
 
 
@@ -201,12 +201,12 @@ def first_guess(samples: Samples) -> float:
     black = samples.level <= samples.sensor.black_level
     if not lit.any() or bool(np.all(full[lit])):
         raise InputError(
-            "every pixel that the lights reach is saturated; nothing tells how bright the surface is. Add images "
+            "every pixel that the lights reach is saturated; the brightness of the surface is unknown. Add images "
             "at a shorter exposure"
         )
     if bool(np.all(black[lit])):
         raise InputError(
-            "every pixel that the lights reach is black; nothing tells how bright the surface is. Add images at a "
+            "every pixel that the lights reach is black; the brightness of the surface is unknown. Add images at a "
             "longer exposure, and check that the light was on"
         )
     usable = lit & ~full & (diffuse >= LEAST_DIFFUSE)

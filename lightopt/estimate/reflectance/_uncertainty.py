@@ -29,7 +29,7 @@ LEAST_INFORMATION = 0.05
 """A noise parameter with less information than this [nat] is as good as at its bound: others do not depend on it."""
 
 BY_CHANCE, SURELY = 3.0, 6.0
-"""A variance between pieces of the image that is this many standard deviations above what chance makes of a right
+"""A variance between blocks of the image that is this many standard deviations above what chance makes of a right
 model begins to count, and counts wholly."""
 
 ROUNDS = 16
@@ -80,20 +80,20 @@ def information(likelihood: Likelihood, x: Float64, places: Sequence[int]) -> Fl
 def uncertainty(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> tuple[Float64, Float64]:
     """Covariance of the free parameters if the model is right, and by how much their variances are larger if not.
 
-    The second is the variance from the scores of the pieces of the image (White 1982, doi:10.2307/1912526, summed as
-    for clusters of observations) over that of the first. A few dozen pieces carry a highlight, so that this ratio
+    The second is the variance from the scores of the blocks of the image (White 1982, doi:10.2307/1912526, summed as
+    for clusters of observations) over that of the first. A few dozen blocks carry a highlight, so that this ratio
     scatters by tenths even where the model is right: only what is beyond that scatter counts.
 
-    Returns Shape (k, k), and shape (k,) of at least 1; 0 and 1 for noise parameters that the images do not determine.
+    Returns shapes (k, k) and (k,), the latter at least 1; 0 and 1 for noise parameters that the images do not determine.
     """
     places = determined_parameters(likelihood, x, free)
     rows = [list(free).index(place) for place in places]
     inner = _inverse(information(likelihood, x, places))
     gradients, curvatures = likelihood.by_block(x)
     moves = gradients[:, places] @ inner
-    pieces = len(moves)
-    measured = np.sum(moves**2, axis=0) * (pieces / max(1, pieces - len(places)))
-    # what each piece adds to the variance if the model is right: (C·I_b·C)_kk
+    blocks = len(moves)
+    measured = np.sum(moves**2, axis=0) * (blocks / max(1, blocks - len(places)))
+    # what each block adds to the variance if the model is right: (C·I_b·C)_kk
     part = curvatures[:, places][:, :, places]
     expected = np.maximum(np.einsum("ik,bij,jk->bk", inner, part, inner), 0.0)
     total = np.maximum(expected.sum(axis=0), 1e-300)

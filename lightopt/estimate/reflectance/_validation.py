@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.run_context import Share
@@ -26,7 +27,7 @@ from lightopt.rendering import render_posture
 from lightopt.scene import Scene
 
 BUDGET = 1500
-"""Pixels per octave, light and posture that the fits without a light look at."""
+"""Pixels per octave, light and posture that the fits without a light use."""
 
 MOST_BORDER_PIXELS = 4000
 
@@ -145,7 +146,7 @@ def validation_warnings(left_out: tuple[LeftOut, ...], sensor: Sensor) -> tuple[
     if unsettled:
         warnings.append(
             f"{len(unsettled)} of the {len(left_out)} fits without one light each did not converge (without "
-            f"{', '.join(unsettled)}): how well they predict its images says little"
+            f"{', '.join(unsettled)}): how well they predict its images means little"
         )
     worst = max((image for left in left_out for image in left.images), key=lambda image: image.rms_sensor)
     if worst.rms_sensor > POOR_SHARE * sensor.max_level:
@@ -185,7 +186,7 @@ def _border_distance(first: Bool, second: Bool) -> float | None:
     a, b = _border(first), _border(second)
     if not len(a) or not len(b):
         return None
-    return 0.5 * (_mean_nearest(a, b) + _mean_nearest(b, a))
+    return 0.5 * (float(KDTree(b).query(a)[0].mean()) + float(KDTree(a).query(b)[0].mean()))
 
 
 def _border(mask: Bool) -> Float64:
@@ -193,14 +194,6 @@ def _border(mask: Bool) -> Float64:
     inner = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
     places = np.argwhere(mask & ~inner).astype(np.float64)
     return places[:: max(1, len(places) // MOST_BORDER_PIXELS)]
-
-
-def _mean_nearest(places: Float64, targets: Float64) -> float:
-    nearest = [
-        np.sqrt(((places[i : i + 256, None] - targets[None]) ** 2).sum(axis=2).min(axis=1))
-        for i in range(0, len(places), 256)
-    ]
-    return float(np.concatenate(nearest).mean())
 
 
 def predict_images(
@@ -245,7 +238,7 @@ class PointsRow:
     area, measured_area: Saturated pixels of all images together, predicted and measured [px].
     perimeter, measured_perimeter: Of the saturated regions of all images together [px].
     likelihood: Mean log-likelihood of a level [nat]; None by a method that knows none. The number of points with the
-        greatest reproduces the images best: area and perimeter of a noisy image hardly tell two numbers of points
+        greatest reproduces the images best: area and perimeter of a noisy image hardly separate two numbers of points
         apart.
     """
 

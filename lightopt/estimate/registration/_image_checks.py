@@ -38,6 +38,10 @@ SUSPICIOUS = 0.15
 BETTER_SHARE = 0.5
 """… and are where that leaves less than this share of the squared residual."""
 
+LEVEL_CAP = 0.15
+"""Residuals count as at most this share of the camera's range where models are compared: a defect or dust decides
+nothing."""
+
 BLACK_SHARE = 0.02
 """Images with less than this share of the light that is predicted are black."""
 
@@ -82,7 +86,7 @@ def refuse_useless_images(
     if not any(lit.any() for lit in shown):
         raise InputError(
             f"{where}: no pixel of the {images} shows a lit surface of the part where its file has it; check the "
-            "part's placement, the postures, and where the rig's camera and lights look"
+            "part's placement, the postures, and the directions of the rig's camera and lights"
         )
     lit = {p.posture: np.any(s, axis=0) for p, s in zip(sets, shown, strict=True)}
     at = {p.posture: (p.row[lit[p.posture]], p.column[lit[p.posture]]) for p in sets}
@@ -99,7 +103,7 @@ def refuse_useless_images(
         mean = float(np.mean([levels.mean() for levels in seen if levels.size])) - sensor.black_level
         raise InputError(
             f"{where}: the {images} are black where the part is expected: {max(mean, 0.0):.3g} sensor levels above the "
-            "black level on the mean; check the lens cap, that the lights burn, and the exposure"
+            "black level on the mean; check the lens cap, that the lights are on, and the exposure"
         )
 
 
@@ -148,7 +152,7 @@ def refuse_mismatch(
     pixels: Flat indices of the pixels to compare.
     where: The set and posture, for the message.
 
-    Raises InputError: the residual is too large; says what would fit better.
+    Raises InputError: the residual is too large; the message names what would fit better.
     """
 
     def picked(images: Array) -> Array:
@@ -184,7 +188,7 @@ def _other_cause(seen: Array, model: Array, full: Bool) -> str:
     if mean < BLACK_SHARE * expected:
         return (
             f"they are black: {max(mean, 0.0):.3g} grey levels on the mean, predicted {expected:.3g}; check the lens "
-            "cap, that the lights burn, and the exposure"
+            "cap, that the lights are on, and the exposure"
         )
     share = float(full.mean())
     if share > MOST_SATURATED:

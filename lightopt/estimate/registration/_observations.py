@@ -26,7 +26,7 @@ ANGLE_TOLERANCE_DEG = 0.01
 PNG_HALF_WIDTH = 0.5
 EXR_HALF_WIDTH = 0.05
 """A level q says that the signal was between q − h and q + h [sensor level]: half a level of a quantised PNG, and for
-an EXR, which is not quantised, so little that it says the value itself."""
+an EXR, which is not quantised, so little that it is the value itself."""
 
 _REACH_PX = 4
 """A frame without light is smoothed over windows of 9 × 9 pixels, except where it shows more than noise."""
@@ -223,8 +223,8 @@ def dark_levels(image_set: ImageSet, entry: ImageEntry, sensor: Sensor) -> Float
     name = dark_name(entry.posture, entry.exposure)
     if name not in image_set.manifest.files:
         raise InputError(
-            f"{image_set.folder}: captured with --dark, but the manifest does not list {name}; take what is missing "
-            "with lightopt capture --dark --resume"
+            f"{image_set.folder}: captured with dark frames, but the manifest does not list {name}; resume "
+            "the capture, which takes what is missing"
         )
     path = image_set.path(name)
     levels = read_png(path).astype(np.float64)

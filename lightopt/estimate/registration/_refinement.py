@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightopt.core.arrays import Bool, Float64, Index, Int32
 from lightopt.core.least_squares import Limits
@@ -42,7 +44,7 @@ CLEAR = 3.5
 GAIN_SPREAD = 0.3
 DARK_SPREAD = 3.0
 """Lights are about as bright as the rig says, within this share, and black is as black within these sensor levels: only
-images that say so move them."""
+images that show it move them."""
 
 POSE, R_D, R_S, SIGMA, GAINS = slice(0, 3), 3, 4, 5, 6
 """Parameters: pose, ln R_d, ln R_s, ln σ, ln of each light's gain, dark level [sensor level]."""
@@ -143,7 +145,7 @@ class RefinementProblem:
         self._measured = _joined([p.levels.ravel() for p in self._sets])
         frames = _joined([_per_observation(p, [float(o.frames) for o in p.images]) for p in self._sets])
         subtracted = _joined([_subtracted(p) for p in self._sets])
-        self.correlated = _joined_flags([np.full(p.levels.size, p.rays > 1) for p in self._sets])
+        self.correlated = _joined([np.full(p.levels.size, p.rays > 1) for p in self._sets], np.bool_)
         self.weight = np.ones(len(self._measured))
         self._light_cache: tuple[Float64, Float64] | None = None
         self._derivative_cache: tuple[Placement, float, list[Float64]] | None = None
@@ -153,7 +155,7 @@ class RefinementProblem:
         self._top = sensor.saturated_from - sensor.black_level - subtracted
         here = self._levels(start)
         noise = np.sqrt(sensor.noise_variance(np.where(np.isfinite(here), here, 0.0), frames=frames))
-        full = _joined_flags([p.saturated.ravel() for p in self._sets])
+        full = _joined([p.saturated.ravel() for p in self._sets], np.bool_)
         inside = (here + CLEAR * noise < self._top) & (here + sensor.black_level > CLEAR * noise)
         # a pixel that half a pixel further has no prediction, beside a shadow, has no slope: it would pull nowhere, and
         # the cost would jump where it is lost
@@ -259,12 +261,8 @@ class RefinementProblem:
             self.weight = np.where(self.correlated, min(1.0, 1.0 / (OUTLINE_PX**2 * most)), 1.0)
 
 
-def _joined(parts: Sequence[Float64]) -> Float64:
-    return np.concatenate(parts) if parts else np.zeros(0)
-
-
-def _joined_flags(parts: Sequence[Bool]) -> Bool:
-    return np.concatenate(parts) if parts else np.zeros(0, np.bool_)
+def _joined(parts: Sequence[NDArray[Any]], dtype: type[np.generic] = np.float64) -> NDArray[Any]:
+    return np.concatenate([np.zeros(0, dtype), *parts])
 
 
 def _per_observation(pixels: PixelSet, values: Sequence[float]) -> Float64:

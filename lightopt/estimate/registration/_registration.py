@@ -198,7 +198,7 @@ def _result(
         if solution.at_limit[POSE].any():
             converged = False
             limit = f"{frame.reach[0]:g} mm and {math.degrees(frame.reach[2]):g}°"
-            text = f"the part was looked for up to {limit} from where its file has it, and seems to lie further off; "
+            text = f"the part was searched for up to {limit} from where its file has it, and seems to lie further off; "
             warnings = (*warnings, text + "correct its placement in the part file")
         elif not converged:
             text = f"the search for the part's place did not converge; the place is the best of {iterations} steps, "

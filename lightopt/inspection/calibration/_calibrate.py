@@ -21,11 +21,7 @@ from lightopt.inspection.calibration._calibration import (
     least_rate,
     too_few_good_sets,
 )
-from lightopt.inspection.calibration._systematic import (
-    PackedDeviations,
-    SystematicSums,
-    subtract_systematic,
-)
+from lightopt.inspection.calibration._systematic import PackedDeviations, SystematicSums, subtract_systematic
 from lightopt.inspection.detection._detectors import DETECTORS
 from lightopt.inspection.detection._deviation import deviations
 from lightopt.inspection.detection._score import score_deviations
@@ -141,7 +137,7 @@ def calibrate_registered(
 def require_good_sets(sets: int, options: InspectOptions) -> None:
     """Refuse a number of good sets that is too small for the rate of false alarms.
 
-    Raises InputError: says how many are needed.
+    Raises InputError: too few; the message names how many are needed.
     """
     if options.false_alarms < least_rate(sets):
         raise InputError(too_few_good_sets(sets, options.false_alarms, "the calibration"))

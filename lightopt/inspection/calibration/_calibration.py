@@ -158,10 +158,7 @@ def calibration_fingerprint(rig: RigConfig, part: PartConfig, options: InspectOp
         "defect_catalogue": True,
     }
     ranges = {"elevation_range_deg", "azimuth_range_deg"}
-    chosen: dict[str, Any] = {
-        "detector": options.detector,
-        "no_shift": not options.shift,
-    }
+    chosen: dict[str, Any] = {"detector": options.detector, "no_shift": not options.shift}
     by_synthetic = DETECTORS[options.detector].uses_synthetic
     chosen |= {"fusion": options.fusion} if by_synthetic else {"seen_by": options.seen_by}
     return {

@@ -18,7 +18,7 @@ LEAST_SHARE = 0.5
 """At least this share of the good sets must show a pixel, else nothing is learned of it."""
 
 POOLED_PX = 3.0
-"""The spread of a pixel is that of its surroundings, Gaussian of this width: few sets say little of one pixel."""
+"""The spread of a pixel is that of its surroundings, Gaussian of this width: few sets determine little of one pixel."""
 
 GREATEST_Z = 100.0
 """Deviations are clipped here: a single outlier does not outweigh the other sets."""

@@ -117,13 +117,7 @@ def _contrasts(z: Float32, row: Index, column: Index, view: PostureView) -> dict
     return result
 
 
-def _kind(
-    z: Float32,
-    row: Index,
-    column: Index,
-    view: PostureView,
-    contrast: dict[str, float],
-) -> Kind:
+def _kind(z: Float32, row: Index, column: Index, view: PostureView, contrast: dict[str, float]) -> Kind:
     up = np.maximum(z.max(axis=(0, 2)), 0.0)
     down = np.maximum(-z.min(axis=(0, 2)), 0.0)
     shown = np.maximum(up, down) >= SHOWN_Z

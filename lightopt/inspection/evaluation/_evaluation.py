@@ -186,12 +186,7 @@ def summarise(sets: Sequence[SetEvaluation]) -> dict[str, Any]:
         "false_alarms_per_posture": round(sum(one.false_alarms for one in sets) / max(postures, 1), 4),
         "roc_auc": round(float(np.mean(areas)), 5) if areas else None,
         "recall": [
-            {
-                "kind": kind,
-                "size_mm": size,
-                "defects": len(mine),
-                "found": sum(d.found for d in mine),
-            }
+            {"kind": kind, "size_mm": size, "defects": len(mine), "found": sum(d.found for d in mine)}
             for kind in kinds
             for size in sorted({round(d.size, 3) for d in defects if d.kind == kind})
             for mine in [[d for d in defects if d.kind == kind and round(d.size, 3) == size]]

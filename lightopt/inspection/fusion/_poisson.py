@@ -69,7 +69,7 @@ class PoissonGrid:
     def integrate(self, gx: Float64, gy: Float64, *, level: Float64, tolerance: float = TOLERANCE) -> Float64:
         """The image with the gradients given, float64 of shape (H, W); 0 outside of the mask.
 
-        Gradients say nothing of the level of a component of the mask: each one gets the mean that `level` has over it.
+        Gradients do not determine the level of a component of the mask: each one gets the mean that `level` has over it.
 
         gx, gy: differences to the pixel to the right, shape (H, W − 1), and below, shape (H − 1, W).
         level: shape (H, W).

@@ -11,7 +11,7 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float32, Float64, Index
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
-from lightopt.estimate.registration import DARK_SPREAD, GAIN_SPREAD, Observation
+from lightopt.estimate.registration import DARK_SPREAD, GAIN_SPREAD, LEVEL_CAP, Observation
 from lightopt.scene import Scene
 
 PIXELS_PER_IMAGE = 40_000
@@ -22,11 +22,8 @@ ROUNDS = 12
 DARK_QUANTILE, DARK_NOISE = 0.05, 4.0
 """Black is no lighter than that share of an image's pixels, and so many times the noise of black."""
 
-LEVEL_CAP = 0.15
-"""A pixel that is off by this share of the camera's range or more counts as one that is off by it."""
-
 MOST_GAIN = 4.0
-"""Gains further from what the rig says, up or down, are not accepted."""
+"""Gains further from those of the rig, up or down, are not accepted."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -48,7 +48,7 @@ class Prediction:
     area: Float32
 
     def in_rows(self, rows: slice) -> Prediction:
-        """Some rows of the images, and of what their pixels look at; counts stay those of the whole."""
+        """Some rows of the images, and of what their pixels see; counts stay those of the whole."""
         images = replace(
             self.images,
             lights=tuple(_in_rows(light, rows) for light in self.images.lights),

@@ -80,13 +80,7 @@ class PredictionCache:
         return self.rendered[key]
 
     def shifted_prediction(
-        self,
-        scene: Scene,
-        posture: Posture,
-        lights: Sequence[str],
-        offset: Float64,
-        *,
-        threads: int | None,
+        self, scene: Scene, posture: Posture, lights: Sequence[str], offset: Float64, *, threads: int | None
     ) -> Prediction:
         """The prediction of a posture for a part that lies a little off the previous one: :meth:`nearby_placement`."""
         key = posture, tuple(lights)

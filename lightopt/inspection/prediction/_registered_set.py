@@ -105,10 +105,7 @@ def nominal_scene(
 
 
 def register_part(
-    scene: Scene,
-    observations: Sequence[Observation],
-    *,
-    run: RunContext | None = None,
+    scene: Scene, observations: Sequence[Observation], *, run: RunContext | None = None
 ) -> tuple[Scene, Registration]:
     """A nominal scene with its part where the images show it, and how far that is from where its file has it."""
     found = register(scene, observations, caster=cast_rays_at(scene), run=run)
