@@ -70,8 +70,8 @@ def table(rows: dict[str, Row]) -> str:
     lines = [
         (
             "| fault | runs | finished, same images | stopped, same after `--resume` "
-            "| lights that may be on, named | commands sent again in finished runs | wrong "
-            "| never struck, not counted |"
+            "| lights that may be on, named | commands sent again in finished runs "
+            "| wrong | never struck, not counted |"
         ),
         "|---|---:|---:|---:|---:|---:|---:|---:|",
     ]

@@ -76,7 +76,7 @@ def test_a_description_that_cannot_be_served() -> None:
             "make up",
         ),
     ):
-        with pytest.raises(InputError, match="virtual bench: cannot be as described; it said: .*" + words):
+        with pytest.raises(InputError, match="virtual bench: cannot be as described; its output: .*" + words):
             BenchProcess(devices)
 
 
@@ -123,7 +123,7 @@ def test_killed_bench_is_a_pulled_cable() -> None:
     bench.kill()
     with pytest.raises(LinkLostError):
         controller.set_level(1, 0)
-    with pytest.raises(HardwareError, match=r"virtual bench: .*asked for state"):
+    with pytest.raises(HardwareError, match=r"virtual bench: .*the request state"):
         bench.state()
     controller.close()
     bench.close()
@@ -274,4 +274,4 @@ def test_a_bench_that_crashes_says_so_in_one_line(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("lightopt.rig.simulated._bench_process._START", program)
     with pytest.raises(HardwareError) as raised:
         BenchProcess({"a": CCS})
-    assert str(raised.value) == "virtual bench: did not start; it said: RuntimeError: no more wires"
+    assert str(raised.value) == "virtual bench: did not start; its output: RuntimeError: no more wires"

@@ -35,9 +35,11 @@ def test_the_time_that_a_frame_may_take_is_kept(tmp_path: Path, monkeypatch: pyt
         camera = VirtualCamera(bench)
         camera.set_exposure(2e6)
         bench.prepare()
-        with pytest.raises(HardwareError, match=r"did not answer within 0\.3 s when asked for frame"):
+        with pytest.raises(HardwareError, match=r"did not answer the request frame within 0\.3 s"):
             camera.grab(timeout_s=0.3)
-        with pytest.raises(HardwareError, match="cannot be asked"):  # the frame that comes late is nobody's
+        with pytest.raises(
+            HardwareError, match="cannot take the request"
+        ):  # the frame that comes late is nobody's
             camera.grab(timeout_s=10)
 
 
@@ -52,7 +54,9 @@ def test_a_bench_that_hangs_while_it_renders_is_noticed(
         camera = VirtualCamera(bench)
         os.kill(bench.pid, signal.SIGSTOP)
         begun = time.monotonic()
-        with pytest.raises(HardwareError, match="asked for prepare: its process hangs"):
+        with pytest.raises(
+            HardwareError, match=r"did not answer the request prepare within .*: its process hangs"
+        ):
             camera.grab(timeout_s=600)
         assert time.monotonic() - begun < 60
 

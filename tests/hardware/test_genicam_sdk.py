@@ -54,7 +54,7 @@ def test_a_camera_that_is_gone_is_not_asked_again() -> None:
     with pytest.raises(
         LinkLostError, match=r"rig\.yaml:3: camera: executing TriggerSoftware: the camera does not"
     ):
-        sdk.do("TriggerSoftware")
+        sdk.execute("TriggerSoftware")
     for again in (sdk.stop, lambda: sdk.number("ExposureTime"), lambda: sdk.has("Gain")):
         with pytest.raises(LinkLostError):
             again()

@@ -40,7 +40,7 @@ class Sdk:
             "AcquisitionMode": "SingleFrame",
             **features,
         }
-        self.entries = {
+        self.choices = {
             "PixelFormat": ("Mono8", "Mono12p"),
             "TriggerSource": ("Line0", "Software"),
             "TriggerSelector": ("FrameStart",),
@@ -77,14 +77,14 @@ class Sdk:
     def unit(self, feature: str) -> str:
         return self.units.get(feature, "")
 
-    word = number
+    entry = number
 
-    def set_word(self, feature: str, word: str) -> None:
+    def set_entry(self, feature: str, word: str) -> None:
         self.log.append(f"{feature}={word}")
         self.features[feature] = word
 
-    def words(self, feature: str) -> tuple[str, ...]:
-        return self.entries[feature]
+    def entries(self, feature: str) -> tuple[str, ...]:
+        return self.choices[feature]
 
     def switch_off(self, feature: str) -> None:
         self.features[feature] = False
@@ -92,7 +92,7 @@ class Sdk:
     def is_on(self, feature: str) -> bool:
         return bool(self.number(feature))
 
-    def do(self, feature: str) -> None:
+    def execute(self, feature: str) -> None:
         self.log.append(feature)
         self.count += 1
         step = self.script.pop(0) if self.script else lambda n: [frame(n)]
@@ -192,7 +192,7 @@ ALTERED = {
 def altered() -> Sdk:
     """As another program may have left it."""
     sdk = Sdk(**{name: found for name, (found, _) in ALTERED.items()})
-    sdk.entries["TestPattern"] = sdk.entries["TestImageSelector"] = ("Off", "GreyDiagonalRamp", "TestImage1")
+    sdk.choices["TestPattern"] = sdk.choices["TestImageSelector"] = ("Off", "GreyDiagonalRamp", "TestImage1")
     return sdk
 
 
@@ -221,15 +221,15 @@ def test_no_frame_waits_for_another_trigger_than_its_own() -> None:
             chosen = self.features["TriggerSelector"]
             return self.modes[chosen] if feature == "TriggerMode" else super().number(feature)
 
-        word = number
+        entry = number
 
-        def set_word(self, feature: str, word: str) -> None:
-            super().set_word(feature, word)
+        def set_entry(self, feature: str, word: str) -> None:
+            super().set_entry(feature, word)
             if feature == "TriggerMode":
                 self.modes[self.features["TriggerSelector"]] = word
 
     sdk = Selects()
-    sdk.entries["TriggerSelector"] = tuple(sdk.modes)
+    sdk.choices["TriggerSelector"] = tuple(sdk.modes)
     camera, _, _ = opened(sdk)
     assert sdk.modes == {"AcquisitionStart": "Off", "FrameStart": "On", "FrameBurstStart": "Off"}
     assert sdk.features["TriggerSelector"] == "FrameStart"
@@ -271,7 +271,7 @@ def test_what_does_not_take_is_refused(feature, held) -> None:
 
 def test_a_camera_without_trigger_or_exposure_is_said_to_be_so() -> None:
     sdk = Sdk()
-    sdk.entries["TriggerSource"] = ("Line0",)
+    sdk.choices["TriggerSource"] = ("Line0",)
     with pytest.raises(InputError, match="write trigger: none"):
         opened(sdk, trigger="software")
     assert not opened(sdk)[0].triggered
@@ -334,7 +334,7 @@ def test_an_exposure_is_microseconds_whatever_the_camera_counts(sdk, written, ra
     [exposing("ExposureTimeRaw", (1.0, 4095.0)), exposing("ExposureTime", (1.0, 4095.0), "lines")],
 )
 def test_an_exposure_in_units_that_nobody_knows_is_not_told(sdk) -> None:
-    with pytest.raises(InputError, match="in units of which it does not say how long they are; write fixed"):
+    with pytest.raises(InputError, match="in units of unknown length; write fixed"):
         opened(sdk)
     camera, _, _ = opened(sdk, fixed_exposure_us=500.0)
     assert camera.set_exposure(500.0) == 500.0
@@ -416,7 +416,7 @@ class Slow(Sdk):
         self.lost = lost
         self.done = float("inf")
 
-    def do(self, feature: str) -> None:
+    def execute(self, feature: str) -> None:
         self.log.append(feature)
         self.count += 1
         self.done = time.monotonic() + self.features["ExposureTime"] / 1e6
@@ -462,7 +462,7 @@ def test_a_frame_that_nobody_asked_for_is_thrown_away_and_told() -> None:
     sdk.queue = [frame(2)]
     sdk.count = 2
     assert camera.grab(timeout_s=1).number == 3
-    assert ["thrown away" in event.what and not event.retry for event in told] == [True]
+    assert ["discarded" in event.what and not event.retry for event in told] == [True]
 
 
 def test_frames_that_the_camera_counted_and_that_never_came_are_told() -> None:
@@ -514,7 +514,7 @@ def test_a_camera_that_is_gone_is_not_asked_again_and_closes_without_a_word() ->
     def gone(*_: object) -> None:
         raise LinkLostError("gone")
 
-    sdk.do = sdk.stop = gone
+    sdk.execute = sdk.stop = gone
     with pytest.raises(LinkLostError):
         camera.grab(timeout_s=1)
     assert told == []

@@ -131,7 +131,7 @@ def test_what_lies_in_the_input_is_no_reply(far: Far) -> None:
     thread = far.answer(b"NG\r\n")
     assert link.query(b"Q:", end=b"\r\n") == b"NG\r\n"
     thread.join()
-    assert [e.what for e in link.events] == ["threw away 4 bytes that nothing had asked for"]
+    assert [e.what for e in link.events] == ["discarded 4 unexpected bytes"]
     link.close()
 
 
@@ -153,7 +153,7 @@ def test_the_reply_to_a_query_that_was_interrupted_answers_no_other(
     second.start()
     assert link.query(b"second", end=b"\r\n") == b"OK for the second\r\n"
     second.join()
-    assert "threw away 18 bytes" in link.events[-1].what
+    assert "discarded 18 unexpected bytes" in link.events[-1].what
     link.close()
 
 
@@ -165,7 +165,7 @@ def test_draining_waits_for_what_comes_late(far: Far) -> None:
     thread.join()
     with pytest.raises(ReplyError, match="no reply"):
         link.read(end=b"\n", deadline_s=0.05)
-    assert "threw away 4 bytes" in link.events[-1].what
+    assert "discarded 4 unexpected bytes" in link.events[-1].what
     link.close()
 
 
@@ -511,7 +511,7 @@ def test_every_byte_is_logged(far: Far, tmp_path: Path) -> None:
         ("out", b"a\r\n"),
         ("in", b"\x00\xffOK\r\n"),
         ("in", b"stale"),
-        ("note", "threw away 5 bytes that nothing had asked for"),
+        ("note", "discarded 5 unexpected bytes"),
         ("out", b"b'\\"),
         ("note", "sent again"),
     ]

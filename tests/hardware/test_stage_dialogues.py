@@ -517,7 +517,7 @@ def test_out_of_range_sends_nothing(monkeypatch: pytest.MonkeyPatch, driver: str
 def test_an_axis_that_the_stage_lacks_stands_at_0(monkeypatch: pytest.MonkeyPatch) -> None:
     play(monkeypatch, [])
     with pytest.raises(
-        InputError, match=r"elevation: 5° was asked for, but hardware\.stage has no elevation axis"
+        InputError, match=r"elevation: 5° was requested, but hardware\.stage has no elevation axis"
     ):
         stage("zaber", microsteps()).move_to(Posture(5.0, 10.0))
 

@@ -255,7 +255,7 @@ def test_the_cable_is_pulled_at_every_step_of_a_move(pool: Pool, kind: str) -> N
             assert real(pool, kind, name) == pytest.approx(units(kind, TARGET), abs=STEP[kind])
             break
     assert len(said) >= 4
-    stopped = [text for text in said if "It was told to stop" in text]
+    stopped = [text for text in said if "Stopping it failed" in text]
     assert stopped
     assert all("which failed too, so it may still move" in text for text in stopped)
 

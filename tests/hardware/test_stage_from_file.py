@@ -101,7 +101,7 @@ def test_the_longest_time_of_homing_is_the_file_s(wired, monkeypatch):
     seeking = [(b"Q:\r\n", at(-5, 5, b"B"))] * 500
     rig, _, _ = wired([*still, *seeking], stage=f"{GSC}\n    home_timeout_s: 0.2")
     with opened(rig) as devices:
-        monkeypatch.setattr(devices.stage, "_halt", lambda: devices.stage._dialogue.read())
+        monkeypatch.setattr(devices.stage, "stop", lambda: devices.stage._dialogue.read())
         begun = time.monotonic()
         with pytest.raises(HardwareError, match=r"has not found its origin after 0\.2 s"):
             devices.home()

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from lightopt.core.errors import InputError
 from lightopt.rig.devices import Axis
 from lightopt.rig.devices._stage_grbl_messages import parse_report, parse_setting
-from lightopt.rig.devices._stage_sigmakoki import axis_words, parse_status, signed
+from lightopt.rig.devices._stage_sigmakoki import axis_command, parse_status, signed
 from lightopt.rig.devices._stage_zaber import checksum, frame, parse_reply
 
 steps = st.floats(1e-3, 1e6) | st.floats(-1e6, -1e-3)
@@ -119,7 +119,7 @@ def test_broken_status_lines(line: bytes) -> None:
 
 @given(first=st.integers(-99999, 99999), second=st.integers(-99999, 99999))
 def test_words_of_both_axes(first: int, second: int) -> None:
-    words = axis_words("A", {"1": signed(first), "2": signed(second)})
+    words = axis_command("A", {"1": signed(first), "2": signed(second)})
     assert words == f"A:W{'-' if first < 0 else '+'}P{abs(first)}{'-' if second < 0 else '+'}P{abs(second)}"
 
 

@@ -77,7 +77,7 @@ class FolderCamera:
         """Read the image; HardwareError when the set does not have it."""
         del timeout_s
         if self._now is None:
-            raise HardwareError("the folder camera was not told what to replay")
+            raise HardwareError("no image was selected for the folder camera to replay")
         light, posture, exposure = self._now
         if problem := self.missing(light, posture, exposure):
             if light is not None:

@@ -7,7 +7,7 @@ A new driver is a module ``_light_NAME.py``, ``_stage_NAME.py`` or ``_camera_NAM
 - camera: a ``CameraSdk`` (``_camera_sdk.py``), with which ``MachineCamera`` (``_camera.py``) sets, triggers and checks.
 
 Its simulated counterpart is the module of the same name in ``lightopt.rig.simulated``. Drivers have a ``SerialLink``
-(``_serial_link.py``), the one home of pyserial. Aravis and harvesters are loaded where a camera is looked for.
+(``_serial_link.py``), the one home of pyserial. Aravis and harvesters are loaded when a camera is searched for.
 """
 
 from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSettings

@@ -32,11 +32,11 @@ class FrameOrder:
         self._last: RawFrame | None = None
 
     def begin(self) -> None:
-        """A new acquisition: cameras may count from the beginning again."""
+        """Begin a new acquisition: cameras may count from the beginning again."""
         self._last = None
 
-    def passed(self, frame: RawFrame) -> None:
-        """A frame that nobody asked for went by."""
+    def skip(self, frame: RawFrame) -> None:
+        """Record a frame that was not requested."""
         self._last = frame
 
     def check(self, frame: RawFrame) -> None:
@@ -60,7 +60,7 @@ class FrameOrder:
 
 
 def _step(last: int | None, number: int | None) -> int:
-    """Frames from one to the next as they are numbered; 1 where they are not."""
+    """Step from one frame number to the next; 1 where frames are not numbered."""
     if last is None or number is None or last == number == 0:  # a count that stays at its beginning is none
         return 1
     step = number - last
@@ -124,7 +124,7 @@ class MachineCamera:
         return self._exposure.range_us
 
     def identify(self) -> Identity:
-        """What the camera said of itself when it was opened, and how it was set."""
+        """What the camera reported about itself when it was opened, and how it is set."""
         details = {**self._sdk.details, "pixel_format": self._format.name}
         details["trigger"] = "software" if self._triggered else "none"
         if self._gain is not None:
@@ -145,7 +145,7 @@ class MachineCamera:
         end = time.monotonic() + timeout_s
         fit = int(timeout_s / max(1e-6, self._exposure.held_us / 1e6))
         each_s = timeout_s / min(max(1, fit), ATTEMPTS)  # an attempt without time for its exposure is none
-        raw = self._retry.ask(lambda: self._take(min(end, time.monotonic() + each_s)))
+        raw = self._retry.run(lambda: self._take(min(end, time.monotonic() + each_s)))
         levels = levels_of(raw.data, self._format, width=raw.width, height=raw.height)
         return Frame(
             levels=levels,
@@ -161,7 +161,7 @@ class MachineCamera:
         self._sdk.close()
 
     def drain(self) -> None:
-        """End the acquisition, so that frames that are under way are not taken for those asked for later."""
+        """End the acquisition, so that frames under way are not taken for those requested later."""
         self._stop()
 
     def note(self, what: str, *, retry: bool = False) -> None:
@@ -175,10 +175,10 @@ class MachineCamera:
             self._order.begin()
             self._sdk.start()
             self._running = True
-        self._pass_by(end)
+        self._discard_earlier_frames(end)
         begun = time.monotonic()
         if self._triggered:
-            self._sdk.do("TriggerSoftware")
+            self._sdk.execute("TriggerSoftware")
         raw = self._sdk.pop(max(0.0, end - time.monotonic()))
         if raw is None:
             raise ReplyError(
@@ -195,12 +195,12 @@ class MachineCamera:
         self._check_form(raw)
         return raw
 
-    def _pass_by(self, end: float) -> None:
-        """Frames that are there before one is asked for: a camera that runs freely makes them, a triggered one not."""
+    def _discard_earlier_frames(self, end: float) -> None:
+        """Discard frames that came before the request; only a freely running camera should deliver any."""
         while (raw := self._sdk.pop(0.0)) is not None:
-            self._order.passed(raw)
+            self._order.skip(raw)
             if self._triggered:
-                self.note(f"{raw.name} came without being asked for and was thrown away")
+                self.note(f"{raw.name} came without a trigger and was discarded")
             if time.monotonic() > end:
                 raise ReplyError(
                     f"{self._settings.where}: frames come faster than they can be thrown away; lower the camera's "

@@ -100,13 +100,13 @@ class AravisSdk:
         ask = self._device.get_feature(feature).get_unit
         return str(self._try(f"asking for the unit of {feature}", ask) or "").strip()
 
-    def word(self, feature: str) -> str:
+    def entry(self, feature: str) -> str:
         return self._try(f"reading {feature}", lambda: str(self._camera.get_string(feature)))
 
-    def set_word(self, feature: str, word: str) -> None:
+    def set_entry(self, feature: str, word: str) -> None:
         self._try(f"setting {feature}", lambda: self._camera.set_string(feature, word))
 
-    def words(self, feature: str) -> tuple[str, ...]:
+    def entries(self, feature: str) -> tuple[str, ...]:
         return self._try(
             f"asking for the entries of {feature}",
             lambda: tuple(self._camera.dup_available_enumerations_as_strings(feature)),
@@ -118,7 +118,7 @@ class AravisSdk:
     def switch_off(self, feature: str) -> None:
         self._try(f"setting {feature}", lambda: self._camera.set_boolean(feature, False))
 
-    def do(self, feature: str) -> None:
+    def execute(self, feature: str) -> None:
         self._try(f"executing {feature}", lambda: self._camera.execute_command(feature))
 
     def start(self) -> None:

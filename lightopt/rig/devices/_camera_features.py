@@ -14,13 +14,13 @@ _GAIN = ("Gain", "GainAbs", "GainRaw")
 
 
 def switch_off_corrections(sdk: CameraSdk, settings: CameraSettings) -> None:
-    """What stands between light and level; before the size is set, which binned pixels would bound."""
+    """Switch off what falsifies levels; before the size is set, which binned pixels would limit."""
     where = settings.where
     for name in _AUTOMATIC:
         if sdk.has(name):
             _choose(sdk, where, name, "Off")
     for name in _PATTERNS:
-        if sdk.has(name) and "Off" in sdk.words(name):
+        if sdk.has(name) and "Off" in sdk.entries(name):
             _choose(sdk, where, name, "Off")
     if sdk.has("ExposureMode"):
         _choose(sdk, where, "ExposureMode", "Timed")
@@ -39,10 +39,10 @@ def switch_off_corrections(sdk: CameraSdk, settings: CameraSettings) -> None:
 
 
 def set_image(sdk: CameraSdk, settings: CameraSettings) -> PixelFormat:
-    """Choose the pixel format, and lay the rig's image on the sensor; returns the format."""
+    """Set the pixel format, and size and place of the image on the sensor; returns the format."""
     where = settings.where
     chosen = choose_format(
-        sdk.words("PixelFormat"),
+        sdk.entries("PixelFormat"),
         bit_depth=settings.bit_depth,
         wanted=settings.pixel_format,
         where=where,
@@ -74,7 +74,7 @@ def set_image(sdk: CameraSdk, settings: CameraSettings) -> PixelFormat:
 
 
 def set_gain(sdk: CameraSdk, settings: CameraSettings) -> str | None:
-    """Set the gain where the rig wants one; returns the feature that has it."""
+    """Set the gain where the rig gives one; returns the feature that has it."""
     feature, gain = first_of(sdk, *_GAIN), settings.gain
     if gain is None:
         return feature
@@ -93,14 +93,14 @@ def set_gain(sdk: CameraSdk, settings: CameraSettings) -> str | None:
 
 
 def set_trigger(sdk: CameraSdk, settings: CameraSettings) -> bool:
-    """Let frames begin at a software trigger, or follow one another; returns whether the former."""
+    """Let frames begin at a software trigger, or follow one another; returns whether they are triggered."""
     where, wanted = settings.where, settings.trigger
     if sdk.has("AcquisitionMode"):
         _choose(sdk, where, "AcquisitionMode", "Continuous")
-    can = sdk.has("TriggerMode") and sdk.has("TriggerSource") and "Software" in sdk.words("TriggerSource")
+    can = sdk.has("TriggerMode") and sdk.has("TriggerSource") and "Software" in sdk.entries("TriggerSource")
     if wanted == "software" and not can:
         raise InputError(f"{where}: this camera has no software trigger; write trigger: none")
-    if sdk.has("TriggerSelector") and "FrameStart" in (kinds := sdk.words("TriggerSelector")):
+    if sdk.has("TriggerSelector") and "FrameStart" in (kinds := sdk.entries("TriggerSelector")):
         for kind in kinds:
             if kind != "FrameStart":  # a frame would wait for it
                 _choose(sdk, where, "TriggerSelector", kind)
@@ -116,11 +116,11 @@ def set_trigger(sdk: CameraSdk, settings: CameraSettings) -> bool:
 
 
 def _choose(sdk: CameraSdk, where: str, feature: str, word: str) -> None:
-    """Choose an entry and verify; what is there already is not written: it may be fixed."""
-    if sdk.word(feature) == word:
+    """Choose an entry and verify it; one that is set already is not written: it may be fixed."""
+    if sdk.entry(feature) == word:
         return
-    sdk.set_word(feature, word)
-    _verify(where, feature, word, sdk.word(feature))
+    sdk.set_entry(feature, word)
+    _verify(where, feature, word, sdk.entry(feature))
 
 
 def _verify(where: str, feature: str, wanted: object, held: object) -> None:
@@ -153,16 +153,16 @@ class ExposureTime:
         fixed = settings.fixed_exposure_us
         if self._feature is None and fixed is None:
             why = (
-                "cannot be told an exposure time"
+                "has no exposure time that can be set"
                 if feature is None
-                else f"counts its exposure time ({feature}) in units of which it does not say how long they are"
+                else f"counts its exposure time ({feature}) in units of unknown length"
             )
             raise InputError(
                 f"{self._where}: this camera {why}; write fixed_exposure_us, the time that it is set to otherwise"
             )
         if self._feature is not None and fixed is not None:
             raise InputError(
-                f"{self._where}: this camera is told its exposure time ({self._feature}); leave out fixed_exposure_us"
+                f"{self._where}: this camera's exposure time can be set ({self._feature}); leave out fixed_exposure_us"
             )
         self.held_us = fixed if fixed is not None else self.read_us()
         """What the camera held when it was last set or read [µs]."""

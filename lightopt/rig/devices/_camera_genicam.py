@@ -19,7 +19,7 @@ from lightopt.rig.devices._retry import LinkLostError
 _BUFFERS = 4
 _SLICE_S = 0.1  # signals are heard between two waits
 
-# What reading a register fails with when nobody answers; others (no such address) are an answer.
+# Errors of reading a register when the camera does not answer; other errors (no such address) are an answer.
 _GONE = ("IoException", "TimeoutException", "InvalidHandleException", "ClosedException")
 
 Value = TypeVar("Value")
@@ -105,13 +105,13 @@ class GenicamSdk:
         node = self._node(feature)
         return _known(lambda: str(node.unit or "").strip(), "")
 
-    def word(self, feature: str) -> str:
+    def entry(self, feature: str) -> str:
         return self._try(f"reading {feature}", lambda: str(self._node(feature).value))
 
-    def set_word(self, feature: str, word: str) -> None:
+    def set_entry(self, feature: str, word: str) -> None:
         self._try(f"setting {feature}", lambda: setattr(self._node(feature), "value", word))
 
-    def words(self, feature: str) -> tuple[str, ...]:
+    def entries(self, feature: str) -> tuple[str, ...]:
         return self._try(f"asking for the entries of {feature}", lambda: tuple(self._node(feature).symbolics))
 
     def is_on(self, feature: str) -> bool:
@@ -120,7 +120,7 @@ class GenicamSdk:
     def switch_off(self, feature: str) -> None:
         self._try(f"setting {feature}", lambda: setattr(self._node(feature), "value", False))
 
-    def do(self, feature: str) -> None:
+    def execute(self, feature: str) -> None:
         self._try(f"executing {feature}", lambda: self._node(feature).execute())
 
     def start(self) -> None:
@@ -202,7 +202,7 @@ class GenicamSdk:
             raise HardwareError(f"{self._where}: {what}: {error}") from error
 
     def _is_gone(self) -> bool:
-        """Whether the camera leaves a plain question unanswered: errors of its features do not say why they failed."""
+        """Whether the camera leaves a plain query unanswered: errors of its features do not give the cause."""
         if self._acquirer is None:
             return False
         try:
@@ -216,7 +216,7 @@ def _known(ask: Callable[[], Value], otherwise: Value) -> Value:
     """What the producer answers, or a default where it cannot."""
     try:
         return ask()
-    except Exception:  # noqa: BLE001  (each producer lacks other things, and says so in its own way)
+    except Exception:  # noqa: BLE001  (each producer lacks other things, and reports that in its own way)
         return otherwise
 
 

@@ -54,12 +54,12 @@ def levels_of(data: UInt8, pixel_format: PixelFormat, *, width: int, height: int
     return pixel_format.unpack(data[:needed], pixels).reshape(height, width)
 
 
-def choose_format(offered: Sequence[str], *, bit_depth: int, wanted: str | None, where: str) -> PixelFormat:
+def choose_format(available: Sequence[str], *, bit_depth: int, wanted: str | None, where: str) -> PixelFormat:
     """Pixel format of a bit depth: `wanted` by the rig file, else the first that the camera has, unpacked first."""
-    has = f"it has {', '.join(offered) or 'none'}"
+    has = f"it has {', '.join(available) or 'none'}"
     if wanted is not None:
         found = PIXEL_FORMATS.get(wanted)
-        if wanted not in offered:
+        if wanted not in available:
             raise InputError(f"{where}: no pixel format {wanted}; {has}")
         if found is None:
             raise InputError(
@@ -73,9 +73,9 @@ def choose_format(offered: Sequence[str], *, bit_depth: int, wanted: str | None,
             )
         return found
     for name, found in PIXEL_FORMATS.items():
-        if name in offered and found.bits == bit_depth:
+        if name in available and found.bits == bit_depth:
             return found
-    grey = [name for name in offered if name in PIXEL_FORMATS]
+    grey = [name for name in available if name in PIXEL_FORMATS]
     if not grey:
         raise InputError(
             f"{where}: this is a camera of colour, {has}; filters before the pixels and what is interpolated "

@@ -94,7 +94,7 @@ def open_stage(
     """Open a stage; nothing moves.
 
     baud: Baud rate; the protocol's usual one if None.
-    clock: Time between two looks at a moving stage, for tests.
+    clock: Source of time, for tests.
 
     Raises InputError for an unknown driver, axes that it cannot have, or a port that is not there or in use.
     Raises HardwareError when the device does not answer where it has to when it is opened.
@@ -124,12 +124,12 @@ def open_camera(
     on_event: Callable[[Event], None] | None = None,
     wait_ready: Callable[[], object] | None = None,
 ) -> MachineCamera:
-    """Open a camera and set it as the rig wants it; no frame is taken.
+    """Open a camera and configure it for the rig; no frame is taken.
 
-    on_event: Called with what is out of the ordinary, as it happens.
-    wait_ready: Called before each frame is asked for; returns when one can be.
+    on_event: Called with irregularities, as they happen.
+    wait_ready: Called before each frame is requested; returns when one can be.
 
-    Raises InputError when software or camera are not there, or it cannot be as the rig wants it.
+    Raises InputError when software or camera are not there, or it cannot be configured for the rig.
     Raises HardwareError when it does not answer.
     """
     return MachineCamera(
@@ -138,7 +138,7 @@ def open_camera(
 
 
 def check_camera_driver(driver: str, producer: Path | None) -> None:
-    """Check that a camera's software is there, or raise an InputError with how to install it; no camera is asked."""
+    """Check that a camera's software is there, or raise an InputError with how to install it; no camera is opened."""
     if driver == "aravis":
         load_aravis()
     else:
@@ -148,9 +148,9 @@ def check_camera_driver(driver: str, producer: Path | None) -> None:
 
 
 def find_cameras(producer: Path | None = None) -> tuple[list[CameraInfo], list[str]]:
-    """Cameras that answer, through whatever software is there, and what could not be asked; none is opened.
+    """Cameras that answer, by all installed software, and what could not be queried; none is opened.
 
-    producer: GenTL producer to ask beside those that installers have named.
+    producer: GenTL producer to query beside those that installers have named.
     """
     producers = {*find_producers(), *([] if producer is None else [producer])}
     cameras: list[CameraInfo] = []

@@ -26,7 +26,7 @@ class CcsController(LightController):
     """A light controller with CCS ``@`` frames; `dialect` ``lan`` without unit number, ``serial`` with it.
 
     The first thing on the wire is the question for the unit's status: some controllers need a power cycle after a
-    connection on which nothing was said. No light changes. A controller that refuses ``M`` cannot be read back.
+    connection on which nothing was sent. No light changes. A controller that refuses ``M`` cannot be read back.
     """
 
     NAME = "ccs"
@@ -85,7 +85,7 @@ class CcsController(LightController):
 
     def _ask(self, channel: int, instruction: str, expected: str = r"\d{0,4}") -> str:
         """Send an instruction that may be repeated; the data of the reply."""
-        return self._retry.ask(lambda: self._ask_once(channel, instruction, expected))
+        return self._retry.run(lambda: self._ask_once(channel, instruction, expected))
 
     def _frame(self, channel: int, instruction: str) -> bytes:
         body = f"@{channel - 1:02d}{instruction}{self._unit}".encode("ascii")
@@ -96,18 +96,20 @@ class CcsController(LightController):
         reply = self._link.query(frame, end=b"\r\n")
         match = re.fullmatch(rb"(@(\d\d)([ON])([ -~]*))([0-9A-F]{2})\r\n", reply)
         if match is None:
-            raise ReplyError(self._link.words("the reply is not a frame", sent=frame, reply=reply))
+            raise ReplyError(self._link.message("the reply is not a frame", sent=frame, reply=reply))
         if match[5] != _checksum(match[1]):
-            raise ReplyError(self._link.words("the reply has a wrong checksum", sent=frame, reply=reply))
+            raise ReplyError(self._link.message("the reply has a wrong checksum", sent=frame, reply=reply))
         data = match[4].decode("ascii")
         if int(match[2]) != channel - 1:
-            raise ReplyError(self._link.words("the reply is for another channel", sent=frame, reply=reply))
+            raise ReplyError(self._link.message("the reply is for another channel", sent=frame, reply=reply))
         if match[3] == b"N":
             code = data[:2]
-            words = self._link.words(_REFUSALS.get(code, f"it refuses (NG {data})"), sent=frame, reply=reply)
+            words = self._link.message(
+                _REFUSALS.get(code, f"it refuses (NG {data})"), sent=frame, reply=reply
+            )
             raise ReplyError(words) if code == _DAMAGED else RefusedError(words)
         if re.fullmatch(expected, data) is None:
-            raise ReplyError(self._link.words("the reply is to another command", sent=frame, reply=reply))
+            raise ReplyError(self._link.message("the reply is to another command", sent=frame, reply=reply))
         return data
 
 

@@ -44,27 +44,27 @@ class SaController(LightController):
 
     def _send_level(self, channel: int, level: int) -> None:
         letter = _LETTERS[channel - 1]
-        self._retry.ask(lambda: self._set_once(f"S{letter}{level:04d}#".encode("ascii"), letter))
+        self._retry.run(lambda: self._set_once(f"S{letter}{level:04d}#".encode("ascii"), letter))
 
     def _query_level(self, channel: int) -> int:
-        return self._retry.ask(lambda: self._read_once(_LETTERS[channel - 1]))
+        return self._retry.run(lambda: self._read_once(_LETTERS[channel - 1]))
 
     def _set_once(self, frame: bytes, letter: str) -> None:
         reply = self._query(frame, _ACK)
         if reply.decode("ascii", "replace").upper() not in (letter, "A", "!"):
-            raise ReplyError(self._link.words("the reply is no acknowledgement", sent=frame, reply=reply))
+            raise ReplyError(self._link.message("the reply is no acknowledgement", sent=frame, reply=reply))
 
     def _read_once(self, letter: str) -> int:
         frame = f"S{letter}#".encode("ascii")
         reply = self._query(frame, _VALUE)
         if re.fullmatch(rb"[A-F]\d{4}", reply.upper()) is None or chr(reply[0]).upper() != letter:
             raise ReplyError(
-                self._link.words("the reply is not this channel's intensity", sent=frame, reply=reply)
+                self._link.message("the reply is not this channel's intensity", sent=frame, reply=reply)
             )
         return int(reply[1:])
 
     def _query(self, frame: bytes, end: re.Pattern[bytes]) -> bytes:
         reply = self._link.query(frame, end=end)
         if reply == b"NG":
-            raise RefusedError(self._link.words("it refuses the command (NG)", sent=frame, reply=reply))
+            raise RefusedError(self._link.message("it refuses the command (NG)", sent=frame, reply=reply))
         return reply

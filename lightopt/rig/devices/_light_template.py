@@ -56,10 +56,10 @@ class TemplateController(LightController):
     def _send_level(self, channel: int, level: int) -> None:
         """Set the intensity, or darken by the template's own command."""
         verb = "off" if level == 0 and "off" in self._words else "set"
-        self._retry.ask(lambda: self._exchange(verb, channel, level))
+        self._retry.run(lambda: self._exchange(verb, channel, level))
 
     def _query_level(self, channel: int) -> int:
-        return self._retry.ask(lambda: self._read_once(channel))
+        return self._retry.run(lambda: self._read_once(channel))
 
     def _check_template(self) -> None:
         for verb in ("set", "off", "read"):
@@ -88,7 +88,7 @@ class TemplateController(LightController):
         try:
             return int(digits)
         except ValueError:
-            raise ReplyError(self._link.words("the reply's level is no number", reply=digits)) from None
+            raise ReplyError(self._link.message("the reply's level is no number", reply=digits)) from None
 
     def _exchange(self, verb: str, channel: int, level: int) -> dict[str, bytes]:
         """Send a command and match its reply; the pattern's groups."""
@@ -101,5 +101,5 @@ class TemplateController(LightController):
         match = pattern.fullmatch(reply[: len(reply) - len(self._end)])
         if match is None:
             what = f"the reply does not match template.{verb}_reply"
-            raise ReplyError(self._link.words(what, sent=frame, reply=reply))
+            raise ReplyError(self._link.message(what, sent=frame, reply=reply))
         return match.groupdict()

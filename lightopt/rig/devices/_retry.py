@@ -13,11 +13,11 @@ Value = TypeVar("Value")
 
 
 class ReplyError(HardwareError):
-    """A reply did not come, came in part, or cannot be what was asked for; asking again may help."""
+    """A reply is missing, incomplete or to something else; sending the command again may help."""
 
 
 class RefusedError(HardwareError):
-    """The device heard the command and said no. Asking again cannot help."""
+    """The device received the command and refused it. Sending it again cannot help."""
 
 
 class PreemptedError(HardwareError):
@@ -25,11 +25,11 @@ class PreemptedError(HardwareError):
 
 
 class LinkLostError(HardwareError):
-    """The device is gone: unplugged, switched off, or its connection closed. Asking again cannot help."""
+    """The device is gone: unplugged, switched off, or its connection closed. Sending it again cannot help."""
 
 
 def printable(data: bytes) -> str:
-    r"""Bytes for people: text as it is, everything else as an escape.
+    r"""Bytes as messages show them: text as it is, everything else as an escape.
 
     Examples
     --------
@@ -56,7 +56,7 @@ class Repeatable(Protocol):
 
 
 class Retry:
-    """Asks again when a reply is lost or spoilt. Only for what may be repeated: queries, intensities, absolute targets.
+    """Sends again when a reply is lost or spoilt; only for what may be repeated: queries, levels, absolute targets.
 
     A device that left all attempts unanswered gets one at a time until it answers: switching off the lights of a dead
     controller must not take a minute.
@@ -67,12 +67,12 @@ class Retry:
         self._attempts = ATTEMPTS
         self._verb = verb
 
-    def ask(self, question: Callable[[], Value]) -> Value:
-        """Call `question` until it returns, or raise its last :class:`ReplyError`; other errors are raised at once."""
+    def run(self, exchange: Callable[[], Value]) -> Value:
+        """Call `exchange` until it returns, or raise its last :class:`ReplyError`; other errors are raised at once."""
         attempt = 1
         while True:
             try:
-                answer = question()
+                answer = exchange()
             except ReplyError as error:  # noqa: PERF203
                 if attempt >= self._attempts:
                     self._attempts = 1
@@ -91,7 +91,7 @@ class Retry:
 
 
 def frame_limit_s(exposure_us: float, wait_s: float) -> float:
-    """How long a camera may take for one frame [s]: every attempt exposes anew, and the waits share `wait_s`.
+    """How long a camera may take for one frame [s]: every attempt exposes again, and the waits share `wait_s`.
 
     Examples
     --------

@@ -142,7 +142,7 @@ class SerialLink:
     def query(
         self, frame: bytes, *, end: bytes | re.Pattern[bytes] | None, deadline_s: float | None = None
     ) -> bytes:
-        """Throw away what lies in the input, send a frame, and read the reply; see :meth:`read`."""
+        """Discard pending input, send a frame, and read the reply; see :meth:`read`."""
         with self.lock:
             self.send(frame)
             self._owed = True
@@ -151,7 +151,7 @@ class SerialLink:
             return reply
 
     def send(self, frame: bytes) -> None:
-        """Throw away what lies in the input and send a frame to which no reply is awaited.
+        """Discard pending input and send a frame without waiting for a reply.
 
         Where the query before was broken off (its reply was late, or the program was interrupted), the reply may still
         be on its way; the line is then first listened to until it is silent.
@@ -228,7 +228,7 @@ class SerialLink:
                 self._quiet_since = time.monotonic()
 
     def drain(self, quiet_s: float = 0.1, deadline_s: float = 1.0) -> None:
-        """Read and throw away until the line is silent for `quiet_s`: no late reply shall answer the next command."""
+        """Read and discard until the line is silent for `quiet_s`: no late reply shall answer the next command."""
         with self.lock:
             until = time.monotonic() + deadline_s
             heard = time.monotonic()
@@ -247,11 +247,11 @@ class SerialLink:
                 raise self._preempted(b"")
 
     def discard(self) -> None:
-        """Throw away what already lies in the input, without waiting; it is logged and reported as an event."""
+        """Discard pending input, without waiting; it is logged and reported as an event."""
         with self.lock:
             entry = LogEntry(self._log, self.port)
             stale = 0
-            # in_waiting is only trusted to say whether there is anything: over TCP it is never more than 1
+            # in_waiting only shows whether there is anything: over TCP it is never more than 1
             while stale < _STALE_BYTES and self._guarded(lambda: self._serial.in_waiting, b""):
                 data = self._guarded(lambda: self._serial.read(1), b"")
                 if not data:
@@ -262,7 +262,7 @@ class SerialLink:
             self._note_stale(stale)
 
     def note(self, what: str, *, retry: bool = False) -> None:
-        """Report something out of the ordinary: in `events`, and to the log."""
+        """Report an irregularity: in `events`, and to the log."""
         event = Event(now(), self.port, what, retry)
         self.events.append(event)
         if self._log is not None:
@@ -270,9 +270,9 @@ class SerialLink:
 
     def failure(self, problem: str, *, sent: bytes = b"", reply: bytes | None = None) -> HardwareError:
         """Error that names device and port, what went wrong, the command, and the reply."""
-        return HardwareError(self.words(problem, sent=sent, reply=reply))
+        return HardwareError(self.message(problem, sent=sent, reply=reply))
 
-    def words(self, problem: str, *, sent: bytes = b"", reply: bytes | None = None) -> str:
+    def message(self, problem: str, *, sent: bytes = b"", reply: bytes | None = None) -> str:
         """Message that names device and port, what went wrong, the command, and the reply."""
         command = f"; sent {printable(sent)}" if sent else ""
         answer = "" if reply is None else f", got {printable(reply)}"
@@ -314,7 +314,7 @@ class SerialLink:
             return action()
         except serial.SerialTimeoutException:
             raise LinkLostError(
-                self.words(
+                self.message(
                     f"does not take what is sent within {self._write_s:g} s; check flow control and cable",
                     sent=sent,
                 )
@@ -324,7 +324,7 @@ class SerialLink:
                 self._lost = True
                 self.note(f"device lost: {error}")
             raise LinkLostError(
-                self.words(
+                self.message(
                     "the device is gone (unplugged, switched off, or another program reads from the port); "
                     "what it does now is unknown",
                     sent=sent,
@@ -333,16 +333,16 @@ class SerialLink:
 
     def _preempted(self, sent: bytes) -> PreemptedError:
         return PreemptedError(
-            self.words("no longer waited for, because a light had to be switched off", sent=sent)
+            self.message("no longer waited for, because a light had to be switched off", sent=sent)
         )
 
     def _late(self, got: bytes, after: bytes, limit_s: float) -> ReplyError:
         problem = "the reply is incomplete" if got else "no reply"
-        return ReplyError(self.words(f"{problem} after {limit_s:g} s", sent=after, reply=got))
+        return ReplyError(self.message(f"{problem} after {limit_s:g} s", sent=after, reply=got))
 
     def _note_stale(self, count: int) -> None:
         if count:
-            self.note(f"threw away {count} bytes that nothing had asked for")
+            self.note(f"discarded {count} unexpected bytes")
 
 
 def _ended(got: bytearray, end: bytes | re.Pattern[bytes] | None) -> bool:

@@ -1,4 +1,4 @@
-"""What happens on the wires: every byte in a file, and what is out of the ordinary as it happens."""
+"""Log of the serial links: every byte in a file, and irregularities as they happen."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lightopt.core.errors import InputError
 
 @dataclass(frozen=True)
 class Event:
-    """Something out of the ordinary on a link, at a time (UTC, ISO 8601); `retry`: a command was sent again."""
+    """An irregularity on a link, at a time (UTC, ISO 8601); `retry`: a command was sent again."""
 
     time: str
     port: str
@@ -28,15 +28,15 @@ class Event:
 
 
 class SerialLog:
-    """What happens on the wires of a run: every byte is written down, and what is out of the ordinary is reported.
+    """Log of the wires of a run: every byte is written to a file, and irregularities are reported.
 
     The text file has time (UTC), port, direction, and bytes as a Python literal. Entries are appended and flushed one
     by one, so that the file is whole up to the moment of a crash. Links of several threads may share it. Once opened it
     never raises: a disk that is full must not keep a light from being switched off. The first entry that cannot be
     written ends the file, which is reported once, and kept in `events`.
 
-    path: Made if it is not there, continued if it is. None for none.
-    warn: Called with what is out of the ordinary; from whichever thread it happens in.
+    path: The file is continued if it exists; None for no file.
+    warn: Called with irregularities, from the thread in which they happen.
     """
 
     def __init__(self, path: Path | str | None = None, *, warn: Callable[[str], None] | None = None) -> None:
@@ -69,7 +69,7 @@ class SerialLog:
         self._report(problem)
 
     def note(self, event: Event) -> None:
-        """Report something out of the ordinary, and write it down."""
+        """Report an irregularity, and write it down."""
         self.write(event.port, "note", event.what, event.time)
         self._report(f"{event.port}: {event.what}")
 

@@ -15,8 +15,8 @@ from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading
 
 HOME_FIRST = "home it first: lightopt bench home RIG"
 
-_POLL_S = 0.02  # between two looks at a moving stage,
-_NEAR_S = 0.004  # and when it should be there
+_POLL_S = 0.02  # between two queries of a moving stage,
+_NEAR_S = 0.004  # and when it should arrive
 _MARGIN_S = 3.0  # beyond twice the travel time: ramps, replies
 _SETTLE_S = 0.5  # devices report that they stand still for a moment after the command that moves them
 _HALT_S = 2.0  # a stage comes to rest within
@@ -24,7 +24,7 @@ _HALT_S = 2.0  # a stage comes to rest within
 
 @dataclass
 class Clock:
-    """Time, which tests replace."""
+    """Source of time, which tests replace."""
 
     now: Callable[[], float] = field(default=time.monotonic)
     sleep: Callable[[float], None] = field(default=time.sleep)
@@ -36,7 +36,7 @@ class StageState:
 
     posture: Where it stands [°]; an axis that the stage lacks stands at 0.
     referenced: Whether it knows where its origin is; None where that is unknown.
-    alarm: The device's alarm in words; None without one.
+    alarm: Message about the device's alarm; None without one.
     """
 
     posture: Posture
@@ -101,7 +101,7 @@ class Stage:
                 wrong += axes[name].problems(angle)
             elif abs(angle) > 1e-9:
                 wrong.append(
-                    f"stage axis {name}: {angle:g}° was asked for, but hardware.stage has no {name} axis, "
+                    f"stage axis {name}: {angle:g}° was requested, but hardware.stage has no {name} axis, "
                     "so it stands at 0°; nothing was moved"
                 )
         if wrong:
@@ -119,8 +119,8 @@ class Stage:
                 reading = self._dialogue.read()
             except HardwareError as error:
                 raise type(error)(*error.messages, "No move had been sent to it") from None
-            if (trouble := self._trouble(reading)) is not None:
-                raise self._link.failure(f"was not moved: {trouble}")
+            if (problem := self._problem(reading)) is not None:
+                raise self._link.failure(f"was not moved: {problem}")
             angles = _angles(posture)
             targets = {
                 axis.name: axis.target(angles[axis.name], step=self._dialogue.step(axis))
@@ -148,7 +148,7 @@ class Stage:
                     self._dialogue.go(far)
                 except ReplyError as error:
                     # whether it was taken shows in where the stage goes; sent again it might move twice
-                    self._link.note(f"{error}; not sent again, the position will tell")
+                    self._link.note(f"{error}; not sent again, the position will show it")
                 reading = self._await_arrival(targets, longest_s)
             except HardwareError as error:
                 raise self._stopped(error) from error
@@ -166,8 +166,8 @@ class Stage:
         """
         with self._link.lock:
             reading = self._dialogue.read()
-            if (trouble := self._trouble(reading)) is not None:
-                raise self._link.failure(trouble)
+            if (problem := self._problem(reading)) is not None:
+                raise self._link.failure(problem)
             return self._state(reading)
 
     def home(self) -> None:
@@ -182,7 +182,7 @@ class Stage:
                 try:
                     self._dialogue.home()
                 except ReplyError as error:
-                    self._link.note(f"{error}; not sent again, the state will tell")
+                    self._link.note(f"{error}; not sent again, the state will show it")
                 reading = self._await_homing()
             except HardwareError as error:
                 raise self._stopped(error) from error
@@ -193,12 +193,8 @@ class Stage:
             self._lost = None
             self._left_at = dict(reading.units)
 
-    def stop(self) -> None:
-        """Stop all axes at once, and see that they stand still."""
-        self._halt()
-
-    def _halt(self) -> Reading:
-        """Stop; the reading with which it stands still."""
+    def stop(self) -> Reading:
+        """Stop all axes at once; returns the reading with which they stand still."""
         with self._link.lock:
             self._left_at = None
             self._dialogue.halt()
@@ -206,7 +202,7 @@ class Stage:
             while (reading := self._dialogue.read()).moving:
                 if self._clock.now() > until:
                     raise self._link.failure(
-                        f"was told to stop and still moves {_HALT_S:g} s later: switch it off"
+                        f"was commanded to stop and still moves {_HALT_S:g} s later: switch it off"
                     )
                 self._clock.sleep(_POLL_S)
             if reading.alarm is None:
@@ -227,12 +223,12 @@ class Stage:
                     f"goes to {axis.angle_of(targets[axis.name]):.6g}°"
                 )
 
-    def _trouble(self, reading: Reading) -> str | None:
-        """Why it is not where it was left, or not to be moved, in words; None where nothing is the matter."""
+    def _problem(self, reading: Reading) -> str | None:
+        """Why it is not where it was left, or must not be moved; None where nothing is wrong."""
         if reading.alarm is not None:
             return f"alarm: {reading.alarm}"
         if reading.moving:
-            return "it moves, and nobody told it to"
+            return "it moves without a command"
         if self._lost is not None:
             return f"{self._lost}; {HOME_FIRST}"
         if reading.referenced is False:
@@ -250,7 +246,7 @@ class Stage:
         return None
 
     def _await_arrival(self, targets: Mapping[str, float], travel_s: float) -> Reading:
-        """Watch a move that should take so long until the stage stands at its targets."""
+        """Watch a move that should take `travel_s` until the stage stands at its targets."""
         started = self._clock.now()
         limit_s = 2 * travel_s + _MARGIN_S
         still_since: float | None = None
@@ -318,16 +314,16 @@ class Stage:
             self._clock.sleep(_POLL_S)
 
     def _stopped(self, error: HardwareError) -> HardwareError:
-        """Stop the stage after an error; the error, with what stopping led to."""
+        """Stop the stage after an error; returns the error with the outcome of stopping."""
         return type(error)(*error.messages, self._stop_after(str(error)))
 
     def _stop_after(self, reported: str = "") -> str:
-        """Stop the stage after a failure; a message about what that led to."""
+        """Stop the stage after a failure; returns a message about the outcome."""
         self._lost = "the last move failed"
         try:
-            alarm = self._halt().alarm
+            alarm = self.stop().alarm
         except HardwareError as failed:
-            return f"It was told to stop, which failed too, so it may still move: {failed}"
+            return f"Stopping it failed too, so it may still move: {failed}"
         finally:
             self._left_at = None
         with_alarm = f", with an alarm: {alarm}" if alarm is not None and alarm not in reported else ""

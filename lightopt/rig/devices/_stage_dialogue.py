@@ -14,7 +14,7 @@ _ROUNDING = 1e-9  # relative; angles that differ by less are the same
 
 
 def describe_range(range_deg: tuple[float, float]) -> str:
-    """A range for people: ``-45° … 45°``."""
+    """A range as messages show it: ``-45° … 45°``."""
     return f"{range_deg[0]:g}° … {range_deg[1]:g}°"
 
 
@@ -24,10 +24,10 @@ class Axis:
 
     name: ``elevation`` or ``rotation``.
     device: The axis as the device calls it.
-    range_deg: Lowest and highest angle [°] that may be asked for.
+    range_deg: Lowest and highest allowed angle [°].
     steps_per_deg: Device units per degree; negative where the device counts against the rig's sense.
     zero: Device units at which the rig's angle is 0.
-    home_sense: +1 or -1: the sense of the count in which a device seeks its origin that must be told (GSC-02).
+    home_sense: +1 or -1: the sense of the count in which a device seeks its origin, for those that need it (GSC-02).
 
     Raises InputError for values that cannot be.
     """
@@ -77,7 +77,7 @@ class Axis:
             raise InputError(*wrong)
 
     def problems(self, angle_deg: float) -> list[str]:
-        """What is wrong with an angle [°], for people; empty when it may be gone to."""
+        """Messages about what is wrong with an angle [°]; empty where it is allowed."""
         low, high = self.range_deg
         slack = _ROUNDING * max(1.0, abs(low), abs(high))
         if low - slack <= angle_deg <= high + slack:
@@ -94,11 +94,11 @@ class Axis:
 
 @dataclass(frozen=True)
 class Reading:
-    """State of a device at one moment.
+    """State of a stage's device at one moment.
 
     units: Position of each axis by the device's name of it [device units].
     referenced: Whether it knows its origin; None where that is unknown.
-    alarm: The alarm in words; None without one.
+    alarm: Message about the alarm; None without one.
     """
 
     units: Mapping[str, float]
@@ -114,8 +114,8 @@ class Dialogue(Protocol):
 
     link: The wire.
     homes_to_end: Whether `home` returns when the origins are found, rather than when the search has begun.
-    identify: What the device answers about itself.
-    read: Ask for positions and state; may be repeated.
+    identify: What the device reports about itself.
+    read: Query positions and state; may be repeated.
     step: Smallest distance [device units] between two positions of an axis.
     check: Raise an InputError for targets that the device is known to refuse; sends nothing that moves.
     prepare: Set speeds; once, before the first move.

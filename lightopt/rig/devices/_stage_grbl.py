@@ -3,10 +3,10 @@ r"""Grbl 1.1 controllers, with rotary axes on X, Y or Z ($100, $101, $102 in ste
 A line is answered by ``ok`` or ``error:N``; single bytes (``?`` status, ``!`` hold, 0x18 reset) are obeyed at once and
 get no ``ok``. What a driver must know:
 
-- ``ok`` means planned, not done, and a report in the first milliseconds after it still says ``Idle``; so a move is done
+- ``ok`` means planned, not done, and in the first milliseconds after it the state is still ``Idle``; so a move is done
   when the state is ``Idle`` *and* the position is the target.
-- After ALARM:1 and ALARM:2 nothing is answered, not even ``?``, until a reset. The driver then asks no more, reports
-  it, and does not reset: a person looks first.
+- After ALARM:1 and ALARM:2 nothing is answered, not even ``?``, until a reset. The driver then queries no more, reports
+  it, and does not reset: a person must look first.
 - The homed machine's space is negative, from 0 down to −$130; ``G53`` moves in it whatever offsets are set.
 - Opening the port resets most boards, which then report ``Grbl`` within two seconds.
 - ``$H`` is known only with ``$22=1``, and no report is given while it lasts.
@@ -25,8 +25,8 @@ from lightopt.rig.devices._serial_link import SerialLink
 from lightopt.rig.devices._stage_dialogue import Axis, Reading, describe_range
 from lightopt.rig.devices._stage_grbl_messages import (
     CRITICAL_ALARMS,
-    alarm_words,
-    error_words,
+    describe_alarm,
+    describe_error,
     parse_report,
     parse_setting,
 )
@@ -34,7 +34,7 @@ from lightopt.rig.devices._stage_grbl_messages import (
 _AXES = ("X", "Y", "Z")
 _RESET = b"\x18"
 _BANNER = re.compile(rb"Grbl [^\r\n]*")
-_BANNER_S = 2.5  # a board that was reset by the opening of the port says its name within
+_BANNER_S = 2.5  # a board that was reset by the opening of the port reports its name within
 _LISTEN_S = 0.2
 _HOLD_S = 1.0
 _FINEST = 0.001  # reports have three decimals
@@ -48,7 +48,7 @@ _HELD = {
 
 
 def check_grbl(axes: Sequence[Axis]) -> None:
-    """Refuse axes that Grbl does not have; the speeds that it allows are known once it is asked."""
+    """Refuse axes that Grbl does not have; the speeds that it allows are only known from the device."""
     names = [axis.device for axis in axes]
     if any(name not in _AXES for name in names) or len(set(names)) < len(names):
         raise InputError(f"stage: Grbl's axes are X, Y and Z, each for one angle; found {', '.join(names)}")
@@ -72,7 +72,7 @@ class GrblDialogue:
         self._greet()
 
     def identify(self) -> dict[str, str]:
-        lines = self._retry.ask(lambda: self._line("$I"))
+        lines = self._retry.run(lambda: self._line("$I"))
         details: dict[str, str] = {}
         for line in lines:
             key, _, value = line.decode("ascii", "replace").strip().strip("[]").partition(":")
@@ -81,10 +81,10 @@ class GrblDialogue:
         return details
 
     def read(self) -> Reading:
-        """Position and state; after an alarm that silences Grbl, the last that is known, without asking."""
+        """Position and state; after an alarm that silences Grbl, the last known ones, without a query."""
         if self._critical is None:
             try:
-                return self._retry.ask(self._report)
+                return self._retry.run(self._report)
             except ReplyError as error:
                 if self._critical is None:
                     raise ReplyError(
@@ -145,18 +145,18 @@ class GrblDialogue:
                 "homing is not enabled ($22=0): with limit switches wired, set $22=1 in Grbl", sent=b"$H\n"
             )
         self._restarted = False
-        self._homing = True  # until it says ok: while it seeks, it reports nothing and knows no hold
+        self._homing = True  # until it answers ok: while it seeks, it reports nothing and ignores a hold
         self._line("$H", deadline_s=self._home_timeout_s)
         self._homing = False
 
     def homed(self, reading: Reading) -> str | None:
-        """Grbl says ok when it is done, so it need only stand idle."""
+        """Grbl answers ok when it is done, so it only has to be idle."""
         return reading.alarm
 
     def halt(self) -> None:
         """Hold, and when it stands still reset, which forgets the rest of the way and keeps the position.
 
-        While it seeks its switches it knows no hold, and is reset at once; it is then locked until it is homed.
+        While it seeks its switches it ignores a hold and is reset at once; it is then locked until it is homed.
         After an alarm that silences Grbl the motors are off already, and a reset would clear what a person should see.
         """
         if self._critical is not None:
@@ -177,7 +177,7 @@ class GrblDialogue:
         self._restarted = False
 
     def _moves(self) -> bool:
-        """Whether it reports that it moves; an alarm stops it, and what answers nothing is not waited for."""
+        """Whether it reports that it moves; after an alarm, or without an answer, it is not waited for."""
         try:
             return self._report().moving
         except LinkLostError:
@@ -215,12 +215,12 @@ class GrblDialogue:
 
     def _setting(self, number: int) -> float:
         if self._settings is None:
-            lines = self._retry.ask(lambda: self._line("$$"))
+            lines = self._retry.run(lambda: self._line("$$"))
             settings = dict(setting for line in lines if (setting := parse_setting(line)) is not None)
             needed = {20, 22, *(base + i for base in (100, 110, 130) for i in range(3))}
             if missing := needed - set(settings):
                 raise ReplyError(
-                    self.link.words(
+                    self.link.message(
                         f"settings are missing: {sorted(missing)}", sent=b"$$\n", reply=b"".join(lines)
                     )
                 )
@@ -230,7 +230,7 @@ class GrblDialogue:
         return self._settings[number]
 
     def _report(self) -> Reading:
-        """Ask for a status report once, heeding whatever else comes before it."""
+        """Query a status report once, and handle the messages that come before it."""
         self.link.write(b"?")
         until = time.monotonic() + self.link.timeout_s
         while True:
@@ -238,17 +238,17 @@ class GrblDialogue:
             try:
                 report = parse_report(line)
             except ValueError as error:
-                raise HardwareError(self.link.words(str(error), sent=b"?", reply=line)) from None
+                raise HardwareError(self.link.message(str(error), sent=b"?", reply=line)) from None
             if report is None:
                 if line.startswith(b"<"):
-                    raise ReplyError(self.link.words("a broken status report", sent=b"?", reply=line))
+                    raise ReplyError(self.link.message("a broken status report", sent=b"?", reply=line))
                 continue
             self._homing = False  # it reports again
             self._here = dict(zip(_AXES, report.position, strict=False))
             state = report.state
             held = _HELD.get(state) or ("the door is open" if state.startswith("Door") else None)
             if held is None and state != "Idle" and state not in _MOVING:
-                raise ReplyError(self.link.words("an unknown state", sent=b"?", reply=line))
+                raise ReplyError(self.link.message("an unknown state", sent=b"?", reply=line))
             return Reading(
                 units={axis.device: self._here.get(axis.device, math.nan) for axis in self._axes},
                 moving=state in _MOVING,
@@ -257,7 +257,7 @@ class GrblDialogue:
             )
 
     def _line(self, text: str, *, deadline_s: float | None = None) -> list[bytes]:
-        """Send a line and return what came before its ok."""
+        """Send a line; returns the lines that came before its ok."""
         frame = text.encode("ascii") + b"\n"
         self.link.write(frame)
         until = time.monotonic() + (self.link.timeout_s if deadline_s is None else deadline_s)
@@ -268,7 +268,7 @@ class GrblDialogue:
                 return before
             if line.startswith(b"error:"):
                 raise self.link.failure(
-                    f"refused: {error_words(_code(line, self.link))}", sent=frame, reply=line
+                    f"refused: {describe_error(_code(line, self.link))}", sent=frame, reply=line
                 )
             before.append(line)
 
@@ -277,7 +277,7 @@ class GrblDialogue:
         line = self.link.read(end=b"\n", deadline_s=max(0.0, until - time.monotonic()), after=sent)
         if line.startswith(b"ALARM:"):
             code = _code(line, self.link)
-            words = alarm_words(code)
+            words = describe_alarm(code)
             if code in CRITICAL_ALARMS:
                 self._critical = words
             raise self.link.failure(words, sent=sent, reply=line)
@@ -290,5 +290,5 @@ class GrblDialogue:
 def _code(line: bytes, link: SerialLink) -> int:
     digits = line.partition(b":")[2].strip()
     if not digits.isdigit():
-        raise ReplyError(link.words("a broken reply", reply=line))
+        raise ReplyError(link.message("a broken reply", reply=line))
     return int(digits)

@@ -1,4 +1,4 @@
-"""What Grbl 1.1 says: status reports, alarms, errors, settings.
+"""Messages of Grbl 1.1: status reports, alarms, errors, settings.
 
 Source: the interface description and the code tables that come with Grbl 1.1, and dialogues recorded from a Grbl 1.1h.
 """
@@ -55,13 +55,13 @@ _NUMBERS = re.compile(r"-?\d+(?:\.\d+)?(?:,-?\d+(?:\.\d+)?)*")
 _SETTING = re.compile(rb"\$(\d+)=(-?\d+(?:\.\d+)?)\r?\n")
 
 
-def alarm_words(code: int) -> str:
-    """An alarm for people, with its number."""
+def describe_alarm(code: int) -> str:
+    """Number and meaning of an alarm."""
     return f"ALARM:{code} ({_ALARMS.get(code, 'unknown')})"
 
 
-def error_words(code: int) -> str:
-    """An error for people, with its number."""
+def describe_error(code: int) -> str:
+    """Number and meaning of an error."""
     return f"error:{code} ({_ERRORS.get(code, 'unknown')})"
 
 

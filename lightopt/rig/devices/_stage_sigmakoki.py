@@ -64,14 +64,14 @@ def signed(pulses: int) -> str:
     return f"{'-' if pulses < 0 else '+'}P{abs(pulses)}"
 
 
-def axis_words(verb: str, values: Mapping[str, str]) -> str:
+def axis_command(verb: str, values: Mapping[str, str]) -> str:
     """A command for one axis or for both, from the words of each.
 
     Examples
     --------
-    >>> axis_words("A", {"1": "+P9000"})
+    >>> axis_command("A", {"1": "+P9000"})
     'A:1+P9000'
-    >>> axis_words("A", {"2": "-P2000", "1": "+P1800"})
+    >>> axis_command("A", {"2": "-P2000", "1": "+P1800"})
     'A:W+P1800-P2000'
     """
     if len(values) == 1:
@@ -83,7 +83,7 @@ def axis_words(verb: str, values: Mapping[str, str]) -> str:
 def parse_status(line: bytes) -> Status:
     r"""Read the answer to ``Q:``.
 
-    Raises ValueError when it is not one; the message says why.
+    Raises ValueError when it is none, with the reason.
 
     Examples
     --------
@@ -112,7 +112,7 @@ def reading_of(status: Status, axes: Sequence[Axis]) -> Reading:
     """A status as a reading of the axes that the rig uses; a ValueError when the controller has fewer."""
     needed = max(int(axis.device) for axis in axes)
     if len(status.positions) < needed:
-        raise ValueError(f"tells of {len(status.positions)} axes, and the rig uses axis {needed}")
+        raise ValueError(f"reports {len(status.positions)} axes, and the rig uses axis {needed}")
     alarm = None
     if status.limit is not None and not status.busy:
         alarm = f"{status.limit} stopped at the limit switch"
@@ -150,7 +150,7 @@ class _SigmakokiDialogue:
         self._axes = tuple(axes)
 
     def read(self) -> Reading:
-        return self._retry.ask(self._status)[1]
+        return self._retry.run(self._status)[1]
 
     def step(self, axis: Axis) -> float:  # noqa: ARG002  (the same for all)
         """One pulse."""
@@ -164,7 +164,7 @@ class _SigmakokiDialogue:
         return f"{', '.join(off)} pulses, not 0" if off else None
 
     def _version(self) -> str:
-        line = self._retry.ask(lambda: self.link.query(command("?:V"), end=END))
+        line = self._retry.run(lambda: self.link.query(command("?:V"), end=END))
         return line.decode("ascii", "replace").strip()
 
     def _status(self) -> tuple[Status, Reading]:
@@ -174,7 +174,7 @@ class _SigmakokiDialogue:
             status = parse_status(line)
             return status, reading_of(status, self._axes)
         except ValueError as error:
-            raise ReplyError(self.link.words(str(error), sent=frame)) from None
+            raise ReplyError(self.link.message(str(error), sent=frame)) from None
 
     def _status_line(self, frame: bytes) -> bytes:
         return self.link.query(frame, end=END)
@@ -204,19 +204,19 @@ class ShotDialogue(_SigmakokiDialogue):
             fast = round(axis.speed_units())
             slow = max(_SHOT_SPEEDS[0], fast // 10)
             text = f"D:{axis.device}S{slow}F{fast}R{RAMP_MS}"
-            self._retry.ask(lambda text=text: self._command(text))
+            self._retry.run(lambda text=text: self._command(text))
 
     def go(self, targets: Mapping[str, float]) -> None:
-        """Name the targets, which may be repeated, and go, which may not."""
-        text = axis_words("A", {axis: signed(round(units)) for axis, units in targets.items()})
-        self._retry.ask(lambda: self._command(text))
+        """Set the targets, which may be repeated, and go, which may not."""
+        text = axis_command("A", {axis: signed(round(units)) for axis, units in targets.items()})
+        self._retry.run(lambda: self._command(text))
         self._command("G:")
 
     def home(self) -> None:
         self._command("H:W" if len(self._axes) == 2 else f"H:{self._axes[0].device}")
 
     def halt(self) -> None:
-        self._retry.ask(lambda: self._command("L:E"))
+        self._retry.run(lambda: self._command("L:E"))
 
     def _command(self, text: str) -> None:
         reply = self.link.query(command(text), end=END)
@@ -225,7 +225,7 @@ class ShotDialogue(_SigmakokiDialogue):
                 "refused (NG): the command is wrong, or the stage is moving", sent=command(text), reply=reply
             )
         if reply != b"OK\r\n":
-            raise ReplyError(self.link.words("expected OK or NG", sent=command(text), reply=reply))
+            raise ReplyError(self.link.message("expected OK or NG", sent=command(text), reply=reply))
 
 
 def check_gsc(axes: Sequence[Axis]) -> None:
@@ -260,25 +260,25 @@ class GscDialogue(_SigmakokiDialogue):
         self._command(self._speeds)
 
     def go(self, targets: Mapping[str, float]) -> None:
-        """Name the way from here, and go it; each is sent once."""
+        """Set the way from here, and go; each command is sent once."""
         here = self.read().units
         self._command(
-            axis_words("M", {axis: signed(round(units - here[axis])) for axis, units in targets.items()})
+            axis_command("M", {axis: signed(round(units - here[axis])) for axis, units in targets.items()})
         )
         self._command("G:")
 
     def home(self) -> None:
         senses = {axis.device: "+" if axis.home_sense > 0 else "-" for axis in self._axes}
-        self._command(axis_words("H", senses))
+        self._command(axis_command("H", senses))
 
     def halt(self) -> None:
         """L:E also stops the search for the origin, which L:1 does not."""
         self._command("L:E")
 
     def _command(self, text: str) -> None:
-        """Send a command, and ask whether it was taken."""
+        """Send a command, and query whether it was accepted."""
         self.link.send(command(text))
-        status, _ = self._retry.ask(self._status)
+        status, _ = self._retry.run(self._status)
         if not status.accepted:
             raise self.link.failure(
                 "refused (ACK1 is X): the command is wrong, or the stage is moving", sent=command(text)

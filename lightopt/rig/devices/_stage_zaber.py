@@ -140,13 +140,13 @@ def parse_reply(line: bytes) -> Reply:
     )
 
 
-def warning_words(flag: str) -> str:
-    """A warning for people, with its flag."""
+def describe_warning(flag: str) -> str:
+    """Flag and meaning of a warning."""
     return f"{flag} ({_WARNINGS.get(flag, 'unknown')})"
 
 
-def rejection_words(reason: str) -> str:
-    """Why a command was rejected, for people."""
+def describe_rejection(reason: str) -> str:
+    """Reason and meaning of a rejection."""
     return f"{reason} ({_REJECTIONS.get(reason.split(' ')[0], 'unknown')})"
 
 
@@ -189,7 +189,7 @@ class ZaberDialogue:
         details: dict[str, str] = {}
         for device in sorted({address.device for address in self._addresses.values()}):
             for setting in ("deviceid", "system.serial", "version"):
-                reply = self._retry.ask(lambda d=device, s=setting: self._exchange(d, 0, f"get {s}"))
+                reply = self._retry.run(lambda d=device, s=setting: self._exchange(d, 0, f"get {s}"))
                 if reply.accepted:
                     key = setting.removeprefix("system.")
                     details[f"{key}{device if device > 1 else ''}"] = reply.data
@@ -200,18 +200,18 @@ class ZaberDialogue:
         moving, homed = False, True
         alarms: list[str] = []
         for axis in self._axes:
-            reply, position = self._retry.ask(lambda axis=axis: self._number_of(axis.device, "get pos"))
+            reply, position = self._retry.run(lambda axis=axis: self._number_of(axis.device, "get pos"))
             units[axis.device] = float(position)
             moving = moving or reply.busy
             homed = homed and reply.warning not in NOT_HOMED
             if reply.warning.startswith("F") or reply.warning in _STOPS:
                 alarms.append(
-                    f"axis {axis.device}: {warning_words(reply.warning)}; when the cause is found, clear it with "
+                    f"axis {axis.device}: {describe_warning(reply.warning)}; when the cause is found, clear it with "
                     f"/{self._addresses[axis.device].device} warnings clear, and home it"
                 )
             elif reply.warning and reply.warning not in NOT_HOMED and reply.warning not in self._noted:
                 self._noted.add(reply.warning)
-                self.link.note(f"axis {axis.device} warns {warning_words(reply.warning)}")
+                self.link.note(f"axis {axis.device} warns {describe_warning(reply.warning)}")
         return Reading(units=units, moving=moving, referenced=homed, alarm="; ".join(alarms) or None)
 
     def step(self, axis: Axis) -> float:  # noqa: ARG002  (the same for all)
@@ -232,32 +232,32 @@ class ZaberDialogue:
         """Set the speed of each axis where it is another; the device keeps it."""
         for axis in self._axes:
             wanted = max(1, round(axis.speed_units() * _SPEED_UNIT))
-            _, holds = self._retry.ask(lambda axis=axis: self._number_of(axis.device, "get maxspeed"))
+            _, holds = self._retry.run(lambda axis=axis: self._number_of(axis.device, "get maxspeed"))
             if holds != wanted:
-                self._retry.ask(lambda axis=axis, v=wanted: self._accepted(axis.device, f"set maxspeed {v}"))
+                self._retry.run(lambda axis=axis, v=wanted: self._accepted(axis.device, f"set maxspeed {v}"))
                 self.link.note(f"axis {axis.device}: maxspeed was {holds}, set to {wanted}")
 
     def go(self, targets: Mapping[str, float]) -> None:
-        """Start each axis; a reply that is lost is not asked for again."""
+        """Start each axis; no command is sent again if its reply is lost."""
         self._start({axis: f"move abs {round(units)}" for axis, units in targets.items()})
 
     def home(self) -> None:
         self._start({axis.device: "home" for axis in self._axes})
 
     def homed(self, reading: Reading) -> str | None:
-        """The device itself says whether it is."""
+        """The device reports itself whether it is homed."""
         if reading.alarm is not None:
             return reading.alarm
         return None if reading.referenced else "it still warns that it has no reference position"
 
     def halt(self) -> None:
         for device in sorted({address.device for address in self._addresses.values()}):
-            reply = self._retry.ask(lambda d=device: self._exchange(d, 0, "stop"))
+            reply = self._retry.run(lambda d=device: self._exchange(d, 0, "stop"))
             if not reply.accepted:
-                raise self.link.failure(f"device {device} refused to stop: {rejection_words(reply.data)}")
+                raise self.link.failure(f"device {device} refused to stop: {describe_rejection(reply.data)}")
 
     def _start(self, commands: Mapping[str, str]) -> None:
-        """Send each axis its command once; one whose reply is lost does not keep the others from theirs."""
+        """Send each axis its command once; a lost reply does not keep the other axes from theirs."""
         lost: ReplyError | None = None
         for axis, command in commands.items():
             try:
@@ -270,7 +270,7 @@ class ZaberDialogue:
     def _limits_of(self, axis: str) -> tuple[int, int]:
         if axis not in self._limits:
             low, high = (
-                self._retry.ask(lambda s=setting: self._number_of(axis, f"get {s}"))[1]
+                self._retry.run(lambda s=setting: self._number_of(axis, f"get {s}"))[1]
                 for setting in ("limit.min", "limit.max")
             )
             self._limits[axis] = (low, high)
@@ -280,7 +280,7 @@ class ZaberDialogue:
         reply = self._accepted(axis, command)
         if re.fullmatch(r"-?\d+", reply.data) is None:
             raise ReplyError(
-                self.link.words("expected a whole number", sent=command.encode(), reply=reply.data.encode())
+                self.link.message("expected a whole number", sent=command.encode(), reply=reply.data.encode())
             )
         return reply, int(reply.data)
 
@@ -289,7 +289,7 @@ class ZaberDialogue:
         reply = self._exchange(address.device, address.axis, command)
         if not reply.accepted:
             raise self.link.failure(
-                f"axis {axis} rejected it: {rejection_words(reply.data)}", sent=command.encode("ascii")
+                f"axis {axis} rejected it: {describe_rejection(reply.data)}", sent=command.encode("ascii")
             )
         return reply
 
@@ -307,7 +307,7 @@ class ZaberDialogue:
                 try:
                     reply = parse_reply(line)
                 except ValueError as error:
-                    raise ReplyError(self.link.words(str(error), sent=sent, reply=line)) from None
+                    raise ReplyError(self.link.message(str(error), sent=sent, reply=line)) from None
                 if (reply.device, reply.axis, reply.number) == (device, axis, self._number):
                     return reply
                 self.link.note(f"passed over {line!r}, which answers something else")

@@ -98,12 +98,12 @@ class BenchProcess:
             except TimeoutError:
                 self._hang_up()  # what comes later would be taken for the answer to the next question
                 raise self._gone(
-                    f"did not answer within {timeout_s:.3g} s when asked for {do}: its process hangs"
+                    f"did not answer the request {do} within {timeout_s:.3g} s: its process hangs"
                 ) from None
             except (OSError, ValueError) as error:
-                raise self._gone(f"cannot be asked for {do} ({error})") from None
+                raise self._gone(f"cannot take the request {do} ({error})") from None
         if not answer:
-            raise self._gone(f"ended when asked for {do}")
+            raise self._gone(f"ended during the request {do}")
         if not answer.pop("ok"):
             raise ValueError(answer["error"])
         return answer, data
@@ -190,4 +190,4 @@ class BenchProcess:
             said = self._errors.read().decode("utf-8", "replace").strip()
         if "Traceback (" in said:
             said = said.splitlines()[-1]
-        return HardwareError(f"virtual bench: {what}" + (f"; it said: {said[-2000:]}" if said else ""))
+        return HardwareError(f"virtual bench: {what}" + (f"; its output: {said[-2000:]}" if said else ""))
