@@ -8,12 +8,19 @@ of each light; the objectives are integers, so that sums are exact in any order 
 """
 
 from lightopt.design._commands import Way
-from lightopt.design._design_result import DesignResult
 from lightopt.design._files import DesignOutput, finish_design, write_design
 from lightopt.design._optimize import optimize
 from lightopt.design._options import OptimizeOptions, PlanOptions
-from lightopt.design._plan_result import SHARES_OF, ChosenPostures, PlanResult, ToleranceResult
-from lightopt.design._result import ObjectiveResult, SetResult, angles_of
+from lightopt.design._result import (
+    SHARES_OF,
+    ChosenPostures,
+    DesignResult,
+    ObjectiveResult,
+    PlanResult,
+    SetResult,
+    ToleranceResult,
+    angles_of,
+)
 from lightopt.design._texts import (
     LEFT_OUT_MEANING,
     combinations_counted_text,
@@ -28,7 +35,7 @@ from lightopt.design._texts import (
     ties_text,
 )
 from lightopt.design.blind_spots._blind_spots import BlindReason, BlindSpots, blind_text
-from lightopt.design.blind_spots._classes import (
+from lightopt.design.blind_spots._legend import (
     BLIND_CLASSES,
     BlindClass,
     LegendRow,
@@ -38,10 +45,9 @@ from lightopt.design.blind_spots._classes import (
     blind_legend,
 )
 from lightopt.design.blind_spots._summary import BLIND_LIGHTS, BLIND_SHARES_OF, BlindSpotSummary
-from lightopt.design.blind_spots._unreachable_target import TargetNotReached
 from lightopt.design.candidates._candidates import find_candidates
-from lightopt.design.exposures._brackets import Brackets
 from lightopt.design.exposures._plan_exposures import DEFAULT_EXPOSURE_GAIN
+from lightopt.design.exposures._selection import Brackets
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective, area_text, share_of_whole, share_text
 from lightopt.design.objectives._registry import OBJECTIVES
@@ -50,18 +56,17 @@ from lightopt.design.postures._counts import counts_of_images
 from lightopt.design.postures._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.postures._light_positions import place_lights
 from lightopt.design.postures._multi_start_search import choose_postures
-from lightopt.design.responses._contrast import Contrast
+from lightopt.design.postures._plan_postures import TargetNotReached
 from lightopt.design.responses._defect_hypotheses import DIRECTIONS, DefectHypothesis, defect_hypotheses
-from lightopt.design.responses._detection import DetectionModel
+from lightopt.design.responses._detection import Contrast, DetectionModel
 from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds, LuminanceMatrix, area_units
 from lightopt.design.responses._matrix_computation import luminance_matrix
 from lightopt.design.responses._packed_bits import unpack_flags
 from lightopt.design.responses._visibility import Visibility
 from lightopt.design.search._curves import Curve
 from lightopt.design.search._exact_search import search
-from lightopt.design.tolerances._analysis import analyse_tolerances
-from lightopt.design.tolerances._assessments import PairAssessment, Setup
-from lightopt.design.tolerances._tolerances import Tolerances
+from lightopt.design.tolerances._analysis import Tolerances, analyse_tolerances
+from lightopt.design.tolerances._misaligned_scores import PairAssessment, Setup
 
 __all__ = [
     "BLIND_CLASSES",

@@ -17,7 +17,7 @@ from lightopt.design._options import (
 )
 from lightopt.design.objectives._registry import OBJECTIVES
 from lightopt.design.postures._posture_grid import posture_grid
-from lightopt.design.tolerances._tolerances import lights_problem
+from lightopt.design.tolerances._analysis import lights_problem
 
 
 def check_request(

@@ -16,7 +16,6 @@ from lightopt.config import load_rig
 from lightopt.core.arrays import UInt8
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
-from lightopt.design._design_result import DesignResult
 from lightopt.design._edited_files import planned_part_text, rig_texts
 from lightopt.design._previous_result import (
     PLANNED_PART_NAME,
@@ -26,6 +25,7 @@ from lightopt.design._previous_result import (
     begin_writing,
     end_writing,
 )
+from lightopt.design._result import DesignResult
 from lightopt.design._result_json import ranking_csv, result_document
 from lightopt.design.blind_spots._files import BLIND_PNG, blind_files
 from lightopt.images import (

@@ -16,34 +16,36 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.design._checks import check_request
 from lightopt.design._commands import command_text
-from lightopt.design._design_result import DesignResult
 from lightopt.design._edited_files import check_editable
-from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions
+from lightopt.design._options import (
+    DEFECT_OBJECTIVE,
+    OptimizeOptions,
+    PlanOptions,
+    known_provenance,
+    run_provenance,
+)
 from lightopt.design._placed_lights import PlacedLights
-from lightopt.design._plan_result import ChosenPostures, PlanResult
 from lightopt.design._previous_result import refuse_other_result
-from lightopt.design._provenance import known_provenance, run_provenance
-from lightopt.design._result import SetResult
+from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult
 from lightopt.design._texts import combinations_text
-from lightopt.design.blind_spots._planned_visibility import planned_visibility
-from lightopt.design.blind_spots._summary import BlindSpotSummary, PostureVisibility
+from lightopt.design.blind_spots._summary import BlindSpotSummary, PostureVisibility, planned_visibility
 from lightopt.design.candidates._angles import can_move
 from lightopt.design.candidates._candidates import Candidates, find_candidates
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.objectives._registry import objectives_named
 from lightopt.design.postures._image_evaluator import ImageEvaluator
-from lightopt.design.postures._plan_answers import planned_answers
 from lightopt.design.postures._plan_postures import (
     candidates_of,
     chosen_angles,
     detection_model_of,
     plan_postures,
 )
+from lightopt.design.postures._planned_scores import planned_answers
 from lightopt.design.responses._defect_hypotheses import defect_hypotheses
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.design.responses._posture_matrices import PostureMatrices
-from lightopt.design.search._all_objectives import (
+from lightopt.design.search._best_positions import (
     candidates_of_others,
     search_objectives,
     search_other_objectives,

@@ -1,21 +1,25 @@
-"""What to optimise, what to plan beside the lights, and how."""
+"""What to optimise, what to plan beside the lights, and the provenance of a run."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from lightopt.config import points_problem
+from lightopt.config import PartConfig, RigConfig, input_hashes, points_problem
 from lightopt.core.errors import InputError
+from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
 from lightopt.design.exposures._plan_exposures import DEFAULT_EXPOSURE_GAIN, check_exposures
-from lightopt.design.objectives._detectability import seen_in_problem
+from lightopt.design.objectives._detectability import DetectabilityObjective, seen_in_problem
+from lightopt.design.objectives._objective import Objective
 from lightopt.design.postures._posture_grid import DEFAULT_OUTSIDE_PX, DEFAULT_POSTURE_STEP
-from lightopt.design.responses._contrast import DEFAULT_CONTRAST, threshold_problem
+from lightopt.design.responses._detection import DEFAULT_CONTRAST, threshold_problem
 from lightopt.design.search._exact_search import DEFAULT_LIMIT
-from lightopt.design.tolerances._tolerances import Tolerances
+from lightopt.design.tolerances._analysis import Tolerances
 from lightopt.rendering import DEFAULT_PATCH_BUDGET
+from lightopt.scene import Scene
 
 DEFAULT_SHADE_SHARE = 10.0 / 255.0
 """Share of full scale, above black, below which a level is shaded."""
@@ -153,3 +157,61 @@ def check_plan(plan: PlanOptions) -> None:
     problems += check_exposures(plan.exposures, plan.exposure_gain)
     if problems:
         raise InputError(*problems)
+
+
+def run_provenance(
+    rig: RigConfig,
+    part: PartConfig,
+    scene: Scene,
+    options: OptimizeOptions,
+    plan: PlanOptions,
+    objectives: tuple[Objective, ...],
+) -> Mapping[str, Any]:
+    """What ``result.json`` says a run depends on."""
+    of_defects = any(isinstance(objective, DetectabilityObjective) for objective in objectives)
+    return provenance(
+        input_hashes(rig, part),
+        {
+            "objectives": [objective.name for objective in objectives],
+            "step_deg": options.step_deg,
+            "common_elevation": options.common_elevation,
+            "common_lights": options.common_lights,
+            "shade_below": options.shade_below,
+            "postures": [posture.as_dict() for posture in scene.postures],
+            "points": options.points,
+            "shadows": options.shadows,
+            "patch_budget": options.patch_budget,
+            "max_combinations": options.limit,
+            "ranking_rows": options.rows,
+            "images": options.images,
+            **(_defect_facts(options) if of_defects else {}),
+            "report": options.report,
+            **_plan_facts(options, plan),
+        },
+    )
+
+
+def known_provenance(
+    rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions
+) -> Mapping[str, Any]:
+    """The part of it that is known before postures are chosen."""
+    return provenance(
+        input_hashes(rig, part),
+        {
+            "step_deg": options.step_deg,
+            "common_elevation": options.common_elevation,
+            "points": options.points,
+            "shadows": options.shadows,
+            "patch_budget": options.patch_budget,
+            **_plan_facts(options, plan),
+        },
+    )
+
+
+def _defect_facts(options: OptimizeOptions) -> dict[str, Any]:
+    return {"seen_in": options.seen_in, "threshold": options.contrast}
+
+
+def _plan_facts(options: OptimizeOptions, plan: PlanOptions) -> dict[str, Any]:
+    # postures and exposures are planned for defects, whatever the objective
+    return {**(_defect_facts(options) if plan.chooses or plan.exposures else {}), **plan.facts()}

@@ -10,18 +10,16 @@ from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.design._commands import Command, plan_commands, render_words
 from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions
-from lightopt.design._plan_result import ToleranceResult
 from lightopt.design._previous_result import PLANNED_PART_NAME, RIG_NAME
-from lightopt.design._result import SetResult, angles_of
+from lightopt.design._result import SetResult, ToleranceResult, angles_of
 from lightopt.design.candidates._candidates import Candidates
-from lightopt.design.exposures._brackets import Brackets
 from lightopt.design.exposures._plan_exposures import plan_exposures
+from lightopt.design.exposures._selection import Brackets
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.postures._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
-from lightopt.design.tolerances._analysis import analyse_tolerances
-from lightopt.design.tolerances._assessments import ObjectiveAssessment, PairAssessment, Setup
-from lightopt.design.tolerances._tolerances import Tolerances
+from lightopt.design.tolerances._analysis import Tolerances, analyse_tolerances
+from lightopt.design.tolerances._misaligned_scores import ObjectiveAssessment, PairAssessment, Setup
 from lightopt.images import posture_folder
 
 Angles = tuple[tuple[float, float], ...]

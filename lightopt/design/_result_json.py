@@ -8,14 +8,21 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lightopt.design._commands import Way
-from lightopt.design._design_result import DesignResult
-from lightopt.design._plan_result import SHARES_OF, ChosenPostures, PlanResult, ToleranceResult
-from lightopt.design._result import ObjectiveResult, SetResult, angles_of
+from lightopt.design._result import (
+    SHARES_OF,
+    ChosenPostures,
+    DesignResult,
+    ObjectiveResult,
+    PlanResult,
+    SetResult,
+    ToleranceResult,
+    angles_of,
+)
 from lightopt.design.candidates._candidates import Candidates
-from lightopt.design.exposures._brackets import Brackets
+from lightopt.design.exposures._selection import Brackets
 from lightopt.design.objectives._objective import NEAR_PER_MILLE, share_of_whole
 from lightopt.design.search._ranking import Ranked
-from lightopt.design.tolerances._tolerances import Offset
+from lightopt.design.tolerances._analysis import Offset
 from lightopt.images import Overlap
 
 INITIAL_SHARE_OF = "the drawn patches, in postures chosen for these lights, at exposure 1"

@@ -46,7 +46,7 @@ def test_narrow_pits_and_scratches_are_counted_as_often_as_predicted(small_rig, 
 def test_one_wall_over_the_whole_width_is_found_out(small_rig, knob, monkeypatch):
     """The comparison can fail: it does where a pixel is taken to see no second wall."""
     whole = np.minimum(1.0, 1.0 / PIXEL_RATIOS)[:, None] ** 2 * np.ones(4)
-    monkeypatch.setattr("lightopt.design.responses._contrast.pixel_shares", lambda _shape: whole)
+    monkeypatch.setattr("lightopt.design.responses._detection.pixel_shares", lambda _shape: whole)
     monkeypatch.setattr(narrow, "CASES", (("pit", 20.0, (1.0,)),))
     rows = list(narrow.compare(small_rig, knob, patches=5000, count=60))
     assert max(row.predicted - row.measured for row in rows) > 0.15

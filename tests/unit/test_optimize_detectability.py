@@ -21,8 +21,8 @@ from lightopt.design import (
     search,
     share_of_whole,
 )
-from lightopt.design.objectives import _bit_runs as bit_runs
-from lightopt.design.objectives import _count_runs as count_runs
+from lightopt.design.objectives import _detectability as bit_runs
+from lightopt.design.objectives import _scores_by_image_counts as count_runs
 
 THRESHOLDS = LevelThresholds(shade=10, saturation=255)
 

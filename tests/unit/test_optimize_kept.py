@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lightopt.design import LuminanceMatrix
-from lightopt.design.responses._matrix_cache import read_matrix, write_matrix
+from lightopt.design.responses._posture_matrices import read_matrix, write_matrix
 
 
 @pytest.fixture

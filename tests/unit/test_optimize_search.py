@@ -13,8 +13,8 @@ from reference._search import all_combinations, coverage_value, paper_value
 from lightopt.core.errors import InputError
 from lightopt.design import OBJECTIVES, LevelThresholds, LuminanceMatrix, area_units, search
 from lightopt.design.candidates._combination_space import CombinationSpace
-from lightopt.design.objectives._bit_sums import bit_scores
-from lightopt.design.objectives._class_runs import run_scores
+from lightopt.design.objectives._scores_by_level_classes import run_scores
+from lightopt.design.objectives._scores_by_packed_bits import bit_scores
 from lightopt.design.search._ranking import NearBest
 
 EIGHT_BITS = (np.uint8, 255)

@@ -24,8 +24,7 @@ from lightopt.design.postures._counts import (
     total_benefit,
     zero_counts,
 )
-from lightopt.design.postures._exchange import improve_by_exchange
-from lightopt.design.postures._greedy_cover import greedy_cover
+from lightopt.design.postures._greedy_cover import greedy_cover, improve_by_exchange
 
 
 def random_case(seed, *, postures=7, images=3, patches=9, trials=70, k=2):

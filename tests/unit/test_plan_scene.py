@@ -32,14 +32,14 @@ from lightopt.design import (
     find_candidates,
     luminance_matrix,
 )
-from lightopt.design.blind_spots._planned_visibility import planned_visibility
-from lightopt.design.blind_spots._unreachable_target import target_not_reached
+from lightopt.design.blind_spots._summary import planned_visibility
 from lightopt.design.exposures._joint_choice import choose_with_exposures
 from lightopt.design.exposures._plan_exposures import plan_exposures
 from lightopt.design.postures import _alternating_search as turning
 from lightopt.design.postures import _light_positions as placing
+from lightopt.design.postures._plan_postures import target_not_reached
 from lightopt.design.responses._matrix_computation import luminance_matrices, matrix_bytes
-from lightopt.design.tolerances._assessments import ObjectiveAssessment
+from lightopt.design.tolerances._misaligned_scores import ObjectiveAssessment
 from lightopt.geometry import face_normals
 from lightopt.rendering import build_patches, cast_rays_at, sight_of
 from lightopt.scene import build_catalogue, build_lights, build_scene, view_from_part

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from lightopt.design.blind_spots._blind_spots import BlindReason
-from lightopt.design.blind_spots._classes import BLIND_CLASSES, blind_class, blind_colours
+from lightopt.design.blind_spots._legend import BLIND_CLASSES, blind_class, blind_colours
 from lightopt.design.blind_spots._summary import BLIND_LIGHTS, BlindSpotSummary, reason_names
 from lightopt.geometry import Patches
 from lightopt.scene import Placement

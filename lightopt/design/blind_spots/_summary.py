@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
+from itertools import chain
 from typing import Any
 
 from lightopt.core.arrays import Float64
+from lightopt.core.run_context import Share
 from lightopt.core.transforms import Posture
 from lightopt.design.blind_spots._blind_spots import (
     BlindReason,
@@ -14,10 +17,15 @@ from lightopt.design.blind_spots._blind_spots import (
     DefectVisibility,
     blind_spots,
     blind_text,
+    combined_visibility,
     defect_visibility,
 )
+from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.objectives._detectability import DetectabilityObjective
+from lightopt.design.postures._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
+from lightopt.design.tolerances._misaligned_scores import Setup
+from lightopt.scene import PanelLight
 
 BLIND_SHARES_OF = "the part's surface but what the camera sees at a grazing angle only, × defects by weight"
 """What shares of blind spots are shares of."""
@@ -133,3 +141,54 @@ def reason_names(lights: Sequence[str]) -> list[tuple[int, str]]:
     """All codes and their names."""
     codes = [*BlindReason, *(BlindReason.SATURATED + light for light in range(1, len(lights)))]
     return [(int(code), blind_text(int(code), lights)) for code in codes]
+
+
+def planned_visibility(
+    survey: ImageEvaluator,
+    setup: Setup,
+    candidates: Candidates | None,
+    *,
+    all_exposures: tuple[float, ...],
+    thresholds: LevelThresholds,
+    least: int,
+    progress: Share | None = None,
+) -> tuple[PostureVisibility, ...]:
+    """Visibility of defects in each posture: `least` images must show one.
+
+    `setup` has the lights, postures and planned exposures; `candidates` (None where no light moves) and
+    `all_exposures` are those to choose from. The patches of `survey` are those of the blind spots.
+    """
+    found: list[PostureVisibility] = []
+    for index, posture in enumerate(setup.postures):
+        panels = [[setup.panel(index, light, (0.0, 0.0))] for light in range(len(setup.rig.lights))]
+        matrices = survey.matrices(posture, panels, exposures=setup.exposures[index])
+        chosen = defect_visibility(matrices, thresholds, least=least)
+        positions = panels if candidates is None else candidates.panels
+        possible = _possible(survey, posture, positions, all_exposures, thresholds, least)
+        found.append(PostureVisibility(posture=posture, chosen=chosen, possible=possible))
+        if progress is not None:
+            progress((index + 1) / len(setup.postures))
+    return tuple(found)
+
+
+def _possible(
+    survey: ImageEvaluator,
+    posture: Posture,
+    positions: Sequence[Sequence[PanelLight]],
+    exposures: tuple[float, ...],
+    thresholds: LevelThresholds,
+    least: int,
+) -> DefectVisibility:
+    # light by light, and of each as many positions as there is room for: all at all exposures would be much to hold
+    return reduce(
+        combined_visibility,
+        (
+            defect_visibility(
+                chain.from_iterable(survey.in_pieces(posture, panels, exposures=exposures)),
+                thresholds,
+                least=least,
+                first_light=light,
+            )
+            for light, panels in enumerate(positions)
+        ),
+    )

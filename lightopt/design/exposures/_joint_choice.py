@@ -15,12 +15,11 @@ from dataclasses import dataclass, replace
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.design.candidates._candidates import Candidates
-from lightopt.design.exposures._brackets import Brackets
 from lightopt.design.exposures._plan_exposures import plan_exposures
+from lightopt.design.exposures._selection import Brackets
 from lightopt.design.postures._best_set import best_set
-from lightopt.design.postures._choice import PostureChoice, PostureRequest
+from lightopt.design.postures._choice import Cover, PostureChoice, PostureRequest, cover_steps
 from lightopt.design.postures._counts import Counts
-from lightopt.design.postures._cover import Cover, cover_steps
 from lightopt.design.postures._greedy_cover import greedy_cover, greedy_order
 from lightopt.design.postures._image_evaluator import ImageEvaluator
 from lightopt.design.postures._light_positions import best_positions, position_counts_fit

@@ -11,8 +11,7 @@ import numpy as np
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share
 from lightopt.core.transforms import Posture
-from lightopt.design.exposures._brackets import Brackets
-from lightopt.design.exposures._selection import CandidateExposure, Images, select_exposures
+from lightopt.design.exposures._selection import Brackets, CandidateExposure, Images, select_exposures
 from lightopt.design.postures._image_evaluator import ImageEvaluator, scattered_flags
 from lightopt.design.responses._packed_bits import Words
 from lightopt.scene import PanelLight

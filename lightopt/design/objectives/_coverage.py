@@ -7,8 +7,8 @@ shaded nor saturated) and S the number in which it is saturated,
     score = Σ area · [U ≥ 2 and S ≤ 1],
 
 in whole square micrometres. A patch's part in it depends on the classes of its levels only, and these change a few
-times along the candidates of a light: see :mod:`lightopt.design.objectives._class_runs`. Patches whose classes change
-all the time are left to :mod:`lightopt.design.objectives._bit_sums`.
+times along the candidates of a light: see :mod:`._scores_by_level_classes`. Patches whose classes change all the time
+are left to :mod:`._scores_by_packed_bits`.
 """
 
 from __future__ import annotations
@@ -23,11 +23,15 @@ import numpy as np
 from lightopt.core.arrays import Float64, Int64
 from lightopt.core.run_context import Share, part_of
 from lightopt.core.threads import blocks
-from lightopt.design.objectives._bit_sums import bit_scores
-from lightopt.design.objectives._class_runs import run_products, run_scores
 from lightopt.design.objectives._objective import INSPECTABLE_SURFACE, area_text
-from lightopt.design.objectives._upper_bounds import level_range
-from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, area_units
+from lightopt.design.objectives._scores_by_level_classes import run_products, run_scores
+from lightopt.design.objectives._scores_by_packed_bits import bit_scores
+from lightopt.design.responses._luminance_matrix import (
+    LevelThresholds,
+    LuminanceMatrix,
+    area_units,
+    level_range,
+)
 
 LEAST_USABLE = 2
 """Images that must show a patch usably."""

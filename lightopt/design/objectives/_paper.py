@@ -34,9 +34,14 @@ from lightopt.core.arrays import Float64, Int64
 from lightopt.core.errors import counted
 from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import Task, blocks, run_all
-from lightopt.design.objectives._level_sums import Capped, extreme_tasks, minimum_tasks
-from lightopt.design.objectives._upper_bounds import level_range
-from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds, LuminanceMatrix, usable_sums
+from lightopt.design.objectives._scores_by_extreme_levels import Capped, extreme_tasks, minimum_tasks
+from lightopt.design.responses._luminance_matrix import (
+    Levels,
+    LevelThresholds,
+    LuminanceMatrix,
+    level_range,
+    usable_sums,
+)
 
 BLOCK_LEVELS = 1 << 24
 """Levels that are capped at once: the only copies of levels that are made."""

@@ -15,12 +15,10 @@ from lightopt.core.run_context import RunContext, Share
 from lightopt.core.transforms import Posture
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.postures._best_set import best_set
-from lightopt.design.postures._choice import PostureRequest
+from lightopt.design.postures._choice import Cover, PostureRequest
 from lightopt.design.postures._combinations import PositionCounts
 from lightopt.design.postures._counts import Counts
-from lightopt.design.postures._cover import Cover
-from lightopt.design.postures._exchange import improve_by_exchange
-from lightopt.design.postures._greedy_cover import greedy_cover
+from lightopt.design.postures._greedy_cover import greedy_cover, improve_by_exchange
 from lightopt.design.postures._image_evaluator import ImageEvaluator
 from lightopt.design.postures._light_positions import LightPositions, best_positions
 from lightopt.scene import PanelLight

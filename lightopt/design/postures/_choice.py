@@ -1,16 +1,145 @@
-"""The request for postures and lights, and the choice."""
+"""The request for postures and lights, the cover by chosen postures with bounds on it, and the choice."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from lightopt.core.transforms import Posture
 from lightopt.design.postures._combinations import PositionCounts
-from lightopt.design.postures._cover import Cover
+from lightopt.design.postures._counts import (
+    Counts,
+    PairWeights,
+    add_counts,
+    covered_weight,
+    marginal_benefit,
+    total_benefit,
+    zero_counts,
+)
 from lightopt.design.search._exact_search import DEFAULT_LIMIT
 from lightopt.scene import PanelLight
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoverStep:
+    """One candidate of a cover.
+
+    gain: What it adds to the benefit of those before it.
+    benefit: Of those before it and itself: Σ weight · min(k, count).
+    covered: Weight of the pairs that these show in k images or more.
+    """
+
+    candidate: int
+    gain: int
+    benefit: int
+    covered: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cover:
+    """A choice of candidates.
+
+    steps: The chosen ones, in the order in which they were chosen.
+    dropped: Candidates that were chosen and made redundant by later ones.
+    k: Images that must show a pair.
+    total: Weight of all pairs.
+    bounds: On the benefit of sets of 0, 1, 2, … candidates up to as many as were chosen.
+    all_benefit, all_covered: Of all candidates together.
+    min_size: No set of fewer candidates reaches the target; None without a target, or where it cannot be reached.
+    sets, max_covered: Number of all sets of as many candidates, and what the best of them covers; None where not all
+        were searched.
+    """
+
+    steps: tuple[CoverStep, ...]
+    dropped: tuple[int, ...]
+    k: int
+    total: int
+    bounds: tuple[int, ...]
+    all_benefit: int
+    all_covered: int
+    min_size: int | None
+    sets: int | None = None
+    max_covered: int | None = None
+
+    @property
+    def chosen(self) -> tuple[int, ...]:
+        return tuple(step.candidate for step in self.steps)
+
+    @property
+    def benefit(self) -> int:
+        return self.steps[-1].benefit if self.steps else 0
+
+    @property
+    def covered(self) -> int:
+        """Weight of the pairs that the chosen ones see in k images or more."""
+        return self.steps[-1].covered if self.steps else 0
+
+    @property
+    def share(self) -> float:
+        """Share of all pairs, by weight, seen in k images or more."""
+        return self.covered / max(1, self.total)
+
+    @property
+    def bound_share(self) -> float:
+        """No set of as many candidates shows more than this share in k images or more."""
+        if self.max_covered is not None:
+            return self.max_covered / max(1, self.total)
+        return self.bound_of(len(self.bounds) - 1)
+
+    def bound_of(self, count: int) -> float:
+        """No set of `count` candidates, up to as many as were chosen, shows more than this share k times or more."""
+        # [count ≥ k] ≤ min(k, count) / k
+        return min(self.bounds[count] / self.k, self.all_covered) / max(1, self.total)
+
+    @property
+    def bound(self) -> int:
+        """No set of as many candidates has more benefit."""
+        return self.bounds[-1]
+
+    def fewest(self, target: float) -> int | None:
+        """No set of fewer candidates shows this share; None where all together do not."""
+        if self.all_covered < target * self.total:
+            return None
+        # a pair seen in k images has benefit k
+        enough = [size for size, bound in enumerate(self.bounds) if bound >= self.k * target * self.total]
+        return enough[0] if enough else len(self.steps)
+
+    @property
+    def guarantee(self) -> float:
+        """Share of the best set of as many that these cover at least."""
+        # with k = 1 never less than a greedy choice has whatever the candidates, 1 − (1 − 1/N)^N
+        return self.share / self.bound_share if self.bound_share > 0.0 else 1.0
+
+    @property
+    def proven(self) -> bool:
+        """Whether no set of as many covers more."""
+        most = min(self.bound // self.k, self.all_covered) if self.max_covered is None else self.max_covered
+        return self.covered >= most
+
+    def with_search(self, max_covered: int, sets: int | None) -> Cover:
+        """With the outcome of a search of all sets; unchanged where the search ended without a proof."""
+        return self if sets is None else replace(self, sets=sets, max_covered=max_covered)
+
+
+def cover_steps(ordered: Sequence[tuple[int, Counts]], weights: PairWeights) -> tuple[CoverStep, ...]:
+    """What candidates add one after the other: index and counts of each."""
+    steps: list[CoverStep] = []
+    now: Counts | None = None
+    for one, counts in ordered:
+        now = zero_counts(weights, len(counts)) if now is None else now
+        gain = marginal_benefit(now, counts, weights)
+        now = add_counts(now, counts)
+        steps.append(
+            CoverStep(
+                candidate=one,
+                gain=gain,
+                benefit=total_benefit(now, weights),
+                covered=covered_weight(now, weights),
+            )
+        )
+    return tuple(steps)
 
 
 @dataclass(frozen=True, kw_only=True)

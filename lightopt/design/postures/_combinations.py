@@ -2,7 +2,7 @@
 
 The postures' images of a position are counted before (see :mod:`lightopt.design.postures._counts`), so that a
 combination adds up one count per light, whatever the number of postures. Along the positions of a light these counts
-change a few times, and the sums come from the changes: :func:`lightopt.design.objectives._count_runs.count_run_sums`.
+change a few times, and the sums come from the changes (:mod:`lightopt.design.objectives._scores_by_image_counts`).
 Patches whose counts change nearly everywhere are added up combination by combination, light after light; the last
 light's positions share the sum of the others.
 """
@@ -18,7 +18,7 @@ from lightopt.core.arrays import Int64, UInt64
 from lightopt.core.kernels import kernel
 from lightopt.core.run_context import Share
 from lightopt.core.threads import available_processors, run_all
-from lightopt.design.objectives._count_runs import at_least, count_run_sums, up_to
+from lightopt.design.objectives._scores_by_image_counts import at_least, count_run_sums, up_to
 from lightopt.design.postures._counts import Counts, PairWeights, add_counts, zero_counts
 from lightopt.design.responses._packed_bits import Words, word_weight
 

@@ -6,6 +6,9 @@ with the set. So, after any steps of the greedy choice with set S' and remaining
 benefit than benefit(S') + the sum of the N largest g; and N greedy steps reach at least the share 1 − (1 − 1/N)^N >
 1 − 1/e of the best (Nemhauser, Wolsey, Fisher 1978, doi:10.1007/BF01588971). The least of the first is used; it is
 never looser than the second.
+
+A greedy choice is never revised. :func:`improve_by_exchange` then tries each chosen candidate against every other one
+and makes the best exchange, until no single exchange covers more; the set is not proven to be the best of its size.
 """
 
 from __future__ import annotations
@@ -15,17 +18,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from lightopt.core.errors import InputError
+from lightopt.core.threads import available_processors
+from lightopt.design.postures._choice import Cover, cover_steps
 from lightopt.design.postures._counts import (
     Counts,
     PairWeights,
     add_counts,
+    all_marginal_gains,
     covered_weight,
     marginal_benefit,
     sum_counts,
     total_benefit,
     zero_counts,
 )
-from lightopt.design.postures._cover import Cover, cover_steps
 
 
 def greedy_cover(
@@ -148,3 +153,42 @@ class _Greedy:
 
     def _bound(self, size: int) -> int:
         return min(here + sum(heapq.nlargest(size, gains)) for here, gains in self.seen)
+
+
+Merit = tuple[int, int]
+"""Covered weight, benefit: see :mod:`lightopt.design.postures._counts`."""
+
+
+def improve_by_exchange(
+    candidates: Sequence[Counts], weights: PairWeights, chosen: Sequence[int], *, threads: int | None = None
+) -> tuple[int, ...]:
+    """As many candidates that cover as much or more, and that no single exchange improves.
+
+    The best exchange is made first; of equals the one that replaces the earliest chosen by the first candidate.
+    """
+    now = list(chosen)
+    if not now:
+        return ()
+    k = len(candidates[0])
+    merit = _merit(sum_counts((candidates[i] for i in now), weights, k), weights)
+    while True:
+        best: tuple[Merit, int, int] | None = None
+        others = [i for i in range(len(candidates)) if i not in now]
+        for place in range(len(now)):
+            rest = sum_counts((candidates[i] for i in [*now[:place], *now[place + 1 :]]), weights, k)
+            covered, benefit = _merit(rest, weights)
+            gains = all_marginal_gains(
+                rest, [candidates[i] for i in others], weights, threads=threads or available_processors()
+            )
+            for i, gain in zip(others, gains, strict=True):
+                other = covered + gain[0], benefit + gain[1]
+                if other > (merit if best is None else best[0]):
+                    best = other, place, i
+        if best is None:
+            return tuple(now)
+        merit, place, i = best
+        now[place] = i
+
+
+def _merit(counts: Counts, weights: PairWeights) -> Merit:
+    return covered_weight(counts, weights), total_benefit(counts, weights)

@@ -1,22 +1,215 @@
-"""Detection of defects: which hypotheses the images of a posture show on its patches."""
+"""When a defect is visible in an image: its level differs from the good surface's by more than the sensor's noise.
+
+With v the level that the sensor would deliver before rounding, ``black + exposure · scale · I`` clipped at the
+saturation level, v₀ of the good surface and v_d of the defect, a hypothesis is visible where
+
+    |v_d − v₀| ≥ threshold · √(read noise² + (v₀ − black) / electrons per level + 1/12),
+
+the noise of read-out, of photons and of rounding (EMVA Standard 1288, release 4.0, section 2) at the good surface's
+level: it decides how often a good surface is taken for a defect. Where both are saturated the difference is 0. A
+pixel that the defect does not fill sees the defect and its surroundings; walls that face each other cancel in part:
+
+    I_d = I₀ + F · (D − M) + A · M,   D = I_wall − I₀,
+
+with M the mean of D over the directions of the defect's walls, and the shares F and A of the two pixels that may show
+it best (:mod:`lightopt.defects._pixel_shares`); a hypothesis is visible where one of them shows it. The shares depend on the
+side of the pixel's footprint over the defect's width. The footprint is taken as a square of its area on the surface;
+its side is that on a plane facing the camera / √cosθ, with θ between normal and view. Surface seen at a grazing angle
+(:data:`lightopt.rendering.GRAZING_DEG`) is excluded before.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import groupby
 
 import numpy as np
 
-from lightopt.core.arrays import Float32
+from lightopt.core.arrays import Bool, Float32, Float64, Int64
+from lightopt.core.errors import InputError
+from lightopt.core.kernels import kernel
 from lightopt.core.transforms import Posture
-from lightopt.defects import tangent_references
-from lightopt.design.responses._contrast import Contrast, PixelFill, pixel_fill
+from lightopt.defects import PIXEL_RATIOS, DefectShape, pixel_shares, tangent_references
 from lightopt.design.responses._defect_hypotheses import DefectHypothesis
 from lightopt.design.responses._packed_bits import Words
 from lightopt.geometry import RayCaster
+from lightopt.optics import Sensor
 from lightopt.rendering import SurfacePoints, converged_panel, shade_variants, surface_variants
 from lightopt.scene import PanelLight, Scene, pixel_footprint, view_from_part
+
+DEFAULT_CONTRAST = 5.0
+"""Default multiple of the noise by which a level must be off. Of the two million pixels of an image noise alone
+takes one for a defect at 5, and five thousand at 3. Rose found the same 5 for what people make out in pictures (J. Opt.
+Soc. Am. 38, 1948, doi:10.1364/JOSA.38.000196)."""
+
+
+LEAST_RATIO, GREATEST_RATIO = float(PIXEL_RATIOS[0]), float(PIXEL_RATIOS[-1])
+PER_OCTAVE = (len(PIXEL_RATIOS) - 1) / math.log2(GREATEST_RATIO / LEAST_RATIO)
+
+
+def threshold_problem(threshold: float) -> str | None:
+    """What is wrong with a multiple of the noise; None where nothing is."""
+    if math.isfinite(threshold) and threshold > 0.0:
+        return None
+    return f"--threshold: expected a number above 0, times the sensor's noise, found {threshold:g}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contrast:
+    """The contrast at which a defect is visible to the sensor.
+
+    full_scale: Grey level that makes a full-scale sensor level at exposure 1.
+    threshold: Multiple of the noise.
+    Raises InputError: A threshold that is not above 0.
+    """
+
+    sensor: Sensor
+    full_scale: float
+    threshold: float = DEFAULT_CONTRAST
+
+    def __post_init__(self) -> None:
+        if problem := threshold_problem(self.threshold):
+            raise InputError(problem)
+
+    def words(
+        self,
+        good: Float64,
+        varied: Float64,
+        *,
+        pixel_fill: PixelFill,
+        footprints: Float64,
+        cosines: Float64,
+        exposure: float,
+    ) -> Words:
+        """Bits of the visible hypotheses, shape (k, ⌈t / 64⌉).
+
+        good, varied: Linear levels of the good surface and of the hypotheses where they fill the pixel [grey level at
+            exposure 1], shapes (k,) and (k, t).
+        footprints: Side of a pixel's footprint on a plane that faces the camera [mm], shape (k,).
+        cosines: Of the angle between normal and view, above 0, shape (k,).
+        """
+        return _contrast_words(
+            good,
+            varied,
+            pixel_fill.first,
+            pixel_fill.facing,
+            pixel_fill.width,
+            pixel_fill.shares,
+            footprints,
+            cosines,
+            exposure * self.sensor.max_level / self.full_scale,
+            self.sensor.black_level,
+            self.sensor.saturated_from,
+            self.threshold,
+            self.sensor.read_noise_levels,
+            self.sensor.electrons_per_level or math.inf,
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PixelFill:
+    """How far e defects fill a pixel; the hypotheses of a defect are adjacent.
+
+    first: Index of each defect's first hypothesis, and the number of hypotheses; shape (e + 1,).
+    facing: Whether only walls that face each other share a pixel, as a scratch's two do; else those of all directions
+        do.
+    width: [mm], shape (e,).
+    shares: From :func:`lightopt.defects.pixel_shares`, shape (e, n, 4).
+    """
+
+    first: Int64
+    facing: Bool
+    width: Float64
+    shares: Float64
+
+
+def pixel_fill(hypotheses: Sequence[DefectHypothesis]) -> PixelFill:
+    """How far the defects of hypotheses fill a pixel, in their order."""
+    # hypotheses of a defect differ by weight and direction only
+    groups = [
+        list(some) for _, some in groupby(hypotheses, key=lambda one: replace(one, weight=0, direction=0.0))
+    ]
+    defects = [some[0] for some in groups]
+    return PixelFill(
+        first=np.cumsum([0, *(len(some) for some in groups)]).astype(np.int64),
+        facing=np.array([defect.kind == "scratch" for defect in defects], np.bool_),
+        width=np.array([defect.width for defect in defects]),
+        shares=np.stack(
+            [
+                pixel_shares(DefectShape(kind=one.kind, length=one.length, width=one.width, slope=one.slope))
+                for one in defects
+            ]
+        ),
+    )
+
+
+@kernel
+def _contrast_words(
+    good: Float64,
+    varied: Float64,
+    first: Int64,
+    facing: Bool,
+    widths: Float64,
+    shares: Float64,
+    footprints: Float64,
+    cosines: Float64,
+    scale: float,
+    black: float,
+    saturation: float,
+    threshold: float,
+    read_noise: float,
+    electrons: float,
+) -> Words:
+    words = np.zeros((len(good), (varied.shape[1] + 63) // 64), np.uint64)
+    for i in range(len(good)):
+        level = min(black + scale * good[i], saturation)
+        least = threshold * math.sqrt(read_noise * read_noise + (level - black) / electrons + 1.0 / 12.0)
+        side = footprints[i] / math.sqrt(cosines[i])
+        for e in range(len(widths)):
+            start, count = first[e], first[e + 1] - first[e]
+            mean = 0.0
+            for t in range(start, start + count):
+                mean += varied[i, t] / count
+            one, of_one, most, of_most = _shares(shares[e], side / widths[e])
+            for t in range(start, start + count):
+                common = mean - good[i]
+                if facing[e]:
+                    opposite = start + (t - start + count // 2) % count
+                    common = 0.5 * (varied[i, t] + varied[i, opposite]) - good[i]
+                own = varied[i, t] - good[i] - common
+                best = good[i] + one * own + of_one * common
+                other = good[i] + most * own + of_most * common
+                if (
+                    abs(min(black + scale * best, saturation) - level) >= least
+                    or abs(min(black + scale * other, saturation) - level) >= least
+                ):
+                    words[i, t // 64] |= np.uint64(1) << np.uint64(t % 64)
+    return words
+
+
+@kernel
+def _shares(table: Float64, ratio: float) -> tuple[float, float, float, float]:
+    # between the tabulated ratios, linear in their logarithm; below them the defect fills the pixel, beyond
+    # them its share falls as the pixel's area grows
+    place = PER_OCTAVE * math.log2(ratio / LEAST_RATIO)
+    if place < 0.0:
+        return 1.0, 1.0, 1.0, 1.0
+    last = len(table) - 1
+    if place >= last:
+        less = (GREATEST_RATIO / ratio) ** 2
+        return less * table[last, 0], less * table[last, 1], less * table[last, 2], less * table[last, 3]
+    at = int(place)
+    rest = place - at
+    low, high = table[at], table[at + 1]
+    return (
+        low[0] + rest * (high[0] - low[0]),
+        low[1] + rest * (high[1] - low[1]),
+        low[2] + rest * (high[2] - low[2]),
+        low[3] + rest * (high[3] - low[3]),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,5 +1,1 @@
-"""Tolerance analysis: how far a score falls when lights or part are misaligned.
-
-`_analysis` is the analysis, `_assessments` scores misaligned lights and parts, `_tolerances` are the request and the
-misalignments to try.
-"""
+"""How far a score falls when lights or part are misaligned: `_analysis`, on the scores of `_misaligned_scores`."""

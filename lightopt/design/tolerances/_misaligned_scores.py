@@ -22,7 +22,7 @@ from lightopt.design.postures._combinations import combination_sums
 from lightopt.design.postures._counts import add_counts, counts_of_images, zero_counts
 from lightopt.design.postures._image_evaluator import ImageEvaluator, scattered_flags
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
-from lightopt.design.tolerances._tolerances import Offset
+from lightopt.design.tolerances._analysis import Offset
 from lightopt.geometry import face_normals
 from lightopt.rendering import PatchTable, sight_of
 from lightopt.scene import PanelLight, build_lights, view_from_part

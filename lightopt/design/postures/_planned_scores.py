@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from lightopt.core.run_context import Share
-from lightopt.design._plan_result import SHARES_OF, ChosenPostures
-from lightopt.design._result import ObjectiveResult, SetResult, angles_of
+from lightopt.design._result import SHARES_OF, ChosenPostures, ObjectiveResult, SetResult, angles_of
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.postures._counts import Counts, add_counts, covered_weight, zero_counts

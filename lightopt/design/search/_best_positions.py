@@ -1,0 +1,260 @@
+"""The best light positions for every objective, compared under all; or for the others beside one placed before."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lightopt.config import RigConfig
+from lightopt.core.errors import InputError, LightoptError
+from lightopt.core.run_context import RunContext
+from lightopt.core.threads import blocks
+from lightopt.core.transforms import Posture
+from lightopt.design._result import ObjectiveResult, SetResult
+from lightopt.design._texts import cut_off
+from lightopt.design.blind_spots._summary import PostureVisibility, posture_visibility
+from lightopt.design.candidates._angles import can_move
+from lightopt.design.candidates._candidates import Candidates
+from lightopt.design.objectives._detectability import DetectabilityObjective
+from lightopt.design.objectives._objective import Objective
+from lightopt.design.responses._luminance_matrix import (
+    AREA_UNIT_MM2,
+    LevelThresholds,
+    LuminanceMatrix,
+    area_units,
+)
+from lightopt.design.responses._posture_matrices import PostureMatrices
+from lightopt.design.search._curves import score_curves
+from lightopt.design.search._exact_search import SearchResult, search
+from lightopt.rendering import GRAZING_DEG, grain_of
+
+PIECE_PATCHES = 1 << 15
+"""Patches for which an objective's definition is evaluated at once."""
+
+
+def search_objectives(
+    source: PostureMatrices,
+    objectives: tuple[Objective, ...],
+    thresholds: LevelThresholds,
+    run: RunContext,
+) -> tuple[tuple[SetResult, ...], list[PostureVisibility]]:
+    """The best sets of every posture, or of all together, and their blind spots where defects are wanted."""
+    defects = next((one for one in objectives if isinstance(one, DetectabilityObjective)), None)
+    options, postures_of_all = source.options, source.scene.postures
+    results: list[SetResult] = []
+    blind_spots: list[PostureVisibility] = []
+    # the matrices of postures that do not share their lights are never held together
+    for postures in [postures_of_all] if options.common_lights else [(one,) for one in postures_of_all]:
+        matrices = [source.matrix(posture, held=len(postures)) for posture in postures]
+        result = answer_set(
+            matrices,
+            postures,
+            source.candidates,
+            objectives,
+            thresholds,
+            rows=options.rows,
+            limit=options.limit,
+            run=run,
+        )
+        if defects is not None:
+            best = result.answers[0].found.best.candidates
+            blind_spots += [
+                posture_visibility(matrix, posture, thresholds, seen_in=defects.seen_in, candidates=best)
+                for matrix, posture in zip(matrices, postures, strict=True)
+            ]
+        del matrices
+        _warn_of_limit(result.answers, postures, run)
+        results.append(result)
+    return tuple(results), blind_spots
+
+
+def answer_set(
+    matrices: Sequence[LuminanceMatrix],
+    postures: Sequence[Posture],
+    candidates: Candidates,
+    objectives: Sequence[Objective],
+    thresholds: LevelThresholds,
+    *,
+    rows: int,
+    limit: int,
+    run: RunContext,
+) -> SetResult:
+    """The best light positions for postures that share them: each objective is optimised, and scored under all.
+
+    `rows` and `limit` are `keep` and `limit` of :func:`lightopt.design.search`, which says what is raised.
+    """
+    for matrix, posture in zip(matrices, postures, strict=True):
+        if not len(matrix.areas):
+            sight = f"all that the camera sees, it sees at more than {GRAZING_DEG:g}° to the normal"
+            raise InputError(
+                f"posture {posture}: {sight if matrix.grazing_mm2 else 'the camera sees no patch'}, so that no "
+                "position of the lights is better than another; check the part's placement and the posture"
+            )
+    answers: list[ObjectiveResult] = []
+    for objective in objectives:
+        found = _search(matrices, postures, candidates, objective, thresholds, rows, limit, run)
+        chosen = [matrix.combination(found.best.candidates) for matrix in matrices]
+        answer = _answer(objective, found, chosen, matrices, objectives, thresholds)
+        if answer.scores[objective.name] != found.best.score:
+            raise LightoptError(
+                f"internal error: objective {objective.name} scores the best set {found.best.score:,} in the search "
+                f"and {answer.scores[objective.name]:,} by its definition; please report it with the rig and the part"
+            )
+        answers.append(answer)
+    first = answers[0]
+    best, areas = first.found.best, [matrix.areas for matrix in matrices]
+    return SetResult(
+        postures=tuple(postures),
+        patches=sum(map(len, areas)),
+        area=sum(int(area_units(own).sum()) for own in areas),
+        grazing_area=round(sum(matrix.grazing_mm2 for matrix in matrices) / AREA_UNIT_MM2),
+        grain=sum(grain_of(own) * float(own.sum()) for own in areas) / sum(float(own.sum()) for own in areas),
+        answers=tuple(answers),
+        levels=tuple(np.concatenate(matrix.combination(best.candidates).levels) for matrix in matrices),
+        curves=()
+        if first.nothing is not None
+        else score_curves(
+            candidates,
+            best,
+            lambda combination: _score(
+                [matrix.combination(combination) for matrix in matrices], first.objective, thresholds
+            ),
+        ),
+    )
+
+
+def candidates_of_others(
+    source: PostureMatrices, rig: RigConfig, free: Candidates, objectives: int, run: RunContext
+) -> Candidates | None:
+    """Candidates of the other objectives where the first one's positions were chosen before; None for none."""
+    places = source.options.places
+    if places is None or objectives == 1 or not any(map(can_move, rig.lights)):
+        return None
+    among = all(place in some for place, some in zip(places, free.angles, strict=True))
+    if among and source.fits_memory(free):
+        return free
+    why = "they are too many for memory" if among else "the chosen ones are not among them"
+    run.warn(
+        f"the other objectives are scored where the lights were chosen to stand, their own best positions are not "
+        f"searched: {why}"
+    )
+    return None
+
+
+def search_other_objectives(
+    source: PostureMatrices,
+    candidates: Candidates,
+    results: tuple[SetResult, ...],
+    objectives: tuple[Objective, ...],
+    thresholds: LevelThresholds,
+    run: RunContext,
+) -> tuple[SetResult, ...]:
+    """The results with the best positions of the other objectives added to those of the first.
+
+    results: Of the first objective, with one position of each light, which was chosen before.
+    candidates: All positions.
+    """
+    options = source.options
+    assert options.places is not None
+    at = tuple(some.index(place) for some, place in zip(candidates.angles, options.places, strict=True))
+    completed: list[SetResult] = []
+    for result in results:
+        levels = [source.levels(posture, candidates) for posture in result.postures]
+        answers: list[ObjectiveResult] = []
+        for objective in objectives:
+            if objective is objectives[0]:
+                chosen = result.answers[0].found
+                found = replace(chosen, ranking=(replace(chosen.best, candidates=at),))
+            else:
+                found = _search(
+                    levels,
+                    result.postures,
+                    candidates,
+                    objective,
+                    thresholds,
+                    options.rows,
+                    options.limit,
+                    run,
+                )
+            panels = candidates.panels_at(found.best.candidates)
+            matrices = [source.at_positions(posture, panels) for posture in result.postures]
+            answers.append(_answer(objective, found, matrices, levels, objectives, thresholds))
+        completed.append(replace(result, answers=tuple(answers)))
+        _warn_of_limit(answers[1:], result.postures, run)
+    return tuple(completed)
+
+
+def _search(
+    matrices: Sequence[LuminanceMatrix],
+    postures: Sequence[Posture],
+    candidates: Candidates,
+    objective: Objective,
+    thresholds: LevelThresholds,
+    rows: int,
+    limit: int,
+    run: RunContext,
+) -> SearchResult:
+    return search(
+        matrices,
+        objective,
+        thresholds,
+        space=candidates.space,
+        keep=rows,
+        limit=limit,
+        threads=run.threads,
+        progress=run.stage(f"{objective.name}, {', '.join(map(str, postures))}"),
+    )
+
+
+def _answer(
+    objective: Objective,
+    found: SearchResult,
+    chosen: Sequence[LuminanceMatrix],
+    matrices: Sequence[LuminanceMatrix],
+    objectives: Sequence[Objective],
+    thresholds: LevelThresholds,
+) -> ObjectiveResult:
+    # `chosen` have the best combination only, `matrices` all candidates; one of each per posture
+    return ObjectiveResult(
+        objective=objective,
+        found=found,
+        scores={other.name: _score(chosen, other, thresholds) for other in objectives},
+        details=objective.details(chosen, [objective.weights(matrix.areas) for matrix in chosen]),
+        nothing=_reason_for_zero(matrices, thresholds, found) if found.best.score == 0 else None,
+    )
+
+
+def _warn_of_limit(answers: Sequence[ObjectiveResult], postures: Sequence[Posture], run: RunContext) -> None:
+    run.warn(*(cut_off(one, postures) for one in answers if not one.found.complete and one.nothing is None))
+
+
+def _score(matrices: Sequence[LuminanceMatrix], objective: Objective, thresholds: LevelThresholds) -> int:
+    # of matrices with one candidate of each light
+    total = 0
+    for matrix in matrices:
+        weights = objective.weights(matrix.areas)
+        # scores are sums over patches: pieces of them bound the memory
+        for start, end in blocks(len(weights), PIECE_PATCHES):
+            total += objective.score(matrix.patches(start, end), weights[start:end], thresholds)
+    return total
+
+
+def _reason_for_zero(
+    matrices: Sequence[LuminanceMatrix], thresholds: LevelThresholds, found: SearchResult
+) -> str:
+    layers = [layer for matrix in matrices for layer in matrix.levels]
+    count = sum(layer.size for layer in layers)
+    dark = sum(int(np.count_nonzero(layer < thresholds.shade)) for layer in layers)
+    bright = sum(int(np.count_nonzero(layer >= thresholds.saturation)) for layer in layers)
+    which = (
+        "every combination scores 0"
+        if found.bound == 0
+        else f"all {found.scored:,} combinations that were scored score 0, with {found.left:,} left"
+    )
+    return (
+        f"{which}: of the levels of the inspectable patches {100.0 * dark / count:.3g} % are shaded "
+        f"(below {thresholds.shade}) and {100.0 * bright / count:.3g} % saturated (from {thresholds.saturation} on); "
+        "change the lights' gain, the thresholds or the lights' ranges"
+    )
