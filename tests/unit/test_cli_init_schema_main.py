@@ -8,7 +8,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+import typer
 
 from lightopt import __version__
 
@@ -183,3 +185,63 @@ def test_progress_is_for_terminals_only(tmp_path, shared_bench):
     command = [sys.executable, "-m", "lightopt", *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, check=False)
     assert (done.returncode, done.stderr) == (0, b"")
+
+
+def test_defaults_in_the_help_are_those_of_the_library():
+    from lightopt.cli._main import app
+    from lightopt.design import OptimizeOptions, PlanOptions, Tolerances
+    from lightopt.estimate.reflectance import FitOptions, PaperOptions
+    from lightopt.inspection import InspectOptions
+    from lightopt.rendering import RenderOptions
+
+    commands = typer.main.get_command(app).commands
+    shown = {
+        (name, parameter.name): parameter.show_default
+        if isinstance(parameter.show_default, str)
+        else parameter.default
+        for name, command in commands.items()
+        if not hasattr(command, "commands")
+        for parameter in command.params
+    }
+    optimize, plan, inspect, fit, paper = (
+        OptimizeOptions(),
+        PlanOptions(),
+        InspectOptions(),
+        FitOptions(),
+        PaperOptions(),
+    )
+    expected = {
+        ("render", "patches"): RenderOptions().patch_budget,
+        ("render", "supersample"): RenderOptions().supersample,
+        ("optimize", "patches"): optimize.patch_budget,
+        ("optimize", "step"): optimize.step_deg,
+        ("optimize", "max_combinations"): optimize.limit,
+        ("optimize", "min_images"): optimize.seen_in,
+        ("optimize", "threshold"): optimize.contrast,
+        ("optimize", "ranking_rows"): optimize.rows,
+        ("optimize", "posture_step"): plan.posture_step_deg,
+        ("optimize", "allow_outside"): plan.allow_outside_px,
+        ("optimize", "exposure_gain"): plan.exposure_gain,
+        ("optimize", "tolerance_target"): Tolerances(light_deg=1.0).target,
+        ("inspect", "detector"): inspect.detector,
+        ("inspect", "fusion"): inspect.fusion,
+        ("inspect", "false_alarms"): inspect.false_alarms,
+        ("inspect", "min_images"): inspect.seen_by,
+        ("inspect", "register"): inspect.shift,
+        ("fit-diffuse", "pixels"): fit.pixels,
+        ("fit-diffuse", "register"): fit.shift,
+        ("fit-diffuse", "lambda_d"): paper.lambda_d,
+        ("fit-diffuse", "start_rd"): paper.R_d_start,
+        ("fit-diffuse", "highlight_margin"): round(np.degrees(paper.away), 9),
+        ("fit-specular", "validate"): fit.validate,
+        ("fit-specular", "lambda_s1"): paper.lambda_s1,
+        ("fit-specular", "lambda_s2"): paper.lambda_s2,
+        ("fit-specular", "start_rs"): paper.R_s_start,
+        ("fit-specular", "start_sigma"): paper.sigma_start,
+        ("fit-specular", "sigma_step"): paper.sigma_step,
+    }  # fmt: skip
+    for key, value in expected.items():
+        same = shown[key] == value or (
+            isinstance(shown[key], str) and shown[key] == f"{value}".removesuffix(".0")
+        )
+        assert same, f"{key}: the help has {shown[key]}, the library {value}"
