@@ -13,7 +13,7 @@ from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.errors import InputError, counted
 from lightopt.geometry._mesh_formats import RawMesh, check_budget, read_glb, read_obj, read_ply, read_stl
 from lightopt.geometry._normals import carried_normals, smooth_normals
-from lightopt.geometry._step import StepLimits, read_step
+from lightopt.geometry._step import read_step
 from lightopt.geometry._topology import merge_rows
 from lightopt.geometry._triangle_mesh import TriangleMesh
 from lightopt.geometry._winding import repair_winding
@@ -57,8 +57,6 @@ def load_mesh(
     chord_tolerance_mm: float = 0.01,
     angular_tolerance: float = 0.1,
     max_triangles: int = 20_000_000,
-    step_timeout_s: float = 300.0,
-    step_memory_gb: float = 4.0,
 ) -> LoadedMesh:
     """Mesh of a part from an STL, PLY, OBJ, GLB or STEP file, repaired and with normals.
 
@@ -78,7 +76,6 @@ def load_mesh(
     chord_tolerance_mm: STEP: largest distance between triangles and the surface [mm]
     angular_tolerance: STEP: largest bend between neighbouring tangents along an edge [rad]
     max_triangles: More are refused, before loading where the header gives their number
-    step_timeout_s, step_memory_gb: STEP: time [s] and memory [10⁹ bytes] the tessellation may take
     Raises InputError: The file is missing, of an unknown format, empty, cut off or damaged; it needs a unit; it has no
         triangles, coordinates that are not finite, or indices out of range; or a limit was reached
     """
@@ -93,8 +90,14 @@ def load_mesh(
         raise InputError(f"{path}: {suffix[1:].upper()} files carry no unit of length; give it (mm, inch, …)")
     data = _read(path, max_triangles)
     if suffix in (".step", ".stp"):
-        limits = StepLimits(chord_tolerance_mm, angular_tolerance, step_timeout_s, step_memory_gb)
-        raw = read_step(path, data, unit_mm=unit_mm, limits=limits, max_triangles=max_triangles)
+        raw = read_step(
+            path,
+            data,
+            unit_mm=unit_mm,
+            chord_tolerance_mm=chord_tolerance_mm,
+            angular_tolerance=angular_tolerance,
+            max_triangles=max_triangles,
+        )
         unit_mm = 1.0
     else:
         raw = _READERS[suffix](str(path), data, max_triangles)

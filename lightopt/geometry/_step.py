@@ -7,7 +7,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,30 +27,29 @@ _MM_PER_GLB_UNIT = 1000.0
 _COARSE_LINEAR, _COARSE_ANGULAR = 0.2, 0.5
 
 
-@dataclass(frozen=True)
-class StepLimits:
-    """How finely a STEP file is tessellated, and what that may cost.
+TIMEOUT_S = 300.0
+"""Time for both passes together [s]."""
 
-    chord_tolerance_mm: Largest distance between triangle and surface [mm]
-    angular_tolerance: Largest angle between neighbouring tangents along an edge [rad]
-    timeout_s: Time for both passes together [s]
-    memory_gb: Address space of the worker [10⁹ bytes]; not limited on Windows
-    """
-
-    chord_tolerance_mm: float
-    angular_tolerance: float
-    timeout_s: float
-    memory_gb: float
+MEMORY_GB = 4.0
+"""Address space of the worker [10⁹ bytes]; not limited on Windows."""
 
 
 def read_step(
-    path: Path, data: bytes, *, unit_mm: float | None, limits: StepLimits, max_triangles: int
+    path: Path,
+    data: bytes,
+    *,
+    unit_mm: float | None,
+    chord_tolerance_mm: float,
+    angular_tolerance: float,
+    max_triangles: int,
 ) -> RawMesh:
     """Triangles of a STEP file [mm], Z up, all solids of an assembly in place.
 
     The file declares its unit; a unit that the caller gives has to be the same. A first, coarse tessellation
     learns the size, so that a unit mistake ends in a message and not in hours of tessellating.
 
+    chord_tolerance_mm: Largest distance between triangle and surface [mm]
+    angular_tolerance: Largest angle between neighbouring tangents along an edge [rad]
     Raises InputError: The file is cut off or not STEP, its unit is another one, the part is over 1 m or under 0.1 mm, a
         limit was reached, or there are more than `max_triangles`
     """
@@ -67,11 +65,10 @@ def read_step(
         )
     if unit_mm is not None:
         _check_unit(name, data, unit_mm)
-    deadline = time.monotonic() + limits.timeout_s
-    coarse, _ = _tessellate(path, (_COARSE_LINEAR, _COARSE_ANGULAR, True), limits, deadline)
+    deadline = time.monotonic() + TIMEOUT_S
+    coarse, _ = _tessellate(path, _COARSE_LINEAR, _COARSE_ANGULAR, deadline, relative=True)
     _check_size(name, parse_glb(name, coarse), declared_unit_mm(data))
-    tolerances = (limits.chord_tolerance_mm, limits.angular_tolerance, False)
-    fine, output = _tessellate(path, tolerances, limits, deadline)
+    fine, output = _tessellate(path, chord_tolerance_mm, angular_tolerance, deadline, relative=False)
     check_budget(name, glb_triangle_count(name, split_glb(name, fine)[0]), max_triangles)
     parts = parse_glb(name, fine)
     starts = np.cumsum([0] + [len(part["vertices"]) for part in parts])
@@ -129,14 +126,11 @@ def _check_size(name: str, parts: list[dict[str, NDArray[Any]]], declared: float
 
 
 def _tessellate(
-    path: Path, tolerances: tuple[float, float, bool], limits: StepLimits, deadline: float
+    path: Path, linear: float, angular: float, deadline: float, *, relative: bool
 ) -> tuple[bytes, str]:
     """GLB written by the worker process, and what the CAD kernel complained about."""
-    linear, angular, relative = tolerances
     what = f"{'coarse' if relative else 'fine'} tessellation (" + (
-        "to learn the size)"
-        if relative
-        else f"chord tolerance {limits.chord_tolerance_mm:g} mm, {angular:g} rad)"
+        "to learn the size)" if relative else f"chord tolerance {linear:g} mm, {angular:g} rad)"
     )
     with tempfile.TemporaryDirectory(prefix="lightopt-step-") as folder:
         glb = Path(folder) / "part.glb"
@@ -148,7 +142,7 @@ def _tessellate(
             repr(linear),
             repr(angular),
             "1" if relative else "0",
-            str(int(limits.memory_gb * 1e9)),
+            str(int(MEMORY_GB * 1e9)),
         ]
         try:
             done = subprocess.run(  # noqa: S603  our own worker, no shell
@@ -161,7 +155,7 @@ def _tessellate(
             )
         except subprocess.TimeoutExpired as error:
             raise InputError(
-                f"{path}: {what} was stopped after {limits.timeout_s:g} s in all. Use a coarser "
+                f"{path}: {what} was stopped after {TIMEOUT_S:g} s in all. Use a coarser "
                 "mesh.chord_tolerance_mm, simplify the part, or export it as STL"
             ) from error
         if done.returncode == 0 and glb.is_file():
@@ -173,12 +167,12 @@ def _tessellate(
         )
     if done.returncode == _step_worker.EXIT_MEMORY:
         raise InputError(
-            f"{path}: {what} needs more than {limits.memory_gb:g} GB of memory. Use a coarser "
+            f"{path}: {what} needs more than {MEMORY_GB:g} GB of memory. Use a coarser "
             "mesh.chord_tolerance_mm, or simplify the part"
         )
     raise InputError(
         f"{path}: {what} ended with status {done.returncode}{output}: the CAD kernel crashed on this file or "
-        f"reached the memory limit of {limits.memory_gb:g} GB. Use a coarser mesh.chord_tolerance_mm, or export the "
+        f"reached the memory limit of {MEMORY_GB:g} GB. Use a coarser mesh.chord_tolerance_mm, or export the "
         "part as STL"
     )
 

@@ -9,7 +9,7 @@ import pytest
 from mesh_surface import surface_of
 
 from lightopt.core.errors import InputError
-from lightopt.geometry import _step_worker, load_mesh
+from lightopt.geometry import _step, _step_worker, load_mesh
 from lightopt.geometry._load_mesh import LoadedMesh
 from lightopt.geometry._step import declared_unit_mm
 
@@ -217,20 +217,21 @@ def test_complaints_of_the_kernel_are_passed_on(tmp_path):
     assert "the CAD kernel reported while reading the STEP file: ERR StepFile" in loaded.warnings[0]
 
 
-def test_timeout_says_what_was_tried_and_what_to_do(tmp_path):
+def test_timeout_says_what_was_tried_and_what_to_do(tmp_path, monkeypatch):
+    monkeypatch.setattr(_step, "TIMEOUT_S", 1.5)
     refused(
         tmp_path,
         ball(),
         r"(fine tessellation \(chord tolerance 1e-06 mm|coarse).* stopped after 1.5 s in all. Use a coarser",
-        step_timeout_s=1.5,
         chord_tolerance_mm=1e-6,
         angular_tolerance=1e-3,
     )
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limit that a process can set for itself")
-def test_memory_limit(tmp_path):
-    refused(tmp_path, ball(), "memory", step_memory_gb=0.05)
+def test_memory_limit(tmp_path, monkeypatch):
+    monkeypatch.setattr(_step, "MEMORY_GB", 0.05)
+    refused(tmp_path, ball(), "memory")
 
 
 def test_too_many_triangles(tmp_path):
