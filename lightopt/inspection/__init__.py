@@ -42,7 +42,7 @@ from lightopt.inspection.detection._detectors import DETECTORS
 from lightopt.inspection.detection._deviation import Deviations, deviations
 from lightopt.inspection.detection._matched_filter import TEMPLATES, score_templates
 from lightopt.inspection.detection._regions import find_regions, split_regions
-from lightopt.inspection.detection._score import SCALES_PX, score_deviations, threshold
+from lightopt.inspection.detection._residual_score import SCALES_PX, score_deviations, threshold
 from lightopt.inspection.evaluation._evaluation import (
     SetEvaluation,
     area_under_roc,

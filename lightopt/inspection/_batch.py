@@ -87,7 +87,6 @@ def inspect_batch(
     truth: From :func:`truth_sources`: the results are evaluated against it.
     folders: That the results will be written to: each is made before its set is inspected, and removed where the set is
         refused and the folder is new.
-
     Raises InputError: wrong options, or a calibration of another rig, part or way to inspect; before the first set.
     """
     options, run = options or InspectOptions(), run or RunContext()

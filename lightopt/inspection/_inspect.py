@@ -21,7 +21,7 @@ from lightopt.inspection.detection._detectors import DETECTORS, RESIDUAL
 from lightopt.inspection.detection._deviation import deviations
 from lightopt.inspection.detection._measurement import measure_regions
 from lightopt.inspection.detection._regions import find_regions, split_regions
-from lightopt.inspection.detection._score import threshold
+from lightopt.inspection.detection._residual_score import threshold
 from lightopt.inspection.fusion._synthetic_image import synthetic_image
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
@@ -50,7 +50,6 @@ def inspect_set(
     image_set: Rendered or captured.
     cache: Of predictions, for the sets of a batch.
     calibration: Learned from good parts: thresholds are theirs, and what they have in common is no defect.
-
     Raises InputError: images that are not the rig's or not the part's, or not as those of the calibration.
     """
     options, run = options or InspectOptions(), run or RunContext()

@@ -24,7 +24,7 @@ from lightopt.inspection.calibration._calibration import (
 from lightopt.inspection.calibration._systematic import PackedDeviations, SystematicSums, subtract_systematic
 from lightopt.inspection.detection._detectors import DETECTORS
 from lightopt.inspection.detection._deviation import deviations
-from lightopt.inspection.detection._score import score_deviations
+from lightopt.inspection.detection._residual_score import score_deviations
 from lightopt.inspection.fusion._synthetic_image import synthetic_image
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
 from lightopt.inspection.prediction._registered_set import (
@@ -61,7 +61,6 @@ def calibrate(
 
     sets: Of good parts, all of the same postures and lights.
     options: How later sets will be inspected; `false_alarms` is the rate that is to be held.
-
     Raises InputError: too few sets for the rate, sets that differ in their postures or images, or images that are not
         the part's.
     """
