@@ -161,25 +161,24 @@ def inspection_warnings(
     calibrated: bool = False,
 ) -> tuple[str, ...]:
     """Warnings of an inspection; `expected` are the postures that there should be images of."""
-    there = {p.view.posture for p in postures}
-    return (
-        *_of_options(rig, options, calibrated=calibrated),
-        *registration,
-        *(warning for p in postures for warning in _of_posture(rig, p, options)),
-        *(
-            f"posture {posture}: no images; what only it shows was not inspected"
-            for posture in expected
-            if posture not in there
-        ),
-    )
+    warnings = [*([] if calibrated else _uncalibrated_warnings(rig, options)), *registration]
+    for one in postures:
+        warnings += [f"posture {one.view.posture}: {text}" for text in _posture_warnings(rig, one, options)]
+    there = {one.view.posture for one in postures}
+    warnings += [
+        f"posture {posture}: no images; what only it shows was not inspected"
+        for posture in expected
+        if posture not in there
+    ]
+    return tuple(warnings)
 
 
-def _of_options(rig: RigConfig, options: InspectOptions, *, calibrated: bool) -> list[str]:
+def _uncalibrated_warnings(rig: RigConfig, options: InspectOptions) -> list[str]:
     warnings: list[str] = []
     sensor = rig.camera.sensor
-    if not calibrated and (caveat := DETECTORS[options.detector].caveat):
+    if caveat := DETECTORS[options.detector].caveat:
         warnings.append(f"detector {options.detector}: {caveat}")
-    if not calibrated and sensor.read_noise_levels == 0.0 and not sensor.electrons_per_level:
+    if sensor.read_noise_levels == 0.0 and not sensor.electrons_per_level:
         warnings.append(
             f"{rig.source.at('camera', 'sensor')}: no read_noise_levels and no electrons_per_level, so that rounding "
             "is all the noise there is; good parts may show regions; give what the sensor has"
@@ -187,31 +186,23 @@ def _of_options(rig: RigConfig, options: InspectOptions, *, calibrated: bool) ->
     return warnings
 
 
-def _of_posture(rig: RigConfig, inspected: InspectedPosture, options: InspectOptions) -> list[str]:
+def _posture_warnings(rig: RigConfig, inspected: InspectedPosture, options: InspectOptions) -> list[str]:
     view, warnings = inspected.view, list[str]()
     sensor, dark = rig.camera.sensor, view.photometry.dark
     if abs(dark) > max(DARK_SPREAD, MOST_DARK_SHARE * 2**sensor.bit_depth):
         side = "above" if dark > 0.0 else "below"
         warnings.append(
-            f"posture {view.posture}: black is {abs(dark):.3g} sensor levels {side} the rig's black_level of "
-            f"{sensor.black_level:g}; judged with that taken out; correct the rig file, or keep other light off "
-            "the part"
+            f"black is {abs(dark):.3g} sensor levels {side} the rig's black_level of {sensor.black_level:g}; judged "
+            "with that taken out; correct the rig file, or keep other light off the part"
         )
-    missing = [light.name for light in rig.lights if light.name not in view.lights]
-    if missing:
-        warnings.append(f"posture {view.posture}: no image under {', '.join(missing)}; judged without")
+    if missing := [light.name for light in rig.lights if light.name not in view.lights]:
+        warnings.append(f"no image under {', '.join(missing)}; judged without")
     if len(view.lights) < options.seen_by:
         warnings.append(
-            f"posture {view.posture}: fewer images than the {options.seen_by} that a defect must show in; what "
-            "shows in all there are counts"
+            f"fewer images than the {options.seen_by} that a defect must show in; what shows in all there are counts"
         )
     if not view.clean.any():
-        warnings.append(
-            f"posture {view.posture}: no pixel shows the part off its edges; nothing was inspected"
-        )
+        warnings.append("no pixel shows the part off its edges; nothing was inspected")
     elif inspected.coverage.inspected == 0.0:
-        warnings.append(
-            f"posture {view.posture}: no pixel is reached by light and unsaturated in any image; nothing "
-            "was inspected"
-        )
+        warnings.append("no pixel is reached by light and unsaturated in any image; nothing was inspected")
     return warnings

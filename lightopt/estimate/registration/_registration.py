@@ -214,10 +214,9 @@ def _convergence_warnings(
 ) -> tuple[str, ...]:
     # at most one
     if solution.at_limit[POSE].any():
-        return (
-            f"the part was searched for up to {frame.reach[0]:g} mm and {math.degrees(frame.reach[2]):g}° from where its "
-            "file has it, and seems to lie further off; correct its placement in the part file",
-        )
+        reach = f"{frame.reach[0]:g} mm and {math.degrees(frame.reach[2]):g}°"
+        text = f"the part was searched for up to {reach} from where its file has it, and seems to lie further off; "
+        return (text + "correct its placement in the part file",)
     if not solution.converged:
         why = f"; the place is the best of {iterations} steps"
     elif moved >= SETTLED_PX:
