@@ -1,9 +1,11 @@
-"""Inspect the images of a part: from rig, part and image set to defects, inspected surface and warnings."""
+"""Inspect image sets of parts: from rig, part and images to defects, inspected surface, verdict and warnings."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import cache, partial
+import functools
+from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, counted
@@ -11,8 +13,9 @@ from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import DARK_SPREAD
 from lightopt.images import ImageSet
+from lightopt.inspection._files import InspectionFolder
 from lightopt.inspection._options import InspectOptions
-from lightopt.inspection._results import InspectedPosture, InspectionResult
+from lightopt.inspection._results import InspectedPosture, InspectionResult, Verdict, judge
 from lightopt.inspection.calibration._calibration import CalibratedPosture, Calibration
 from lightopt.inspection.calibration._systematic import subtract_systematic
 from lightopt.inspection.detection._coverage import measure_coverage, surface_coverage
@@ -22,11 +25,13 @@ from lightopt.inspection.detection._deviation import deviations
 from lightopt.inspection.detection._measurement import measure_regions
 from lightopt.inspection.detection._regions import find_regions, split_regions
 from lightopt.inspection.detection._residual_score import threshold
+from lightopt.inspection.evaluation._evaluation import SetEvaluation, evaluate_set
+from lightopt.inspection.evaluation._ground_truth import TruthSource
 from lightopt.inspection.fusion._synthetic_image import synthetic_image
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
 from lightopt.inspection.prediction._registered_set import RegisteredSet, nominal_pixels, register_set
-from lightopt.scene import part_postures
+from lightopt.scene import part_postures, place_defects
 
 MOST_REGIONS = 1000
 """A posture with more regions than this is not a part with so many defects: its model does not describe it."""
@@ -53,13 +58,85 @@ def inspect_set(
     Raises InputError: images that are not the rig's or not the part's, or not as those of the calibration.
     """
     options, run = options or InspectOptions(), run or RunContext()
+    _require_valid(rig, part, options, calibration)
+    result = find_defects(rig, part, image_set, options, cache or PredictionCache(), calibration, run)
+    run.warn(*result.warnings)
+    return result
+
+
+@dataclass(frozen=True, kw_only=True)
+class InspectedSet:
+    """What the inspection of one image set of a batch gave.
+
+    result, verdict: None where the set was refused.
+    evaluation: against ground truth, where that was given.
+    """
+
+    name: str
+    result: InspectionResult | None = None
+    verdict: Verdict | None = None
+    evaluation: SetEvaluation | None = None
+    warnings: tuple[str, ...] = ()
+    error: InputError | None = None
+
+
+def inspect_batch(
+    rig: RigConfig,
+    part: PartConfig,
+    sets: Sequence[ImageSet],
+    *,
+    options: InspectOptions | None = None,
+    calibration: Calibration | None = None,
+    truth: Sequence[TruthSource] | None = None,
+    folders: Sequence[InspectionFolder] | None = None,
+    run: RunContext | None = None,
+) -> Iterator[InspectedSet]:
+    """Inspect image sets one after the other; each is inspected when its result is requested.
+
+    Predictions are reused from set to set. A set of unusable images is refused, and the others are inspected.
+
+    sets: Rendered or captured.
+    calibration: Learned from good parts.
+    truth: From :func:`truth_sources`: the results are evaluated against it.
+    folders: That the results will be written to: each is made before its set is inspected, and removed where the set is
+        refused and the folder is new.
+    Raises InputError: wrong options, or a calibration of another rig, part or way to inspect; before the first set.
+    """
+    options, run = options or InspectOptions(), run or RunContext()
+    _require_valid(rig, part, options, calibration)
+    cache = PredictionCache()
+    for number, image_set in enumerate(sets):
+        source = None if truth is None else truth[number]
+        folder = nullcontext() if folders is None else folders[number].made()
+        name = image_set.folder.resolve().name
+        try:
+            with folder:
+                result = find_defects(rig, part, image_set, options, cache, calibration, run)
+                evaluation = None
+                if source is not None:
+                    known = () if source.part is None else place_defects(result.nominal, rig, source.part)
+                    evaluation = evaluate_set(image_set, result, known=known)
+        except InputError as error:
+            yield InspectedSet(name=name, error=error)
+            continue
+        warnings = (*(() if source is None else source.warnings), *result.warnings)
+        run.warn(*(f"{name}: {text}" if len(sets) > 1 else text for text in warnings))
+        yield InspectedSet(
+            name=name,
+            result=result,
+            verdict=judge(result, part.inspection),
+            evaluation=evaluation,
+            warnings=warnings,
+        )
+
+
+def _require_valid(
+    rig: RigConfig, part: PartConfig, options: InspectOptions, calibration: Calibration | None
+) -> None:
     if problems := options.problems():
         raise InputError(*problems)
     if calibration is not None:
         calibration.require_match(rig, part, options)
-    result = find_defects(rig, part, image_set, options, cache or PredictionCache(), calibration, run)
-    run.warn(*result.warnings)
-    return result
 
 
 def find_defects(
@@ -115,7 +192,8 @@ def _inspect_posture(
         found = subtract_systematic(found, calibrated.systematic, nominal)
     make_synthetic = None
     if options.fusion is not None:
-        make_synthetic = cache(partial(synthetic_image, view, options.fusion, threads=threads))
+        make = functools.partial(synthetic_image, view, options.fusion, threads=threads)
+        make_synthetic = functools.cache(make)
     detector = DETECTORS[options.detector]
     score = detector.score(found, options.seen_by, make_synthetic, threads)
     pixels = int(view.clean.sum())

@@ -135,6 +135,35 @@ class Verdict:
         }
 
 
+@dataclass(frozen=True, kw_only=True)
+class BatchRow:
+    """One part of a batch, in the batch's table.
+
+    name: of its folder.
+    report: its own report, relative to the batch's; empty where it has none.
+    defects: number of those found, whether they count or not.
+    verdict: None where the part was refused.
+    refused: why it was not inspected.
+    """
+
+    name: str
+    report: str = ""
+    defects: int = 0
+    verdict: Verdict | None = None
+    refused: tuple[str, ...] = ()
+
+    @property
+    def word(self) -> str:
+        """``OK``, ``NG`` or ``not inspected``."""
+        return "not inspected" if self.verdict is None else self.verdict.word
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        if self.verdict is None:
+            return {"folder": self.name, "verdict": self.word, "reasons": list(self.refused)}
+        return {"folder": self.name, "defects": self.defects, **self.verdict.as_dict()}
+
+
 def judge(result: InspectionResult, limits: InspectionConfig) -> Verdict:
     """Hold an inspection against the part's limits.
 
