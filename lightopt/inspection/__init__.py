@@ -1,6 +1,5 @@
 """Inspecting a part: its images fused into one without highlights, its defects found, measured and judged."""
 
-from lightopt.inspection._batch import BatchRow, InspectedSet, inspect_batch
 from lightopt.inspection._files import (
     REPORT_NAME,
     TRUTH_NAME,
@@ -12,7 +11,7 @@ from lightopt.inspection._files import (
     set_names,
     truth_text,
 )
-from lightopt.inspection._inspect import inspect_set
+from lightopt.inspection._inspect import InspectedSet, inspect_batch, inspect_set
 from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._random_defects import (
     place_random_defects,
@@ -20,7 +19,7 @@ from lightopt.inspection._random_defects import (
     random_defects_text,
     write_random_defects,
 )
-from lightopt.inspection._results import InspectedPosture, InspectionResult, Verdict, judge
+from lightopt.inspection._results import BatchRow, InspectedPosture, InspectionResult, Verdict, judge
 from lightopt.inspection.calibration._calibrate import calibrate, calibrate_registered, require_good_sets
 from lightopt.inspection.calibration._calibration import (
     CalibratedPosture,
@@ -42,7 +41,7 @@ from lightopt.inspection.detection._detectors import DETECTORS
 from lightopt.inspection.detection._deviation import Deviations, deviations
 from lightopt.inspection.detection._matched_filter import TEMPLATES, score_templates
 from lightopt.inspection.detection._regions import find_regions, split_regions
-from lightopt.inspection.detection._score import SCALES_PX, score_deviations, threshold
+from lightopt.inspection.detection._residual_score import SCALES_PX, score_deviations, threshold
 from lightopt.inspection.evaluation._evaluation import (
     SetEvaluation,
     area_under_roc,

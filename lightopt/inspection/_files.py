@@ -68,7 +68,6 @@ class InspectionFolder(ResultFolder):
     """A folder that an inspection is written to.
 
     force: whether files of an inspection of other inputs are replaced.
-
     Raises InputError: the folder holds an inspection of other inputs, and `force` is False.
     """
 

@@ -1,9 +1,11 @@
-"""Inspect the images of a part: from rig, part and image set to defects, inspected surface and warnings."""
+"""Inspect image sets of parts: from rig, part and images to defects, inspected surface, verdict and warnings."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import cache, partial
+import functools
+from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, counted
@@ -11,8 +13,9 @@ from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import DARK_SPREAD
 from lightopt.images import ImageSet
+from lightopt.inspection._files import InspectionFolder
 from lightopt.inspection._options import InspectOptions
-from lightopt.inspection._results import InspectedPosture, InspectionResult
+from lightopt.inspection._results import InspectedPosture, InspectionResult, Verdict, judge
 from lightopt.inspection.calibration._calibration import CalibratedPosture, Calibration
 from lightopt.inspection.calibration._systematic import subtract_systematic
 from lightopt.inspection.detection._coverage import measure_coverage, surface_coverage
@@ -21,12 +24,14 @@ from lightopt.inspection.detection._detectors import DETECTORS, RESIDUAL
 from lightopt.inspection.detection._deviation import deviations
 from lightopt.inspection.detection._measurement import measure_regions
 from lightopt.inspection.detection._regions import find_regions, split_regions
-from lightopt.inspection.detection._score import threshold
+from lightopt.inspection.detection._residual_score import threshold
+from lightopt.inspection.evaluation._evaluation import SetEvaluation, evaluate_set
+from lightopt.inspection.evaluation._ground_truth import TruthSource
 from lightopt.inspection.fusion._synthetic_image import synthetic_image
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
 from lightopt.inspection.prediction._registered_set import RegisteredSet, nominal_pixels, register_set
-from lightopt.scene import part_postures
+from lightopt.scene import part_postures, place_defects
 
 MOST_REGIONS = 1000
 """A posture with more regions than this is not a part with so many defects: its model does not describe it."""
@@ -50,17 +55,88 @@ def inspect_set(
     image_set: Rendered or captured.
     cache: Of predictions, for the sets of a batch.
     calibration: Learned from good parts: thresholds are theirs, and what they have in common is no defect.
-
     Raises InputError: images that are not the rig's or not the part's, or not as those of the calibration.
     """
     options, run = options or InspectOptions(), run or RunContext()
+    _require_valid(rig, part, options, calibration)
+    result = find_defects(rig, part, image_set, options, cache or PredictionCache(), calibration, run)
+    run.warn(*result.warnings)
+    return result
+
+
+@dataclass(frozen=True, kw_only=True)
+class InspectedSet:
+    """What the inspection of one image set of a batch gave.
+
+    result, verdict: None where the set was refused.
+    evaluation: against ground truth, where that was given.
+    """
+
+    name: str
+    result: InspectionResult | None = None
+    verdict: Verdict | None = None
+    evaluation: SetEvaluation | None = None
+    warnings: tuple[str, ...] = ()
+    error: InputError | None = None
+
+
+def inspect_batch(
+    rig: RigConfig,
+    part: PartConfig,
+    sets: Sequence[ImageSet],
+    *,
+    options: InspectOptions | None = None,
+    calibration: Calibration | None = None,
+    truth: Sequence[TruthSource] | None = None,
+    folders: Sequence[InspectionFolder] | None = None,
+    run: RunContext | None = None,
+) -> Iterator[InspectedSet]:
+    """Inspect image sets one after the other; each is inspected when its result is requested.
+
+    Predictions are reused from set to set. A set of unusable images is refused, and the others are inspected.
+
+    sets: Rendered or captured.
+    calibration: Learned from good parts.
+    truth: From :func:`truth_sources`: the results are evaluated against it.
+    folders: That the results will be written to: each is made before its set is inspected, and removed where the set is
+        refused and the folder is new.
+    Raises InputError: wrong options, or a calibration of another rig, part or way to inspect; before the first set.
+    """
+    options, run = options or InspectOptions(), run or RunContext()
+    _require_valid(rig, part, options, calibration)
+    cache = PredictionCache()
+    for number, image_set in enumerate(sets):
+        source = None if truth is None else truth[number]
+        folder = nullcontext() if folders is None else folders[number].made()
+        name = image_set.folder.resolve().name
+        try:
+            with folder:
+                result = find_defects(rig, part, image_set, options, cache, calibration, run)
+                evaluation = None
+                if source is not None:
+                    known = () if source.part is None else place_defects(result.nominal, rig, source.part)
+                    evaluation = evaluate_set(image_set, result, known=known)
+        except InputError as error:
+            yield InspectedSet(name=name, error=error)
+            continue
+        warnings = (*(() if source is None else source.warnings), *result.warnings)
+        run.warn(*(f"{name}: {text}" if len(sets) > 1 else text for text in warnings))
+        yield InspectedSet(
+            name=name,
+            result=result,
+            verdict=judge(result, part.inspection),
+            evaluation=evaluation,
+            warnings=warnings,
+        )
+
+
+def _require_valid(
+    rig: RigConfig, part: PartConfig, options: InspectOptions, calibration: Calibration | None
+) -> None:
     if problems := options.problems():
         raise InputError(*problems)
     if calibration is not None:
         calibration.require_match(rig, part, options)
-    result = find_defects(rig, part, image_set, options, cache or PredictionCache(), calibration, run)
-    run.warn(*result.warnings)
-    return result
 
 
 def find_defects(
@@ -116,7 +192,8 @@ def _inspect_posture(
         found = subtract_systematic(found, calibrated.systematic, nominal)
     make_synthetic = None
     if options.fusion is not None:
-        make_synthetic = cache(partial(synthetic_image, view, options.fusion, threads=threads))
+        make = functools.partial(synthetic_image, view, options.fusion, threads=threads)
+        make_synthetic = functools.cache(make)
     detector = DETECTORS[options.detector]
     score = detector.score(found, options.seen_by, make_synthetic, threads)
     pixels = int(view.clean.sum())
@@ -162,25 +239,24 @@ def inspection_warnings(
     calibrated: bool = False,
 ) -> tuple[str, ...]:
     """Warnings of an inspection; `expected` are the postures that there should be images of."""
-    there = {p.view.posture for p in postures}
-    return (
-        *_of_options(rig, options, calibrated=calibrated),
-        *registration,
-        *(warning for p in postures for warning in _of_posture(rig, p, options)),
-        *(
-            f"posture {posture}: no images; what only it shows was not inspected"
-            for posture in expected
-            if posture not in there
-        ),
-    )
+    warnings = [*([] if calibrated else _uncalibrated_warnings(rig, options)), *registration]
+    for one in postures:
+        warnings += [f"posture {one.view.posture}: {text}" for text in _posture_warnings(rig, one, options)]
+    there = {one.view.posture for one in postures}
+    warnings += [
+        f"posture {posture}: no images; what only it shows was not inspected"
+        for posture in expected
+        if posture not in there
+    ]
+    return tuple(warnings)
 
 
-def _of_options(rig: RigConfig, options: InspectOptions, *, calibrated: bool) -> list[str]:
+def _uncalibrated_warnings(rig: RigConfig, options: InspectOptions) -> list[str]:
     warnings: list[str] = []
     sensor = rig.camera.sensor
-    if not calibrated and (caveat := DETECTORS[options.detector].caveat):
+    if caveat := DETECTORS[options.detector].caveat:
         warnings.append(f"detector {options.detector}: {caveat}")
-    if not calibrated and sensor.read_noise_levels == 0.0 and not sensor.electrons_per_level:
+    if sensor.read_noise_levels == 0.0 and not sensor.electrons_per_level:
         warnings.append(
             f"{rig.source.at('camera', 'sensor')}: no read_noise_levels and no electrons_per_level, so that rounding "
             "is all the noise there is; good parts may show regions; give what the sensor has"
@@ -188,31 +264,23 @@ def _of_options(rig: RigConfig, options: InspectOptions, *, calibrated: bool) ->
     return warnings
 
 
-def _of_posture(rig: RigConfig, inspected: InspectedPosture, options: InspectOptions) -> list[str]:
+def _posture_warnings(rig: RigConfig, inspected: InspectedPosture, options: InspectOptions) -> list[str]:
     view, warnings = inspected.view, list[str]()
     sensor, dark = rig.camera.sensor, view.photometry.dark
     if abs(dark) > max(DARK_SPREAD, MOST_DARK_SHARE * 2**sensor.bit_depth):
         side = "above" if dark > 0.0 else "below"
         warnings.append(
-            f"posture {view.posture}: black is {abs(dark):.3g} sensor levels {side} the rig's black_level of "
-            f"{sensor.black_level:g}; judged with that taken out; correct the rig file, or keep other light off "
-            "the part"
+            f"black is {abs(dark):.3g} sensor levels {side} the rig's black_level of {sensor.black_level:g}; judged "
+            "with that taken out; correct the rig file, or keep other light off the part"
         )
-    missing = [light.name for light in rig.lights if light.name not in view.lights]
-    if missing:
-        warnings.append(f"posture {view.posture}: no image under {', '.join(missing)}; judged without")
+    if missing := [light.name for light in rig.lights if light.name not in view.lights]:
+        warnings.append(f"no image under {', '.join(missing)}; judged without")
     if len(view.lights) < options.seen_by:
         warnings.append(
-            f"posture {view.posture}: fewer images than the {options.seen_by} that a defect must show in; what "
-            "shows in all there are counts"
+            f"fewer images than the {options.seen_by} that a defect must show in; what shows in all there are counts"
         )
     if not view.clean.any():
-        warnings.append(
-            f"posture {view.posture}: no pixel shows the part off its edges; nothing was inspected"
-        )
+        warnings.append("no pixel shows the part off its edges; nothing was inspected")
     elif inspected.coverage.inspected == 0.0:
-        warnings.append(
-            f"posture {view.posture}: no pixel is reached by light and unsaturated in any image; nothing "
-            "was inspected"
-        )
+        warnings.append("no pixel is reached by light and unsaturated in any image; nothing was inspected")
     return warnings

@@ -90,14 +90,14 @@ def place_random_defects(
 ) -> tuple[RandomDefect, ...]:
     """Place random defects on the surface that the camera sees in at least one of the part's postures.
 
-    The entries of the part's catalogue, or of the built-in one, follow each other in order. Places are drawn evenly by area and
-    directions evenly all around; a place is taken where the defect is seen whole in one posture, off silhouettes,
-    creases and grazing views, and apart from those before it. The same files, count and seed give the same defects.
+    The entries of the part's catalogue, or of the built-in one, follow each other in order. Places are drawn evenly by
+    area and directions evenly all around; a place is used where the defect is seen whole in one posture, off
+    silhouettes, creases and grazing views, and apart from those before it. The same files, count and seed give the same
+    defects.
 
     rig, part: The part's own defects do not matter.
     count: Number of defects, 1 to 500.
     seed: Of the random numbers, 0 or more.
-
     Raises InputError: whatever is wrong with the files; a count or seed out of range; no room for so many defects.
     """
     problems: list[str] = []
@@ -248,7 +248,6 @@ def random_defects_text(
     folder: That the text will lie in: the mesh is named relative to it.
     comment: Of the list.
     made_from: From :func:`random_defect_provenance`: a second line of comment, as JSON.
-
     Raises InputError: the part names defects already, or its file is written so that nothing can be added to it.
     """
     if ("defects",) in part.source.lines:

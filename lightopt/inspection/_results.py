@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 from lightopt.config import InspectionConfig
@@ -22,7 +21,7 @@ from lightopt.scene import Scene
 class InspectedPosture:
     """One posture of an inspected part.
 
-    make_synthetic: makes the image without highlights; None where none is wanted.
+    make_synthetic: makes the image without highlights and keeps it; None where none is wanted.
     score: −log₁₀ of the probability that noise alone looks as much like a defect, shape (H, W).
     labels: number of the region that each pixel belongs to, 0 for none, shape (H, W).
     threshold: score from which a region counts.
@@ -36,12 +35,11 @@ class InspectedPosture:
     detections: tuple[Detection, ...]
     coverage: PostureCoverage
 
-    @cached_property
+    @property
     def synthetic(self) -> SyntheticImage | None:
-        """The image without highlights; None where none is wanted.
+        """The image without highlights, made on first use; None where none is wanted.
 
-        It is made on first use: it takes several times as long as the verdict, which the residual
-        detector reaches without it.
+        It takes several times as long as the verdict, which the residual detector reaches without it.
         """
         return None if self.make_synthetic is None else self.make_synthetic()
 
@@ -135,6 +133,35 @@ class Verdict:
             "reasons": list(self.reasons),
             "limits": self.limits.model_dump(),
         }
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchRow:
+    """One part of a batch, in the batch's table.
+
+    name: of its folder.
+    report: its own report, relative to the batch's; empty where it has none.
+    defects: number of those found, whether they count or not.
+    verdict: None where the part was refused.
+    refused: why it was not inspected.
+    """
+
+    name: str
+    report: str = ""
+    defects: int = 0
+    verdict: Verdict | None = None
+    refused: tuple[str, ...] = ()
+
+    @property
+    def word(self) -> str:
+        """``OK``, ``NG`` or ``not inspected``."""
+        return "not inspected" if self.verdict is None else self.verdict.word
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        if self.verdict is None:
+            return {"folder": self.name, "verdict": self.word, "reasons": list(self.refused)}
+        return {"folder": self.name, "defects": self.defects, **self.verdict.as_dict()}
 
 
 def judge(result: InspectionResult, limits: InspectionConfig) -> Verdict:

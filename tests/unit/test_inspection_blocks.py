@@ -65,26 +65,6 @@ def test_coverage_in_blocks_is_that_of_the_whole_image(shown, threads):
             assert mine == pytest.approx(theirs, rel=1e-12), field.name
 
 
-@pytest.mark.parametrize("asked_before", [False, True])
-def test_rows_of_a_view_are_those_of_the_whole_in_all_that_it_tells_of_pixels(shown, asked_before):
-    scene, images, prediction = shown
-    view, rows = posture_view(scene, images, prediction, where="test"), slice(40, 61)
-    if asked_before:
-        assert view.specular.max() > 100
-    cut = view.in_rows(rows)
-    for name in ("level", "predicted", "specular", "deviation", "rounding", "limit", "saturated"):
-        assert np.array_equal(getattr(cut, name), getattr(view, name)[:, rows]), name
-    for name in ("part", "clean"):
-        assert np.array_equal(getattr(cut, name), getattr(view, name)[rows]), name
-    assert np.array_equal(cut.prediction.area, prediction.area[rows])
-    mine, whole = cut.prediction.images, prediction.images
-    for one, other in ((mine.geometry, whole.geometry), *zip(mine.lights, whole.lights, strict=True)):
-        arrays = {f.name: v for f in fields(other) if isinstance(v := getattr(other, f.name), np.ndarray)}
-        assert len(arrays) >= 3
-        for name, array in arrays.items():
-            assert np.array_equal(getattr(one, name), array[rows]), name
-
-
 @pytest.mark.parametrize("kind", [np.float32, np.bool_])
 @pytest.mark.parametrize("box", [(0, 0, 64, 50), (10, 7, 5, 40), (50, 30, 14, 20)])
 def test_a_tile_is_that_part_of_the_filtered_image(kind, box):

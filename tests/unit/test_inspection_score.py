@@ -26,7 +26,7 @@ from lightopt.inspection import (
 from lightopt.inspection.detection._defects import Detection, merge_detections
 from lightopt.inspection.detection._matched_filter import templates
 from lightopt.inspection.detection._regions import box_sums, core_pixels
-from lightopt.inspection.detection._score import (
+from lightopt.inspection.detection._residual_score import (
     STRONGEST_Z,
     noise_gain,
     rank_probability,

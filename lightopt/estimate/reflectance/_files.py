@@ -32,7 +32,6 @@ class FitFolder(ResultFolder):
 
     folder: Made where it does not exist.
     made_from: From :func:`fit_provenance`.
-
     Raises InputError: the folder holds a fit of other inputs, and `force` is False.
     """
 

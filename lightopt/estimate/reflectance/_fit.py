@@ -78,7 +78,6 @@ def fit_diffuse(
     Where the highlights are is found by a fit of the whole model first.
 
     options: Of the numbers of points only the first is used.
-
     Raises InputError: images that are not the rig's or not the part's, or that do not determine R_d.
     """
     options, run = options or FitOptions(), run or RunContext()
@@ -142,7 +141,6 @@ def fit_specular(
 
     options: Each number of points is fitted, and the one under which the images are likeliest is kept.
     save_prediction: Called with each image that validation predicted without having seen it, and its prediction.
-
     Raises InputError: images that are not the rig's or not the part's, or that do not determine R_s and σ.
     """
     options, run = options or FitOptions(), run or RunContext()

@@ -40,7 +40,6 @@ def fit_reflectance(
     """Fit R_d, R_s and σ, and what else is freed, to samples.
 
     held: Values (R_d, R_s, σ) of those that are not freed; required for those.
-
     Raises InputError: every pixel is saturated or black.
     """
     run = run or RunContext()

@@ -111,15 +111,17 @@ def leave_groups_out(criterion: LeastSquares, x: Float64, free: Sequence[int]) -
     gains are free, blocks of the images are left out as well.
     """
     by_light, by_block = _by_light(criterion.samples), _by_block(criterion.samples)
-    label, of = next((one for one in (*by_light, by_block) if _count(one[0]) >= LEAST_GROUPS), by_block)
-    covariance, count, of, refits = _scatter(criterion, x, free, label, of)
-    if any(place >= FIRST_GAIN for place in free) and label is not by_block[0]:
-        blocks, _, of_blocks, more = _scatter(criterion, x, free, *by_block)
-        refits += more
-        of = f"{of} and {of_blocks}"
-        covariance = upper_covariance(covariance, blocks)
-    quantile = float(stdtrit(max(count - 1, 1), 0.975))
-    return Jackknife(covariance=covariance, of=of, quantile=quantile, refits=refits)
+    groups = next((one for one in (*by_light, by_block) if _count(one[0]) >= LEAST_GROUPS), by_block)
+    found = _scatter(criterion, x, free, *groups)
+    if groups is by_block or all(place < FIRST_GAIN for place in free):
+        return found
+    blocks = _scatter(criterion, x, free, *by_block)
+    return Jackknife(
+        covariance=upper_covariance(found.covariance, blocks.covariance),
+        of=f"{found.of} and {blocks.of}",
+        quantile=found.quantile,
+        refits=found.refits + blocks.refits,
+    )
 
 
 def upper_covariance(covariance: Float64, other: Float64) -> Float64:
@@ -143,10 +145,8 @@ def rescaled_covariance(covariance: Float64, errors: Float64) -> Float64:
     return correlation * np.outer(errors, errors)
 
 
-def _scatter(
-    criterion: LeastSquares, x: Float64, free: Sequence[int], label: Index, of: str
-) -> tuple[Float64, int, str, tuple[Maximum, ...]]:
-    # covariance, number of groups and what they are, and where the fits ended
+def _scatter(criterion: LeastSquares, x: Float64, free: Sequence[int], label: Index, of: str) -> Jackknife:
+    # without each group, as numbered by `label`
     count = _count(label)
     each = math.ceil(count / MOST_GROUPS)
     if each > 1:
@@ -154,12 +154,14 @@ def _scatter(
         label, of = label % math.ceil(count / each), f"groups of {of}"
         count = _count(label)
     index = list(free)
-    if count < 2:
-        return UNDETERMINED**2 * np.eye(len(index)), count, f"{count} {of}", ()
-    refits = tuple(maximise(criterion.without(label == k), x, free) for k in range(count))
-    found = np.array([refit.x[index] for refit in refits])
-    off = found - found.mean(axis=0)
-    return (count - 1.0) / count * off.T @ off, count, f"{count} {of}", refits
+    covariance, refits = UNDETERMINED**2 * np.eye(len(index)), tuple[Maximum, ...]()
+    if count >= 2:
+        refits = tuple(maximise(criterion.without(label == k), x, free) for k in range(count))
+        found = np.array([refit.x[index] for refit in refits])
+        off = found - found.mean(axis=0)
+        covariance = (count - 1.0) / count * off.T @ off
+    quantile = float(stdtrit(max(count - 1, 1), 0.975))
+    return Jackknife(covariance=covariance, of=f"{count} {of}", quantile=quantile, refits=refits)
 
 
 def _count(label: Index) -> int:

@@ -119,8 +119,8 @@ def _photon_transfer(signal: Float64, variance: Float64, error: Float64, sensor:
         return MeasuredNoise(
             hindrance=f"the images show less shot noise than the rig file's electrons_per_level makes{least}"
             if own > b
-            else "the noise changes with the level, but not surely enough to separate read noise from shot noise; images "
-            "of more levels would"
+            else "the noise changes with the level, but not surely enough to separate read noise from shot noise; "
+            "images of more levels would"
         )
     weight = 1.0 / error**2
     a = float(np.sum(weight * (variance - own * signal)) / np.sum(weight))

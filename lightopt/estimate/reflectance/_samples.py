@@ -154,7 +154,6 @@ def collect_samples(
     """Choose pixels by their geometry alone and look up what was measured there.
 
     uniform: Whether `budget` is one for all octaves together, so that shares of the pixels are shares of the image.
-
     Raises InputError: images of a posture or a light that the scene lacks, or no pixel is left.
     """
     names = [light.name for light in scene.lights]

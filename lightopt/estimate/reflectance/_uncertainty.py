@@ -84,7 +84,7 @@ def uncertainty(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> tupl
     for clusters of observations) over that of the first. A few dozen blocks carry a highlight, so that this ratio
     scatters by tenths even where the model is right: only what is beyond that scatter counts.
 
-    Returns shapes (k, k) and (k,), the latter at least 1; 0 and 1 for noise parameters that the images do not determine.
+    Shapes (k, k), and (k,) of at least 1; 0 and 1 for noise parameters that the images do not determine.
     """
     places = determined_parameters(likelihood, x, free)
     rows = [list(free).index(place) for place in places]

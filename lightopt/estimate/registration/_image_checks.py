@@ -151,7 +151,6 @@ def refuse_mismatch(
         standard deviation of the noise, shape (images, H, W).
     pixels: Flat indices of the pixels to compare.
     where: The set and posture, for the message.
-
     Raises InputError: the residual is too large; the message names what would fit better.
     """
 

@@ -215,7 +215,6 @@ def dark_levels(image_set: ImageSet, entry: ImageEntry, sensor: Sensor) -> Float
     """Levels of an image of a captured set without its light [sensor level], shape (H, W).
 
     None where the set was captured without such frames: the sensor's black level is all that is known then.
-
     Raises InputError: when the set was captured with frames without light, but that of the image is not listed.
     """
     if not image_set.manifest.options.get("dark"):

@@ -104,7 +104,6 @@ def register(
     reflectance_at: A reflectance for the refinement, given the scene with the part placed by the coarse search; that of
         the scene by default.
     reduced: Whether fewer pixels are enough, for a placement that is only reported.
-
     Raises InputError: no pixel to use: the part is outside the view, or all images are saturated or black.
     """
     run = run or RunContext()
@@ -192,33 +191,40 @@ def _result(
     # exactly as in the part file, not but for rounding
     pose = np.where(share > 1.0 - 1e-6, 0.0, solution.x[POSE])
     warnings = _undetermined_warnings(directions, share)
+    nothing_determined = len(directions) == 3
+    not_converged = () if nothing_determined else _convergence_warnings(solution, frame, iterations, moved)
     known, errors = share <= ALONG_AXIS, solution.errors[POSE]
-    converged = solution.converged
-    if len(directions) < 3:
-        if solution.at_limit[POSE].any():
-            converged = False
-            limit = f"{frame.reach[0]:g} mm and {math.degrees(frame.reach[2]):g}°"
-            text = f"the part was searched for up to {limit} from where its file has it, and seems to lie further off; "
-            warnings = (*warnings, text + "correct its placement in the part file")
-        elif not converged:
-            text = f"the search for the part's place did not converge; the place is the best of {iterations} steps, "
-            warnings = (*warnings, text + "and its errors may be larger than stated")
-        elif moved >= SETTLED_PX:
-            converged = False
-            text = f"the search for the part's place did not converge: its last stage moved it by {moved:.1f} px, "
-            warnings = (*warnings, text + "and its errors may be larger than stated")
     return Registration(
         placement=replace(
             frame.placement(pose, solution.covariance[POSE, POSE]),
             observable=(bool(known[0]), bool(known[1]), bool(known[2])),
         ),
         pose_errors=(float(errors[0]), float(errors[1]), float(errors[2])),
-        converged=converged or len(directions) == 3,
+        converged=not not_converged,
         iterations=iterations,
         cost_before=solution.cost_before,
         cost_after=solution.cost_after,
         outline=outline,
-        warnings=warnings,
+        warnings=(*warnings, *not_converged),
+    )
+
+
+def _convergence_warnings(
+    solution: Solution, frame: PoseFrame, iterations: int, moved: float
+) -> tuple[str, ...]:
+    # at most one
+    if solution.at_limit[POSE].any():
+        reach = f"{frame.reach[0]:g} mm and {math.degrees(frame.reach[2]):g}°"
+        text = f"the part was searched for up to {reach} from where its file has it, and seems to lie further off; "
+        return (text + "correct its placement in the part file",)
+    if not solution.converged:
+        why = f"; the place is the best of {iterations} steps"
+    elif moved >= SETTLED_PX:
+        why = f": its last stage moved it by {moved:.1f} px"
+    else:
+        return ()
+    return (
+        f"the search for the part's place did not converge{why}, and its errors may be larger than stated",
     )
 
 

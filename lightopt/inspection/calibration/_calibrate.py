@@ -24,7 +24,6 @@ from lightopt.inspection.calibration._calibration import (
 from lightopt.inspection.calibration._systematic import PackedDeviations, SystematicSums, subtract_systematic
 from lightopt.inspection.detection._detectors import DETECTORS
 from lightopt.inspection.detection._deviation import deviations
-from lightopt.inspection.detection._score import score_deviations
 from lightopt.inspection.fusion._synthetic_image import synthetic_image
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
 from lightopt.inspection.prediction._registered_set import (
@@ -61,7 +60,6 @@ def calibrate(
 
     sets: Of good parts, all of the same postures and lights.
     options: How later sets will be inspected; `false_alarms` is the rate that is to be held.
-
     Raises InputError: too few sets for the rate, sets that differ in their postures or images, or images that are not
         the part's.
     """
@@ -164,7 +162,7 @@ def _calibrated(posture: Posture, gathered: _GoodPosture, options: InspectOption
             one = PackedDeviations.load(path)
             others = gathered.sums.systematic(but=one)
             found = subtract_systematic(one.in_own_image(), others, one.nominal_image())
-            score = score_deviations(found, seen_by=options.seen_by)
+            score = DETECTORS[options.detector].score(found, options.seen_by, None, None)
             peaks.append(float(score.max(initial=0.0)))
     return CalibratedPosture(
         posture=posture, exposures=gathered.exposures, peaks=tuple(peaks), systematic=systematic

@@ -60,7 +60,6 @@ def read_calibration(path: Path) -> Calibration:
     """Read a calibration.
 
     path: ``calibration.json``, or its folder.
-
     Raises InputError: no such file, no calibration, or maps that are not those it names.
     """
     if path.is_dir():

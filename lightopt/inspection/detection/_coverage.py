@@ -19,7 +19,7 @@ from lightopt.core.transforms import Posture
 from lightopt.geometry import face_areas
 from lightopt.inspection._image_blocks import in_row_blocks
 from lightopt.inspection.detection._deviation import Deviations
-from lightopt.inspection.detection._score import disc_gain
+from lightopt.inspection.detection._residual_score import disc_gain
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.inspection.prediction._predict import SurfaceMap
 from lightopt.scene import Scene
@@ -177,7 +177,7 @@ def measure_coverage(
     Worked out block by block of rows, since small arrays stay in a processor's cache.
     """
     blocks = in_row_blocks(
-        lambda rows: coverage_of_rows(view.in_rows(rows), found.in_box(rows), seen_by=seen_by, high=high),
+        lambda rows: coverage_of_rows(view, found, rows, seen_by=seen_by, high=high),
         len(view.clean),
         threads,
     )
@@ -194,21 +194,24 @@ def measure_coverage(
     return PostureCoverage(**{name: joined([getattr(block, name) for block in blocks]) for name in names})
 
 
-def coverage_of_rows(view: PostureView, found: Deviations, *, seen_by: int, high: float) -> PostureCoverage:
-    """As :func:`measure_coverage`, of all rows at once."""
-    area = view.prediction.area.astype(np.float64)
-    part = view.part & (area > 0.0)
+def coverage_of_rows(
+    view: PostureView, found: Deviations, rows: slice = slice(None), *, seen_by: int, high: float
+) -> PostureCoverage:
+    """As :func:`measure_coverage`, of some rows at once."""
+    found, predicted, clean = found.in_box(rows), view.predicted[:, rows], view.clean[rows]
+    area = view.prediction.area[rows].astype(np.float64)
+    part = view.part[rows] & (area > 0.0)
     lit = found.lit.sum(axis=0)
-    full = (view.saturated & (view.predicted >= view.limit)).any(axis=0)
+    full = (view.saturated[:, rows] & (predicted >= view.limit[:, rows])).any(axis=0)
     state = np.zeros(part.shape, np.uint8)
     state[part] = SurfaceState.EDGE
-    state[part & view.prediction.grazing] = SurfaceState.GRAZING
-    state[part & view.clean] = SurfaceState.SHADOW
-    state[part & view.clean & full] = SurfaceState.SATURATED
+    state[part & view.prediction.grazing[rows]] = SurfaceState.GRAZING
+    state[part & clean] = SurfaceState.SHADOW
+    state[part & clean & full] = SurfaceState.SATURATED
     state[part & found.usable.any(axis=0)] = SurfaceState.GLINTS
     state[part & (lit > 0)] = SurfaceState.FEWER
     state[part & (lit >= seen_by)] = SurfaceState.INSPECTED
-    least = least_contrast(found, view.predicted, seen_by=seen_by, high=high)
+    least = least_contrast(found, predicted, seen_by=seen_by, high=high)
     least[state < SurfaceState.FEWER] = np.inf
     return PostureCoverage(
         **class_areas(area, state, least), state=state, least_contrast=least.astype(np.float32)

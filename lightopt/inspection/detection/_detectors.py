@@ -9,7 +9,7 @@ from typing import Final
 from lightopt.core.arrays import Float32
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._matched_filter import TEMPLATES, score_templates
-from lightopt.inspection.detection._score import SCALES_PX, score_deviations
+from lightopt.inspection.detection._residual_score import SCALES_PX, score_deviations
 from lightopt.inspection.fusion._synthetic_image import SyntheticImage
 
 MakeSynthetic = Callable[[], SyntheticImage]

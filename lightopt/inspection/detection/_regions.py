@@ -12,7 +12,7 @@ from scipy import ndimage
 from lightopt.core.arrays import Bool, Float32, Index, Int32
 from lightopt.inspection._image_blocks import gaussian_taps
 from lightopt.inspection.detection._deviation import Deviations
-from lightopt.inspection.detection._score import SCALES_PX, smoothed_deviations
+from lightopt.inspection.detection._residual_score import SCALES_PX, smoothed_deviations
 
 LOW_SHARE = 0.5
 """A region spreads from where it is certain to where its score is above this share of the threshold."""
@@ -88,7 +88,6 @@ def box_sums(
     """Sums over Gaussians in a box of pixels, from what lies around it as far as the Gaussians reach.
 
     scales: widths of the Gaussians [px].
-
     Returns Of each Gaussian, of shape (lights, rows, columns).
     """
     reach = len(gaussian_taps(max(scales))) // 2
@@ -127,7 +126,6 @@ def split_regions(
 
     score: That they were found in, shape (H, W).
     high: Threshold of the score.
-
     Returns Labels and number as given, parts of a region one after the other.
     """
     result, number = np.zeros_like(labels), 0

@@ -90,11 +90,11 @@ class SetEvaluation:
 
 
 def evaluate_set(
-    image_set: ImageSet, result: InspectionResult, *, known: Sequence[PlacedDefect] | None = None
+    image_set: ImageSet, result: InspectionResult, *, known: Sequence[PlacedDefect]
 ) -> SetEvaluation:
     """Compare an inspection with the labels of its images, or with `known` defects where these have none.
 
-    Raises InputError: neither labels nor known defects.
+    Raises InputError: labels are missing, or they are those of images of another size.
     """
     labels = true_labels(image_set, result, known=known)
     listed = labels.listed

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -12,6 +12,7 @@ from lightopt.config import PartConfig, load_part
 from lightopt.core.arrays import Float32, Float64, Int32
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256
+from lightopt.core.transforms import Posture
 from lightopt.defects import PlacedDefect, mark_surface
 from lightopt.estimate.registration import Placement
 from lightopt.images import ImageSet
@@ -39,7 +40,6 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
     by this file before it was edited, has the defects that `part` names.
 
     part: That the images are inspected by.
-
     Raises InputError: there is no source, or labels are listed and their images are not.
     """
     manifest = image_set.manifest
@@ -47,10 +47,7 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
         labelled = {entry.posture for entry in image_set.geometry}
         lacking = {entry.posture: None for entry in image_set.images if entry.posture not in labelled}
         if lacking:
-            raise InputError(
-                f"{image_set.folder}: no labels of defects for {', '.join(f'posture {p}' for p in lacking)}, though "
-                "the manifest lists defects; expected a geometry EXR with a channel defect; render the set anew"
-            )
+            raise _labels_missing(image_set, lacking)
         return TruthSource()
     if manifest.kind == "simulated" and manifest.lightopt is not None:
         return TruthSource()
@@ -121,25 +118,18 @@ class TrueLabels:
 
 
 def true_labels(
-    image_set: ImageSet, result: InspectionResult, *, known: Sequence[PlacedDefect] | None = None
+    image_set: ImageSet, result: InspectionResult, *, known: Sequence[PlacedDefect]
 ) -> TrueLabels:
     """The labels of a set; of one without labels those of known defects where the inspection found the part.
 
     known: defects of the part, in the frame of the inspection's nominal scene (:func:`lightopt.scene.place_defects`);
-        an empty sequence where it is known to have none, None where nothing is known.
-
-    Raises InputError: the set has no labels and nothing is known, or its labels are those of images of another size.
+        empty where it has none.
+    Raises InputError: labels are missing, or they are those of images of another size.
     """
     listed = image_set.manifest.extra.get("defects")
     if isinstance(listed, list):
         arrays = tuple(_stored(image_set, posture) for posture in result.postures)
         return TrueLabels(listed=tuple(listed), of_posture=arrays, source="images")
-    if known is None:
-        raise InputError(
-            f"{image_set.folder}: nothing is known of defects on this part: the images have no labels, as lightopt "
-            "render writes them for a part whose file names defects; give the part file whose defects: are those of "
-            "the part in the images"
-        )
     return TrueLabels(
         listed=tuple(defect_facts(known, result.nominal.placement)),
         of_posture=tuple(_cast(posture, result, known) for posture in result.postures),
@@ -151,10 +141,7 @@ def _stored(image_set: ImageSet, posture: InspectedPosture) -> Int32:
     entries = [g for g in image_set.geometry if g.posture == posture.view.posture]
     channels = image_set.load_geometry(entries[0]) if entries else {}
     if "defect" not in channels:
-        raise InputError(
-            f"{image_set.folder}: no labels of defects for posture {posture.view.posture}, though the manifest lists "
-            "defects; expected a geometry EXR with a channel defect; render the set anew"
-        )
+        raise _labels_missing(image_set, [posture.view.posture])
     labels = channels["defect"]
     if labels.shape != posture.labels.shape:
         raise InputError(
@@ -162,6 +149,13 @@ def _stored(image_set: ImageSet, posture: InspectedPosture) -> Int32:
             f"{posture.labels.shape[1]} × {posture.labels.shape[0]} px"
         )
     return labels.astype(np.int32)
+
+
+def _labels_missing(image_set: ImageSet, postures: Iterable[Posture]) -> InputError:
+    return InputError(
+        f"{image_set.folder}: no labels of defects for {', '.join(f'posture {p}' for p in postures)}, though the "
+        "manifest lists defects; expected a geometry EXR with a channel defect; render the set anew"
+    )
 
 
 def _cast(posture: InspectedPosture, result: InspectionResult, known: Sequence[PlacedDefect]) -> Int32:

@@ -80,14 +80,14 @@ def fuse_gradients(levels: Float32, edges: Edges, *, fusion: Fusion, threads: in
         magnitude; ``second-largest``: the one of second largest magnitude.
     """
     fused = np.empty(edges.usable.shape[1:])
-    # contiguous, so that the kernels are compiled for one layout
-    levels, usable, noise = (np.ascontiguousarray(a) for a in (levels, edges.usable, edges.noise))
+    levels = np.ascontiguousarray(levels)  # the kernels are compiled for one layout
+    usable = edges.usable
 
     def fuse_rows(rows: slice) -> None:
         first, last = max(0, rows.start - REACH_PX), min(rows.stop + REACH_PX, len(fused))
         gradients = _usable_gradients(levels, usable, edges.axis, first, last)
         if fusion == "paper":
-            _average_supported(gradients, noise, usable, first, rows.start, fused[rows])
+            _average_supported(gradients, edges.noise, usable, first, rows.start, fused[rows])
         else:
             _choose(gradients, usable, FUSIONS.index(fusion), first, rows.start, fused[rows])
 

@@ -69,11 +69,10 @@ class PoissonGrid:
     def integrate(self, gx: Float64, gy: Float64, *, level: Float64, tolerance: float = TOLERANCE) -> Float64:
         """The image with the gradients given, float64 of shape (H, W); 0 outside of the mask.
 
-        Gradients do not determine the level of a component of the mask: each one gets the mean that `level` has over it.
+        Gradients do not determine the level of a component of the mask: each gets the mean that `level` has over it.
 
         gx, gy: differences to the pixel to the right, shape (H, W − 1), and below, shape (H − 1, W).
         level: shape (H, W).
-
         Raises LightoptError: gradients that are not finite.
         """
         b = divergence(_edges(gx, self.window, 1), _edges(gy, self.window, 0), self._wx, self._wy)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, cast
 
@@ -69,11 +69,6 @@ class PostureView:
         """Pixels that can be judged, shape (H, W)."""
         return self.prediction.clean
 
-    def in_rows(self, rows: slice) -> PostureView:
-        """Some rows of the images, as views of the arrays."""
-        arrays = {name: getattr(self, name)[:, rows] for name in _ARRAYS}
-        return replace(self, prediction=self.prediction.in_rows(rows), **arrays)
-
 
 def posture_view(
     scene: Scene,
@@ -87,7 +82,6 @@ def posture_view(
 
     observations: Of one posture.
     where: The set, for messages.
-
     Raises InputError: images that do not look like the prediction, or that are all saturated.
     """
     clean = prediction.clean

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from typing import TypeVar
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,8 +12,6 @@ from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
 from lightopt.rendering import (
     GRAZING_COSINE,
-    Geometry,
-    LightImage,
     PostureImages,
     build_patches,
     patch_positions,
@@ -22,8 +19,6 @@ from lightopt.rendering import (
     trace_pixels,
 )
 from lightopt.scene import PinholeCamera, Scene, pixel_directions, view_from_part
-
-Images = TypeVar("Images", LightImage, Geometry)
 
 TRACE = 1e-6
 """Least R_d that is rendered: far below what a camera detects."""
@@ -46,23 +41,6 @@ class Prediction:
     clean: Bool
     grazing: Bool
     area: Float32
-
-    def in_rows(self, rows: slice) -> Prediction:
-        """Some rows of the images, and of what their pixels see; counts stay those of the whole."""
-        images = replace(
-            self.images,
-            lights=tuple(_in_rows(light, rows) for light in self.images.lights),
-            geometry=_in_rows(self.images.geometry, rows),
-        )
-        return Prediction(
-            images=images, clean=self.clean[rows], grazing=self.grazing[rows], area=self.area[rows]
-        )
-
-
-def _in_rows(one: Images, rows: slice) -> Images:
-    # every array of an image's or a geometry's, none left whole
-    values = {field.name: getattr(one, field.name) for field in fields(one)}
-    return replace(one, **{name: v[rows] for name, v in values.items() if isinstance(v, np.ndarray)})
 
 
 def predict(
