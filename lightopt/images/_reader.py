@@ -138,8 +138,8 @@ def _no_manifest(folder: Path) -> str:
     if below := sorted(found.parent for pattern in patterns for found in folder.glob(pattern)):
         return f"{folder}: no image set, but these folders in it are: {', '.join(map(str, below[:5]))}"
     return (
-        f"{folder}: no {MANIFEST_NAME}, which says what each picture shows; docs/conventions.md, Image sets, tells how "
-        "to write one for pictures that another program took"
+        f"{folder}: no {MANIFEST_NAME}, which says what each picture shows; docs/reference/conventions.md, Image sets, "
+        "says how to write one for pictures that another program took"
     )
 
 

@@ -117,7 +117,7 @@ ENDS = {
     "stage tilted by 1° more than it says, from its second move on, with --check-repeatability": "told in a warning",
     "stage turned by 1° more than it says, from its second move on, with --check-repeatability": "told in a warning",
 }
-"""Faults that the tests above do not have, and how docs/reliability.md says that they end."""
+"""Faults that the tests above do not have, and how docs/validation/reliability.md says that they end."""
 
 
 @pytest.mark.slow

@@ -337,7 +337,7 @@ def test_images_of_another_size(cli, bench, images):
 
 def test_a_folder_without_manifest_is_told_what_to_do(cli, bench, images, tmp_path):
     (images / "manifest.json").rename(images / "renamed.json")
-    refused(cli, bench, images, "no manifest.json", "docs/conventions.md")
+    refused(cli, bench, images, "no manifest.json", "docs/reference/conventions.md")
     refused(cli, bench, images / "renamed.txt", "renamed.txt")
     (images / "renamed.json").rename(images / "manifest.json")
     refused(cli, bench, images.parent, "no image set, but these folders in it are", str(images))
