@@ -22,11 +22,11 @@ from lightopt.images._atomic import (
     write_npz_atomic,
     write_text_atomic,
 )
+from lightopt.images._existing_set import remove_set, resumable_manifest
 from lightopt.images._exr import write_exr
+from lightopt.images._file_names import FileNames, ImageKey, exr_name, geometry_name, inside_problem, png_name
 from lightopt.images._manifest import MANIFEST_NAME, GeometryEntry, ImageEntry, Manifest
-from lightopt.images._names import FileNames, ImageKey, exr_name, geometry_name, inside_problem, png_name
 from lightopt.images._png import write_png
-from lightopt.images._resume import remove_set, resumable_manifest
 
 _PATCHES_NAME = "patches.npz"
 
