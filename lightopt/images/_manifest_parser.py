@@ -1,4 +1,4 @@
-"""Reading manifests, lightopt's own and foreign ones: every problem at once, named by file and key."""
+"""Reading manifests of lightopt and of other programs: every problem at once, named by file and key."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ class ImageSetWriter:
     The manifest is on disk from the start and is rewritten after each file that it names, so whenever the run
     stops the folder holds a valid set of what was finished. Opened again with the same header, it resumes:
     `done` says what need not be made again. Threads may add files of their own at the same time. Every method that
-    writes raises InputError when a foreign file is in the way or the disk refuses.
+    writes raises InputError when a file of others is in the way or the disk refuses.
 
     header: The manifest without its entries. Two runs with equal headers (rig and part by their SHA-256) are the
         same run.

@@ -38,7 +38,7 @@ PROBE_INSET = 0.98
 """The rays to the corners go this far from the panel's centre towards them."""
 
 PENUMBRA_BATCH = 2048
-"""Penumbra pixels that are worked on at once: some 10 MiB of rays."""
+"""Penumbra pixels that are shaded at once: some 10 MiB of rays."""
 
 # what the coarse rays of a pixel to a light show
 _DARK, _CLEAR, _HIDDEN, _MIXED = 0, 1, 2, 3

@@ -104,7 +104,7 @@ def render_image_set(
     folder: Made where it does not exist
     run: Its stages are the postures, with the share of all of them
     Raises InputError: Whatever is wrong with the files, the options or the folder; a panel inside the part; a part that
-        hardly a pixel sees. Nothing is written before all inputs are read.
+        too few pixels see. Nothing is written before all inputs are read.
     """
     run = run or RunContext()
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)

@@ -17,7 +17,7 @@ from lightopt.rendering._vectors import Vector, dot, minus, plus, scaled, vector
 from lightopt.scene import PanelLight, panel_grid
 
 PAIRS_AT_ONCE = 1 << 20
-"""Pairs of surface point and point light that are worked on at once: some 60 MiB, and 0.2 s, for Ctrl-C to be heard."""
+"""Pairs of surface point and point light that are shaded at once: some 60 MiB, and 0.2 s that Ctrl-C waits."""
 
 
 def shade_points(

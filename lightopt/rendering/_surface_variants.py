@@ -33,7 +33,7 @@ from lightopt.rendering._vectors import cross, dot, minus, plus, scaled, vector_
 from lightopt.scene import PanelLight, panel_grid
 
 CONVERGED_AT_ONCE = 1 << 13
-"""Surface points under a converged panel that are worked on at once: some 0.1 s, so that Ctrl-C is heard."""
+"""Surface points under a converged panel that are shaded at once: some 0.1 s, the longest that Ctrl-C waits."""
 
 NEGLIGIBLE_LEVEL = 1e-3
 """Lobes are left out of variants where they are nowhere more than this [grey level]: 0.26 of a level of 16 bits."""
