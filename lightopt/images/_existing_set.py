@@ -48,8 +48,7 @@ def remove_set(folder: Path, header: Manifest) -> int:
         return 0
     if manifest.kind == "captured" and header.kind != "captured":
         raise InputError(
-            f"{folder}: holds captured images, which are not replaced by {header.kind} ones, not even with --force; "
-            "choose another output folder"
+            f"{folder}: holds captured images, which {header.kind} ones never replace; choose another output folder"
         )
     return _remove_files(folder, manifest)
 
