@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,8 +13,6 @@ from lightopt import build_scene
 from lightopt.core.transforms import Posture
 from lightopt.geometry import TriangleMesh, load_mesh, transformed
 from lightopt.scene import PinholeCamera, Scene
-
-__all__ = ["CONFIGS", "FULL", "QUICK", "RIG", "TOY", "Size", "case_scene", "chrome", "resized", "spout_scene"]
 
 CONFIGS = Path(__file__).resolve().parents[1] / "configs"
 RIG = CONFIGS / "rigs" / "four-panel.yaml"
@@ -83,6 +82,18 @@ def resized(camera: PinholeCamera, width: int) -> PinholeCamera:
     """The same view with another number of pixels, `width` by three quarters of it."""
     height = width * 3 // 4
     return replace(camera, width=width, height=height, pixel_size=camera.pixel_size * camera.width / width)
+
+
+def one_posture_files(folder: Path, name: str, *, width: int, pixel_um: str) -> tuple[Path, str]:
+    """The sample rig's file with a smaller camera, and the text of a part's file with one posture."""
+    rig = RIG.read_text(encoding="utf-8").replace("[1600, 1200]", f"[{width}, {width * 3 // 4}]")
+    (folder / "rig.yaml").write_text(
+        rig.replace("pixel_size_um: 4.4", f"pixel_size_um: {pixel_um}"), encoding="utf-8"
+    )
+    part = (CONFIGS / "parts" / f"{name}.yaml").read_text(encoding="utf-8")
+    part = re.sub(r"file: \S+", f"file: '{(CONFIGS / 'parts' / f'{name}.step').as_posix()}'", part)
+    one = "postures: [{elevation_deg: 0, rotation_deg: 0}]\n\nreflectance:"
+    return folder / "rig.yaml", re.sub(r"postures:.*?\nreflectance:", one, part, flags=re.DOTALL)
 
 
 def chrome(scene: Scene) -> Scene:

@@ -12,8 +12,6 @@ import subprocess
 import sys
 import time
 
-__all__ = ["main"]
-
 
 def main() -> None:
     """Run the command of ``sys.argv``; its standard output is dropped."""

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from lightopt.optics import MIN_COS_VIEW, Reflectance
 from lightopt.scene import PinholeCamera, Scene, panel_grid, pixel_directions, screen_window
 
-__all__ = ["Backend", "camera_rays", "render_numpy"]
-
 Float32 = NDArray[np.float32]
 Int32 = NDArray[np.int32]
 

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from lightopt.scene import Scene
 
-__all__ = ["Open3DCaster", "TrimeshCaster"]
-
 Float32 = NDArray[np.float32]
 Int32 = NDArray[np.int32]
 

@@ -9,8 +9,6 @@ from benchmarks._numpy_shading import camera_rays
 from lightopt.optics import MIN_COS_VIEW
 from lightopt.scene import Scene, panel_grid
 
-__all__ = ["MitsubaPeer"]
-
 Float32 = NDArray[np.float32]
 
 

@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 
 from benchmarks._case import FULL, QUICK, TOY, Size
 
-__all__ = ["MITSUBA", "PeerError", "PeerProcess"]
-
 Float32 = NDArray[np.float32]
 
 MITSUBA = "Mitsuba 3 llvm_ad_mono"

@@ -15,8 +15,6 @@ from lightopt.optics import MIN_COS_VIEW, Reflectance
 from lightopt.rendering import SurfacePoints
 from lightopt.scene import PanelLight, panel_grid
 
-__all__ = ["ManyPoints", "equally_spaced", "gauss_legendre", "sum_of_points"]
-
 Float64 = NDArray[np.float64]
 
 RAYS_AT_ONCE = 1_000_000

@@ -12,8 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-__all__ = ["Report", "Table", "machine", "ratio_text", "ratios", "rounds"]
-
 
 @dataclass(frozen=True)
 class Table:

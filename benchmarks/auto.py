@@ -16,8 +16,6 @@ from lightopt.geometry import RayCaster
 from lightopt.rendering import SurfacePoints, cast_rays_at, render_posture, trace_samples
 from lightopt.scene import Scene, screen_window
 
-__all__ = ["Comparison", "compare", "converged", "exactness", "run"]
-
 TARGET = 4.0
 NEAR_HIGHLIGHT = 0.01
 """Pixels whose specular light is above this [grey level] are near a highlight."""

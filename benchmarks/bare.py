@@ -17,8 +17,6 @@ from lightopt.geometry import RayCaster
 from lightopt.rendering import PostureImages, cast_rays_at, render_posture
 from lightopt.scene import Scene
 
-__all__ = ["THREADS", "RecordedRays", "record_rays", "render_from_mesh", "replay", "run"]
-
 THREADS = 2
 BLOCK_SIZES = (2_048, 8_192, 32_768, 131_072, 524_288)
 TARGET = 1.5

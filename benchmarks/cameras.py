@@ -20,8 +20,6 @@ import numpy as np
 from lightopt.rig.devices import CameraSettings, open_camera
 from lightopt.rig.simulated import GigeCamera
 
-__all__ = ["main", "ratios"]
-
 SIZE = (640, 480)
 FASTEST = 200.0
 

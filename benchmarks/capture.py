@@ -24,8 +24,6 @@ from lightopt.rig.capture import (
 )
 from lightopt.rig.simulated import BenchProcess
 
-__all__ = ["TARGET", "run"]
-
 TARGET = 0.15
 """Of settling, exposing and transfer; of one posture, in which no move hides anything."""
 

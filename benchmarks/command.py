@@ -17,8 +17,6 @@ from benchmarks._report import Report, Table, ratio_text, ratios, rounds
 from benchmarks.bare import THREADS
 from lightopt.geometry import TriangleMesh
 
-__all__ = ["HELP_TARGET", "measure", "run"]
-
 ROOT = CONFIGS.parent
 HELP_TARGET = 2.5
 HELP_ROUNDS = 15

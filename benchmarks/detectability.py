@@ -27,8 +27,6 @@ from lightopt.design import (
 )
 from lightopt.rendering import build_patches, cast_rays_at
 
-__all__ = ["run"]
-
 PARTS = ("cover-knob", "spout")
 SEEN_IN = (1, 2, 3)
 SLOPES_DEG = (2.0, 4.0, 8.0)

@@ -19,8 +19,6 @@ from lightopt.images import read_image_set
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set, render_posture
 from lightopt.scene import build_scene
 
-__all__ = ["TARGET", "run"]
-
 TARGET = 60.0
 PART = CONFIGS / "parts" / "cover-knob.yaml"
 PANELS = {"m = 4": None, "points: auto": "auto"}

@@ -24,8 +24,6 @@ from lightopt.inspection import InspectionResult, InspectOptions, PredictionCach
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set, trace_samples
 from lightopt.scene import Scene, screen_window, view_from_part
 
-__all__ = ["TARGET", "run"]
-
 TARGET = 3.0
 PARTS = ("cover-knob", "spout")
 FIRST = Posture(elevation_deg=0.0, rotation_deg=0.0)

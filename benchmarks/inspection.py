@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from benchmarks._case import one_posture_files
 from lightopt import load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.transforms import Posture
@@ -56,7 +57,6 @@ from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set
 from lightopt.scene import _build
 
 ROOT = Path(__file__).resolve().parent.parent
-CONFIGS = ROOT / "configs"
 PAGE = ROOT / "docs" / "validation" / "inspection.md"
 PARTS = ("cover-knob", "spout")
 FIRST = Posture(elevation_deg=0.0, rotation_deg=0.0)
@@ -171,17 +171,10 @@ def catalogue(size: Size) -> str:
 
 def prepare(folder: Path, name: str, size: Size = FULL) -> tuple[RigConfig, Path]:
     """The sample rig with a smaller camera, and a part of one posture with the catalogue."""
-    rig = (CONFIGS / "rigs" / "four-panel.yaml").read_text(encoding="utf-8")
-    rig = rig.replace("[1600, 1200]", f"[{size.width}, {size.width * 3 // 4}]")
-    rig = rig.replace("pixel_size_um: 4.4", f"pixel_size_um: {100 * size.pixel_mm:.4g}")
-    (folder / "rig.yaml").write_text(rig, encoding="utf-8")
-    part = (CONFIGS / "parts" / f"{name}.yaml").read_text(encoding="utf-8")
-    part = re.sub(r"file: \S+", f"file: '{(CONFIGS / 'parts' / f'{name}.step').as_posix()}'", part)
-    one = "postures: [{elevation_deg: 0, rotation_deg: 0}]\n\nreflectance:"
-    part = re.sub(r"postures:.*?\nreflectance:", one, part, flags=re.DOTALL)
+    rig, part = one_posture_files(folder, name, width=size.width, pixel_um=f"{100 * size.pixel_mm:.4g}")
     path = folder / f"{name}.yaml"
     path.write_text(part + catalogue(size), encoding="utf-8")
-    return load_rig(folder / "rig.yaml"), path
+    return load_rig(rig), path
 
 
 def images(folder: Path, rig: RigConfig, part: Path, seed: int, *, good: bool, size: Size = FULL) -> ImageSet:

@@ -28,6 +28,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks._case import one_posture_files
 from benchmarks.inspection import FALSE_ALARMS, FIRST, replace_block
 from lightopt import build_scene, load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
@@ -68,10 +69,6 @@ from lightopt.rig.capture import (
 from lightopt.rig.simulated import BenchTruth
 from lightopt.scene import place_defects
 
-__all__ = ["Tally", "interval", "main", "plot", "table"]
-
-ROOT = Path(__file__).resolve().parents[1]
-CONFIGS = ROOT / "configs"
 PARTS = ("cover-knob", "spout")
 OBJECTIVES = ("detectability", "paper")
 FINISHES = {"as-filed": {}, "polished": {"R_d": 1.0}}
@@ -125,18 +122,11 @@ def run_command(*words: object) -> None:
 
 def files(folder: Path, name: str, width: int, finish: str) -> tuple[Path, Path]:
     """The sample rig with a camera of a width, and the part in its first posture with a finish."""
-    rig = (CONFIGS / "rigs" / "four-panel.yaml").read_text(encoding="utf-8")
-    rig = rig.replace("[1600, 1200]", f"[{width}, {width * 3 // 4}]")
-    rig = rig.replace("pixel_size_um: 4.4", f"pixel_size_um: {4.4 * 1600 / width:g}")
-    (folder / "rig.yaml").write_text(rig, encoding="utf-8")
-    part = (CONFIGS / "parts" / f"{name}.yaml").read_text(encoding="utf-8")
-    part = re.sub(r"file: \S+", f"file: '{(CONFIGS / 'parts' / f'{name}.step').as_posix()}'", part)
-    one = "postures: [{elevation_deg: 0, rotation_deg: 0}]\n\nreflectance:"
-    part = re.sub(r"postures:.*?\nreflectance:", lambda _: one, part, flags=re.DOTALL)
+    rig, part = one_posture_files(folder, name, width=width, pixel_um=f"{4.4 * 1600 / width:g}")
     for key, value in FINISHES[finish].items():
         part = re.sub(rf"( {key}:) [0-9.]+", rf"\1 {value:g}", part)
     (folder / f"{name}.yaml").write_text(part, encoding="utf-8")
-    return folder / "rig.yaml", folder / f"{name}.yaml"
+    return rig, folder / f"{name}.yaml"
 
 
 class Prediction:

@@ -18,8 +18,6 @@ from benchmarks.bare import THREADS
 from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.scene import Scene
 
-__all__ = ["AGREEMENT", "PEERS", "Peer", "agreement", "run", "start_peers", "table"]
-
 AGREEMENT = 0.99
 """Least share of lit pixels that a peer must have within 1e-3 of ours before its time counts."""
 

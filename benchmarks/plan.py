@@ -35,8 +35,6 @@ from lightopt.design import (
 from lightopt.rendering import build_patches, cast_rays_at
 from lightopt.scene import build_catalogue
 
-__all__ = ["run"]
-
 PARTS = ("cover-knob", "spout")
 TILTS = (-40.0, -20.0, 0.0, 20.0, 40.0)
 TARGET_S, TARGET_BYTES = 600.0, 3e9

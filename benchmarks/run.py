@@ -11,8 +11,6 @@ from pathlib import Path
 from benchmarks._case import FULL, QUICK, TOY, Size
 from benchmarks._report import Report, machine
 
-__all__ = ["NAMES", "main", "save"]
-
 NAMES = (
     "bare",
     "peers",

@@ -30,8 +30,6 @@ from lightopt.geometry import RayCaster
 from lightopt.rendering import PatchTable, build_patches, cast_rays_at
 from lightopt.scene import PanelLight, Scene
 
-__all__ = ["run"]
-
 PARTS = ("cover-knob", "spout")
 THRESHOLDS = LevelThresholds(shade=10, saturation=255)
 PLAIN_COMBINATIONS = 40

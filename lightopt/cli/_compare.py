@@ -175,6 +175,6 @@ def _draw_file(file: FileComparison, path: Path, saturation: float | None, force
 
     if not file.channels:
         raise InputError(f"{path}: no difference picture, since the files cannot be compared", *file.reasons)
-    picture = difference_picture(file.a, file.b, path, saturation=saturation, overwrite=force)
+    scale = difference_picture(file.a, file.b, path, saturation=saturation, overwrite=force)
     if not quiet:
-        say(f"{picture.path}: blue lower, red higher, full colour at {picture.scale:.4g}")
+        say(f"{path}: blue lower, red higher, full colour at {scale:.4g}")

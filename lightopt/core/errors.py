@@ -43,7 +43,7 @@ def percent(share: float, digits: int = 1, *, short_of: float = 1.0) -> str:
 class LightoptError(Exception):
     """Base of all errors that lightopt raises on purpose.
 
-    *messages: One or more messages for the person at the machine: what is wrong and where (file, line, key), what was
+    *messages: One or more messages for the user: what is wrong and where (file, line, key), what was
         expected, what was found, what to do. Each is shown on a line of its own.
     """
 
@@ -97,7 +97,7 @@ class HardwareError(LightoptError):
 class Interrupted(KeyboardInterrupt):
     """Ctrl-C or a signal ended the work, in a known state. Exit status 130.
 
-    *messages: What state things are in and how to go on, for the person at the machine; each is shown on a line of its
+    *messages: For the user: what state things are in and how to go on; each is shown on a line of its
         own
     """
 

@@ -20,7 +20,7 @@ _stopped: ContextVar[Event | None] = ContextVar("_stopped", default=None)
 
 
 class _StoppedError(Exception):
-    """What ends a task of stopped work; nobody sees it, since what stopped the work is raised instead."""
+    """Ends a task of stopped work; never raised to the caller, who gets what stopped the work."""
 
 
 def end_if_stopped() -> None:

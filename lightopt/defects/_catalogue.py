@@ -17,7 +17,7 @@ class CatalogueEntry:
 
 
 BUILT_IN_CATALOGUE = (
-    # handling: parts that slide over each other or over a fixture; shallow, since deeper ones are seen by anybody
+    # handling: parts that slide over each other or over a fixture; shallow, since deeper ones are seen without effort
     CatalogueEntry("scratch", DefectShape(kind="scratch", length=5.0, width=0.2, slope=math.radians(4.0))),
     # a knock from a rounded object: wide for its depth of 22 µm, without an edge, so that only a mirror shows it
     CatalogueEntry("dent", DefectShape(kind="dent", length=2.0, width=2.0, slope=math.radians(2.0))),

@@ -29,7 +29,7 @@ LEAST_REFERENCE = 0.1
 class PlacedDefect:
     """A defect on a part, in the frame that its vectors are given in.
 
-    name: Of this one, for people
+    name: Of this defect, for messages and reports
     position: Its centre, on the surface [mm], shape (3,)
     normal: Unit normal of the undisturbed surface there, shape (3,)
     along: Unit vector of its length, in the tangent plane, shape (3,)

@@ -33,7 +33,7 @@ class RawMesh:
     vertices: Positions [file unit], Z up, shape (n, 3)
     faces: Vertex indices as found in the file, shape (m, 3)
     normals: Vertex normals carried by the file, not necessarily of unit length, shape (n, 3), or None
-    format: What the file is, for people ("binary STL")
+    format: For messages, such as "binary STL"
     repeats_vertices: The format repeats a vertex for each face or seam, so coinciding vertices are nothing to report
     warnings: What was noticed while reading
     """

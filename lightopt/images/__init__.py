@@ -7,7 +7,9 @@ from lightopt.images._atomic import (
     write_npz_atomic,
     write_text_atomic,
 )
+from lightopt.images._existing_set import remove_image_set, resumable_manifest
 from lightopt.images._exr import read_exr, read_exr_metadata, write_exr
+from lightopt.images._file_names import dark_name, png_name, posture_folder, sheet_name
 from lightopt.images._manifest import (
     DARK_CHECKED_KEY,
     EVENTS_KEY,
@@ -17,7 +19,7 @@ from lightopt.images._manifest import (
     Manifest,
     SourceFile,
 )
-from lightopt.images._names import dark_name, png_name, posture_folder, sheet_name
+from lightopt.images._manifest_parser import read_manifest
 from lightopt.images._overlap import (
     Overlap,
     find_overlaps,
@@ -25,11 +27,9 @@ from lightopt.images._overlap import (
     write_overlap_map,
     write_overlaps,
 )
-from lightopt.images._parse import read_manifest
 from lightopt.images._png import read_png, read_png_metadata, write_png
 from lightopt.images._reader import ImageSet, read_image_set
 from lightopt.images._result_folder import ResultFolder
-from lightopt.images._resume import remove_image_set, resumable_manifest
 from lightopt.images._writer import ImageSetWriter
 
 __all__ = [

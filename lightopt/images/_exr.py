@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -91,36 +91,27 @@ def _common_shape(path: str | Path, channels: Mapping[str, Channel]) -> tuple[in
     return height, width
 
 
-def read_exr(path: str | Path, names: Sequence[str] | None = None) -> dict[str, Channel]:
-    """Channels of an OpenEXR image as float32 (half is widened), each of shape (H, W), row 0 at the top.
+def read_exr(path: str | Path) -> dict[str, Channel]:
+    """Channels of an OpenEXR image as float32 (half is widened), sorted by name; shape (H, W), row 0 at the top.
 
-    They come in the order of `names`, or all of them sorted by name.
-
-    Raises InputError: the file is missing, damaged or no EXR, lacks a channel, or holds what a plain image does not:
+    Raises InputError: the file is missing, damaged or no EXR, or holds what a plain image does not:
     integer channels, several parts, deep pixels, or a data window other than its display window.
     """
     path = Path(path)
     with open_input(path, file_format="openexr") as source:
         spec = source.spec()
         _check_plain(path, source, spec)
-        available = list(spec.channelnames)
-        wanted = sorted(available) if names is None else list(names)
-        if missing := [name for name in wanted if name not in available]:
-            raise InputError(
-                f"{path}: no channel {', '.join(missing)}; the file has {', '.join(sorted(available))}"
-            )
-        index = {name: available.index(name) for name in wanted}
+        index = {name: i for i, name in enumerate(spec.channelnames)}
         for name, i in index.items():
             if str(spec.channelformat(i)) not in ("float", "half"):
                 raise InputError(
                     f"{path}: channel {name}: expected float or half, found {spec.channelformat(i)}"
                 )
-        first = min(index.values(), default=0)
-        pixels = source.read_image(0, 0, first, max(index.values(), default=0) + 1, "float")
+        pixels = source.read_image(0, 0, 0, len(index), "float")
         if pixels is None or source.has_error:
             raise InputError(f"{path}: damaged: {source.geterror().strip()}; write the file anew")
     values = np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, -1)
-    return {name: np.ascontiguousarray(values[..., i - first]) for name, i in index.items()}
+    return {name: np.ascontiguousarray(values[..., index[name]]) for name in sorted(index)}
 
 
 def _check_plain(path: Path, source: OpenImageIO.ImageInput, spec: OpenImageIO.ImageSpec) -> None:

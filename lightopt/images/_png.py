@@ -1,4 +1,4 @@
-"""PNG images of camera levels (grey, 8 or 16 bit) and of pictures for people (RGB)."""
+"""PNG images of camera levels (grey, 8 or 16 bit) and of illustrations (RGB)."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256, files_sha256
 from lightopt.images._exr import read_exr
 from lightopt.images._manifest import MANIFEST_NAME, GeometryEntry, ImageEntry, Manifest
-from lightopt.images._parse import read_manifest
+from lightopt.images._manifest_parser import read_manifest
 from lightopt.images._png import read_png
 
 

@@ -22,11 +22,11 @@ from lightopt.images._atomic import (
     write_npz_atomic,
     write_text_atomic,
 )
+from lightopt.images._existing_set import remove_set, resumable_manifest
 from lightopt.images._exr import write_exr
+from lightopt.images._file_names import FileNames, ImageKey, exr_name, geometry_name, inside_problem, png_name
 from lightopt.images._manifest import MANIFEST_NAME, GeometryEntry, ImageEntry, Manifest
-from lightopt.images._names import FileNames, ImageKey, exr_name, geometry_name, inside_problem, png_name
 from lightopt.images._png import write_png
-from lightopt.images._resume import remove_set, resumable_manifest
 
 _PATCHES_NAME = "patches.npz"
 
@@ -37,7 +37,7 @@ class ImageSetWriter:
     The manifest is on disk from the start and is rewritten after each file that it names, so whenever the run
     stops the folder holds a valid set of what was finished. Opened again with the same header, it resumes:
     `done` says what need not be made again. Threads may add files of their own at the same time. Every method that
-    writes raises InputError when a foreign file is in the way or the disk refuses.
+    writes raises InputError when a file of others is in the way or the disk refuses.
 
     header: The manifest without its entries. Two runs with equal headers (rig and part by their SHA-256) are the
         same run.

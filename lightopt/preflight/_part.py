@@ -150,7 +150,7 @@ def check_unseen_surface(checked: CheckedScene) -> Iterator[Finding]:
     share = unseen_top / top
     which = ~seen & upper
     mean = patches.areas[which] @ normals[which]
-    corners = patches.corners[which].reshape(-1, 3)
+    corners = patches.vertices[patches.triangles[which]].reshape(-1, 3)
     low, high = corners.min(axis=0), corners.max(axis=0)
     values["unseen_upper_box_mm"] = [low.tolist(), high.tolist()]
     box = ", ".join(f"{axis} {a:.3g} to {b:.3g}" for axis, a, b in zip("XYZ", low, high, strict=True))

@@ -20,14 +20,14 @@ from lightopt.rendering._patches import (
     DEFAULT_PATCH_BUDGET,
     PatchTable,
     build_patches,
+    camera_visibility,
     grain_of,
     patch_pixels,
     patch_positions,
     patches_for_edge,
-    sight_of,
     visible_points,
 )
-from lightopt.rendering._pixels import UNLIT, WHOLE, PosturePixels, panel_verdict, trace_pixels
+from lightopt.rendering._pixels import UNLIT, WHOLE, PosturePixels, panel_visibility, trace_pixels
 from lightopt.rendering._point_lights import shade_points
 from lightopt.rendering._scene_checks import panels_in_part, refuse_unusable_scene, too_few_pixels
 from lightopt.rendering._surface import GRAZING_COSINE, GRAZING_DEG, SurfacePoints, trace_samples
@@ -48,12 +48,13 @@ __all__ = [
     "RenderOptions",
     "SurfacePoints",
     "build_patches",
+    "camera_visibility",
     "cast_rays_at",
     "converged_panel",
     "grain_of",
     "highlight_level",
     "light_layer",
-    "panel_verdict",
+    "panel_visibility",
     "panels_in_part",
     "patch_pixels",
     "patch_positions",
@@ -67,7 +68,6 @@ __all__ = [
     "shade_points",
     "shade_variants",
     "shadow_targets",
-    "sight_of",
     "surface_variants",
     "too_few_pixels",
     "trace_pixels",

@@ -38,7 +38,7 @@ PROBE_INSET = 0.98
 """The rays to the corners go this far from the panel's centre towards them."""
 
 PENUMBRA_BATCH = 2048
-"""Penumbra pixels that are worked on at once: some 10 MiB of rays."""
+"""Penumbra pixels that are shaded at once: some 10 MiB of rays."""
 
 # what the coarse rays of a pixel to a light show
 _DARK, _CLEAR, _HIDDEN, _MIXED = 0, 1, 2, 3
@@ -56,14 +56,14 @@ class ConvergedPanel:
 
 
 @dataclass(frozen=True, eq=False)
-class PanelSight:
+class PanelVisibility:
     """What k surface points see of a panel.
 
-    verdict: By the coarse rays, shape (k,)
+    coarse: By the coarse rays: _DARK, _CLEAR, _HIDDEN or _MIXED, shape (k,)
     penumbra: Whether the point was shaded as one in a penumbra, shape (k,)
     """
 
-    verdict: UInt8
+    coarse: UInt8
     penumbra: Bool
 
 
@@ -99,42 +99,42 @@ def shade_converged(
     shape: tuple[int, int],
     reflectance: Reflectance,
     caster: RayCaster | None,
-    verdict: UInt8 | None = None,
-) -> tuple[Float64, Float64, PanelSight]:
+    coarse: UInt8 | None = None,
+) -> tuple[Float64, Float64, PanelVisibility]:
     """Diffuse and specular light of a whole panel, per unit of R_d and R_s, shape (k,), and what the points see of it.
 
     sample: Index of each point in the raveled grid of image samples that was traced, shape (k,): shadows are refined
         where neighbours in this grid disagree
     shape: Rows and columns of that grid; the grid's own border has no neighbours beyond it
     reflectance: Its σ shapes the lobe; how finely penumbrae are worked out depends on R_d and R_s, too
-    verdict: Of the coarse rays, from :func:`verdict_of_probes`, where they have been cast before
+    coarse: By the coarse rays, from :func:`classify_probes`, where they have been cast before
     """
     if caster is None:
-        verdict = np.where(surface.front, _CLEAR, _DARK).astype(np.uint8)
+        coarse = np.where(surface.front, _CLEAR, _DARK).astype(np.uint8)
         uncertain = np.zeros(len(surface), np.bool_)
     else:
-        if verdict is None:
-            verdict = _verdict(*visible_counts(surface, probe_targets(converged.light), caster))
-        uncertain = _disagreeing(verdict, sample, shape)
+        if coarse is None:
+            coarse = _classify(*visible_counts(surface, probe_targets(converged.light), caster))
+        uncertain = _disagreeing(coarse, sample, shape)
     light = _converged_light(converged, reflectance)
-    diffuse, specular = _whole_panel(surface.points, surface.normals, surface.views, verdict, light)
+    diffuse, specular = _whole_panel(surface.points, surface.normals, surface.views, coarse, light)
     shaded = np.zeros(len(surface), np.bool_)
     if caster is not None:
         while uncertain.any():
             penumbra = _add_penumbrae(surface, uncertain, light, caster, diffuse, specular)
             # a penumbra goes on until its neighbours, too, see the whole panel or none of it
             shaded |= uncertain
-            uncertain = _neighbours(penumbra, sample, shape) & ~shaded & (verdict != _DARK)
+            uncertain = _neighbours(penumbra, sample, shape) & ~shaded & (coarse != _DARK)
     total = converged.light.total_weight
-    return total * diffuse, total * specular, PanelSight(verdict, shaded)
+    return total * diffuse, total * specular, PanelVisibility(coarse, shaded)
 
 
-def shade_again(
+def shade_changed_points(
     surface: SurfacePoints,
     converged: ConvergedPanel,
     *,
     index: Index,
-    sight: PanelSight,
+    visibility: PanelVisibility,
     sample: Index,
     shape: tuple[int, int],
     reflectance: Reflectance,
@@ -147,20 +147,20 @@ def shade_again(
 
     surface: The j points with their own normals, part frame
     index: Of each among the k points of the surface, shape (j,)
-    sight: What the surface sees, from :func:`shade_converged`
+    visibility: What the surface sees, from :func:`shade_converged`
     sample, shape: Of the k points, as :func:`shade_converged` takes them
     reflectance: Of the j points
     """
-    verdict = sight.verdict.copy()
+    coarse = visibility.coarse.copy()
     if caster is None:
-        verdict[index] = np.where(surface.front, _CLEAR, _DARK).astype(np.uint8)
+        coarse[index] = np.where(surface.front, _CLEAR, _DARK).astype(np.uint8)
     else:
-        verdict[index] = _verdict(*visible_counts(surface, probe_targets(converged.light), caster))
-    own = verdict[index]
+        coarse[index] = _classify(*visible_counts(surface, probe_targets(converged.light), caster))
+    own = coarse[index]
     light = _converged_light(converged, reflectance)
     diffuse, specular = _whole_panel(surface.points, surface.normals, surface.views, own, light)
     if caster is not None:
-        uncertain = (_disagreeing(verdict, sample, shape) | sight.penumbra)[index] & (own != _DARK)
+        uncertain = (_disagreeing(coarse, sample, shape) | visibility.penumbra)[index] & (own != _DARK)
         _add_penumbrae(surface, uncertain, light, caster, diffuse, specular)
     total = converged.light.total_weight
     return total * diffuse, total * specular
@@ -219,26 +219,26 @@ def panel_probes(surface: SurfacePoints, targets: Float64, caster: RayCaster) ->
     return clear
 
 
-def verdict_of_probes(surface: SurfacePoints, targets: Float64, clear: Bool) -> UInt8:
+def classify_probes(surface: SurfacePoints, targets: Float64, clear: Bool) -> UInt8:
     """What the coarse rays show for each point with its own normal, from :func:`panel_probes`, shape (k,)."""
     above = np.zeros_like(clear)
     above[facing_pairs(surface, targets, geometric=False)] = True
-    return _verdict((clear & above).sum(axis=1), above.sum(axis=1))
+    return _classify((clear & above).sum(axis=1), above.sum(axis=1))
 
 
-def _verdict(clear: Index, all_above: Index) -> UInt8:
-    verdict = np.full(len(clear), _MIXED, np.uint8)
-    verdict[clear == 0] = _HIDDEN
-    verdict[clear == all_above] = _CLEAR
-    verdict[all_above == 0] = _DARK
-    return verdict
+def _classify(clear: Index, all_above: Index) -> UInt8:
+    coarse = np.full(len(clear), _MIXED, np.uint8)
+    coarse[clear == 0] = _HIDDEN
+    coarse[clear == all_above] = _CLEAR
+    coarse[all_above == 0] = _DARK
+    return coarse
 
 
-def _disagreeing(verdict: UInt8, sample: Index, shape: tuple[int, int]) -> Bool:
+def _disagreeing(coarse: UInt8, sample: Index, shape: tuple[int, int]) -> Bool:
     # points whose rays disagree among themselves or with those of a neighbouring sample
-    near_clear = _neighbours((verdict == _CLEAR) | (verdict == _MIXED), sample, shape)
-    near_hidden = _neighbours((verdict == _HIDDEN) | (verdict == _MIXED), sample, shape)
-    return near_clear & near_hidden & (verdict != _DARK)
+    near_clear = _neighbours((coarse == _CLEAR) | (coarse == _MIXED), sample, shape)
+    near_hidden = _neighbours((coarse == _HIDDEN) | (coarse == _MIXED), sample, shape)
+    return near_clear & near_hidden & (coarse != _DARK)
 
 
 def _neighbours(flags: Bool, sample: Index, shape: tuple[int, int]) -> Bool:
@@ -254,14 +254,14 @@ def _neighbours(flags: Bool, sample: Index, shape: tuple[int, int]) -> Bool:
 
 @kernel
 def _whole_panel(
-    points: Float64, normals: Float64, views: Float64, verdict: UInt8, light: ConvergedLight
+    points: Float64, normals: Float64, views: Float64, coarse: UInt8, light: ConvergedLight
 ) -> tuple[Float64, Float64]:
     # light of the whole panel, of weight 1, where nothing is in the way
     panel, inverse = light.panel, light.inverse_two_sigma_squared
     diffuse = np.zeros(len(points))
     specular = np.zeros(len(points))
     for i in range(len(points)):
-        if verdict[i] != _CLEAR:
+        if coarse[i] != _CLEAR:
             continue
         p, n, v = vector_at(points, i), vector_at(normals, i), vector_at(views, i)
         diffuse[i] = rectangle_diffuse(p, n, panel, WHOLE_PANEL, light.nodes)

@@ -36,7 +36,7 @@ CELLS = 4
 
 
 class VariantNumbers(NamedTuple):
-    """The variants of a surface as the kernels want them.
+    """The variants of a surface in the form that kernels take.
 
     lean: Normals in the points' frames, shape (t, 3)
     R_d, R_s: Of each, shape (t,)

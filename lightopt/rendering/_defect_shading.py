@@ -16,7 +16,7 @@ from lightopt.core.arrays import Float64, Index, Int32
 from lightopt.defects import PlacedDefect, mark_surface
 from lightopt.geometry import RayCaster
 from lightopt.optics import Reflectance
-from lightopt.rendering._converged_panel import ConvergedPanel, PanelSight, shade_again
+from lightopt.rendering._converged_panel import ConvergedPanel, PanelVisibility, shade_changed_points
 from lightopt.rendering._point_lights import shade_points
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.scene import PanelLight
@@ -40,7 +40,7 @@ class DefectSamples:
     def light(
         self,
         panel: PanelLight | ConvergedPanel,
-        sight: PanelSight | None,
+        visibility: PanelVisibility | None,
         *,
         sample: Index,
         shape: tuple[int, int],
@@ -49,17 +49,17 @@ class DefectSamples:
         """Diffuse and specular levels under a panel [grey level], two arrays of shape (j,).
 
         panel: Part frame
-        sight: What the undisturbed surface sees of a converged panel, from :func:`shade_converged`
+        visibility: What the undisturbed surface sees of a converged panel, from :func:`shade_converged`
         sample, shape: As :func:`shade_converged` takes them, of all samples of the surface
         """
         r = self.reflectance
         if isinstance(panel, ConvergedPanel):
-            assert sight is not None
-            diffuse, specular = shade_again(
+            assert visibility is not None
+            diffuse, specular = shade_changed_points(
                 self.surface,
                 panel,
                 index=self.index,
-                sight=sight,
+                visibility=visibility,
                 sample=sample,
                 shape=shape,
                 reflectance=r,

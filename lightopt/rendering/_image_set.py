@@ -100,7 +100,7 @@ def render_image_set(
     folder: Made where it does not exist
     run: Its stages are the postures, with the share of all of them
     Raises InputError: Whatever is wrong with the files, the options or the folder; a panel inside the part; a part that
-        hardly a pixel sees. Nothing is written before all inputs are read.
+        too few pixels see. Nothing is written before all inputs are read.
     """
     run = run or RunContext()
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
@@ -165,14 +165,7 @@ def render_image_set(
                 f"posture {posture}: {counted(images.back_faces, 'pixel')} on the back of a face, black; the mesh is "
                 "open or its winding is wrong there"
             )
-        if not writer.geometry_done(posture):
-            facts = {"back_face_pixels": images.back_faces}
-            writer.add_geometry(posture, _geometry_channels(images.geometry), metadata=facts)
-        for light, image in zip(scene.lights, images.lights, strict=True):
-            for exposure in options.exposures:
-                if not writer.done(light.name, posture, exposure):
-                    seeds = None if options.noise is None else (options.noise, names.index(light.name))
-                    _add_image(writer, scene, images, light, image, exposure, seeds)
+        _write_posture(writer, scene, images, options, names)
     return RenderedSet(
         folder=Path(folder),
         images=len(plan),
@@ -267,6 +260,24 @@ def _narrow_defects(scene: Scene, rig: RigConfig, supersample: int) -> tuple[str
         f"supersampling by {min(enough, MOST_SUPERSAMPLE)} shows how far they fill each pixel"
     )
     return (text,)
+
+
+def _write_posture(
+    writer: ImageSetWriter, scene: Scene, images: PostureImages, options: RenderOptions, names: list[str]
+) -> None:
+    """Write what the folder lacks of a posture: its geometry, and an image per light and exposure.
+
+    names: Of the rig's lights, whose order numbers their noise
+    """
+    posture = images.posture
+    if not writer.geometry_done(posture):
+        facts = {"back_face_pixels": images.back_faces}
+        writer.add_geometry(posture, _geometry_channels(images.geometry), metadata=facts)
+    for light, image in zip(scene.lights, images.lights, strict=True):
+        for exposure in options.exposures:
+            if not writer.done(light.name, posture, exposure):
+                seeds = None if options.noise is None else (options.noise, names.index(light.name))
+                _add_image(writer, scene, images, light, image, exposure, seeds)
 
 
 def _add_image(

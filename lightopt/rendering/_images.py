@@ -16,7 +16,7 @@ from lightopt.core.transforms import Posture
 from lightopt.geometry import Hits, Patches, RayCaster, TriangleMesh
 from lightopt.rendering._converged_panel import (
     ConvergedPanel,
-    PanelSight,
+    PanelVisibility,
     converged_panel,
     shade_converged,
     shadow_targets,
@@ -242,11 +242,11 @@ class _PostureJob:
         reflectance = self.scene.reflectance
         sample = hits.ray.astype(np.intp)
         for panel, image in zip(self.panels, self.images, strict=True):
-            d, s, sight = self._shade(surface, panel, sample, grid)
+            d, s, visibility = self._shade(surface, panel, sample, grid)
             light = reflectance.R_d * d, reflectance.R_s * s
             for some in marked:
                 light[0][some.index], light[1][some.index] = some.light(
-                    panel, sight, sample=sample, shape=grid, caster=self.shadow_caster
+                    panel, visibility, sample=sample, shape=grid, caster=self.shadow_caster
                 )
             diffuse, specular = (self._pixels(values, hits, grid, own) for values in light)
             image.level[target] = diffuse + specular
@@ -262,7 +262,7 @@ class _PostureJob:
 
     def _shade(
         self, surface: SurfacePoints, panel: PanelLight | ConvergedPanel, sample: Index, grid: tuple[int, int]
-    ) -> tuple[Float64, Float64, PanelSight | None]:
+    ) -> tuple[Float64, Float64, PanelVisibility | None]:
         caster, reflectance = self.shadow_caster, self.scene.reflectance
         if isinstance(panel, ConvergedPanel):
             return shade_converged(

@@ -26,7 +26,7 @@ from lightopt.rendering._panel_quadrature import (
 )
 from lightopt.rendering._point_lights import point_terms
 from lightopt.rendering._surface import SurfacePoints
-from lightopt.rendering._vectors import divided, dot, length, minus, plus, vector_at
+from lightopt.rendering._vectors import Vector, divided, dot, length, minus, plus, vector_at
 from lightopt.scene import PanelLight, panel_grid
 
 _CHUNK = 8192
@@ -97,8 +97,9 @@ def light_layer(
     def chunk(start: int) -> None:
         end = min(start + _CHUNK, len(surface))
         s = surface
-        _diffuse(s.points, s.normals, grid, panel, nodes, start, end, diffuse)
-        _deflection(s.points, s.normals, s.views, panel, start, end, deflection)
+        _diffuse_and_deflection(
+            s.points, s.normals, s.views, grid, panel, nodes, start, end, diffuse, deflection
+        )
 
     in_threads(chunk, range(0, len(surface), _CHUNK), threads)
     diffuse *= light.total_weight
@@ -138,45 +139,38 @@ def _specular(
 
 
 @kernel
-def _diffuse(
+def _diffuse_and_deflection(
     points: Float64,
     normals: Float64,
+    views: Float64,
     grid: Float64,
     panel: PanelNumbers,
     panel_nodes: int,
     start: int,
     end: int,
-    result: Float64,
+    diffuse: Float64,
+    deflection: Float64,
 ) -> None:
     for i in range(start, end):
-        p, n = vector_at(points, i), vector_at(normals, i)
+        p, n, v = vector_at(points, i), vector_at(normals, i), vector_at(views, i)
+        deflection[i] = _deflection(p, n, v, panel)
         if len(grid) == 0:
-            result[i] = rectangle_diffuse(p, n, panel, WHOLE_PANEL, panel_nodes)
+            diffuse[i] = rectangle_diffuse(p, n, panel, WHOLE_PANEL, panel_nodes)
             continue
         total = 0.0
         for k in range(len(grid)):
             # no specular term: any view will do
             d, _ = point_terms(p, n, n, 0.0, vector_at(grid, k), panel, 0.0)
             total += d
-        result[i] = total / len(grid)
+        diffuse[i] = total / len(grid)
 
 
 @kernel
-def _deflection(
-    points: Float64,
-    normals: Float64,
-    views: Float64,
-    panel: PanelNumbers,
-    start: int,
-    end: int,
-    result: Float64,
-) -> None:
-    for i in range(start, end):
-        p, n, v = vector_at(points, i), vector_at(normals, i), vector_at(views, i)
-        # the place of the panel nearest to it
-        s, t = mirror_point(p, n, v, dot(n, v), panel)
-        s, t = min(max(s, -0.5), 0.5), min(max(t, -0.5), 0.5)
-        light = minus(panel_point(panel, s, t), p)
-        half = plus(divided(light, length(light)), v)
-        chord = length(minus(n, divided(half, length(half))))
-        result[i] = 2.0 * math.asin(min(1.0, 0.5 * chord))
+def _deflection(p: Vector, n: Vector, v: Vector, panel: PanelNumbers) -> float:
+    # at the place of the panel nearest to the mirrored view
+    s, t = mirror_point(p, n, v, dot(n, v), panel)
+    s, t = min(max(s, -0.5), 0.5), min(max(t, -0.5), 0.5)
+    light = minus(panel_point(panel, s, t), p)
+    half = plus(divided(light, length(light)), v)
+    chord = length(minus(n, divided(half, length(half))))
+    return 2.0 * math.asin(min(1.0, 0.5 * chord))

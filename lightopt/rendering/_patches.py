@@ -161,7 +161,8 @@ def build_patches(scene: Scene, *, caster: RayCaster, budget: int = DEFAULT_PATC
     edge = min(edge, max(footprint, _longest_edge(mesh, seen)))
     patches = refine(mesh, max_edge_mm=edge, max_patches=_MOST_PATCHES, select=seen)
     sights = [
-        sight_of(patches.centroids, patches.normals, facets[patches.face], view, caster) for view in views
+        camera_visibility(patches.centroids, patches.normals, facets[patches.face], view, caster)
+        for view in views
     ]
     visible = np.stack([seen for seen, _ in sights])
     over = shown < budget < int(visible.any(axis=0).sum()) and most > budget - shown
@@ -236,7 +237,7 @@ def grain_of(areas: Float64) -> float:
     return 0.5 * math.sqrt(float((areas**2).sum())) / max(float(areas.sum()), 1e-300)
 
 
-def sight_of(
+def camera_visibility(
     points: Float64, normals: Float64, facets: Float64, view: PartView, caster: RayCaster
 ) -> tuple[Bool, Bool]:
     """Which points of the surface the camera sees, and which of these at a grazing angle.

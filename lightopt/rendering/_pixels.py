@@ -90,7 +90,7 @@ def trace_pixels(
     )
 
 
-def panel_verdict(
+def panel_visibility(
     pixels: PosturePixels, light: PanelLight, caster: RayCaster, *, threads: int | None = None
 ) -> UInt8:
     """What each pixel sees of a panel: :data:`UNLIT`, :data:`WHOLE` or :data:`LEFT_OUT`, shape (k,).
@@ -118,9 +118,9 @@ def panel_verdict(
     row, column = pixels.row, pixels.column
     near_hidden = _spread(hidden | mixed, row, column)
     near_lit = _spread(lit | mixed, row, column)
-    verdict = np.where(lit, WHOLE, UNLIT).astype(np.uint8)
-    verdict[mixed | (lit & near_hidden) | (hidden & near_lit)] = LEFT_OUT
-    return verdict
+    visibility = np.where(lit, WHOLE, UNLIT).astype(np.uint8)
+    visibility[mixed | (lit & near_hidden) | (hidden & near_lit)] = LEFT_OUT
+    return visibility
 
 
 def _edges(surface: SurfacePoints, row: Int32, column: Int32, shape: tuple[int, int]) -> Bool:

@@ -17,7 +17,48 @@ from lightopt.rendering._vectors import Vector, dot, minus, plus, scaled, vector
 from lightopt.scene import PanelLight, panel_grid
 
 PAIRS_AT_ONCE = 1 << 20
-"""Pairs of surface point and point light that are worked on at once: some 60 MiB, and 0.2 s, for Ctrl-C to be heard."""
+"""Pairs of surface point and point light that are shaded at once: some 60 MiB, and 0.2 s that Ctrl-C waits."""
+
+
+@kernel
+def point_terms(
+    p: Vector,
+    n: Vector,
+    v: Vector,
+    n_dot_v: float,
+    q: Vector,
+    panel: PanelNumbers,
+    inverse_two_sigma_squared: float,
+) -> tuple[float, float]:
+    """Diffuse and specular terms, per unit of R_d and R_s, of one point light of weight 1 (paper, equations 2 and 3).
+
+    p, n, v: Surface point [mm], its unit normal and unit view direction
+    n_dot_v: cosθ_o; 0 leaves the specular term out
+    q: The point light [mm], a point of the panel
+    inverse_two_sigma_squared: 1/(2σ²) [rad⁻²]
+    """
+    light = minus(q, p)
+    r2 = dot(light, light)
+    light = scaled(light, 1.0 / math.sqrt(r2))
+    n_dot_l = dot(n, light)
+    if n_dot_l <= 0.0:
+        return 0.0, 0.0
+    weight = attenuated(1.0, panel, r2, dot(panel.outward, light))
+    diffuse = weight * lambert(n_dot_l)
+    if n_dot_v <= 0.0:
+        return diffuse, 0.0
+    half = plus(light, v)
+    length_squared = dot(half, half)
+    # far from the lobe, where most pixels of a glossy part are, not even the square root is needed
+    n_dot_h = dot(n, half)
+    least_cosine = 1.0 - 0.5 * MAX_LOBE_EXPONENT / inverse_two_sigma_squared
+    if least_cosine > 0.0 and (
+        n_dot_h <= 0.0 or n_dot_h * n_dot_h < least_cosine * least_cosine * length_squared
+    ):
+        return diffuse, 0.0
+    chord = minus(n, scaled(half, 1.0 / math.sqrt(length_squared)))
+    lobe = specular_lobe(dot(chord, chord), inverse_two_sigma_squared)
+    return diffuse, weight * (lobe / specular_cosine(n_dot_v))
 
 
 def shade_points(
@@ -145,44 +186,3 @@ def _accumulate(
         diffuse[i] += weight * d
         specular[i] += weight * s
     return diffuse, specular
-
-
-@kernel
-def point_terms(
-    p: Vector,
-    n: Vector,
-    v: Vector,
-    n_dot_v: float,
-    q: Vector,
-    panel: PanelNumbers,
-    inverse_two_sigma_squared: float,
-) -> tuple[float, float]:
-    """Diffuse and specular terms, per unit of R_d and R_s, of one point light of weight 1 (paper, equations 2 and 3).
-
-    p, n, v: Surface point [mm], its unit normal and unit view direction
-    n_dot_v: cosθ_o; 0 leaves the specular term out
-    q: The point light [mm], a point of the panel
-    inverse_two_sigma_squared: 1/(2σ²) [rad⁻²]
-    """
-    light = minus(q, p)
-    r2 = dot(light, light)
-    light = scaled(light, 1.0 / math.sqrt(r2))
-    n_dot_l = dot(n, light)
-    if n_dot_l <= 0.0:
-        return 0.0, 0.0
-    weight = attenuated(1.0, panel, r2, dot(panel.outward, light))
-    diffuse = weight * lambert(n_dot_l)
-    if n_dot_v <= 0.0:
-        return diffuse, 0.0
-    half = plus(light, v)
-    length_squared = dot(half, half)
-    # far from the lobe, where most pixels of a glossy part are, not even the square root is needed
-    n_dot_h = dot(n, half)
-    least_cosine = 1.0 - 0.5 * MAX_LOBE_EXPONENT / inverse_two_sigma_squared
-    if least_cosine > 0.0 and (
-        n_dot_h <= 0.0 or n_dot_h * n_dot_h < least_cosine * least_cosine * length_squared
-    ):
-        return diffuse, 0.0
-    chord = minus(n, scaled(half, 1.0 / math.sqrt(length_squared)))
-    lobe = specular_lobe(dot(chord, chord), inverse_two_sigma_squared)
-    return diffuse, weight * (lobe / specular_cosine(n_dot_v))

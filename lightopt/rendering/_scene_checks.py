@@ -1,4 +1,4 @@
-"""What makes it pointless to render: panels inside the part, and a part that hardly a pixel sees."""
+"""Checks before rendering: no panel is inside the part, and enough pixels see the part."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PANEL_POINTS = 25
 """Points of a panel that are tried."""
 
 LEAST_PIXELS = 16
-"""A part that fewer pixels see, in the posture that shows it best, is no image of it."""
+"""Least number of pixels that see the part, in the posture that shows it best."""
 
 BLOCK_RAYS = 65_536
 
@@ -45,7 +45,7 @@ class PanelInPart:
 
 @dataclass(frozen=True, kw_only=True)
 class TooFewPixels:
-    """A part that hardly a pixel sees, in whichever posture.
+    """A part that too few pixels see, in every posture.
 
     pixels: That see it in the posture that shows it best
     """
@@ -72,7 +72,7 @@ def panels_in_part(scene: Scene) -> tuple[PanelInPart, ...]:
 
 
 def too_few_pixels(scene: Scene, caster: RayCaster) -> TooFewPixels | None:
-    """Whether next to no pixel sees the part in any posture; None where enough do."""
+    """Whether too few pixels see the part in every posture; None where enough do in one."""
     most = 0
     for posture in scene.postures:
         most = max(most, _pixels(scene, view_from_part(scene, posture), caster))

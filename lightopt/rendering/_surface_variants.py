@@ -20,10 +20,10 @@ from lightopt.geometry import RayCaster
 from lightopt.optics import MIN_COS_VIEW, Reflectance, lambert, specular_cosine, specular_lobe
 from lightopt.rendering._converged_panel import (
     ConvergedPanel,
+    classify_probes,
     panel_probes,
     probe_targets,
     shade_converged,
-    verdict_of_probes,
 )
 from lightopt.rendering._converged_variants import VariantNumbers, panel_variants
 from lightopt.rendering._panel_light import PanelNumbers, attenuated, panel_numbers
@@ -33,7 +33,7 @@ from lightopt.rendering._vectors import cross, dot, minus, plus, scaled, vector_
 from lightopt.scene import PanelLight, panel_grid
 
 CONVERGED_AT_ONCE = 1 << 13
-"""Surface points under a converged panel that are worked on at once: some 0.1 s, so that Ctrl-C is heard."""
+"""Surface points under a converged panel that are shaded at once: some 0.1 s, the longest that Ctrl-C waits."""
 
 NEGLIGIBLE_LEVEL = 1e-3
 """Lobes are left out of variants where they are nowhere more than this [grey level]: 0.26 of a level of 16 bits."""
@@ -188,10 +188,10 @@ def _converged_variants(
     targets = probe_targets(converged.light)
     if caster is None:
         clear = np.ones((len(surface), len(targets)), np.bool_)
-        verdict = None
+        coarse = None
     else:
         clear = panel_probes(surface, targets, caster)
-        verdict = verdict_of_probes(surface, targets, clear)
+        coarse = classify_probes(surface, targets, clear)
     diffuse, specular, _ = shade_converged(
         surface,
         converged,
@@ -200,7 +200,7 @@ def _converged_variants(
         shape=(1, 2 * len(surface)),
         reflectance=reflectance,
         caster=caster,
-        verdict=verdict,
+        coarse=coarse,
     )
     total = converged.light.total_weight
     # the surface as it is comes first

@@ -1,3 +1,5 @@
+"""From rig and part files to the scene: camera, lights, mesh and its placement, checked against each other."""
+
 from __future__ import annotations
 
 import math

@@ -1,3 +1,5 @@
+"""The pinhole camera with lens distortion: rays of image points, projection of points, framing of a part."""
+
 from __future__ import annotations
 
 from dataclasses import dataclass, replace

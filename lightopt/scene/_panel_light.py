@@ -133,12 +133,8 @@ def image_area(camera: PinholeCamera, polygon: Float64) -> float:
     local = np.stack([offset @ camera.right, -(offset @ camera.up), offset @ camera.forward], axis=1)
     scale = camera.image_distance / camera.pixel_size
     w, h = _half_view(camera)
-    planes = ((0.0, 0.0, 1.0), (1.0, 0.0, w), (-1.0, 0.0, w), (0.0, 1.0, h), (0.0, -1.0, h))
-    for plane, least in zip(planes, (_NEAR_MM, 0.0, 0.0, 0.0, 0.0), strict=True):
-        local = _clip(local, np.array(plane), least)
-        if len(local) < 3:
-            return 0.0
-    if not camera.distortion.is_zero:
+    local = _in_view(_clip(local, np.array([0.0, 0.0, 1.0]), _NEAR_MM), w, h)
+    if len(local) and not camera.distortion.is_zero:
         return _bent_area(camera, local)
     return _area(local[:, :2] / local[:, 2:] * scale)
 
@@ -170,13 +166,17 @@ def _bent_area(camera: PinholeCamera, local: Float64) -> float:
     world = camera.position + outline @ np.array([camera.right, -camera.up, camera.forward])
     columns, rows, _ = project(camera, world)
     flat = np.stack([columns - 0.5 * camera.width, rows - 0.5 * camera.height, np.ones(len(columns))], axis=1)
-    w, h = 0.5 * camera.width, 0.5 * camera.height
-    for plane in ((1.0, 0.0, w), (-1.0, 0.0, w), (0.0, 1.0, h), (0.0, -1.0, h)):
-        flat = _clip(flat, np.array(plane), 0.0)
-        if len(flat) < 3:
-            return 0.0
-    area = _area(flat[:, :2])
+    area = _area(_in_view(flat, 0.5 * camera.width, 0.5 * camera.height)[:, :2])
     return area if area > _LEAST_AREA else 0.0
+
+
+def _in_view(polygon: Float64, w: float, h: float) -> Float64:
+    # the part of a polygon in the pyramid |x| ≤ w·z, |y| ≤ h·z; none of it where less than a triangle is left
+    for plane in ((1.0, 0.0, w), (-1.0, 0.0, w), (0.0, 1.0, h), (0.0, -1.0, h)):
+        if len(polygon) < 3:
+            return np.zeros((0, 3))
+        polygon = _clip(polygon, np.array(plane), 0.0)
+    return polygon if len(polygon) >= 3 else np.zeros((0, 3))
 
 
 def _area(polygon: Float64) -> float:

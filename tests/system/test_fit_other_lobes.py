@@ -18,7 +18,7 @@ from lightopt.estimate.reflectance._quality import assess_quality, poor_fit_warn
 from lightopt.estimate.reflectance._samples import collect_samples
 from lightopt.estimate.reflectance._validation import leave_lights_out
 from lightopt.optics import expose, image_rng
-from lightopt.rendering import UNLIT, cast_rays_at, panel_verdict, trace_pixels
+from lightopt.rendering import UNLIT, cast_rays_at, panel_visibility, trace_pixels
 from lightopt.scene import panel_grid
 
 
@@ -45,7 +45,7 @@ def drawn(scene, caster, *, R_d, R_s, width, exposures):
                 delta = 2.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(s.normals - half, axis=1), 0.0, 1.0))
                 value = R_d * n_dot_l + R_s * heavy_tails(delta, width) / np.maximum(n_dot_v, 0.01)
                 total += np.where((n_dot_l > 0.0) & (n_dot_v > 0.0), value, 0.0)
-            lit = panel_verdict(pixels, panel, caster) != UNLIT
+            lit = panel_visibility(pixels, panel, caster) != UNLIT
             level = np.zeros(pixels.shape, np.float32)
             level[pixels.row, pixels.column] = np.where(lit, panel.gain * total / len(points), 0.0)
             for e, exposure in enumerate(exposures):

@@ -55,15 +55,6 @@ def test_exr_keeps_values_channels_and_metadata(folder: Path):
     assert read_exr_metadata(folder / "a.exr") == METADATA
 
 
-def test_exr_reads_the_channels_asked_for_in_that_order(folder: Path):
-    write_exr(folder / "a.exr", {"A": NOISE, "B": NOISE * 2, "C": NOISE * 3}, metadata={})
-    read = read_exr(folder / "a.exr", ["C", "A"])
-    assert list(read) == ["C", "A"]
-    assert np.array_equal(read["C"], NOISE * 3)
-    with pytest.raises(InputError, match=r"no channel Q; the file has A, B, C"):
-        read_exr(folder / "a.exr", ["A", "Q"])
-
-
 def test_exr_of_more_rows_than_a_block_and_of_a_strided_view(folder: Path):
     values = RNG.random((1100, 24), dtype=np.float32)
     write_exr(folder / "a.exr", {"Y": values[::2, ::-1]}, metadata={})

@@ -29,8 +29,8 @@ from lightopt.images import (
     write_exr,
     write_png,
 )
-from lightopt.images._names import exr_name, geometry_name
-from lightopt.images._parse import parse_manifest
+from lightopt.images._file_names import exr_name, geometry_name
+from lightopt.images._manifest_parser import parse_manifest
 
 HEADER = Manifest(
     kind="simulated",

@@ -41,7 +41,7 @@ from lightopt.design.postures._plan_postures import target_not_reached
 from lightopt.design.responses._matrix_computation import luminance_matrices, matrix_bytes
 from lightopt.design.tolerances._misaligned_scores import ObjectiveAssessment
 from lightopt.geometry import face_normals
-from lightopt.rendering import build_patches, cast_rays_at, sight_of
+from lightopt.rendering import build_patches, camera_visibility, cast_rays_at
 from lightopt.scene import build_catalogue, build_lights, build_scene, view_from_part
 
 LIGHTS = """\
@@ -81,7 +81,7 @@ def table_at(survey, posture):
     patches = survey.table.patches
     facets = face_normals(survey.scene.mesh)[patches.face]
     view = view_from_part(survey.scene, posture)
-    visible, grazing = sight_of(patches.centroids, patches.normals, facets, view, survey.caster)
+    visible, grazing = camera_visibility(patches.centroids, patches.normals, facets, view, survey.caster)
     visible &= survey.table.inspectable_anywhere
     return replace(survey.table, postures=(posture,), visible=visible[None], grazing=grazing[None])
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lightopt import build_scene, render
-from lightopt.rendering import UNLIT, WHOLE, cast_rays_at, light_layer, panel_verdict, trace_pixels
+from lightopt.rendering import UNLIT, WHOLE, cast_rays_at, light_layer, panel_visibility, trace_pixels
 from lightopt.rendering._pixels import LEFT_OUT
 
 
@@ -21,8 +21,8 @@ def test_layers_are_the_renderers(shared_bench, points, sigma):
     for images in render(scene, layers=True):
         pixels = trace_pixels(scene, images.posture, caster)
         for panel, image in zip(pixels.view.lights, images.lights, strict=True):
-            verdict = panel_verdict(pixels, panel, caster)
-            whole = np.flatnonzero(verdict == WHOLE)
+            visibility = panel_visibility(pixels, panel, caster)
+            whole = np.flatnonzero(visibility == WHOLE)
             layer = light_layer(pixels.surface.take(whole), panel, caster)
             place = pixels.row[whole], pixels.column[whole]
             assert len(whole) > 3000
@@ -30,7 +30,7 @@ def test_layers_are_the_renderers(shared_bench, points, sigma):
             np.testing.assert_allclose(diffuse, image.diffuse[place], atol=0.02)
             specular = scene.reflectance.R_s * layer.specular(sigma)
             np.testing.assert_allclose(specular, image.specular[place], rtol=1e-5, atol=1e-2)
-            dark = verdict == UNLIT
+            dark = visibility == UNLIT
             assert not image.level[pixels.row[dark], pixels.column[dark]].any()
 
 
@@ -51,8 +51,8 @@ def test_pixels_of_penumbrae_and_silhouettes_are_left_out(shared_bench):
     near[:, :-1] |= misses[:, 1:]
     assert not (clean & near).any()
     assert clean.sum() > 0.8 * hit.sum()
-    verdict = panel_verdict(pixels, pixels.view.lights[0], caster)
-    assert (verdict == LEFT_OUT).any()
+    visibility = panel_visibility(pixels, pixels.view.lights[0], caster)
+    assert (visibility == LEFT_OUT).any()
 
 
 def test_threads_do_not_matter(shared_bench):
@@ -62,7 +62,7 @@ def test_threads_do_not_matter(shared_bench):
     for threads in (1, 2):
         pixels = trace_pixels(scene, scene.postures[1], caster, threads=threads)
         panel = pixels.view.lights[1]
-        whole = np.flatnonzero(panel_verdict(pixels, panel, caster, threads=threads) == WHOLE)
+        whole = np.flatnonzero(panel_visibility(pixels, panel, caster, threads=threads) == WHOLE)
         layer = light_layer(pixels.surface.take(whole), panel, caster, threads=threads)
         layers.append((layer.diffuse, layer.specular(0.05, threads=threads)))
     assert all(np.array_equal(a, b) for a, b in zip(*layers, strict=True))
@@ -74,7 +74,7 @@ def test_the_deflection_is_never_more_than_that_of_a_point_of_the_panel(shared_b
     caster = cast_rays_at(scene)
     pixels = trace_pixels(scene, scene.postures[0], caster)
     panel = pixels.view.lights[0]
-    whole = np.flatnonzero(panel_verdict(pixels, panel, caster) == WHOLE)
+    whole = np.flatnonzero(panel_visibility(pixels, panel, caster) == WHOLE)
     layer = light_layer(pixels.surface.take(whole), panel, caster)
     sigma = 0.05
     bound = np.exp(-0.5 * (layer.deflection / sigma) ** 2) / 0.1

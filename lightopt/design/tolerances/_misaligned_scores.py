@@ -24,7 +24,7 @@ from lightopt.design.postures._image_evaluator import ImageEvaluator, scattered_
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
 from lightopt.design.tolerances._analysis import Offset
 from lightopt.geometry import face_normals
-from lightopt.rendering import PatchTable, sight_of
+from lightopt.rendering import PatchTable, camera_visibility
 from lightopt.scene import PanelLight, build_lights, view_from_part
 
 EXACT: Offset = (0.0, 0.0)
@@ -113,7 +113,7 @@ class _Assessment(ABC):
     def _table(self, posture: Posture) -> PatchTable:
         table = self.evaluator.table
         visible, grazing = np.zeros((2, 1, len(table.patches)), np.bool_)
-        visible[0, self.patches], grazing[0, self.patches] = sight_of(
+        visible[0, self.patches], grazing[0, self.patches] = camera_visibility(
             table.patches.centroids[self.patches],
             table.patches.normals[self.patches],
             self._facets,

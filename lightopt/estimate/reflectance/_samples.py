@@ -21,7 +21,7 @@ from lightopt.rendering import (
     LightLayer,
     PosturePixels,
     light_layer,
-    panel_verdict,
+    panel_visibility,
     trace_pixels,
 )
 from lightopt.scene import Scene
@@ -238,7 +238,7 @@ def _choose(
     threads: int | None,
 ) -> list[SampleGroup]:
     panel = pixels.view.lights[light]
-    verdict = panel_verdict(pixels, panel, caster, threads=threads)
+    verdict = panel_visibility(pixels, panel, caster, threads=threads)
     whole = np.flatnonzero(pixels.clean & (verdict == WHOLE))
     unlit = np.flatnonzero(pixels.clean & (verdict == UNLIT))
     layer = light_layer(pixels.surface.take(whole), panel, caster, threads=threads)

@@ -11,7 +11,7 @@ from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.transforms import Posture, rotation_z
 from lightopt.estimate.registration._observations import Observation
 from lightopt.geometry import RayCaster
-from lightopt.rendering import UNLIT, WHOLE, PosturePixels, light_layer, panel_verdict, trace_samples
+from lightopt.rendering import UNLIT, WHOLE, PosturePixels, light_layer, panel_visibility, trace_samples
 from lightopt.scene import PartView, Scene, view_from_part
 
 _LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
@@ -116,7 +116,7 @@ def light_at(
     names = [panel.name for panel in scene.lights]
     for name in dict.fromkeys(image.light for image in pixels.images):
         panel = view.lights[names.index(name)]
-        verdict = panel_verdict(some, panel, caster, threads=threads)
+        verdict = panel_visibility(some, panel, caster, threads=threads)
         whole = np.flatnonzero(verdict == WHOLE)
         layer = light_layer(surface.take(whole), panel, caster, threads=threads)
         known = np.where((verdict == WHOLE) | (verdict == UNLIT), 0.0, np.nan)

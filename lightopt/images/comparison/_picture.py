@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,24 +22,6 @@ _SCALE_PERCENTILE = 99.9
 _LEAST_SCALE = 0.05
 
 
-@dataclass(frozen=True)
-class DifferencePicture:
-    """A difference picture that was written.
-
-    scale, beyond_scale: Difference of the full colours [level of the files], and number of pixels beyond it.
-    only_golden, only_new: Pixels saturated in one image alone, marked in colours of their own.
-    sha256: Of the PNG, in hex.
-    """
-
-    path: Path
-    channel: str
-    scale: float
-    beyond_scale: int
-    only_golden: int
-    only_new: int
-    sha256: str
-
-
 def difference_picture(
     a: str | Path,
     b: str | Path,
@@ -50,11 +31,11 @@ def difference_picture(
     scale: float | None = None,
     saturation: float | None = None,
     overwrite: bool = True,
-) -> DifferencePicture:
-    """Write a PNG of the signed difference new − golden: blue lower, white equal, red higher.
+) -> float:
+    """Write a PNG of the signed difference new − golden: blue lower, white equal, red higher; returns the scale.
 
     Pixels saturated only in the golden image `a` are green, only in the new one `b` magenta, values that are not
-    finite in either black. The numbers of the scale are in the file's metadata.
+    finite in either black. Channel, scale and numbers of such pixels are in the file's metadata.
 
     channel: The channel to show; ``Y``, a PNG's levels, or the first one.
     scale: Difference of the full colours [level of the files]; by default the 99.9th percentile of the differences.
@@ -92,8 +73,8 @@ def difference_picture(
         "only_new": int(only_new.sum()),
     }
     metadata = {**facts, "picture": "difference", "colours": _legend(scale)}
-    digest = write_png(path, pixels, metadata=metadata, overwrite=overwrite)
-    return DifferencePicture(path=Path(path), sha256=digest, **facts)
+    write_png(path, pixels, metadata=metadata, overwrite=overwrite)
+    return scale
 
 
 def _choose(golden: LoadedFile, new: LoadedFile, channel: str | None) -> str:

@@ -1,4 +1,4 @@
-"""Whether a folder's image set is the same run, to be continued, or another one, to be replaced."""
+"""The image set that a folder already holds: of the same run, to be continued, or of another one, to be removed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.provenance import differences
 from lightopt.images._atomic import remove_file
 from lightopt.images._manifest import DARK_CHECKED_KEY, EVENTS_KEY, MANIFEST_NAME, REPEATABILITY_KEY, Manifest
-from lightopt.images._parse import read_manifest
+from lightopt.images._manifest_parser import read_manifest
 
 _CONTENT_KEYS = ("images", "geometry", "patches", "files", "warnings")
 _FOUND_KEYS = (REPEATABILITY_KEY, EVENTS_KEY, DARK_CHECKED_KEY)
@@ -48,8 +48,7 @@ def remove_set(folder: Path, header: Manifest) -> int:
         return 0
     if manifest.kind == "captured" and header.kind != "captured":
         raise InputError(
-            f"{folder}: holds captured images, which are not replaced by {header.kind} ones, not even with --force; "
-            "choose another output folder"
+            f"{folder}: holds captured images, which {header.kind} ones never replace; choose another output folder"
         )
     return _remove_files(folder, manifest)
 

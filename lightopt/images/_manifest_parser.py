@@ -1,4 +1,4 @@
-"""Reading manifests, lightopt's own and foreign ones: every problem at once, named by file and key."""
+"""Reading manifests of lightopt and of other programs: every problem at once, named by file and key."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import Any, NoReturn
 
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
+from lightopt.images._file_names import inside_problem
 from lightopt.images._manifest import FORMAT, GeometryEntry, ImageEntry, Manifest, SourceFile
-from lightopt.images._names import inside_problem
 
 
 class Fields:
