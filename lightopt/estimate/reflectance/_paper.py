@@ -161,11 +161,12 @@ class PaperSpecular:
 
     def warnings(self) -> tuple[str, ...]:
         """Warn where the procedure hardly determines σ."""
-        if not self.matching_sigmas or self.matching_sigmas[-1] <= WIDE_RANGE * self.matching_sigmas[0]:
+        found = self.matching_sigmas
+        if not found or found[-1] <= WIDE_RANGE * found[0]:
             return ()
         text = (
-            f"{len(self.matching_sigmas)} σ of the sweep, from {self.matching_sigmas[0]:g} to {self.matching_sigmas[-1]:g} rad, come within λ_s2 of "
-            f"the measured brightness of {self.image}: section 4.3 hardly determines σ here, nor R_s with it"
+            f"{len(found)} σ of the sweep, from {found[0]:g} to {found[-1]:g} rad, come within λ_s2 of the measured "
+            f"brightness of {self.image}: section 4.3 hardly determines σ here, nor R_s with it"
         )
         return (text,)
 
