@@ -3,8 +3,6 @@
 from lightopt.rendering._converged import converged_panel, highlight_level, shade_converged
 from lightopt.rendering._image_set import RenderOptions, RenderProgress, render_image_set
 from lightopt.rendering._images import (
-    Geometry,
-    LightImage,
     PostureImages,
     cast_rays_at,
     render,
@@ -34,8 +32,6 @@ __all__ = [
     "GRAZING_DEG",
     "UNLIT",
     "WHOLE",
-    "Geometry",
-    "LightImage",
     "LightLayer",
     "PatchTable",
     "PostureImages",
