@@ -88,8 +88,8 @@ class InspectionFolder(ResultFolder):
         return self._made_from
 
     @contextmanager
-    def made(self) -> Generator[None]:
-        """Make the folder before the work for it begins; a new one is removed where the work fails."""
+    def created(self) -> Generator[None]:
+        """Create the folder before the work for it begins; a new one is removed where the work fails."""
         new = not self.folder.exists()
         make_folder(self.folder)
         try:

@@ -107,7 +107,7 @@ def inspect_batch(
     cache = PredictionCache()
     for number, image_set in enumerate(sets):
         source = None if truth is None else truth[number]
-        folder = nullcontext() if folders is None else folders[number].made()
+        folder = nullcontext() if folders is None else folders[number].created()
         name = image_set.folder.resolve().name
         try:
             with folder:

@@ -8,8 +8,6 @@ from lightopt.rendering._converged_panel import (
 )
 from lightopt.rendering._image_set import RenderOptions, render_image_set, set_manifest
 from lightopt.rendering._images import (
-    Geometry,
-    LightImage,
     PostureImages,
     cast_rays_at,
     render,
@@ -39,8 +37,6 @@ __all__ = [
     "GRAZING_DEG",
     "UNLIT",
     "WHOLE",
-    "Geometry",
-    "LightImage",
     "LightLayer",
     "PatchTable",
     "PostureImages",

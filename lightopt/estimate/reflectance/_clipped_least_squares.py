@@ -14,12 +14,12 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.estimate.reflectance._criterion import (
-    FIRST_GAIN,
     LOG_SIGMA,
     Evaluation,
     add_curvature,
     image_factors,
     mirror_curvature,
+    parameter_count,
     specular_and_slope,
     sum_in_chunks,
 )
@@ -78,7 +78,7 @@ class LeastSquares:
     ) -> None:
         self.samples = samples
         self.table = table
-        self.size = FIRST_GAIN + len(samples.lights) + 2
+        self.size = parameter_count(samples)
         self._fixed = None if fixed is None else (np.array([fixed[0]]), fixed[1][:, None])
         weight = samples.weight[samples.sample]
         self._weight = weight / max(float(np.mean(weight)), 1e-300) if len(weight) else weight

@@ -50,6 +50,16 @@ class Criterion(Protocol):
         ...
 
 
+def parameter_count(samples: Samples) -> int:
+    """Number of parameters K of a criterion of samples."""
+    return FIRST_GAIN + len(samples.lights) + 2
+
+
+def outlier_share(x: Float64) -> float:
+    """Share ε of the pixels that a vector of parameters takes for dust, glints and the like."""
+    return 1.0 / (1.0 + math.exp(-x[-1]))
+
+
 def parameter_name(place: int, lights: tuple[str, ...]) -> str:
     """Name of a place in the vector of parameters, for messages."""
     names = ["R_d", "R_s", "σ", "the dark level"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from lightopt.core.arrays import Float64
-from lightopt.estimate.reflectance._criterion import LOG_R_S, LOG_SIGMA, R_D, Criterion
+from lightopt.estimate.reflectance._criterion import LOG_R_S, LOG_SIGMA, R_D, Criterion, outlier_share
 from lightopt.estimate.reflectance._lack_of_fit import LackOfFit
 from lightopt.estimate.reflectance._newton import Maximum
 
@@ -134,7 +134,7 @@ class Estimate(_Reflectance):
     @property
     def epsilon(self) -> float:
         """Share of the pixels that the fit takes for dust, glints and the like."""
-        return 1.0 / (1.0 + math.exp(-self.x[-1]))
+        return outlier_share(self.x)
 
     def standard_error(self, place: int) -> float:
         """Standard error of a parameter, for what the model gets wrong as well; 0 for one that was held."""

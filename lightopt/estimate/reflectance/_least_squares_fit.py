@@ -15,7 +15,7 @@ from scipy.special import stdtrit
 
 from lightopt.core.arrays import Float64, Index
 from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares
-from lightopt.estimate.reflectance._criterion import FIRST_GAIN, LOG_SIGMA
+from lightopt.estimate.reflectance._criterion import FIRST_GAIN, LOG_SIGMA, outlier_share
 from lightopt.estimate.reflectance._estimate import Estimate
 from lightopt.estimate.reflectance._likelihood import likelihood_at
 from lightopt.estimate.reflectance._newton import Maximum, has_settled, maximise
@@ -60,7 +60,7 @@ def least_squares_estimate(samples: Samples, scan: SigmaScan) -> Estimate:
             optimum_of(start, top, criterion) for start, top in ((scan.climbs[0][0], best), *scan.climbs[1:])
         ),
         mean_log_likelihood=noise.evaluation.value / max(1, len(samples.sample)),
-        unexplained=1.0 / (1.0 + math.exp(-noise.x[-1])),
+        unexplained=outlier_share(noise.x),
         lack_of_fit=scan.lack_of_fit,
         scatter=scatter.of,
         unsettled_refits=sum(not has_settled(refit, fitted, errors) for refit in scatter.refits),

@@ -26,6 +26,7 @@ from lightopt.estimate.reflectance._criterion import (
     add_curvature,
     image_factors,
     mirror_curvature,
+    parameter_count,
     specular_and_slope,
     sum_in_chunks,
 )
@@ -74,7 +75,7 @@ class Likelihood:
         self.samples = samples
         self.log_sigmas = log_sigmas
         self.specular = specular
-        self.size = FIRST_GAIN + len(samples.lights) + 2
+        self.size = parameter_count(samples)
         self._sensor = sensor_numbers(samples.sensor)
 
     @property

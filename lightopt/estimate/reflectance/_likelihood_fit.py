@@ -14,7 +14,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.run_context import RunContext, Share, part_of
-from lightopt.estimate.reflectance._criterion import LOG_SIGMA
+from lightopt.estimate.reflectance._criterion import LOG_SIGMA, outlier_share
 from lightopt.estimate.reflectance._estimate import CHI2_95, Estimate, Optimum, ScanPoint
 from lightopt.estimate.reflectance._likelihood import Likelihood, likelihood_at
 from lightopt.estimate.reflectance._newton import Maximum, maximise
@@ -88,7 +88,7 @@ class Climb:
             maximum=self.maximum,
             scan=scan,
             mean_log_likelihood=self.value / max(1, len(self.likelihood.samples.level)),
-            unexplained=_outlier_share(self.maximum.x),
+            unexplained=outlier_share(self.maximum.x),
         )
 
 
@@ -145,7 +145,7 @@ def likelihood_estimate(samples: Samples, scan: SigmaScan, run: RunContext) -> E
         found,
         scan=points,
         optima=tuple(peak.optimum for peak in peaks),
-        unexplained=max(found.unexplained, _outlier_share(tops[0][1].x)),
+        unexplained=max(found.unexplained, outlier_share(tops[0][1].x)),
         lack_of_fit=scan.lack_of_fit,
     )
 
@@ -262,7 +262,3 @@ def _best_at(samples: Samples, x: Float64, free: Sequence[int]) -> Maximum:
 
 def _share_of(few: Samples, samples: Samples) -> float:
     return len(few.sample) / max(1, len(samples.sample))
-
-
-def _outlier_share(x: Float64) -> float:
-    return 1.0 / (1.0 + math.exp(-x[-1]))

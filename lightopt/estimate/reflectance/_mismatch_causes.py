@@ -125,8 +125,8 @@ def find_displacement(
     if found is not None or len(postures) < 2:
         return found, excluded
     mine = [o for o in setup.observations if o.posture == postures[0]]
-    alike = np.array([image.posture == postures[0] for image in samples.images])[samples.image]
-    found, _ = _displacement(setup.scene, mine, samples.select(alike), quality)
+    same_posture = np.array([image.posture == postures[0] for image in samples.images])[samples.image]
+    found, _ = _displacement(setup.scene, mine, samples.select(same_posture), quality)
     return None if found is None else replace(found, posture=postures[0]), excluded
 
 

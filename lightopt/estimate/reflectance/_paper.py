@@ -128,7 +128,7 @@ class SigmaStep:
 class PaperSpecular:
     """R_s and σ by section 4.3.
 
-    alike: The σ at which both the count and the brightness come within λ_s1 and λ_s2, ascending [rad].
+    matching_sigmas: The σ at which both the count and the brightness come within λ_s1 and λ_s2, ascending [rad].
     """
 
     R_s: float
@@ -136,7 +136,7 @@ class PaperSpecular:
     image: str
     saturated: int
     steps: tuple[SigmaStep, ...]
-    alike: tuple[float, ...] = ()
+    matching_sigmas: tuple[float, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -155,17 +155,18 @@ class PaperSpecular:
             "sigma_rad": self.sigma,
             "image": self.image,
             "N_m": self.saturated,
-            "alike_sigma_rad": list(self.alike),
+            "alike_sigma_rad": list(self.matching_sigmas),
             "sweep": steps,
         }
 
     def warnings(self) -> tuple[str, ...]:
         """Warn where the procedure hardly determines σ."""
-        if not self.alike or self.alike[-1] <= WIDE_RANGE * self.alike[0]:
+        found = self.matching_sigmas
+        if not found or found[-1] <= WIDE_RANGE * found[0]:
             return ()
         text = (
-            f"{len(self.alike)} σ of the sweep, from {self.alike[0]:g} to {self.alike[-1]:g} rad, come within λ_s2 of "
-            f"the measured brightness of {self.image}: section 4.3 hardly determines σ here, nor R_s with it"
+            f"{len(found)} σ of the sweep, from {found[0]:g} to {found[-1]:g} rad, come within λ_s2 of the measured "
+            f"brightness of {self.image}: section 4.3 hardly determines σ here, nor R_s with it"
         )
         return (text,)
 
@@ -264,7 +265,7 @@ def paper_specular(
         image=samples.images[image].name,
         saturated=measured,
         steps=tuple(steps),
-        alike=tuple(
+        matching_sigmas=tuple(
             sorted(step.sigma for step in reached if abs(step.brightness - 1.0) <= options.lambda_s2)
         ),
     )

@@ -16,7 +16,15 @@ from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share
 from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares, SpecularTable
-from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Criterion
+from lightopt.estimate.reflectance._criterion import (
+    DARK,
+    FIRST_GAIN,
+    LOG_R_S,
+    LOG_SIGMA,
+    R_D,
+    Criterion,
+    parameter_count,
+)
 from lightopt.estimate.reflectance._estimate import FreeParameters, Optimum, ScanPoint
 from lightopt.estimate.reflectance._lack_of_fit import LackOfFit, find_dust, measure_lack_of_fit
 from lightopt.estimate.reflectance._likelihood import predicted
@@ -159,7 +167,7 @@ def free_places(samples: Samples, freed: FreeParameters) -> list[int]:
         # a common factor of all gains is one of R_d and R_s: the first light that was used keeps its own
         used = sorted(set(samples.facts.light.tolist()))
         places += [FIRST_GAIN + light for light in used[1:]]
-    size = FIRST_GAIN + len(samples.lights) + 2
+    size = parameter_count(samples)
     return [*places, size - 2, size - 1]
 
 
@@ -241,7 +249,7 @@ def saturating_r_s(samples: Samples, specular: Float64, r_d: float) -> float:
 
 def start_at(samples: Samples, specular: Float64, sigma: float, r_d: float) -> Float64:
     """Parameters to climb from at a given σ, shape (K,); arguments as in :func:`saturating_r_s`, σ in [rad]."""
-    x = np.zeros(FIRST_GAIN + len(samples.lights) + 2)
+    x = np.zeros(parameter_count(samples))
     x[R_D], x[LOG_SIGMA] = r_d, math.log(sigma)
     x[LOG_R_S] = math.log(saturating_r_s(samples, specular, r_d))
     x[-2] = 2.0 * math.log(START_DEVIATION)

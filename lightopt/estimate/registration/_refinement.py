@@ -250,8 +250,8 @@ class RefinementProblem:
         predicted, seen = here[edge] / contrast[edge], self._measured[edge] / contrast[edge]
         seen = np.clip(seen, 0.0, 3.0)
         spread = float(np.std(predicted) * np.std(seen))
-        alike = float(np.mean((predicted - predicted.mean()) * (seen - seen.mean())))
-        if spread <= 0.0 or alike < LEAST_CORRELATION * spread:
+        covariance = float(np.mean((predicted - predicted.mean()) * (seen - seen.mean())))
+        if spread <= 0.0 or covariance < LEAST_CORRELATION * spread:
             self._used &= ~self.correlated
             return
         slopes = np.where(edge[:, None], self.slopes(start)[:, :2], 0.0) * self._frame.pixel

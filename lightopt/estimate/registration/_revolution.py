@@ -105,7 +105,7 @@ class _Pixels:
         self._middle = np.array([*(scene.pivot[:2] + frame.middle), 0.0])
 
     def trace(self, pose: Float64) -> _Surface:
-        """Of the pixels that see the part at all."""
+        """What is seen in a pose by those of the pixels that see the part."""
         place = self._frame.placement(pose)
         view = view_of_placed(self._scene, self._pixels.posture, place.x, place.y, place.turn)
         hits, surface = trace_samples(self._caster, self._scene.mesh, view.camera, *self._pixels.positions)

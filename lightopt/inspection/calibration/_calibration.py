@@ -115,7 +115,7 @@ class Calibration:
     def of(self, posture: Posture, exposures: ExposuresByLight, *, where: str) -> CalibratedPosture:
         """What was learned of a posture that was taken in this way.
 
-        Raises InputError: nothing: no such posture, other lights, exposures or numbers of frames.
+        Raises InputError: no such posture, or other lights, exposures or numbers of frames.
         """
         found = next((one for one in self.postures if one.posture == posture), None)
         if found is None:

@@ -63,7 +63,7 @@ class PackedDeviations:
         return PackedDeviations((rows, columns), own, nominal.ravel()[own], z.astype(np.float16), usable, lit)
 
     def in_own_image(self) -> Deviations:
-        """As they were, scales apart."""
+        """At the pixels of the set's own images; scales are not stored."""
         return self._scattered(self.own, np.ones(len(self.own), np.bool_))
 
     def in_nominal_image(self) -> Deviations:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import fft, ndimage, special
 
 from lightopt.core.arrays import Float32, Float64
+from lightopt.inspection.detection._deviation import CLIPPED, MEAN_OF_NORMAL
 from lightopt.inspection.fusion._synthetic_image import SyntheticImage
 
 DOT_PX = (1.0, 2.0, 4.0)
@@ -18,8 +19,6 @@ TEMPLATES = len(DOT_PX) + LINE_DIRECTIONS
 width and length, in so many directions."""
 
 LOCAL_PX = 18.0
-CLIPPED = 4.0
-MEAN_OF_NORMAL = 0.7979
 """The response is measured in units of what its surroundings show, as deviations of the other detector are."""
 
 MEDIAN_PX = 3
