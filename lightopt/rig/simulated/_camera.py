@@ -58,7 +58,8 @@ class BenchTruth:
     def of(cls, data: Mapping[str, Any]) -> BenchTruth:
         """From its JSON form."""
         x, y, z = data["part_offset_mm"]
-        return cls(**{**data, "part_offset_mm": (x, y, z)})
+        values: dict[str, Any] = {**data, "part_offset_mm": (x, y, z)}
+        return cls(**values)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,8 +15,8 @@ class Firmware(Protocol):
 
     feed: Take bytes off the wire and return the bytes to send; incomplete commands are kept.
     poll: Bytes that the device sends on its own or late (banners, withheld replies); often none.
-    inject: Set a fault of the device from now on: a stalled axis, a light that stays dark; ``clear`` ends all. Faults of
-        the line are the host's and never come here. Raises a ValueError that lists the faults that there are.
+    inject: Set a fault of the device from now on: a stalled axis, a light that stays dark; ``clear`` ends all. Faults
+        of the line never come here. Raises a ValueError that lists the faults that there are.
     """
 
     def feed(self, data: bytes, now: float) -> bytes: ...

@@ -28,8 +28,7 @@ _CACHE_BYTES = 512 << 20
 class BenchOptics:
     """Renders the part under given light levels in given postures.
 
-    Images add linearly, so that one linear layer per light and posture serves every level and exposure; these layers are
-    cached.
+    Images add linearly, so that one linear layer per light and posture, cached, serves every level and exposure.
     """
 
     def __init__(self, scene: Scene, truth: BenchTruth) -> None:
