@@ -60,14 +60,7 @@ class AcquisitionEngine:
         identities: dict[str, Any],
         timing: Timing,
     ) -> None:
-        low, high = devices.camera.exposure_range_us
-        for time_us in map(plan.exposure_us, plan.exposures):
-            if not low * (1 - EXPOSURE_TOLERANCE) <= time_us <= high * (1 + EXPOSURE_TOLERANCE):
-                raise InputError(
-                    f"an exposure of {time_us:g} µs is outside the camera's {low:g} to {high:g} µs; choose others, "
-                    "or another camera.exposure_us in the rig"
-                )
-        _check_steps(devices, plan)
+        _check_exposures(devices, plan)
         self.devices = devices
         self._plan = plan
         self._sensor = sensor
@@ -276,8 +269,15 @@ def _holds(held_us: float, wanted_us: float) -> bool:
     return abs(held_us - wanted_us) <= EXPOSURE_TOLERANCE * wanted_us
 
 
-def _check_steps(devices: Devices, plan: CapturePlan) -> None:
-    """Set every exposure of a plan once, and refuse the plan when the camera holds others."""
+def _check_exposures(devices: Devices, plan: CapturePlan) -> None:
+    """Refuse a plan whose exposures the camera cannot hold; each that is in its range is set once."""
+    low, high = devices.camera.exposure_range_us
+    for time_us in map(plan.exposure_us, plan.exposures):
+        if not low * (1 - EXPOSURE_TOLERANCE) <= time_us <= high * (1 + EXPOSURE_TOLERANCE):
+            raise InputError(
+                f"an exposure of {time_us:g} µs is outside the camera's {low:g} to {high:g} µs; choose others, "
+                "or another camera.exposure_us in the rig"
+            )
     problems: list[str] = []
     for exposure in plan.exposures:
         wanted = plan.exposure_us(exposure)
