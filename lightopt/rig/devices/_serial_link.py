@@ -134,6 +134,11 @@ class SerialLink:
                 f"{device}: {baud} baud is unusual (usual are {usual}); garbage or silence may come of it"
             )
 
+    @property
+    def retries(self) -> int:
+        """Number of commands that were sent again."""
+        return sum(event.retry for event in self.events)
+
     def query(
         self, frame: bytes, *, end: bytes | re.Pattern[bytes] | None, deadline_s: float | None = None
     ) -> bytes:
