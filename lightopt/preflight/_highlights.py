@@ -109,7 +109,7 @@ def check_levels(checked: CheckedScene) -> Iterator[Finding]:
 
 
 def _scale_text(sensor: Sensor, full_scale: float) -> str:
-    # why light saturates at another level than the sensor file says
+    # why light saturates at another level than the sensor's saturation level
     black = f" less its black level of {sensor.black_level:g}" if sensor.black_level else ""
     scale = f", in levels of full_scale {full_scale:g}" if sensor.max_level != full_scale else ""
     return f" (the sensor's {sensor.saturated_from:g}{black}{scale})" if black or scale else ""

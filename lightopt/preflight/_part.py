@@ -101,7 +101,7 @@ def check_back_faces(checked: CheckedScene) -> Iterator[Finding]:
 
 
 BUDGET = 200_000
-"""Patches that are looked at; a mesh with more triangles is taken as it is."""
+"""Patches that are checked; a mesh with more triangles is checked triangle by triangle."""
 
 WARNING_SHARE = 0.01
 """Share of the upper side that is unseen."""
@@ -165,7 +165,7 @@ def check_unseen_surface(checked: CheckedScene) -> Iterator[Finding]:
 
 
 def facing(mean: Float64) -> str:
-    """Direction of an area-weighted mean of unit normals in words; world frame at posture (0, 0), shape (3,).
+    """Text for the direction of an area-weighted mean of unit normals; world frame at posture (0, 0), shape (3,).
 
     Examples
     --------

@@ -344,7 +344,7 @@ def test_a_stage_switched_off_and_on_away_from_its_origin_is_noticed_before_its_
     with pytest.raises(HardwareError) as raised:
         capture(rig, part, tmp_path / "set", options=options, connect=connect)
     said = str(raised.value)
-    assert "while asking whether the stage still stands where it was left" in said
+    assert "while checking that the stage still stands where it was left" in said
     assert "those taken in this run were not kept" in said
     assert "all lights are off" in said
     assert not read_image_set(tmp_path / "set").images

@@ -114,7 +114,7 @@ def test_a_real_stage_is_homed_when_asked_only(wired):
     [
         (
             {"postures": (Posture(0.0, 400.0),)},
-            r"--posture: rotation 400° is outside .* 0° to 360° \(.*rig.yaml:\d+",
+            r"posture: rotation 400° is outside .* 0° to 360° \(.*rig.yaml:\d+",
         ),
         ({"postures": (Posture(5.0, 0.0),)}, "elevation 5°, but the stage has no elevation axis"),
         ({"lights": ("light2",)}, 'no light "light2" in .*; it has light1, light3'),

@@ -152,5 +152,5 @@ def test_a_stage_that_lost_steps_on_its_way_is_told(take, world, bench) -> None:
 
 
 def test_there_has_to_be_something_to_come_back_from(take) -> None:
-    with pytest.raises(InputError, match="come back: expected a stage and two postures or more"):
+    with pytest.raises(InputError, match="check of repeatability: expected a stage and two postures or more"):
         take(check_repeatability=True, postures=(Posture(0.0, 0.0),))

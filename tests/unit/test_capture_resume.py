@@ -57,7 +57,7 @@ def test_images_before_a_frame_that_was_not_dark_are_not_kept_and_taken_anew(tak
     world.trouble = changing_at(world, 3, glowing(16))  # light3, whose image alone does not show it
     with pytest.raises(HardwareError, match="the frame without light looks like light1") as raised:
         take(postures=HERE)
-    assert "were not kept; --resume takes them anew" in str(raised.value)
+    assert "were not kept; --resume takes them again" in str(raised.value)
     assert manifest(bench)["images"] == []
     assert not list(bench.out.rglob("*.png"))
     undisturbed(world)

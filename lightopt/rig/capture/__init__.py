@@ -1,6 +1,11 @@
-"""Capture sessions: the plan, the devices it needs, and a run whose finished images survive any interruption.
+"""Capture sessions: a plan that is checked before anything moves, and a run whose images survive any interruption.
 
-Only this package chooses between the virtual bench and real devices.
+- plan: ``_plan.py`` (the capture as data), ``_limits.py`` (limits of stage, camera and lights, checked before anything
+  is opened), ``_wiring.py`` (which device plays which role);
+- devices: ``_connect.py`` (opens real or simulated ones), ``_safe_devices.py`` (lights off and stage stopped on every
+  way out), ``_watchdog.py`` (limits how long lights are on), ``_lights_off.py``, ``_manual_control.py``;
+- run: ``_capture.py``, ``_session.py`` (order of steps), ``_acquisition.py`` (lights, settling, frames);
+- images: ``_image_checks.py``, ``_light_checks.py``, ``_repeatability.py``, ``_captured_set.py`` (on disk).
 """
 
 from lightopt.rig.capture._capture import CaptureResult, capture

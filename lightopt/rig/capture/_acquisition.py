@@ -1,4 +1,4 @@
-"""Exposing: lights on and off, settling, frames that began when they should, and what is known of each."""
+"""Expose: switch lights, let them settle, take frames that began after the change, record how each was taken."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lightopt.rig.capture._timing import Timing, utc
 from lightopt.rig.devices import Event, Frame, frame_limit_s
 
 EXPOSURE_TOLERANCE = 0.005
-"""A camera that holds another exposure time than asked, by more than this share, is refused."""
+"""A camera whose exposure time differs from the requested one by more than this share is refused."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +29,7 @@ class AcquiredImage:
     light: None for a frame without light.
     exposure: Requested relative exposure.
     future: The image of the frames, which is computed while the light goes out.
-    facts: How it was taken, JSON-able, for the manifest.
+    facts: How it was taken, in JSON form, for the manifest.
     """
 
     light: str | None
@@ -47,8 +47,8 @@ class AcquiredImage:
 class AcquisitionEngine:
     """Takes the images of a plan with opened devices.
 
-    InputError when the camera cannot expose as long or as short as the plan wants, or not in such steps, with the
-    exposures that it can hold instead; nothing was lit or moved. `identities` of the devices are for the manifest.
+    InputError when the camera does not have an exposure time of the plan, with the one that it holds instead; nothing
+    was lit or moved. `identities` of the devices are for the manifest.
     """
 
     def __init__(
@@ -60,14 +60,7 @@ class AcquisitionEngine:
         identities: dict[str, Any],
         timing: Timing,
     ) -> None:
-        low, high = devices.camera.exposure_range_us
-        for time_us in map(plan.exposure_us, plan.exposures):
-            if not low * (1 - EXPOSURE_TOLERANCE) <= time_us <= high * (1 + EXPOSURE_TOLERANCE):
-                raise InputError(
-                    f"an exposure of {time_us:g} µs is outside the camera's {low:g} to {high:g} µs; choose others "
-                    "(--exposures), or another camera.exposure_us in the rig"
-                )
-        _check_steps(devices, plan)
+        _check_exposures(devices, plan)
         self.devices = devices
         self._plan = plan
         self._sensor = sensor
@@ -83,7 +76,7 @@ class AcquisitionEngine:
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="frames")
 
     def close(self) -> None:
-        """Wait for the images whose frames are there."""
+        """Wait for the images whose frames have come."""
         self._worker.shutdown(wait=True)
 
     def home(self) -> None:
@@ -105,7 +98,7 @@ class AcquisitionEngine:
 
     def confirm_stage(self) -> None:
         """Check that the stage still stands where it was left."""
-        self.devices.step = "asking whether the stage still stands where it was left"
+        self.devices.step = "checking that the stage still stands where it was left"
         with self._timing.spent("moving_s"):
             self.devices.confirm_stage()
 
@@ -142,12 +135,12 @@ class AcquisitionEngine:
 
     def set_exposure(self, exposure: float) -> None:
         """Set the camera's exposure time, while stage and light settle."""
-        asked = self._plan.exposure_us(exposure)
-        self.devices.step = f"setting the exposure to {asked:g} µs"
-        held = self.devices.camera.set_exposure(asked)
-        if not _holds(held, asked):
+        wanted = self._plan.exposure_us(exposure)
+        self.devices.step = f"setting the exposure to {wanted:g} µs"
+        held = self.devices.camera.set_exposure(wanted)
+        if not _holds(held, wanted):
             raise HardwareError(
-                f"the camera holds an exposure of {held:g} µs instead of {asked:g} µs, which it held before"
+                f"the camera holds an exposure of {held:g} µs instead of {wanted:g} µs, which it held before"
             )
         self._changed = self._changed or held != self._held_us
         self._held_us = held
@@ -160,8 +153,8 @@ class AcquisitionEngine:
     def max_wait_s(self, exposures: Sequence[float]) -> float:
         """How long a settled light may stay lit unused before its exposures [s].
 
-        As long as lighting it anew would take: so it is never lit more than twice as long as needed, and what is saved
-        is never less than half of what could be. Never so long that it could not stay lit for all of them.
+        As long as lighting it again would take: then it is lit at most twice as long as needed, and at least half of
+        the possible time is saved. Never so long that it could not stay lit for all of the exposures.
         """
         anew_s = self._plan.relighting_s
         if (left_s := self._remaining_on_s()) is None:
@@ -220,7 +213,7 @@ class AcquisitionEngine:
         return AcquiredImage(light=light, posture=posture, exposure=exposure, future=future, facts=facts)
 
     def events_since(self) -> tuple[Event, ...]:
-        """Irregularities on the links since the image before."""
+        """Irregularities on the links since the previous image."""
         events = tuple(self.devices.events())
         new = tuple(event for event in events if id(event) not in self._reported_events)
         self._reported_events.update((id(event), event) for event in new)
@@ -271,21 +264,28 @@ class AcquisitionEngine:
                 time.sleep(left)
 
 
-def _holds(held_us: float, asked_us: float) -> bool:
+def _holds(held_us: float, wanted_us: float) -> bool:
     """Whether the camera holds the requested exposure time."""
-    return abs(held_us - asked_us) <= EXPOSURE_TOLERANCE * asked_us
+    return abs(held_us - wanted_us) <= EXPOSURE_TOLERANCE * wanted_us
 
 
-def _check_steps(devices: Devices, plan: CapturePlan) -> None:
-    """Set every exposure of a plan once, and refuse the plan when the camera holds others."""
+def _check_exposures(devices: Devices, plan: CapturePlan) -> None:
+    """Refuse a plan whose exposures the camera cannot hold; each that is in its range is set once."""
+    low, high = devices.camera.exposure_range_us
+    for time_us in map(plan.exposure_us, plan.exposures):
+        if not low * (1 - EXPOSURE_TOLERANCE) <= time_us <= high * (1 + EXPOSURE_TOLERANCE):
+            raise InputError(
+                f"an exposure of {time_us:g} µs is outside the camera's {low:g} to {high:g} µs; choose others, "
+                "or another camera.exposure_us in the rig"
+            )
     problems: list[str] = []
     for exposure in plan.exposures:
-        asked = plan.exposure_us(exposure)
-        held = devices.camera.set_exposure(asked)
-        if not _holds(held, asked):
+        wanted = plan.exposure_us(exposure)
+        held = devices.camera.set_exposure(wanted)
+        if not _holds(held, wanted):
             problems.append(
-                f"exposure {exposure:g} ({asked:g} µs): the camera holds {held:g} µs instead, which is exposure "
-                f"{held / plan.wiring.exposure_us:.6g}; choose exposures that it can hold (--exposures), or another "
+                f"exposure {exposure:g} ({wanted:g} µs): the camera holds {held:g} µs instead, which is exposure "
+                f"{held / plan.wiring.exposure_us:.6g}; choose exposures that it can hold, or another "
                 "camera.exposure_us in the rig"
             )
     if problems:

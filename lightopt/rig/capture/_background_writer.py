@@ -1,4 +1,4 @@
-"""Writing images in threads of its own, while the stage moves and lights settle."""
+"""Write images in background threads, while the stage moves and lights settle."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ MOST_LINEARS = 2
 class BackgroundWriter:
     """One worker checks and writes images, one merges and writes linear ones.
 
-    The next exposure waits for the image before it, not for linear ones, which can be made from the images at any time.
-    After an error no further image is written. A disk that refuses is a device that fails: what the workers raise as
-    :class:`InputError` is raised here as :class:`HardwareError`.
+    The next exposure waits for the previous image, not for linear ones, which can be computed from the images at any
+    time. After an error no further image is written. A disk that refuses counts as a failed device: an
+    :class:`InputError` of the workers is raised here as :class:`HardwareError`.
     """
 
     def __init__(self, timing: Timing) -> None:
@@ -33,9 +33,9 @@ class BackgroundWriter:
         self._last = self._images.submit(_run_after, self._last, work, *arguments)
 
     def submit_linear(self, work: Callable[..., None], *arguments: object) -> None:
-        """Write a linear image, once the images that it is made of are done.
+        """Write a linear image, once its exposures are written.
 
-        Waits while the queue is full; an earlier error is raised here.
+        Waits while the queue is full; a previous error is raised here.
         """
         with self._timing.spent("writing_s"):
             while len(self._unwritten()) >= MOST_LINEARS:
@@ -43,7 +43,7 @@ class BackgroundWriter:
         self._queued.append(self._linears.submit(_run_after, self._last, work, *arguments))
 
     def wait_for_image(self, longest_s: float | None = None) -> bool:
-        """Wait until the last image is on disk, at most so long [s]; returns whether it is. Raises its error."""
+        """Wait until the last image is on disk, at most so long [s]; returns whether it is, raises its error."""
         if self._last is None:
             return True
         with self._timing.spent("writing_s"):

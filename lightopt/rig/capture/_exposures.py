@@ -1,4 +1,4 @@
-"""Images at one exposure: the mean of their frames, whether two agree, and one linear image from all."""
+"""Exposures of an image: the mean of frames, agreement of two exposures, and one linear image from all."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def exposure_mismatch(
     darks: tuple[Float32 | float, Float32 | float],
     sensor: Sensor,
 ) -> str | None:
-    """How the brightness of a light differs between two exposures (H, W), in words; None where it does not.
+    """Message about how the brightness of a light differs between two exposures (H, W); None where it does not.
 
     Pixels that are saturated in the longer exposure must be at least that bright in the shorter one.
     `darks` are what each shows without the light [sensor level], (H, W) or one level.

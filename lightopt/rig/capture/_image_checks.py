@@ -1,4 +1,4 @@
-"""Checking the images of a run as they come: dark frames are dark, lit ones lit by their light."""
+"""Check the images of a run as they come: dark frames must be dark, the others lit by their light."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ AMBIENT_LEVELS = 0.5
 class ImageChecker:
     """Checks images as they come, with predictions of the latest postures, computed while the stage travels.
 
-    `with_dark` says whether the set has frames without light, so that ambient light is known.
+    `with_dark`: Whether the set has frames without light, so that ambient light is known.
     """
 
     def __init__(self, scene: Scene, *, check: bool, with_dark: bool) -> None:
@@ -42,9 +42,9 @@ class ImageChecker:
         return not self._check or exposure in self._reference
 
     def predict(self, posture: Posture) -> None:
-        """Predict what the lights make of the part in a posture, in a thread of its own.
+        """Predict the images of all lights in a posture, in a thread of its own.
 
-        The prediction of the posture before is kept: its last frames may not have been checked yet.
+        The prediction of the previous posture is kept: its last frames may not have been checked yet.
         """
         if self._caster is not None:
             before = list(self._predicted.items())[-1:]
@@ -52,7 +52,7 @@ class ImageChecker:
             self._predicted = dict([*before, (posture, predicted)])
 
     def set_dark_reference(self, dark: Float32, exposure: float) -> None:
-        """Set the reference for frames without light [sensor level], (H, W): one that an earlier run kept."""
+        """Set the reference for frames without light [sensor level], (H, W): one of a previous run."""
         self._reference.setdefault(exposure, dark)
 
     def check_dark(self, acquired: AcquiredImage, warn: Callable[[str], None]) -> None:
@@ -81,7 +81,7 @@ class ImageChecker:
             if not self._with_dark and above > AMBIENT_LEVELS + clipped_mean(self._sensor):
                 warn(
                     f"without any light the image is {above:.2g} levels above black at exposure {acquired.exposure:g}: "
-                    "capture with --dark, or darken the room, or correct black_level"
+                    "capture dark frames as well, or darken the room, or correct black_level"
                 )
 
     def check(
@@ -116,14 +116,14 @@ class ImageChecker:
             stop = "" if problem.endswith("?") else "."
             raise HardwareError(
                 f"{where} at exposure {acquired.exposure:g}: {problem}{stop} The image was not kept; "
-                "--no-check captures without this check"
+                "this check of the lights can be switched off"
             )
         if found.undecided is not None and not others:
-            warn(f"{where}: cannot tell whether the light is the right one: {found.undecided}")
+            warn(f"{where}: whether it is lit by the right light is undecided: {found.undecided}")
         return found.as_dict()
 
     def close(self) -> None:
-        """Wait for the prediction that is being made."""
+        """Wait for the prediction that is being computed."""
         self._worker.shutdown(wait=True, cancel_futures=True)
 
     def _dark(self, dark: Mapping[float, Float32], exposure: float) -> Float32 | float:

@@ -21,7 +21,7 @@ from lightopt.rendering import render_posture
 from lightopt.scene import Scene
 
 COARSE_COLUMNS = 200
-"""Images are compared at about this width; a part that lies a little elsewhere still looks the same."""
+"""Images are compared at about this width, at which a small displacement of the part does not matter."""
 
 STAYED_DARK = 0.03
 """An image darker than this share of the prediction is not lit."""
@@ -49,7 +49,7 @@ LEFT_ON = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class PredictedImages:
-    """Coarse prediction of what each light makes of the part in one posture.
+    """Coarse prediction of the image of each light in one posture.
 
     cell: Side of a cell [px].
     levels: Linear level at exposure 1 above black [sensor level] by light, shape (rows, columns) of cells.
@@ -65,11 +65,11 @@ class PredictedImages:
 class LightCheck:
     """Result of the check that an image is lit by its light.
 
-    problem: What is wrong, in words; None where nothing is.
+    problem: Message about what is wrong; None where nothing is.
     brightness: Mean brightness of the part above dark, as a share of the prediction.
     resemblance: Correlation with the prediction of the light.
     next_best: The other light that the image resembles most, and the correlation with it.
-    undecided: Why the image allows no decision, in words; None where it does.
+    undecided: Why the image allows no decision; None where it does.
     """
 
     problem: str | None = None
@@ -93,7 +93,7 @@ class LightCheck:
 
 
 def predict(scene: Scene, posture: Posture, caster: RayCaster, *, supersample: int = 1) -> PredictedImages:
-    """Render what the camera should see with all lights of the scene, one pixel for a cell of pixels.
+    """Render the image of each light of the scene, one pixel for a cell of pixels.
 
     `caster` is from :func:`lightopt.rendering.cast_rays_at`, `supersample` the number of rays across a cell.
     """
@@ -123,7 +123,7 @@ def check_light(
     sensor: Sensor,
     exposure: float,
 ) -> LightCheck:
-    """Compare an image with the frame without light and with what every light of the rig would make of the part.
+    """Compare an image with the frame without light and with the predicted image of every light of the rig.
 
     light: The only light that should have been on.
     image, dark: [sensor level], shape (H, W); the dark may be one level.
@@ -191,7 +191,7 @@ def find_light_left_on(
 ) -> str | None:
     """Name of the light that a frame without light [sensor level], shape (H, W), shows to be on; None where none is.
 
-    `before` is an earlier frame at this exposure, which showed none: against it, a weaker one shows.
+    `before` is a previous frame at this exposure that showed none: compared with it, a weaker light shows.
     """
     part = predictions.part
     if int(part.sum()) < LEAST_CELLS:

@@ -17,14 +17,14 @@ def posture_problems(
 ) -> Iterator[str]:
     """Postures beyond the stage's range, or that a stage without one of the axes cannot take."""
     if postures is not None:
-        named = [(posture, "--posture") for posture in postures]
+        named = [(posture, "posture") for posture in postures]
     else:
         named = [(posture, part.source.at("postures", i)) for i, posture in enumerate(part_postures(part))]
     stage = wiring.hardware.stage
     if stage is None and len(named) > 1:
         yield (
             f"{rig.source.at('hardware')}: this rig has no stage, so that one run takes one posture; place the part by "
-            f"hand and name it with --posture; found {len(named)} postures"
+            f"hand and choose that one; found {len(named)} postures"
         )
     for posture, where in named:
         for name, angle in (("elevation", posture.elevation_deg), ("rotation", posture.rotation_deg)):
@@ -50,7 +50,7 @@ def outside_range(rig: RigConfig, name: str, angle: float) -> str | None:
 def exposure_problems(rig: RigConfig, wiring: Wiring, exposures: tuple[float, ...]) -> Iterator[str]:
     """Exposures that the virtual camera cannot hold."""
     if wiring.hardware.camera.driver != VIRTUAL:
-        return  # a folder has the exposures that it has, which is looked up before anything is opened
+        return  # the exposures of a folder are checked when it is read, before anything is opened
     low, high = EXPOSURE_RANGE_US
     for exposure in exposures:
         time_us = exposure * wiring.exposure_us

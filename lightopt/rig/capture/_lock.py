@@ -21,15 +21,15 @@ _FAR = 1 << 20
 
 @contextmanager
 def lock_folder(folder: Path) -> Generator[None]:
-    """Keep other captures out of a folder, which is made where it does not exist.
+    """Keep other captures out of a folder, which is created if it does not exist.
 
-    The operating system holds the lock: that of a process that was killed is gone, though its file may be there.
+    The operating system holds the lock: that of a killed process is gone, even if its file still exists.
     InputError when another process captures into the folder, or it cannot be written.
     """
     path = folder / LOCK_NAME
     file = _open_locked(path)
     try:
-        while not _has_path(file, path):  # the one who had it has just removed it
+        while not _has_path(file, path):  # its previous owner has just removed it
             file.close()
             file = _open_locked(path)
         file.seek(0)

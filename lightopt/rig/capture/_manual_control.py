@@ -35,15 +35,15 @@ class DeviceStatus:
 def device_statuses(
     devices: Devices, rig: RigConfig, unreachable: Mapping[str, LightoptError] | None = None
 ) -> Iterator[DeviceStatus]:
-    """Ask every device for its state, without changing anything; a failure is reported and the others are asked.
+    """Query the state of every device, without changing anything; a failure is reported and the others are queried.
 
     `unreachable` has the devices that could not be opened, by name, with why.
     """
     wiring = devices.wiring
     unreachable = unreachable or {}
     for name in wiring.hardware.controllers:
-        ask = partial(_controller_state, devices, name)
-        yield _status(f"controller {name}", ask, unreachable.get(name))
+        query = partial(_controller_state, devices, name)
+        yield _status(f"controller {name}", query, unreachable.get(name))
     for light in rig.lights:
         channel = wiring.light(light.name)
         if channel.controller in unreachable:
@@ -66,8 +66,8 @@ def hold_light(
 ) -> int | None:
     """Light a panel for a while, never longer than its channel may; returns the level that the controller held.
 
-    `wait` waits at most so many seconds (None: for ever), or until somebody has seen enough. `seconds` None: until
-    `wait` returns.
+    `wait` waits at most so many seconds (None: no limit), or until the user ends it. `seconds` None: until `wait`
+    returns.
     """
     devices.step = f"lighting {name}"
     held = devices.light_on(name, level)
@@ -99,7 +99,7 @@ def snap(
         devices.step = f"lighting {light}"
         devices.light_on(light)
         time.sleep(timing.light_ms / 1e3)
-    devices.step = "taking a frame"
+    devices.step = "capturing a frame"
     if isinstance(camera, FolderCamera):
         camera.show(light, posture or Posture(0.0, 0.0), exposure)
     if not camera.triggered:
@@ -123,12 +123,12 @@ def _grab(devices: Devices, exposure_us: float, light: str | None) -> Frame:
     return frame
 
 
-def _status(name: str, ask: Callable[[], str], problem: LightoptError | None = None) -> DeviceStatus:
+def _status(name: str, query: Callable[[], str], problem: LightoptError | None = None) -> DeviceStatus:
     """State of a device; `problem` is why it could not be opened."""
     try:
         if problem is not None:
             raise problem
-        return DeviceStatus(name=name, text=ask())
+        return DeviceStatus(name=name, text=query())
     except LightoptError as error:
         return DeviceStatus(name=name, text=str(error), failed=True)
 

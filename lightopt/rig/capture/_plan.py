@@ -38,7 +38,7 @@ class CaptureOptions:
     dark: Whether frames without light are taken in every posture at every exposure, and subtracted in the EXR.
     home: Whether the stage seeks its origin first.
     check: Whether each image is checked for being lit by the right light.
-    check_repeatability: Whether the stage returns to its first posture at the end, to see that it lost no steps.
+    check_repeatability: Whether the stage returns to its first posture at the end, to detect lost steps.
     Raises InputError: A number is out of range or something is given twice.
     """
 
@@ -129,7 +129,7 @@ class CapturePlan:
 
     @property
     def keys(self) -> tuple[tuple[str, Posture, float], ...]:
-        """Light, posture and exposure of every image, in the order of taking."""
+        """Light, posture and exposure of every image, in the order of capture."""
         return tuple(
             (light, task.posture, exposure)
             for task in self.tasks
@@ -175,7 +175,7 @@ class CapturePlan:
         if self.home:
             stage = self.wiring.hardware.stage
             axes = (stage.elevation, stage.rotation) if stage is not None else ()
-            # how far the origin is, nobody knows: at most once round
+            # how far the origin is, is unknown: at most one turn
             slowest = min((axis.speed_deg_per_s for axis in axes if axis is not None), default=1.0)
             yield PlanStep("home", "the stage, at most", 360.0 / slowest)
 
@@ -241,7 +241,7 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
     problems += posture_problems(rig, part, wiring, options.postures)
     if options.check_repeatability and (wiring.hardware.stage is None or len(postures) < 2):
         problems.append(
-            "come back: expected a stage and two postures or more; there is nothing to come back from otherwise"
+            "check of repeatability: expected a stage and two postures or more, so that it returns from another one"
         )
     exposures = tuple(sorted(options.exposures, reverse=True))
     problems += exposure_problems(rig, wiring, exposures)

@@ -56,7 +56,7 @@ class Repeatability:
 
     tilt_deg, turn_deg: About the tilt axis and the rotary axis, in the sense of elevation and rotation [°].
     tilt_error_deg, turn_error_deg: Standard errors [°]; those of an unobservable axis are large.
-    converged: Whether the comparison found its optimum; if not, the angles say nothing.
+    converged: Whether the comparison found its optimum; if not, the angles mean nothing.
     """
 
     tilt_deg: float
@@ -67,7 +67,7 @@ class Repeatability:
 
     @property
     def deviation(self) -> str | None:
-        """The axes that certainly deviate, in words; None where none does."""
+        """Message about the axes that certainly deviate; None where none does."""
         if not self.converged:
             return None
         texts = [
@@ -130,7 +130,7 @@ def measure_repeatability(
     above = before - black
     typical, share = float(np.median(above[lit])), float(np.median(above[lit] / predicted[lit]))
     if typical < 3.0 * max(1.0, scene.sensor.read_noise_levels):
-        return None  # too dark to say anything
+        return None  # too dark for any conclusion
     usable &= np.maximum(above, after - black) < HIGHLIGHT * max(typical, share * float(predicted.max()))
     slopes = [
         share * (more.levels[light] - less.levels[light])[usable] / (2.0 * STEP_DEG) for more, less in sides
@@ -153,7 +153,7 @@ def _fit_rotation(columns: Float64, change: Float64, weight: Float64, *, typical
         step=reach,
         # all but nothing, and an error of MOST_DEG for an angle that changes no cell
         prior=np.array([MOST_DEG, MOST_DEG, np.inf, np.inf]),
-        # nothing is held at 0: errors say what is seen, and they come from the scatter, not from the bound
+        # nothing is held at 0: errors show what is observable, and they come from the scatter, not from the bound
         resolution=np.full(4, np.inf),
     )
     problem = linear_problem(columns / unit, change / unit, weight)

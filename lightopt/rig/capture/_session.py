@@ -94,7 +94,7 @@ class CaptureSession:
         if not again:
             return f"{on_disk}; go on with --resume"
         return (
-            f"{on_disk}; go on with --resume, which takes {again} of them anew, because no frame without light "
+            f"{on_disk}; go on with --resume, which takes {again} of them again, because no frame without light "
             "followed them"
         )
 
@@ -154,7 +154,7 @@ class CaptureSession:
         )
         prefix = f"came back to {posture}: "
         if found is None:
-            self.warn(f"{prefix}{light} shows too little of the part to tell whether the stage lost steps")
+            self.warn(f"{prefix}{light} shows too little of the part to detect lost steps")
             return
         self._records.record_repeatability({"light": light, "posture": posture.as_dict(), **found.as_dict()})
         if not found.converged:
@@ -165,7 +165,7 @@ class CaptureSession:
                 "it lost steps, or the part slipped; home the stage and capture again"
             )
         elif found.unobservable:
-            text = f"images cannot tell whether its {found.unobservable} is what it was"
+            text = f"images do not show whether its {found.unobservable} is unchanged"
         else:
             return
         self.warn(prefix + text)
@@ -237,7 +237,7 @@ class CaptureSession:
             raise HardwareError(
                 *error.messages,
                 f"it may have stood elsewhere for images of {posture}: those taken in this run were not kept; "
-                "--resume takes them anew",
+                "--resume takes them again",
             ) from error
 
     def _set_dark_references(self) -> None:
@@ -297,7 +297,7 @@ class CaptureSession:
             raise HardwareError(
                 *error.messages,
                 f"it may have been on during images of {acquired.posture} as well: those taken since the frame without "
-                "light before were not kept; --resume takes them anew",
+                "light before were not kept; --resume takes them again",
             ) from error
         self._records.record_dark_check(acquired.posture)
 

@@ -1,4 +1,4 @@
-"""Signals that end a run: each unwinds it as Ctrl-C does, and none interrupts making the rig safe."""
+"""Signals that end a run: each unwinds it as Ctrl-C does, and none interrupts switching off."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 class EndSignals:
     """While active, SIGINT, SIGTERM, SIGHUP and Windows' SIGBREAK raise :class:`KeyboardInterrupt` in the main thread.
 
-    The first one that unwinds holds those after it back, so that none gets in between while the rig is made safe, which
-    takes a bounded time. A signal that is ignored (as SIGHUP under nohup) stays ignored. In a thread other than the
+    After the first one the others are held back, so that none interrupts while the rig is made safe, which takes a
+    bounded time. A signal that is ignored (as SIGHUP under nohup) stays ignored. In a thread other than the
     main one nothing is changed. `pending` is the name of the signal that came while shielded.
     """
 

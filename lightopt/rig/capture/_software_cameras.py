@@ -42,7 +42,7 @@ class FolderCamera:
         return (min(times, default=0.0), max(times, default=0.0))
 
     def missing(self, light: str | None, posture: Posture, exposure: float) -> str | None:
-        """Why an image of a plan cannot be replayed; None where it can."""
+        """Message about an image of a plan that cannot be replayed; None where it can."""
         if light is None:
             name = dark_name(posture, exposure)
             there = name in self._set.manifest.files

@@ -6,14 +6,15 @@ import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import datetime, timezone
 
 
 @dataclass
 class Timing:
-    """Seconds by what they were spent on.
+    """Time spent on each part of a capture [s].
 
-    `opening_s` is reading the mesh, planning, and opening the devices, `closing_s` switching all lights
-    off once more at the end, and closing the devices.
+    opening_s: Reading the mesh, planning, and opening the devices.
+    closing_s: Switching all lights off once more at the end, and closing the devices.
     """
 
     whole_s: float = 0.0
@@ -28,18 +29,15 @@ class Timing:
 
     @property
     def other_s(self) -> float:
-        """What the parts do not explain: checks, means, the interpreter [s]."""
+        """Time that is in none of the parts: checks, means, the interpreter [s]."""
         return self.whole_s - sum(self.parts().values())
 
     @property
     def overhead(self) -> float:
-        """What a capture adds to settling, exposing and transfer, as a share; all but opening, closing and moves."""
+        """Time beyond settling, exposing and transfer, as a share of these; without opening, closing and moves."""
         needed = self.settling_s + self.exposing_s + self.transfer_s
-        return (
-            (self.whole_s - self.opening_s - self.closing_s - self.moving_s - needed) / needed
-            if needed
-            else 0.0
-        )
+        spent = self.whole_s - self.opening_s - self.closing_s - self.moving_s
+        return (spent - needed) / needed if needed else 0.0
 
     def parts(self) -> dict[str, float]:
         """Seconds by name, without the whole."""
@@ -56,7 +54,6 @@ class Timing:
 
 
 def utc(seconds: float | None = None) -> str:
-    """A moment as UTC in ISO 8601 with milliseconds; now if none is given."""
-    moment = time.time() if seconds is None else seconds
-    whole = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(moment))
-    return f"{whole}.{int(moment * 1000) % 1000:03d}Z"
+    """A moment [s since 1970] in ISO 8601 with milliseconds, UTC; now by default."""
+    moment = datetime.now(timezone.utc) if seconds is None else datetime.fromtimestamp(seconds, timezone.utc)
+    return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")

@@ -1,4 +1,4 @@
-"""Switching on a virtual bench that has the devices of a rig."""
+"""Start a virtual bench that simulates the devices of a rig."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def _lights(config: ControllerConfig) -> dict[str, Any]:
 
 
 def _stage(rig: RigConfig, wiring: Wiring) -> dict[str, Any]:
-    """Arguments of the simulated firmware of a stage: as fast and as long as the rig file says."""
+    """Arguments of the simulated firmware of a stage: speeds and ranges of the rig file."""
     stage = wiring.hardware.stage
     assert stage is not None
     axes = [

@@ -35,7 +35,7 @@ class LightWatchdog:
         self._lock = threading.Lock()
         self._periods: dict[str, _LitPeriod] = {}
         self._problems: dict[str, str] = {}
-        # held while a light is darkened, so that it is not lit anew in between
+        # held while a light is darkened, so that it is not lit again meanwhile
         self._darkening: defaultdict[str, threading.Lock] = defaultdict(threading.Lock)
 
     def start(self, light: str, longest_s: float) -> None:

@@ -1,4 +1,4 @@
-"""Which device plays which role on a rig: what its file says, or the virtual bench where it says nothing."""
+"""Which device plays which role on a rig: those of its file, or the virtual bench where the file has none."""
 
 from __future__ import annotations
 

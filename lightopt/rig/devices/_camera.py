@@ -175,7 +175,7 @@ class MachineCamera:
             self._order.begin()
             self._sdk.start()
             self._running = True
-        self._discard_earlier_frames(end)
+        self._discard_pending_frames(end)
         begun = time.monotonic()
         if self._triggered:
             self._sdk.execute("TriggerSoftware")
@@ -195,7 +195,7 @@ class MachineCamera:
         self._check_form(raw)
         return raw
 
-    def _discard_earlier_frames(self, end: float) -> None:
+    def _discard_pending_frames(self, end: float) -> None:
         """Discard frames that came before the request; only a freely running camera should deliver any."""
         while (raw := self._sdk.pop(0.0)) is not None:
             self._order.skip(raw)

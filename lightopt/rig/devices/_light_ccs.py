@@ -96,20 +96,25 @@ class CcsController(LightController):
         reply = self._link.query(frame, end=b"\r\n")
         match = re.fullmatch(rb"(@(\d\d)([ON])([ -~]*))([0-9A-F]{2})\r\n", reply)
         if match is None:
-            raise ReplyError(self._link.message("the reply is not a frame", sent=frame, reply=reply))
+            raise self._link.failure("the reply is not a frame", sent=frame, reply=reply, kind=ReplyError)
         if match[5] != _checksum(match[1]):
-            raise ReplyError(self._link.message("the reply has a wrong checksum", sent=frame, reply=reply))
+            raise self._link.failure(
+                "the reply has a wrong checksum", sent=frame, reply=reply, kind=ReplyError
+            )
         data = match[4].decode("ascii")
         if int(match[2]) != channel - 1:
-            raise ReplyError(self._link.message("the reply is for another channel", sent=frame, reply=reply))
+            raise self._link.failure(
+                "the reply is for another channel", sent=frame, reply=reply, kind=ReplyError
+            )
         if match[3] == b"N":
             code = data[:2]
-            words = self._link.message(
-                _REFUSALS.get(code, f"it refuses (NG {data})"), sent=frame, reply=reply
-            )
-            raise ReplyError(words) if code == _DAMAGED else RefusedError(words)
+            kind = ReplyError if code == _DAMAGED else RefusedError
+            problem = _REFUSALS.get(code, f"it refuses (NG {data})")
+            raise self._link.failure(problem, sent=frame, reply=reply, kind=kind)
         if re.fullmatch(expected, data) is None:
-            raise ReplyError(self._link.message("the reply is to another command", sent=frame, reply=reply))
+            raise self._link.failure(
+                "the reply is to another command", sent=frame, reply=reply, kind=ReplyError
+            )
         return data
 
 

@@ -52,19 +52,23 @@ class SaController(LightController):
     def _set_once(self, frame: bytes, letter: str) -> None:
         reply = self._query(frame, _ACK)
         if reply.decode("ascii", "replace").upper() not in (letter, "A", "!"):
-            raise ReplyError(self._link.message("the reply is no acknowledgement", sent=frame, reply=reply))
+            raise self._link.failure(
+                "the reply is no acknowledgement", sent=frame, reply=reply, kind=ReplyError
+            )
 
     def _read_once(self, letter: str) -> int:
         frame = f"S{letter}#".encode("ascii")
         reply = self._query(frame, _VALUE)
         if re.fullmatch(rb"[A-F]\d{4}", reply.upper()) is None or chr(reply[0]).upper() != letter:
-            raise ReplyError(
-                self._link.message("the reply is not this channel's intensity", sent=frame, reply=reply)
+            raise self._link.failure(
+                "the reply is not this channel's intensity", sent=frame, reply=reply, kind=ReplyError
             )
         return int(reply[1:])
 
     def _query(self, frame: bytes, end: re.Pattern[bytes]) -> bytes:
         reply = self._link.query(frame, end=end)
         if reply == b"NG":
-            raise RefusedError(self._link.message("it refuses the command (NG)", sent=frame, reply=reply))
+            raise self._link.failure(
+                "it refuses the command (NG)", sent=frame, reply=reply, kind=RefusedError
+            )
         return reply

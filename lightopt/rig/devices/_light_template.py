@@ -88,7 +88,9 @@ class TemplateController(LightController):
         try:
             return int(digits)
         except ValueError:
-            raise ReplyError(self._link.message("the reply's level is no number", reply=digits)) from None
+            raise self._link.failure(
+                "the reply's level is no number", reply=digits, kind=ReplyError
+            ) from None
 
     def _exchange(self, verb: str, channel: int, level: int) -> dict[str, bytes]:
         """Send a command and match its reply; the pattern's groups."""
@@ -101,5 +103,5 @@ class TemplateController(LightController):
         match = pattern.fullmatch(reply[: len(reply) - len(self._end)])
         if match is None:
             what = f"the reply does not match template.{verb}_reply"
-            raise ReplyError(self._link.message(what, sent=frame, reply=reply))
+            raise self._link.failure(what, sent=frame, reply=reply, kind=ReplyError)
         return match.groupdict()

@@ -268,15 +268,18 @@ class SerialLink:
         if self._log is not None:
             self._log.note(event)
 
-    def failure(self, problem: str, *, sent: bytes = b"", reply: bytes | None = None) -> HardwareError:
+    def failure(
+        self,
+        problem: str,
+        *,
+        sent: bytes = b"",
+        reply: bytes | None = None,
+        kind: type[HardwareError] = HardwareError,
+    ) -> HardwareError:
         """Error that names device and port, what went wrong, the command, and the reply."""
-        return HardwareError(self.message(problem, sent=sent, reply=reply))
-
-    def message(self, problem: str, *, sent: bytes = b"", reply: bytes | None = None) -> str:
-        """Message that names device and port, what went wrong, the command, and the reply."""
         command = f"; sent {printable(sent)}" if sent else ""
         answer = "" if reply is None else f", got {printable(reply)}"
-        return f"{self.device} on {self.port}: {problem}{command}{answer}"
+        return kind(f"{self.device} on {self.port}: {problem}{command}{answer}")
 
     def close(self) -> None:
         """Give up the port; never raises."""
@@ -313,32 +316,30 @@ class SerialLink:
         try:
             return action()
         except serial.SerialTimeoutException:
-            raise LinkLostError(
-                self.message(
-                    f"does not take what is sent within {self._write_s:g} s; check flow control and cable",
-                    sent=sent,
-                )
+            raise self.failure(
+                f"does not take what is sent within {self._write_s:g} s; check flow control and cable",
+                sent=sent,
+                kind=LinkLostError,
             ) from None
         except _LOST as error:
             if not self._lost:
                 self._lost = True
                 self.note(f"device lost: {error}")
-            raise LinkLostError(
-                self.message(
-                    "the device is gone (unplugged, switched off, or another program reads from the port); "
-                    "what it does now is unknown",
-                    sent=sent,
-                )
+            raise self.failure(
+                "the device is gone (unplugged, switched off, or another program reads from the port); "
+                "what it does now is unknown",
+                sent=sent,
+                kind=LinkLostError,
             ) from None
 
-    def _preempted(self, sent: bytes) -> PreemptedError:
-        return PreemptedError(
-            self.message("no longer waited for, because a light had to be switched off", sent=sent)
+    def _preempted(self, sent: bytes) -> HardwareError:
+        return self.failure(
+            "no longer waited for, because a light had to be switched off", sent=sent, kind=PreemptedError
         )
 
-    def _late(self, got: bytes, after: bytes, limit_s: float) -> ReplyError:
+    def _late(self, got: bytes, after: bytes, limit_s: float) -> HardwareError:
         problem = "the reply is incomplete" if got else "no reply"
-        return ReplyError(self.message(f"{problem} after {limit_s:g} s", sent=after, reply=got))
+        return self.failure(f"{problem} after {limit_s:g} s", sent=after, reply=got, kind=ReplyError)
 
     def _note_stale(self, count: int) -> None:
         if count:

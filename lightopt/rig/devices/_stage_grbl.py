@@ -219,10 +219,11 @@ class GrblDialogue:
             settings = dict(setting for line in lines if (setting := parse_setting(line)) is not None)
             needed = {20, 22, *(base + i for base in (100, 110, 130) for i in range(3))}
             if missing := needed - set(settings):
-                raise ReplyError(
-                    self.link.message(
-                        f"settings are missing: {sorted(missing)}", sent=b"$$\n", reply=b"".join(lines)
-                    )
+                raise self.link.failure(
+                    f"settings are missing: {sorted(missing)}",
+                    sent=b"$$\n",
+                    reply=b"".join(lines),
+                    kind=ReplyError,
                 )
             if settings.get(13, 0):
                 raise self.link.failure("reports inches; set $13=0", sent=b"$$\n")
@@ -238,17 +239,17 @@ class GrblDialogue:
             try:
                 report = parse_report(line)
             except ValueError as error:
-                raise HardwareError(self.link.message(str(error), sent=b"?", reply=line)) from None
+                raise self.link.failure(str(error), sent=b"?", reply=line) from None
             if report is None:
                 if line.startswith(b"<"):
-                    raise ReplyError(self.link.message("a broken status report", sent=b"?", reply=line))
+                    raise self.link.failure("a broken status report", sent=b"?", reply=line, kind=ReplyError)
                 continue
             self._homing = False  # it reports again
             self._here = dict(zip(_AXES, report.position, strict=False))
             state = report.state
             held = _HELD.get(state) or ("the door is open" if state.startswith("Door") else None)
             if held is None and state != "Idle" and state not in _MOVING:
-                raise ReplyError(self.link.message("an unknown state", sent=b"?", reply=line))
+                raise self.link.failure("an unknown state", sent=b"?", reply=line, kind=ReplyError)
             return Reading(
                 units={axis.device: self._here.get(axis.device, math.nan) for axis in self._axes},
                 moving=state in _MOVING,
@@ -290,5 +291,5 @@ class GrblDialogue:
 def _code(line: bytes, link: SerialLink) -> int:
     digits = line.partition(b":")[2].strip()
     if not digits.isdigit():
-        raise ReplyError(link.message("a broken reply", reply=line))
+        raise link.failure("a broken reply", reply=line, kind=ReplyError)
     return int(digits)

@@ -174,7 +174,7 @@ class _SigmakokiDialogue:
             status = parse_status(line)
             return status, reading_of(status, self._axes)
         except ValueError as error:
-            raise ReplyError(self.link.message(str(error), sent=frame)) from None
+            raise self.link.failure(str(error), sent=frame, kind=ReplyError) from None
 
     def _status_line(self, frame: bytes) -> bytes:
         return self.link.query(frame, end=END)
@@ -225,7 +225,7 @@ class ShotDialogue(_SigmakokiDialogue):
                 "refused (NG): the command is wrong, or the stage is moving", sent=command(text), reply=reply
             )
         if reply != b"OK\r\n":
-            raise ReplyError(self.link.message("expected OK or NG", sent=command(text), reply=reply))
+            raise self.link.failure("expected OK or NG", sent=command(text), reply=reply, kind=ReplyError)
 
 
 def check_gsc(axes: Sequence[Axis]) -> None:

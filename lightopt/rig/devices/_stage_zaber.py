@@ -279,8 +279,8 @@ class ZaberDialogue:
     def _number_of(self, axis: str, command: str) -> tuple[Reply, int]:
         reply = self._accepted(axis, command)
         if re.fullmatch(r"-?\d+", reply.data) is None:
-            raise ReplyError(
-                self.link.message("expected a whole number", sent=command.encode(), reply=reply.data.encode())
+            raise self.link.failure(
+                "expected a whole number", sent=command.encode(), reply=reply.data.encode(), kind=ReplyError
             )
         return reply, int(reply.data)
 
@@ -307,7 +307,7 @@ class ZaberDialogue:
                 try:
                     reply = parse_reply(line)
                 except ValueError as error:
-                    raise ReplyError(self.link.message(str(error), sent=sent, reply=line)) from None
+                    raise self.link.failure(str(error), sent=sent, reply=line, kind=ReplyError) from None
                 if (reply.device, reply.axis, reply.number) == (device, axis, self._number):
                     return reply
                 self.link.note(f"passed over {line!r}, which answers something else")

@@ -56,7 +56,7 @@ class SimulatedAxis:
         self._offset -= steps
 
     def power_cycle(self, now: float) -> None:
-        """Go off and on: it stays where it stands, and the count begins anew."""
+        """Go off and on: the axis stays where it stands, and the count starts again."""
         real = self.real(now)
         self.stop(now)
         self._start = self._end = self._at_power_up
@@ -75,7 +75,7 @@ class SimulatedAxis:
         return self.count(now) + self._offset
 
     def moving(self, now: float) -> bool:
-        """Whether the controller says that it moves."""
+        """Whether the controller reports that it moves."""
         self._advance(now)
         return self._end != self._start or self._stays_busy
 
@@ -106,7 +106,7 @@ class SimulatedAxis:
         self._stays_busy = False
 
     def set_count(self, count: float, now: float) -> None:
-        """Call the place where it stands otherwise."""
+        """Set the count of the place where it stands."""
         real = self.real(now)
         self._start = self._end = count
         self._offset = real - count

@@ -48,7 +48,7 @@ class BenchProcess:
 
     devices: By name: ``kind`` (ccs, sa, template, shot, gsc, grbl, zaber) and, optionally, ``options`` of the firmware,
         ``tcp`` and ``wedges`` of the wire.
-    tcp: Whether devices that do not say are on TCP instead of pseudo-terminals; None: where there are none.
+    tcp: Whether devices are on TCP instead of pseudo-terminals by default; None: only where there are none.
     **more: Further keys of the description that the process gets.
 
     `ports` is what a driver opens, by device. Raises InputError when a device cannot be as described.
@@ -184,10 +184,10 @@ class BenchProcess:
         return json.loads(line)
 
     def _gone(self, what: str) -> HardwareError:
-        said = ""
+        output = ""
         if not self._errors.closed:
             self._errors.seek(0)
-            said = self._errors.read().decode("utf-8", "replace").strip()
-        if "Traceback (" in said:
-            said = said.splitlines()[-1]
-        return HardwareError(f"virtual bench: {what}" + (f"; its output: {said[-2000:]}" if said else ""))
+            output = self._errors.read().decode("utf-8", "replace").strip()
+        if "Traceback (" in output:
+            output = output.splitlines()[-1]
+        return HardwareError(f"virtual bench: {what}" + (f"; its output: {output[-2000:]}" if output else ""))

@@ -1,6 +1,6 @@
 """The camera of the virtual bench, in the process of the firmware: it sees what the firmware does.
 
-A frame is asked for over the control socket; its pixels follow the answer row by row, little end first.
+A frame is requested over the control socket; its pixels follow the answer row by row, little end first.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class BenchTruth:
     part_offset_mm: How far from its place the part lies, world frame at posture (0, 0) [mm].
     dark_level: Added to the sensor's black level [sensor level].
     ambient_level: Light that is always there, everywhere in the image [grey level at exposure 1].
-    triggered: Whether the camera's frames begin when asked for; otherwise they follow one another, and the first after
-        a change began before it.
+    triggered: Whether the camera's frames begin on request; otherwise they follow one another, and the first after a
+        change began before it.
     """
 
     seed: int = 1
@@ -58,7 +58,8 @@ class BenchTruth:
     def of(cls, data: Mapping[str, Any]) -> BenchTruth:
         """From its JSON form."""
         x, y, z = data["part_offset_mm"]
-        return cls(**{**data, "part_offset_mm": (x, y, z)})
+        values: dict[str, Any] = {**data, "part_offset_mm": (x, y, z)}
+        return cls(**values)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,7 +190,7 @@ class BenchCamera:
     def _prepare(self, _: Mapping[str, Any]) -> Response:
         """Answer whether the view at the stage's position is rendered, and start to render it if not.
 
-        A camera on a network does not answer while a frame is made, and one that is silent for seconds counts as gone.
+        A camera on a network does not answer while it renders, and one that is silent for seconds counts as gone.
         So the client waits before it asks for a frame, by asking again, which a hung process does not answer.
         """
         posture = self._state()[1]

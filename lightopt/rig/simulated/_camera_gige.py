@@ -67,7 +67,7 @@ _CONTROL_PORT = 3956
 _FREE_S = 100.0
 _LONGEST_US = 1_000_000
 _PERIOD_US = 10_000  # between two frames of a camera that runs freely
-_TRIGGER_US = 1_000  # between two looks for a trigger
+_TRIGGER_US = 1_000  # between two checks for a trigger
 
 FAULTS = (
     "lost",  # no packet of a frame arrives
@@ -186,7 +186,7 @@ class GigeCamera:
         data = packed(levels[top : top + height, left : left + width], code)
         size = ctypes.c_size_t()
         where = self._c.arv_buffer_get_data(buffer, ctypes.byref(size))
-        room = width * height * (code >> 16 & 0xFF) // 8  # what the buffer says of itself is 0 at this moment
+        room = width * height * (code >> 16 & 0xFF) // 8  # the size in the buffer is 0 at this moment
         ctypes.memmove(where, data, min(len(data), room))
         time.sleep(max(0.0, held_us / 1e6 - (time.monotonic() - begun)))
         self._faults.end(buffer, int(self._c.arv_buffer_get_timestamp(buffer)))
@@ -301,7 +301,7 @@ def _address(gobject: Any) -> int:
 
 
 def _reserve_port() -> socket.socket:
-    """A socket that nobody else can have while this camera runs: GigE Vision has one control port per address."""
+    """Occupies the port while this camera runs: GigE Vision has one control port per address."""
     end = time.monotonic() + _FREE_S
     while True:
         taken = socket.socket()

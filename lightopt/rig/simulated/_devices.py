@@ -7,7 +7,7 @@ import threading
 from collections import deque
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any
 
 from lightopt.rig.simulated._faults import LINE_FAULTS, FaultyLine, Transmission
 from lightopt.rig.simulated._firmware import Firmware, LightFirmware, StageFirmware, build
@@ -17,9 +17,7 @@ _TRACE = 100_000
 
 _TICK_S = 0.005  # how late a device may be with what it sends on its own while it is awake
 _AWAKE_S = 1.0  # a device is awake for so long after it was sent something
-_ASLEEP_S = (
-    0.05  # how late one that is not awake may be: a bench of many devices would be busy with asking them
-)
+_ASLEEP_S = 0.05  # how late another device may be: polling all of them as often would keep a bench busy
 
 
 @dataclass(frozen=True)
@@ -90,13 +88,11 @@ class Device:
 
     def levels(self) -> dict[int, float] | None:
         """Brightness of each channel as a share of the highest; None for what is no light controller."""
-        return cast("LightFirmware", self.firmware).levels() if hasattr(self.firmware, "levels") else None
+        return self.firmware.levels() if isinstance(self.firmware, LightFirmware) else None
 
     def positions(self, now: float) -> dict[str, float] | None:
         """Where each axis really stands, in device units; None for what is no stage."""
-        if not hasattr(self.firmware, "positions"):
-            return None
-        return cast("StageFirmware", self.firmware).positions(now)
+        return self.firmware.positions(now) if isinstance(self.firmware, StageFirmware) else None
 
     def _reply(self, data: bytes, now: float) -> None:
         if data:
@@ -109,7 +105,7 @@ class SimulatedDevices:
     Hold `lock` while touching the devices: the wires are served by one thread, requests by others.
 
     devices: By name: ``kind`` and, optionally, ``options`` of the firmware, ``tcp`` and ``wedges`` of the wire.
-    tcp: Whether devices that do not say are on TCP; by default where there are no pseudo-terminals.
+    tcp: Whether devices are on TCP by default; so they are where there are no pseudo-terminals.
     """
 
     def __init__(self, devices: Mapping[str, Mapping[str, Any]], *, tcp: bool = not have_ptys) -> None:
@@ -170,7 +166,7 @@ class SimulatedDevices:
             self._record_lights(now)
 
     def pull(self, name: str) -> None:
-        """Pull the cable of a device, and wait until nobody holds its end any more."""
+        """Pull the cable of a device, and wait until its end is no longer in use."""
         with self.lock:
             self.devices[name].wire.pull()
             self._served.clear()

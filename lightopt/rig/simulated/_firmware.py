@@ -1,4 +1,4 @@
-"""What the simulated firmware of a device implements, and which there is. Add a new device here.
+"""Registry of simulated firmware, and what it implements. Add a new device here.
 
 Firmware is written from the tables of its protocol, not from the driver: the two meet on the wire only.
 """
@@ -7,45 +7,44 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import import_module
-from typing import Any, Protocol, cast
+from typing import Any, Protocol, cast, runtime_checkable
 
 
 class Firmware(Protocol):
-    """A device behind a wire. Time is given, never read, so that a dialogue can be replayed."""
+    """A device behind a wire. Time [s] is given, never read, so that a dialogue can be replayed.
 
-    def feed(self, data: bytes, now: float) -> bytes:
-        """Take bytes off the wire at a time [s] and return the bytes to send; keeps incomplete commands."""
-        ...
+    feed: Take bytes off the wire and return the bytes to send; incomplete commands are kept.
+    poll: Bytes that the device sends on its own or late (banners, withheld replies); often none.
+    inject: Set a fault of the device from now on: a stalled axis, a light that stays dark; ``clear`` ends all. Faults
+        of the line never come here. Raises a ValueError that lists the faults that there are.
+    """
 
-    def poll(self, now: float) -> bytes:
-        """Return bytes that the device sends on its own or late (banners, withheld replies); often none."""
-        ...
-
-    def inject(self, fault: str, options: dict[str, Any], now: float) -> None:
-        """Set a fault of the device from a time [s] on: a stalled axis, a light that stays dark; ``clear`` ends all.
-
-        Faults of the line are the host's and never come here. Raises a ValueError that lists the faults that there are.
-        """
-        ...
+    def feed(self, data: bytes, now: float) -> bytes: ...
+    def poll(self, now: float) -> bytes: ...
+    def inject(self, fault: str, options: dict[str, Any], now: float) -> None: ...
 
 
+@runtime_checkable
 class LightFirmware(Firmware, Protocol):
-    """A light controller."""
+    """A light controller.
 
-    def levels(self) -> dict[int, float]:
-        """Brightness of each channel from 1 up, as a share of the highest intensity; 0 when off."""
-        ...
+    levels: Brightness of each channel from 1 up, as a share of the highest intensity; 0 when off.
+    """
+
+    def levels(self) -> dict[int, float]: ...
 
 
+@runtime_checkable
 class StageFirmware(Firmware, Protocol):
-    """A stage controller."""
+    """A stage controller.
 
-    def positions(self, now: float) -> dict[str, float]:
-        """Where each axis really stands at a time [s], in device units by the axis' name."""
-        ...
+    positions: Where each axis really stands, in device units by the axis' name.
+    """
+
+    def positions(self, now: float) -> dict[str, float]: ...
 
 
-# Imported when asked for: a host of two devices need not load the others.
+# Imported when needed: a bench of two devices does not load the others.
 FIRMWARE = {
     "ccs": ("lightopt.rig.simulated._light_ccs", "CcsFirmware"),
     "sa": ("lightopt.rig.simulated._light_sa", "SaFirmware"),

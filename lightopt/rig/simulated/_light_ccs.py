@@ -25,7 +25,7 @@ class CcsFirmware:
     Faults besides those of its lamps, with the options of :class:`Trigger`: ``ng`` (option ``code``: 1 command,
     2 checksum, 3 value; the frame is refused and not obeyed) and ``checksum`` (the reply's checksum is wrong).
 
-    gap_s: Time [s] that must pass after a frame; a frame that comes earlier is not heard.
+    gap_s: Time [s] that must pass after a frame; a frame that comes before is ignored.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class CcsFirmware:
         return b""
 
     def levels(self) -> dict[int, float]:
-        """Brightness of each channel; a channel in a strobe mode is dark, because nobody triggers it."""
+        """Brightness of each channel; a channel in a strobe mode is dark, because it is never triggered."""
         return {c: share if self._mode[c] == 0 else 0.0 for c, share in self._lamps.brightness().items()}
 
     def inject(self, fault: str, options: dict[str, Any], now: float) -> None:  # noqa: ARG002
@@ -103,7 +103,7 @@ class CcsFirmware:
         return body + f"{checksum:02X}\r\n".encode("ascii")
 
     def _obey(self, channel: int, instruction: str, data: str) -> str | int:
-        """Do what a frame says; the reply from O on, or the number of the error."""
+        """Execute a command; returns the reply from O on, or the number of the error."""
         width = {"F": self._digits, "L": 1, "S": 2, "M": 0, "C": 0, "R": 0}.get(instruction)
         if width is None or (data and not (data.isascii() and data.isdigit())):
             return _COMMAND

@@ -1,4 +1,4 @@
-"""What the camera of the virtual bench sees: the part under the light levels and the posture of this moment."""
+"""Frames of the virtual bench's camera: the part under the current light levels, in the current posture."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _CACHE_BYTES = 512 << 20
 
 
 class BenchOptics:
-    """Renders the part as the light levels and the stage have it.
+    """Renders the part under given light levels in given postures.
 
-    Images add linearly, so that one linear layer per light and posture serves every level and exposure; they are kept.
+    Images add linearly, so that one linear layer per light and posture, cached, serves every level and exposure.
     """
 
     def __init__(self, scene: Scene, truth: BenchTruth) -> None:

@@ -1,7 +1,7 @@
 """Simulated firmware of Grbl 1.1h.
 
 Written from Grbl's interface description, and held by tests to dialogues that were recorded from a Grbl 1.1h. What it
-keeps of the real one: ``ok`` when a move is planned; a report in the first milliseconds after it that still says Idle;
+keeps of the real one: ``ok`` when a move is planned; a report in the first milliseconds after it that is still Idle;
 realtime bytes; silence after ALARM:1 and ALARM:2 until a reset, and the withheld ``ok`` before the banner then; a
 locked start with homing enabled; a machine space from 0 down to −$130; no reports during homing.
 """
@@ -23,7 +23,7 @@ _UNLOCK = b"[MSG:'$H'|'$X' to unlock]\r\n"
 _RESET_FIRST = b"[MSG:Reset to continue]\r\n"
 _CRITICAL = (1, 2)
 _BLOCKS = 15  # moves that the planner holds
-_SLOW_START_S = 0.004  # a report so soon after the ok still says Idle
+_SLOW_START_S = 0.004  # a report so soon after the ok is still Idle
 _BRAKE_S = 0.02
 
 
@@ -77,7 +77,7 @@ class GrblFirmware:
         return out
 
     def poll(self, now: float) -> bytes:
-        """What it says on its own: the banner, an alarm, an ok that had to wait."""
+        """Messages that it sends on its own: the banner, an alarm, an ok that had to wait."""
         out, self._pending = self._pending, b""
         if self._critical:
             return out

@@ -24,8 +24,8 @@ class ZaberFirmware:
     """A chain with one device.
 
     Faults besides those of its axes (a stall flags FS, a switch WL): ``alarm`` (option ``flag``: a warning that stays,
-    FS unless told, ``axis``; moves stop), ``refuse`` (commands other than questions are rejected with ``reason``,
-    BADDATA unless told), ``checksum`` (a reply's checksum is wrong), both with the options of :class:`Trigger`;
+    FS by default, ``axis``; moves stop), ``refuse`` (commands other than questions are rejected with ``reason``,
+    BADDATA by default), ``checksum`` (a reply's checksum is wrong), both with the options of :class:`Trigger`;
     ``power_cycle``.
 
     limits: ``limit.min`` and ``limit.max`` of each axis by its number.
@@ -155,7 +155,7 @@ class ZaberFirmware:
         return next(iter(self._warnings(names, now)), "--")
 
     def _obey(self, words: list[str], names: list[str], axis: int, now: float) -> str:
-        """Do what a command says; what is answered."""
+        """Execute a command; returns the answer."""
         if not words:
             return "0"
         verb, rest = words[0], words[1:]

@@ -38,7 +38,7 @@ class PtyWire:
         import tty
 
         self._ours, self._theirs = pty.openpty()
-        # The client's end is kept open here too, so that clients may come and go; raw, or it would echo.
+        # The client's end stays open here too, so that clients can come and go; raw, or it would echo.
         tty.setraw(self._theirs)
         os.set_blocking(self._ours, False)
         self._name = os.ttyname(self._theirs)
