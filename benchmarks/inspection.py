@@ -220,12 +220,12 @@ def look(rig: RigConfig, part: PartConfig, image_set: ImageSet, *, told: bool = 
 
 def ways(view: PostureView, found: Deviations) -> Iterator[tuple[str, NDArray[np.float32], int]]:
     """Each way to look at a posture: its name, its scores, and how many tests those are the greatest of."""
-    yield DEFAULT, score_deviations(found, seen_by=2), len(SCALES_PX)
-    yield "residual, largest", score_deviations(found, seen_by=1), len(SCALES_PX)
+    yield DEFAULT, score_deviations(found, min_images=2), len(SCALES_PX)
+    yield "residual, largest", score_deviations(found, min_images=1), len(SCALES_PX)
     for i, light in enumerate(view.lights):
         one = slice(i, i + 1)
         alone = Deviations(found.z[one], found.scale[one], found.usable[one], found.lit[one])
-        yield f"residual on {light} alone", score_deviations(alone, seen_by=1), len(SCALES_PX)
+        yield f"residual on {light} alone", score_deviations(alone, min_images=1), len(SCALES_PX)
     weights = pixel_weights(view.saturated, view.predicted, view.specular, view.deviation, view.limit)
     for fusion in FUSIONS:
         good = {"predicted": view.predicted, "specular": view.specular}

@@ -169,12 +169,12 @@ class Prediction:
         return inside if len(inside) else np.array([distance.argmin()])
 
 
-def looked_at_again(result: InspectionResult, seen_by: int) -> InspectionResult:
+def looked_at_again(result: InspectionResult, min_images: int) -> InspectionResult:
     """The same images, judged by another number of images that must show a defect."""
     postures = []
     for posture in result.postures:
         found = deviations(posture.view)
-        score = score_deviations(found, seen_by=seen_by)
+        score = score_deviations(found, min_images=min_images)
         high = threshold(FALSE_ALARMS, int(posture.view.clean.sum()), len(SCALES_PX))
         labels, _ = split_regions(*find_regions(score, high), score, found, high)
         postures.append(replace(posture, score=score, labels=labels, threshold=high))
@@ -217,7 +217,7 @@ def close_loop(folder: Path, name: str, options: argparse.Namespace) -> Iterator
         for seed, path in enumerate(strewn, 1):
             part = load_part(path)
             image_set = take(rig, part, folder / f"{name}-{objective}-{seed}", seed)
-            once = inspect_set(rig, part, image_set, options=InspectOptions(fusion=None, seen_by=1))
+            once = inspect_set(rig, part, image_set, options=InspectOptions(fusion=None, min_images=1))
             placed = place_defects(once.nominal, rig, part)
             for seen_in in SEEN_IN:
                 result = once if seen_in == 1 else looked_at_again(once, seen_in)

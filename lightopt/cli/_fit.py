@@ -282,7 +282,7 @@ def _options(
         joint=joint,
         gain="gain" in (free or ()),
         dark="dark" in (free or ()),
-        shift=register,
+        register=register,
         points=chosen,
         pixels=pixels,
         validate=validate,

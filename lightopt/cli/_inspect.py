@@ -121,8 +121,8 @@ def inspect(
         detector=detector,
         fusion=None if fusion == "none" else cast("Fusion", fusion),
         false_alarms=false_alarms,
-        seen_by=min_images,
-        shift=register,
+        min_images=min_images,
+        register=register,
     )
     problems = options.problems()
     if calibrate:

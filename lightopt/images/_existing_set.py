@@ -25,7 +25,7 @@ def resumable_manifest(folder: Path, header: Manifest) -> Manifest | None:
     path = folder / MANIFEST_NAME
     if not path.exists():
         return None
-    advice = "use --force to replace it, or choose another output folder"
+    advice = "use option 'force' to replace it, or choose another output folder"
     try:
         existing = read_manifest(path)
     except InputError as error:

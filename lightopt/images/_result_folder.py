@@ -46,7 +46,7 @@ class ResultFolder:
         if there and not force and (old is None or changed):
             raise InputError(
                 f"{folder} already has {', '.join(there)} of {what} of other inputs or with other options"
-                f"{f' ({changed})' if changed else ''}; use --force to replace it, or choose another folder"
+                f"{f' ({changed})' if changed else ''}; use option 'force' to replace it, or choose another folder"
             )
 
     def place(self, name: str) -> Path:

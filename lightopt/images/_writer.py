@@ -259,7 +259,7 @@ class ImageSetWriter:
         if path.exists():
             raise InputError(
                 f"{path}: exists but belongs to no image set; "
-                "use --force to overwrite it, or choose another output folder"
+                "use option 'force' to overwrite it, or choose another output folder"
             )
 
     def _place(self, name: str) -> Path:

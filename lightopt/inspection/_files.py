@@ -57,7 +57,7 @@ def inspection_provenance(
         **input_hashes(rig, part),
         "image_sets": [image_set.fingerprint for image_set in sets],
     }
-    if before and options.shift:
+    if before and options.register:
         inputs["after"] = [image_set.fingerprint for image_set in before]
     if calibration is not None:
         inputs["calibration"] = {"file": calibration.name, "sha256": calibration.sha256}

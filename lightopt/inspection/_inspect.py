@@ -149,13 +149,13 @@ def find_defects(
     run: RunContext,
 ) -> InspectionResult:
     """As :func:`inspect_set`, with options and calibration that are checked; warnings are in the result only."""
-    registered = register_set(rig, part, image_set, shift=options.shift, cache=cache, run=run)
+    registered = register_set(rig, part, image_set, register=options.register, cache=cache, run=run)
     where = str(image_set.folder)
     postures: list[InspectedPosture] = []
     for view, exposures in registered.views:
         calibrated = None if calibration is None else calibration.of(view.posture, exposures, where=where)
         postures.append(_inspect_posture(view, options, registered, calibrated, where, run.threads))
-    placement = registered.placement if options.shift else None
+    placement = registered.placement if options.register else None
     expected = part_postures(part)
     warnings = inspection_warnings(
         rig,
@@ -195,7 +195,7 @@ def _inspect_posture(
         make = functools.partial(synthetic_image, view, options.fusion, threads=threads)
         make_synthetic = functools.cache(make)
     detector = DETECTORS[options.detector]
-    score = detector.score(found, options.seen_by, make_synthetic, threads)
+    score = detector.score(found, options.min_images, make_synthetic, threads)
     pixels = int(view.clean.sum())
     if calibrated is None:
         high = threshold(options.false_alarms, pixels, detector.tests)
@@ -221,7 +221,7 @@ def _inspect_posture(
         coverage=measure_coverage(
             view,
             found,
-            seen_by=options.seen_by,
+            min_images=options.min_images,
             # the synthetic image has no deviations to measure a contrast by: what the residual detector would find
             high=threshold(options.false_alarms, pixels, RESIDUAL.tests) if detector.uses_synthetic else high,
             threads=threads,
@@ -275,9 +275,9 @@ def _posture_warnings(rig: RigConfig, inspected: InspectedPosture, options: Insp
         )
     if missing := [light.name for light in rig.lights if light.name not in view.lights]:
         warnings.append(f"no image under {', '.join(missing)}; judged without")
-    if len(view.lights) < options.seen_by:
+    if len(view.lights) < options.min_images:
         warnings.append(
-            f"fewer images than the {options.seen_by} that a defect must show in; what shows in all there are counts"
+            f"fewer images than the {options.min_images} that a defect must show in; what shows in all there are counts"
         )
     if not view.clean.any():
         warnings.append("no pixel shows the part off its edges; nothing was inspected")

@@ -16,32 +16,34 @@ class InspectOptions:
     detector: ``residual``: measured against predicted; ``template``: dots and lines in the synthetic image.
     fusion: rule that the synthetic image is made by; None for no such image, which the template detector needs.
     false_alarms: expected number of false alarms per posture where noise is all that differs from the good part.
-    seen_by: in how many images of a posture a defect must show.
-    shift: whether the part is searched for around its nominal place.
+    min_images: in how many images of a posture a defect must show.
+    register: whether the part is searched for around its nominal place.
     """
 
     detector: str = "residual"
     fusion: Fusion | None = "paper"
     false_alarms: float = 0.05
-    seen_by: int = 2
-    shift: bool = True
+    min_images: int = 2
+    register: bool = True
 
     def problems(self) -> list[str]:
         """Messages about wrong options."""
         found: list[str] = []
         detector = DETECTORS.get(self.detector)
         if detector is None:
-            found.append(f'detector: expected {" or ".join(DETECTORS)}, found "{self.detector}"')
+            found.append(f"option 'detector': expected {' or '.join(DETECTORS)}, found \"{self.detector}\"")
         if self.fusion is not None and self.fusion not in FUSIONS:
-            found.append(f'fusion: expected {", ".join(FUSIONS)} or none, found "{self.fusion}"')
+            found.append(f"option 'fusion': expected {', '.join(FUSIONS)} or none, found \"{self.fusion}\"")
         if detector is not None and detector.uses_synthetic and self.fusion is None:
             found.append(
-                f"detector {self.detector} uses the synthetic image: it needs a fusion other than none"
+                f"option 'detector': {self.detector} uses the synthetic image; option 'fusion' must not be none"
             )
         if not 1e-9 <= self.false_alarms <= 1.0:
-            found.append(f"false_alarms: expected a number from 1e-9 to 1, found {self.false_alarms:g}")
-        if self.seen_by < 1:
-            found.append(f"seen_by: expected 1 or more, found {self.seen_by}")
+            found.append(
+                f"option 'false_alarms': expected a number from 1e-9 to 1, found {self.false_alarms:g}"
+            )
+        if self.min_images < 1:
+            found.append(f"option 'min_images': expected 1 or more, found {self.min_images}")
         return found
 
     def as_dict(self) -> dict[str, Any]:

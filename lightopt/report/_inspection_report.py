@@ -74,9 +74,9 @@ def _facts(result: InspectionResult, verdict: Verdict, provenance: Mapping[str, 
     """Files, detector, limits, and what was found of the part's place and the brightness."""
     inputs: Mapping[str, Any] = provenance["inputs"]
     options: Mapping[str, Any] = provenance["options"]
-    seen_by: int = options["seen_by"]
-    fewer = any(len(p.view.lights) < seen_by for p in result.postures)
-    shows = f"a defect shows in {counted(seen_by, 'image')}"
+    min_images: int = options["min_images"]
+    fewer = any(len(p.view.lights) < min_images for p in result.postures)
+    shows = f"a defect shows in {counted(min_images, 'image')}"
     rows = [
         ("rig", f"{inputs['rig']['file']}, sha256 {inputs['rig']['sha256'][:16]}"),
         ("part", f"{inputs['part']['file']}, sha256 {inputs['part']['sha256'][:16]}"),

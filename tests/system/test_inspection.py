@@ -125,7 +125,7 @@ def good_part_seen(request, shared_bench, tmp_path_factory):
     path.write_text(text, encoding="utf-8")
     render_image_set(rig, load_part(path), folder / "images", options=OPTIONS)
     images = read_image_set(folder / "images")
-    result = inspect_set(rig, load_part(path), images, options=InspectOptions(fusion=None, shift=False))
+    result = inspect_set(rig, load_part(path), images, options=InspectOptions(fusion=None, register=False))
     assert result.defects == ()
     diffuse = np.stack([read_exr(images.path(e.exr))["diffuse.Y"] for e in images.images])
     return result.postures[0].view, diffuse

@@ -172,12 +172,12 @@ def test_a_result_names_the_sets_before_it_whose_predictions_it_may_have(bench, 
     rig, part = load_rig(bench.rig), load_part(bench.part)
     good, bad = (read_image_set(parts[name]) for name in ("good", "bad"))
 
-    def made_from(image_set, *before, shift=True):
-        return inspection_provenance(rig, part, [image_set], InspectOptions(shift=shift), before=before)
+    def made_from(image_set, *before, register=True):
+        return inspection_provenance(rig, part, [image_set], InspectOptions(register=register), before=before)
 
     assert made_from(good, bad) != made_from(good)
     # where the part lies exactly where its file has it, nothing is taken over
-    assert made_from(good, bad, shift=False) == made_from(good, shift=False)
+    assert made_from(good, bad, register=False) == made_from(good, register=False)
     # the same images, said to be of another exposure
     manifest = images / "manifest.json"
     manifest.write_text(

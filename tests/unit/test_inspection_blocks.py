@@ -37,7 +37,7 @@ def seen(shown, threads):
     scene, images, prediction = shown
     view = posture_view(scene, images, prediction, where="test", threads=threads)
     found = deviations(view, threads=threads)
-    return view, found, score_deviations(found, seen_by=2, threads=threads)
+    return view, found, score_deviations(found, min_images=2, threads=threads)
 
 
 def test_the_number_of_threads_changes_nothing(shown):
@@ -54,8 +54,8 @@ def test_the_number_of_threads_changes_nothing(shown):
 @pytest.mark.parametrize("threads", [1, 3])
 def test_coverage_in_blocks_is_that_of_the_whole_image(shown, threads):
     view, found, _ = seen(shown, 2)
-    whole = coverage_of_rows(view, found, seen_by=2, high=6.0)
-    blocks = measure_coverage(view, found, seen_by=2, high=6.0, threads=threads)
+    whole = coverage_of_rows(view, found, min_images=2, high=6.0)
+    blocks = measure_coverage(view, found, min_images=2, high=6.0, threads=threads)
     assert whole.inspected > 0.1 * whole.seen > 0.0
     for field in fields(whole):
         mine, theirs = getattr(blocks, field.name), getattr(whole, field.name)

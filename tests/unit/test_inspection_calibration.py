@@ -90,14 +90,14 @@ def test_what_good_sets_share_goes_wherever_the_part_lies_and_a_defect_stays():
             sums.add(one)
     learned = sums.systematic()
     _, found, nominal = next(images(1, shift=5, seed=9, common=blotch()))
-    assert score_deviations(found, seen_by=2).max() > 20
+    assert score_deviations(found, min_images=2).max() > 20
     after = subtract_systematic(found, learned, nominal)
-    assert score_deviations(after, seen_by=2).max() < 6
+    assert score_deviations(after, min_images=2).max() < 6
     assert np.all(after.scale >= found.scale)
     defect = found.z.copy()
     defect[:, 20:24, 45:49] -= 6.0
     marked = subtract_systematic(replace(found, z=defect), learned, nominal)
-    assert score_deviations(marked, seen_by=2).max() > 20
+    assert score_deviations(marked, min_images=2).max() > 20
 
 
 def test_a_set_left_out_is_as_if_it_had_not_been_added():

@@ -23,8 +23,8 @@ def discs(rng):
     return np.block([[np.hypot(y - a, x - b) < 2.5 for a, b in row] for row in shifts])
 
 
-def share_found(z, usable, lit, seen_by):
-    score = score_deviations(Deviations(z, np.full_like(z, SCALE), usable, lit), seen_by=seen_by)
+def share_found(z, usable, lit, min_images):
+    score = score_deviations(Deviations(z, np.full_like(z, SCALE), usable, lit), min_images=min_images)
     peaks = score.reshape(SIDE // STEP, STEP, SIDE // STEP, STEP).max(axis=(1, 3))
     return float(np.mean(peaks >= HIGH))
 
@@ -34,40 +34,40 @@ def seen(noise, lit):
     return np.where(lit | (np.abs(noise) > DARK), noise, np.float32(0.0))
 
 
-@pytest.mark.parametrize(("seen_by", "lights"), [(1, 4), (2, 4), (2, 1), (3, 2)])
-def test_a_disc_of_the_contrast_that_is_told_is_found_half_of_the_time(seen_by, lights):
+@pytest.mark.parametrize(("min_images", "lights"), [(1, 4), (2, 4), (2, 1), (3, 2)])
+def test_a_disc_of_the_contrast_that_is_told_is_found_half_of_the_time(min_images, lights):
     rng = np.random.default_rng(5)
     noise = rng.standard_normal((4, SIDE, SIDE), dtype=np.float32)
     usable, lit = np.ones_like(noise, bool), np.zeros_like(noise, bool)
     lit[:lights] = True
     predicted = np.where(lit, np.float32(LEVEL), np.float32(0.5))
     even = Deviations(seen(noise, lit), np.full_like(noise, SCALE), usable, lit)
-    told = least_contrast(even, predicted, seen_by=seen_by, high=HIGH)
+    told = least_contrast(even, predicted, min_images=min_images, high=HIGH)
     assert np.ptp(told) == 0.0
     inside = discs(rng)
     found = {}
     for share in (0.6, 1.0, 1.5):
         z = noise.copy()
-        z[: min(seen_by, lights)] -= inside * np.float32(share * told[0, 0] * LEVEL / SCALE)
-        found[share] = share_found(seen(z, lit), usable, lit, seen_by)
+        z[: min(min_images, lights)] -= inside * np.float32(share * told[0, 0] * LEVEL / SCALE)
+        found[share] = share_found(seen(z, lit), usable, lit, min_images)
     assert 0.35 < found[1.0] < 0.75
     assert found[0.6] < 0.15
     assert found[1.5] > 0.95
 
 
-@pytest.mark.parametrize("seen_by", [1, 2])
-def test_a_dark_place_tells_no_contrast_and_shows_glints_of_three_deviations(seen_by):
+@pytest.mark.parametrize("min_images", [1, 2])
+def test_a_dark_place_tells_no_contrast_and_shows_glints_of_three_deviations(min_images):
     rng = np.random.default_rng(6)
     noise = rng.standard_normal((4, SIDE, SIDE), dtype=np.float32)
     usable, lit = np.ones_like(noise, bool), np.zeros_like(noise, bool)
     dark = Deviations(seen(noise, lit), np.full_like(noise, SCALE), usable, lit)
-    assert np.all(np.isinf(least_contrast(dark, np.full_like(noise, 0.5), seen_by=seen_by, high=HIGH)))
+    assert np.all(np.isinf(least_contrast(dark, np.full_like(noise, 0.5), min_images=min_images, high=HIGH)))
     inside = discs(rng)
     found = {}
     for glint in (1.0, DARK):
         z = noise.copy()
         z[0] += inside * np.float32(glint)
-        found[glint] = share_found(seen(z, lit), usable, lit, seen_by)
+        found[glint] = share_found(seen(z, lit), usable, lit, min_images)
     assert found[1.0] < 0.1
     assert found[DARK] > 0.9
 
@@ -92,7 +92,7 @@ def test_each_pixel_is_in_the_class_of_what_it_can_show():
         limit=np.full_like(predicted, 255.0), prediction=SimpleNamespace(area=area[None], grazing=grazing[None]),
     )  # fmt: skip
     ones = np.ones_like(predicted)
-    found = coverage_of_rows(view, Deviations(0.0 * ones, ones, usable, lit), seen_by=2, high=HIGH)
+    found = coverage_of_rows(view, Deviations(0.0 * ones, ones, usable, lit), min_images=2, high=HIGH)
     assert found.state[0].tolist() == expected
     # what is seen at a grazing angle is in no share
     assert (found.seen, found.inspected, found.grazing) == (127.0, 120.0, 128.0)

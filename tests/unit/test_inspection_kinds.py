@@ -95,7 +95,7 @@ def test_rendered_dents_are_shapes_and_stains_are_stains(bench):
         load_rig(bench.rig),
         load_part(bench.part),
         read_image_set(images),
-        options=InspectOptions(fusion=None, shift=False),
+        options=InspectOptions(fusion=None, register=False),
     )
     told = []
     for one in read_image_set(images).manifest.extra["defects"]:

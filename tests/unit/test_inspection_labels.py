@@ -31,12 +31,14 @@ def unlabelled(image_set):
     return ImageSet(image_set.folder, replace(image_set.manifest, extra=extra))
 
 
-def both(bench, folder, *, rendered, shift):
+def both(bench, folder, *, rendered, register):
     """Labels that a set was rendered with, and those cast from the part's file."""
     rig, part = load_rig(bench.rig), load_part(bench.part)
     render_image_set(rig, load_part(rendered), folder, options=RenderOptions(noise=3, patch_budget=500))
     image_set = read_image_set(folder)
-    result = inspect_set(rig, part, image_set, options=replace(QUICK, shift=shift), run=RunContext(threads=2))
+    result = inspect_set(
+        rig, part, image_set, options=replace(QUICK, register=register), run=RunContext(threads=2)
+    )
     known = place_defects(result.nominal, rig, part)
     stored = true_labels(image_set, result, known=known)
     cast = true_labels(unlabelled(image_set), result, known=known)
@@ -48,7 +50,7 @@ def both(bench, folder, *, rendered, shift):
 
 def test_cast_labels_are_those_of_the_renderer_in_every_posture(bench, tmp_path):
     bench.part.write_text(bench.part.read_text(encoding="utf-8") + DEFECTS, encoding="utf-8")
-    stored, cast = both(bench, tmp_path / "images", rendered=bench.part, shift=False)
+    stored, cast = both(bench, tmp_path / "images", rendered=bench.part, register=False)
     assert len(cast) == 2
     for one, other in zip(stored, cast, strict=True):
         assert set(np.unique(one)) == {-1, 0, 1}
@@ -68,7 +70,7 @@ def test_cast_labels_lie_where_the_part_was_found(bench, tmp_path):
     assert nominal in text
     turned = "translate_mm: [1.5, -0.8, 0], rotate_deg: [0, 0, 2]"
     moved.write_text(text.replace(nominal, turned), encoding="utf-8")
-    stored, cast = both(bench, tmp_path / "images", rendered=moved, shift=True)
+    stored, cast = both(bench, tmp_path / "images", rendered=moved, register=True)
     for one, other in zip(stored, cast, strict=True):
         size = (one >= 0).sum()
         assert size > 60

@@ -64,27 +64,27 @@ def test_the_law_of_the_kth_largest_is_that_of_draws(count, rank):
 
 @pytest.mark.slow
 def test_noise_alone_is_hardly_ever_above_the_threshold():
-    maxima = [float(score_deviations(noise(4, seed=i, holes=True), seen_by=2).max()) for i in range(40)]
+    maxima = [float(score_deviations(noise(4, seed=i, holes=True), min_images=2).max()) for i in range(40)]
     high = threshold(0.5, 200 * 240, len(SCALES_PX))
     # at most one image in two, and Bonferroni's bound is not idle
     assert 2 <= sum(m >= high for m in maxima) <= 24
     assert sum(m >= threshold(0.01, 200 * 240, len(SCALES_PX)) for m in maxima) <= 2
 
 
-@pytest.mark.parametrize("seen_by", [1, 2, 3, 4])
-def test_a_strong_defect_has_a_score_however_many_images_must_show_it(seen_by):
+@pytest.mark.parametrize("min_images", [1, 2, 3, 4])
+def test_a_strong_defect_has_a_score_however_many_images_must_show_it(min_images):
     found = noise(4)
     found.z[:, 100:106, 100:106] += 30
-    score = score_deviations(found, seen_by=seen_by)
+    score = score_deviations(found, min_images=min_images)
     assert np.isfinite(score).all()
     # C(4, k)·tᵏ, t the two tails of the normal law, of the least of the strongest k
     held = replace(found, z=np.clip(found.z, -STRONGEST_Z, STRONGEST_Z))
     sums = [
-        np.sort(np.abs(smoothed_deviations(one, s)[0][:, 103, 103]))[-seen_by]
+        np.sort(np.abs(smoothed_deviations(one, s)[0][:, 103, 103]))[-min_images]
         for s, one in zip(SCALES_PX, (found, held, held), strict=True)
     ]
     expected = -(
-        np.log(math.comb(4, seen_by)) + seen_by * (np.log(2) + special.log_ndtr(-max(sums)))
+        np.log(math.comb(4, min_images)) + min_images * (np.log(2) + special.log_ndtr(-max(sums)))
     ) / np.log(10)
     assert score[103, 103] == pytest.approx(expected, rel=1e-3)
 
@@ -97,7 +97,7 @@ def test_a_glint_on_a_dark_field_counts_beside_the_images_that_are_lit():
         found.lit[lit_images:] = False
         found.z[lit_images:] = 0  # as in the dead zone of dark pixels
         found.z[shows_in, 100:106, 100:106] += 6
-        return score_deviations(found, seen_by=2)[103, 103]
+        return score_deviations(found, min_images=2)[103, 103]
 
     # none is lit: one glint is enough; one is: the glint or what the lit image shows; two: any two
     assert score(0, [3]) > high
@@ -111,11 +111,11 @@ def test_a_glint_on_a_dark_field_counts_beside_the_images_that_are_lit():
 def test_a_defect_in_one_image_alone_does_not_count_unless_one_is_enough():
     found = noise(4)
     found.z[2, 100:106, 100:106] += 6
-    once, twice = (score_deviations(found, seen_by=k)[103, 103] for k in (1, 2))
+    once, twice = (score_deviations(found, min_images=k)[103, 103] for k in (1, 2))
     high = threshold(0.05, 200 * 240, len(SCALES_PX))
     assert once > high > twice
     found.z[0, 100:106, 100:106] -= 6
-    assert score_deviations(found, seen_by=2)[103, 103] > high
+    assert score_deviations(found, min_images=2)[103, 103] > high
 
 
 def test_a_strong_spot_makes_no_alarm_beyond_its_outline():
@@ -126,20 +126,20 @@ def test_a_strong_spot_makes_no_alarm_beyond_its_outline():
     # as beside a highlight: between the spot and what can be judged nothing can
     found.usable[0][(apart > 2.0) & (apart < 6.0)] = False
     found.z[~found.usable] = 0.0
-    score = score_deviations(found, seen_by=1)
+    score = score_deviations(found, min_images=1)
     high = threshold(0.05, score.size, len(SCALES_PX))
     assert score[100, 120] > 100.0
     assert score[apart > 6.0].max() < high
     # what is faint and wide is found by the wide sums as before
     found = noise(4, seed=3)
     found.z[0][apart < 8.0] += 1.2
-    assert score_deviations(found, seen_by=1)[100, 120] > high
+    assert score_deviations(found, min_images=1)[100, 120] > high
 
 
 def test_no_image_no_score():
     found = noise(3)
     found.usable[:, 20:60, 20:60] = False
-    assert (score_deviations(found, seen_by=2)[20:60, 20:60] == 0).all()
+    assert (score_deviations(found, min_images=2)[20:60, 20:60] == 0).all()
 
 
 def test_regions_reach_down_to_half_the_threshold_and_bridge_gaps():
@@ -277,7 +277,7 @@ def strewn(*spots, lights=4):
     y, x = np.mgrid[:200, :240]
     for light, row, column, height in spots:
         found.z[light][np.hypot(y - row, x - column) <= 4.5] += height
-    score = score_deviations(found, seen_by=1)
+    score = score_deviations(found, min_images=1)
     high = threshold(0.05, 200 * 240, len(SCALES_PX))
     return (*split_regions(*find_regions(score, high), score, found, high), found)
 

@@ -12,8 +12,8 @@ pixel that the defect does not fill sees the defect and its surroundings; walls 
     I_d = I₀ + F · (D − M) + A · M,   D = I_wall − I₀,
 
 with M the mean of D over the directions of the defect's walls, and the shares F and A of the two pixels that may show
-it best (:mod:`lightopt.defects._pixel_shares`); a hypothesis is visible where one of them shows it. The shares depend on the
-side of the pixel's footprint over the defect's width. The footprint is taken as a square of its area on the surface;
+it best (:mod:`lightopt.defects._pixel_shares`); a hypothesis is visible where one of them shows it. The shares depend
+on the side of the pixel's footprint over the defect's width. The footprint is taken as a square of its area on the surface;
 its side is that on a plane facing the camera / √cosθ, with θ between normal and view. Surface seen at a grazing angle
 (:data:`lightopt.rendering.GRAZING_DEG`) is excluded before.
 """

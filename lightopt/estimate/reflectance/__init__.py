@@ -3,12 +3,11 @@
 from lightopt.estimate.reflectance._files import FitFolder, fit_provenance
 from lightopt.estimate.reflectance._fit import fit_diffuse, fit_specular
 from lightopt.estimate.reflectance._noise import MeasuredNoise
-from lightopt.estimate.reflectance._paper import PAPER_OPTION_FLAGS, PaperDiffuse, PaperOptions, PaperSpecular
+from lightopt.estimate.reflectance._paper import PaperDiffuse, PaperOptions, PaperSpecular
 from lightopt.estimate.reflectance._result import FitResult, FittedValue, format_interval
 from lightopt.estimate.reflectance._setup import FitOptions
 
 __all__ = [
-    "PAPER_OPTION_FLAGS",
     "FitFolder",
     "FitOptions",
     "FitResult",

@@ -55,7 +55,7 @@ def evenly_lit_warnings(setup: FitSetup, samples: Samples, found: Estimate) -> t
 def paper_result(setup: FitSetup, samples: Samples, paper: PaperDiffuse | PaperSpecular) -> FitResult:
     """R_d, or R_s and σ, as sections 4.2 and 4.3 of the paper find them; the others from the part file."""
     options, own = setup.options, setup.scene.reflectance
-    if options.gain or options.dark or options.shift or options.joint:
+    if options.gain or options.dark or options.register or options.joint:
         raise InputError(
             "the paper's method frees nothing else and fits nothing jointly: it fits what sections 4.2 and 4.3 fit"
         )

@@ -22,17 +22,6 @@ MOST_ITERATIONS = 500
 MOST_R_S = 1e15
 MOST_STEPS = 1000
 
-PAPER_OPTION_FLAGS = {
-    "lambda_d": "--lambda-d",
-    "lambda_s1": "--lambda-s1",
-    "lambda_s2": "--lambda-s2",
-    "sigma_step": "--sigma-step",
-    "sigma_start": "--sigma-start",
-    "R_d_start": "--start",
-    "R_s_start": "--start",
-    "away": "--away",
-}
-
 WIDE_RANGE = 1.5
 """Where the σ of the sweep within λ_s2 reach over more than this factor, it is reported."""
 
@@ -66,9 +55,9 @@ class PaperOptions:
         return dict(vars(self))
 
     def problems(self) -> tuple[str, ...]:
-        """Problems of the values, by the names of the command line's options."""
+        """Problems of the values."""
         found = [
-            f"{PAPER_OPTION_FLAGS.get(name, name)}: expected a number above 0, found {value:g}"
+            f"option '{name}': expected a number above 0, found {value:g}"
             for name, value in vars(self).items()
             if not (math.isfinite(value) and value > 0.0)
         ]
@@ -76,17 +65,18 @@ class PaperOptions:
             return tuple(found)
         if not self.sigma_least <= self.sigma_start <= self.sigma_most:
             found.append(
-                f"--sigma-start: expected {self.sigma_least:g} to {self.sigma_most:g} rad, found {self.sigma_start:g}"
+                f"option 'sigma_start': expected {self.sigma_least:g} to {self.sigma_most:g} rad, found "
+                f"{self.sigma_start:g}"
             )
         steps = (self.sigma_most - self.sigma_least) / self.sigma_step
         if steps > MOST_STEPS:
             least = (self.sigma_most - self.sigma_least) / MOST_STEPS
             found.append(
-                f"--sigma-step: expected {least:.2g} rad or more, for a sweep of {MOST_STEPS} steps at most, found "
-                f"{self.sigma_step:g}"
+                f"option 'sigma_step': expected {least:.2g} rad or more, for a sweep of {MOST_STEPS} steps at most, "
+                f"found {self.sigma_step:g}"
             )
         if self.away >= math.pi / 2.0:
-            found.append(f"--away: expected less than 90°, found {math.degrees(self.away):g}")
+            found.append(f"option 'away': expected less than 90°, found {math.degrees(self.away):g}")
         return tuple(found)
 
 

@@ -43,7 +43,8 @@ PAPER_PIXELS = 150_000
 class FitOptions:
     """How to fit.
 
-    gain, dark, shift: What else is freed; `shift` is the part's placement on the stage.
+    gain, dark: Whether they are freed as well.
+    register: Whether the part's placement on the stage is found first.
     points: Numbers of point lights per panel to try; the rig's own where empty.
     pixels: Approximate number of pixels to use, over all images.
     write_noise: Whether to write the noise of the images into the rig file.
@@ -53,7 +54,7 @@ class FitOptions:
     joint: bool = False
     gain: bool = False
     dark: bool = False
-    shift: bool = False
+    register: bool = False
     points: tuple[Points, ...] = ()
     pixels: int = 1_500_000
     validate: bool = True
@@ -125,7 +126,7 @@ def prepare_fit(
         rig, part, postures=observed_postures(image_set), lights=names, points=points, defects=False
     )
     setup = FitSetup(part, scene, cast_rays_at(scene), observations, options=options, run=run)
-    if not options.shift:
+    if not options.register:
         return setup
     found = register_with_fit(
         scene,

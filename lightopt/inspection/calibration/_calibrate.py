@@ -71,7 +71,10 @@ def calibrate(
         cache = PredictionCache()
         for one in sets:
             inner = run.within(f"good set {one.folder.name}")
-            yield str(one.folder), register_set(rig, part, one, shift=options.shift, cache=cache, run=inner)
+            yield (
+                str(one.folder),
+                register_set(rig, part, one, register=options.register, cache=cache, run=inner),
+            )
 
     require_good_sets(len(sets), options)
     names = tuple(one.folder.resolve().name for one in sets)
@@ -110,7 +113,7 @@ def calibrate_registered(
                 if detector.uses_synthetic:
                     assert options.fusion is not None
                     make_synthetic = partial(synthetic_image, view, options.fusion, probes=0, threads=threads)
-                    score = detector.score(found, options.seen_by, make_synthetic, threads)
+                    score = detector.score(found, options.min_images, make_synthetic, threads)
                     gathered.peaks.append(float(score.max(initial=0.0)))
                     continue
                 nominal = nominal_pixels(view, registered.nominal, registered.placement)
@@ -162,7 +165,7 @@ def _calibrated(posture: Posture, gathered: _GoodPosture, options: InspectOption
             one = PackedDeviations.load(path)
             others = gathered.sums.systematic(but=one)
             found = subtract_systematic(one.in_own_image(), others, one.nominal_image())
-            score = DETECTORS[options.detector].score(found, options.seen_by, None, None)
+            score = DETECTORS[options.detector].score(found, options.min_images, None, None)
             peaks.append(float(score.max(initial=0.0)))
     return CalibratedPosture(
         posture=posture, exposures=gathered.exposures, peaks=tuple(peaks), systematic=systematic

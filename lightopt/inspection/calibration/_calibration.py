@@ -102,7 +102,7 @@ class Calibration:
         before = self.fingerprint.get("options")
         before = before if isinstance(before, Mapping) else {}
         problems += [
-            f"{key}: {self.name} was made with {_shown(before.get(key))}, found {_shown(value)}; calibrate anew, or "
+            f"option '{key}': {self.name} was made with {_shown(before.get(key))}, found {_shown(value)}; calibrate anew, or "
             "inspect as it was made"
             for key, value in now["options"].items()
             if value != before.get(key)
@@ -158,9 +158,9 @@ def calibration_fingerprint(rig: RigConfig, part: PartConfig, options: InspectOp
         "defect_catalogue": True,
     }
     ranges = {"elevation_range_deg", "azimuth_range_deg"}
-    chosen: dict[str, Any] = {"detector": options.detector, "no_shift": not options.shift}
+    chosen: dict[str, Any] = {"detector": options.detector, "register": options.register}
     by_synthetic = DETECTORS[options.detector].uses_synthetic
-    chosen |= {"fusion": options.fusion} if by_synthetic else {"seen_by": options.seen_by}
+    chosen |= {"fusion": options.fusion} if by_synthetic else {"min_images": options.min_images}
     return {
         "rig": _hash(
             {

@@ -170,14 +170,14 @@ class PostureCoverage(Shares):
 
 
 def measure_coverage(
-    view: PostureView, found: Deviations, *, seen_by: int, high: float, threads: int | None = None
+    view: PostureView, found: Deviations, *, min_images: int, high: float, threads: int | None = None
 ) -> PostureCoverage:
     """The surface of a posture that was inspected, given the threshold of the score.
 
     Worked out block by block of rows, since small arrays stay in a processor's cache.
     """
     blocks = in_row_blocks(
-        lambda rows: coverage_of_rows(view, found, rows, seen_by=seen_by, high=high),
+        lambda rows: coverage_of_rows(view, found, rows, min_images=min_images, high=high),
         len(view.clean),
         threads,
     )
@@ -195,7 +195,7 @@ def measure_coverage(
 
 
 def coverage_of_rows(
-    view: PostureView, found: Deviations, rows: slice = slice(None), *, seen_by: int, high: float
+    view: PostureView, found: Deviations, rows: slice = slice(None), *, min_images: int, high: float
 ) -> PostureCoverage:
     """As :func:`measure_coverage`, of some rows at once."""
     found, predicted, clean = found.in_box(rows), view.predicted[:, rows], view.clean[rows]
@@ -210,15 +210,15 @@ def coverage_of_rows(
     state[part & clean & full] = SurfaceState.SATURATED
     state[part & found.usable.any(axis=0)] = SurfaceState.GLINTS
     state[part & (lit > 0)] = SurfaceState.FEWER
-    state[part & (lit >= seen_by)] = SurfaceState.INSPECTED
-    least = least_contrast(found, predicted, seen_by=seen_by, high=high)
+    state[part & (lit >= min_images)] = SurfaceState.INSPECTED
+    least = least_contrast(found, predicted, min_images=min_images, high=high)
     least[state < SurfaceState.FEWER] = np.inf
     return PostureCoverage(
         **class_areas(area, state, least), state=state, least_contrast=least.astype(np.float32)
     )
 
 
-def least_contrast(found: Deviations, predicted: Float32, *, seen_by: int, high: float) -> Float64:
+def least_contrast(found: Deviations, predicted: Float32, *, min_images: int, high: float) -> Float64:
     """Share of the light that an even disc of 5 pixels must take away to be found half of the time, shape (H, W).
 
     Infinite where no image is lit.
@@ -226,19 +226,19 @@ def least_contrast(found: Deviations, predicted: Float32, *, seen_by: int, high:
     predicted: of the good part [grey level], shape (lights, H, W).
     """
     images = len(predicted)
-    k = np.clip(found.lit.sum(axis=0), 1, min(seen_by, images))
-    needed = _needed(images, min(seen_by, images), high)[found.usable.sum(axis=0), k]
+    k = np.clip(found.lit.sum(axis=0), 1, min(min_images, images))
+    needed = _needed(images, min(min_images, images), high)[found.usable.sum(axis=0), k]
     share = np.where(found.lit, found.scale / np.maximum(predicted, 1e-6), np.inf)
     weakest = np.take_along_axis(np.sort(share, axis=0), k[None] - 1, axis=0)[0]
     return needed / disc_gain(REFERENCE_DISC_PX) * weakest
 
 
-def _needed(images: int, seen_by: int, high: float) -> Float64:
+def _needed(images: int, min_images: int, high: float) -> Float64:
     # deviation that k of n images must show for the threshold, whatever the others do, all of them half of the time;
     # by n and k
-    z = np.full((images + 1, seen_by + 1), np.inf)
+    z = np.full((images + 1, min_images + 1), np.inf)
     for n in range(1, images + 1):
-        for k in range(1, min(n, seen_by) + 1):
+        for k in range(1, min(n, min_images) + 1):
             each = (10.0**-high / float(special.binom(n, k))) ** (1.0 / k)
             z[n, k] = float(special.ndtri(0.5 ** (1.0 / k)) - special.ndtri(0.5 * each))
     return z

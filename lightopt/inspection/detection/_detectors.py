@@ -35,9 +35,9 @@ class Detector:
 
 
 def _score_deviations(
-    found: Deviations, seen_by: int, _make_synthetic: MakeSynthetic | None, threads: int | None
+    found: Deviations, min_images: int, _make_synthetic: MakeSynthetic | None, threads: int | None
 ) -> Float32:
-    return score_deviations(found, seen_by=seen_by, threads=threads)
+    return score_deviations(found, min_images=min_images, threads=threads)
 
 
 def _score_synthetic(

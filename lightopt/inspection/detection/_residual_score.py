@@ -126,11 +126,11 @@ def rank_probability(z: Float64, count: Index, rank: int) -> Float64:
     return special.betainc(k, n - k + 1, 2.0 * special.ndtr(-np.minimum(z, TABLED_Z)))
 
 
-def score_deviations(found: Deviations, *, seen_by: int, threads: int | None = None) -> Float32:
+def score_deviations(found: Deviations, *, min_images: int, threads: int | None = None) -> Float32:
     """−log₁₀ of the probability that noise alone looks as much like a defect, shape (H, W); 0 where no image is usable.
 
-    seen_by: A defect is what shows in so many images: its score is that of the `seen_by`-th largest deviation. Where
-        fewer are lit it has to show in these alone, or in one where none is, and may show in a dark one as well.
+    min_images: A defect is what shows in so many images: its score is that of the `min_images`-th largest deviation.
+        Where fewer are lit it has to show in these alone, or in one where none is, and may show in a dark one as well.
     """
     whole = np.zeros(found.z.shape[1:], np.float32)
     window = mask_window(np.asarray(found.usable.any(axis=0), np.bool_))
@@ -139,7 +139,7 @@ def score_deviations(found: Deviations, *, seen_by: int, threads: int | None = N
     inner = found.in_box(*window)
     lights, height, _ = inner.z.shape
     score = np.zeros(inner.z.shape[1:], np.float32)
-    table = _table(lights, seen_by)
+    table = _table(lights, min_images)
     clipped = np.empty_like(inner.z)
 
     def clip(rows: slice) -> None:

@@ -55,14 +55,14 @@ def register_set(
     part: PartConfig,
     image_set: ImageSet,
     *,
-    shift: bool,
+    register: bool,
     cache: PredictionCache,
     run: RunContext,
 ) -> RegisteredSet:
     """Find the part of a set, and predict the good part for its images; takes what :func:`inspect_set` takes."""
     threads = run.threads
     nominal, observations = nominal_scene(rig, part, image_set, scenes=cache.nominal_scenes, threads=threads)
-    scene, placement, offset = _find(nominal, observations, cache, run, shift=shift)
+    scene, placement, offset = _find(nominal, observations, cache, run, register=register)
 
     def views() -> Iterator[tuple[PostureView, ExposuresByLight]]:
         for number, posture in enumerate(scene.postures):
@@ -76,10 +76,10 @@ def register_set(
             where = str(image_set.folder)
             view = posture_view(scene, mine, prediction, where=where, threads=threads)
             yield view, _exposures_by_light(mine, view.lights)
-        if shift and offset is None:
+        if register and offset is None:
             cache.measure_misfit(scene, observations)
 
-    return RegisteredSet(nominal, placement, scene, views(), cache.registration if shift else None)
+    return RegisteredSet(nominal, placement, scene, views(), cache.registration if register else None)
 
 
 def nominal_scene(
@@ -118,10 +118,10 @@ def _find(
     cache: PredictionCache,
     run: RunContext,
     *,
-    shift: bool,
+    register: bool,
 ) -> tuple[Scene, Placement, Float64 | None]:
     # the scene to predict with, where the part lies, and its offset from that scene in steps of the derivatives
-    if not shift:
+    if not register:
         return *cache.use_placement(nominal, Placement()), None
     nearby = cache.nearby_placement(nominal, observations, threads=run.threads)
     if nearby is not None:

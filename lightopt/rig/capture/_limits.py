@@ -17,7 +17,7 @@ def posture_problems(
 ) -> Iterator[str]:
     """Postures beyond the stage's range, or that a stage without one of the axes cannot take."""
     if postures is not None:
-        named = [(posture, "posture") for posture in postures]
+        named = [(posture, "option 'postures'") for posture in postures]
     else:
         named = [(posture, part.source.at("postures", i)) for i, posture in enumerate(part_postures(part))]
     stage = wiring.hardware.stage

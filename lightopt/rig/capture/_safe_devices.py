@@ -199,8 +199,8 @@ class Devices:
         if referenced is None and not config.assume_referenced:
             raise HardwareError(
                 f"a stage with driver {config.driver} cannot say whether it was homed since it was switched on, so it "
-                "was not moved; home it with this command (--home), or home it (lightopt bench home RIG) and write "
-                "assume_referenced: true under hardware.stage where it is homed by hand after switching on"
+                "was not moved; home it with this command (option 'home'), or home it (lightopt bench home RIG) and "
+                "write assume_referenced: true under hardware.stage where it is homed by hand after switching on"
             )
 
     def home(self) -> None:

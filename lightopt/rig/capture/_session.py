@@ -92,9 +92,9 @@ class CaptureSession:
             return f"{on_disk}; the set is complete"
         again = self._records.in_doubt
         if not again:
-            return f"{on_disk}; go on with --resume"
+            return f"{on_disk}; go on with option 'resume'"
         return (
-            f"{on_disk}; go on with --resume, which takes {again} of them again, because no frame without light "
+            f"{on_disk}; go on with option 'resume', which takes {again} of them again, because no frame without light "
             "followed them"
         )
 
@@ -237,7 +237,7 @@ class CaptureSession:
             raise HardwareError(
                 *error.messages,
                 f"it may have stood elsewhere for images of {posture}: those taken in this run were not kept; "
-                "--resume takes them again",
+                "option 'resume' takes them again",
             ) from error
 
     def _set_dark_references(self) -> None:
@@ -297,7 +297,7 @@ class CaptureSession:
             raise HardwareError(
                 *error.messages,
                 f"it may have been on during images of {acquired.posture} as well: those taken since the frame without "
-                "light before were not kept; --resume takes them again",
+                "light before were not kept; option 'resume' takes them again",
             ) from error
         self._records.record_dark_check(acquired.posture)
 
