@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from lightopt.config import PartConfig, RigConfig
     from lightopt.images import ImageSet
     from lightopt.inspection import Calibration, Detector, Fusion, InspectOptions
-    from lightopt.report import BatchRow
+    from lightopt.report.inspection import BatchRow
 
 
 DEFAULT_FALSE_ALARMS = 0.05
@@ -160,7 +160,7 @@ def _inspect(
         set_names,
         truth_sources,
     )
-    from lightopt.report import BatchRow
+    from lightopt.report.inspection import BatchRow
 
     rig, part, several = output.rig, output.part, len(sets) > 1
     names = set_names(sets, out)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
         SetEvaluation,
         Verdict,
     )
-    from lightopt.report import BatchRow
+    from lightopt.report.inspection import BatchRow
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +40,7 @@ def write_set(
     """Print a result, write its files, and the evaluation where it is `summarised` for this set alone."""
     from lightopt.images import posture_folder
     from lightopt.inspection import REPORT_NAME, TRUTH_NAME, summarise, truth_text
-    from lightopt.report import BatchRow, defect_overlay, inspection_report
+    from lightopt.report.inspection import BatchRow, defect_overlay, inspection_report
 
     result, verdict = inspected.result, inspected.verdict
     assert result is not None
@@ -82,7 +82,7 @@ def write_batch(
     """Write the files above the folders of several sets."""
     from lightopt import __version__
     from lightopt.inspection import REPORT_NAME, TRUTH_NAME, summarise, truth_text
-    from lightopt.report import batch_report
+    from lightopt.report.inspection import batch_report
 
     summary = None if evaluations is None else summarise(evaluations)
     written: list[Path] = []
@@ -155,7 +155,13 @@ def _show_evaluation(summary: Mapping[str, Any]) -> None:
 def _show_inspection(result: InspectionResult, verdict: Verdict) -> None:
     # defects, where the part lies, what was inspected, and the verdict
     from lightopt.inspection import REFERENCE_DEFECT
-    from lightopt.report import dark_text, defect_table, placement_text, surface_notes, surface_table
+    from lightopt.report.inspection import (
+        dark_text,
+        defect_table,
+        placement_text,
+        surface_notes,
+        surface_table,
+    )
 
     if result.defects:
         table = defect_table(result, verdict)

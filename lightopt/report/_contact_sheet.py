@@ -24,8 +24,14 @@ from lightopt.report._drawing import (
     sub,
     text_width,
 )
-from lightopt.report._png import check_png_path, write_picture
-from lightopt.report._thumbnail import SATURATED_COLOUR, Thumbnail, shade_of_saturation, thumbnail
+from lightopt.report._images import (
+    SATURATED_COLOUR,
+    Thumbnail,
+    check_png_path,
+    shade_of_saturation,
+    thumbnail,
+    write_picture,
+)
 
 RED = "#{:02x}{:02x}{:02x}".format(*SATURATED_COLOUR)
 EMPTY = "#f1f3f5"

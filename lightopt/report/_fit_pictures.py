@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.arrays import Float32, UInt8
-from lightopt.estimate.reflectance import FitResult, PaperDiffuse, PaperSpecular
 from lightopt.report._charts import LINE, MARK, SHADE, chart, label_whole_numbers
 from lightopt.report._drawing import SOFT, Drawing, figure_image, fixed_style
-from lightopt.report._png import write_picture
+from lightopt.report._images import write_picture
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from lightopt.estimate.reflectance import FitResult, PaperDiffuse, PaperSpecular
 
 RESIDUAL_SCALE = 0.08
 """Difference of the full colours, as a share of the sensor's full scale: 20 of 255 levels."""
@@ -40,6 +41,8 @@ def fit_chart(result: FitResult, place: Callable[[], Path]) -> Path | None:
     place
         Called for the path of the PNG where there is something to draw; None is returned where there is not.
     """
+    from lightopt.estimate.reflectance import PaperDiffuse, PaperSpecular
+
     if isinstance(result.paper, PaperSpecular):
         figure = _paper_sweep(result.paper)
     elif isinstance(result.paper, PaperDiffuse):

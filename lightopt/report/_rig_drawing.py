@@ -14,8 +14,8 @@ from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
 from lightopt.rendering import cast_rays_at
 from lightopt.report._drawing import Drawing, fixed_style
+from lightopt.report._images import check_png_path, write_picture
 from lightopt.report._part_picture import cast_part
-from lightopt.report._png import check_png_path, write_picture
 from lightopt.report._rig_elements import Pen, number
 from lightopt.report._rig_shapes import (
     CameraShape,
@@ -26,7 +26,7 @@ from lightopt.report._rig_shapes import (
     square,
     table_grid,
 )
-from lightopt.report._rig_side import SIDE_WIDTH, draw_stage, side_height, write_numbers
+from lightopt.report._rig_stage_and_numbers import SIDE_WIDTH, draw_stage, side_height, write_numbers
 from lightopt.report._view import ParallelView, fit_view
 from lightopt.scene import PanelLight, Scene
 

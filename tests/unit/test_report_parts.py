@@ -26,8 +26,7 @@ from lightopt.report._drawing import (
     text_width,
     with_legend,
 )
-from lightopt.report._png import check_png_path, write_picture
-from lightopt.report._thumbnail import SATURATED_COLOUR, thumbnail, thumbnail_size
+from lightopt.report._images import SATURATED_COLOUR, check_png_path, thumbnail, thumbnail_size, write_picture
 from lightopt.report._view import arc, fit_view
 
 

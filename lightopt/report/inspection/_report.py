@@ -1,19 +1,19 @@
-"""The report of ``lightopt inspect``: the verdict first, then the pictures, the defects, and what was not inspected."""
+"""The reports of ``lightopt inspect``: of one part, the verdict first; of a batch, a row for each part."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from lightopt.config import InspectionConfig
 from lightopt.core.errors import counted, percent
-from lightopt.inspection import REFERENCE_DEFECT, InspectionResult, Verdict
-from lightopt.report._inspection_pictures import image_blocks
-from lightopt.report._inspection_surface import marked_part
-from lightopt.report._inspection_tables import dark_text, defect_table, placement_text, surface_table
-from lightopt.report._page import Answer, Facts, Note, Page, Section, Warnings
+from lightopt.inspection import REFERENCE_CONTRAST, REFERENCE_DEFECT, InspectionResult, Verdict
+from lightopt.report._page import Answer, Facts, Note, Page, Section, Table, Warnings
 from lightopt.report._page_html import page_html
-from lightopt.report._truth_blocks import truth_blocks
+from lightopt.report.inspection._ground_truth import truth_blocks
+from lightopt.report.inspection._pictures import image_blocks, marked_part
+from lightopt.report.inspection._tables import dark_text, defect_table, placement_text, surface_table
 
 
 def inspection_report(
@@ -107,3 +107,107 @@ def _limits(limits: InspectionConfig) -> str:
 
 def _rate(rate: float, *, calibrated: bool) -> str:
     return f"in a posture, on a share of {rate:g} of good parts" if calibrated else f"{rate:g} per posture"
+
+
+NOT_INSPECTED = "not inspected"
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchRow:
+    """One part of a batch.
+
+    Attributes
+    ----------
+    name
+        Of its folder.
+    report
+        Its own report, relative to the batch's; empty where it has none.
+    defects
+        Number of those found, whether they count or not.
+    verdict
+        None where the part was refused.
+    refused
+        Why it was not inspected.
+    """
+
+    name: str
+    report: str = ""
+    defects: int = 0
+    verdict: Verdict | None = None
+    refused: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        if self.verdict is None:
+            return {"folder": self.name, "verdict": NOT_INSPECTED, "reasons": list(self.refused)}
+        return {"folder": self.name, "defects": self.defects, **self.verdict.as_dict()}
+
+    def cells(self) -> list[str]:
+        """Of the batch's table."""
+        verdict = self.verdict
+        if verdict is None:
+            return [self.name, NOT_INSPECTED, "; ".join(self.refused), *"-----"]
+        return [
+            self.name,
+            verdict.word,
+            verdict.explanation,
+            str(self.defects),
+            str(len(verdict.counting)),
+            percent(verdict.inspected),
+            percent(verdict.finds),
+            percent(verdict.glints),
+        ]
+
+
+def batch_report(
+    rows: Sequence[BatchRow],
+    *,
+    part: str,
+    rig: str,
+    version: str,
+    truth: Mapping[str, Any] | None = None,
+) -> str:
+    """The report of several parts as HTML: a row each, in the order of the sets.
+
+    Parameters
+    ----------
+    part, rig
+        Their names.
+    version
+        Of lightopt.
+    truth
+        As :func:`inspection_report` takes it, over all sets.
+    """
+    good = sum(row.verdict is not None and row.verdict.good for row in rows)
+    refused = sum(row.verdict is None for row in rows)
+    table = Table(
+        header=[
+            "set",
+            "verdict",
+            "reasons",
+            "defects",
+            "that count",
+            "inspected",
+            f"finds {100 * REFERENCE_CONTRAST:g} %",
+            "only glints",
+        ],
+        rows=[row.cells() for row in rows],
+        numbers_from=3,
+        caption="A set's name leads to its own report. Inspected: share of the surface that the part's postures show. "
+        f"Finds: share of it where {REFERENCE_DEFECT} is found half of the time. Only glints: share of it that was "
+        "inspected, but is dark.",
+        links=[row.report for row in rows],
+    )
+    rest = f"; {counted(refused, 'set')} not inspected" if refused else ""
+    sections = [
+        Section(heading="Parts", blocks=[table]),
+        Section(heading="Against the truth", blocks=[] if truth is None else truth_blocks(truth)),
+    ]
+    return page_html(
+        Page(
+            title=f"{counted(len(rows), 'part')}: {part}",
+            subtitle=f"{part} on {rig}, lightopt {version}",
+            lead=[Answer(figure=f"{good} of {len(rows)}", text=f"parts are OK{rest}")],
+            sections=[section for section in sections if section.blocks],
+        )
+    )
