@@ -21,6 +21,7 @@ from lightopt.design._result import (
     ToleranceResult,
     angles_of,
 )
+from lightopt.design._result_json import plan_document
 from lightopt.design._texts import (
     LEFT_OUT_MEANING,
     combinations_counted_text,
@@ -28,7 +29,6 @@ from lightopt.design._texts import (
     left_out_text,
     near_meaning,
     near_text,
-    patches_text,
     score_text,
     shares_of,
     shown_text,
@@ -133,8 +133,8 @@ __all__ = [
     "near_meaning",
     "near_text",
     "optimize",
-    "patches_text",
     "place_lights",
+    "plan_document",
     "score_text",
     "search",
     "share_of_whole",

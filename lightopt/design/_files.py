@@ -88,10 +88,7 @@ def write_design(
     `blind_pictures` has a picture of shape (height, width, 3) for each posture. With `force`, an earlier result.json
     goes first, then all that it lists.
 
-    Raises
-    ------
-    InputError
-        The folder cannot be written, or holds other results and `force` is False.
+    Raises InputError: The folder cannot be written, or holds other results and `force` is False.
     """
     folder, run = result.folder, run or RunContext()
     make_folder(folder)

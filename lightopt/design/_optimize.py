@@ -70,12 +70,8 @@ def optimize(
     In the output folder only luminance matrices are kept; :func:`lightopt.design.write_design` writes the results.
     With `force`, the folder may hold other results.
 
-    Raises
-    ------
-    InputError
-        Whatever is wrong with the files, the options or the folder.
-    CheckFailed
-        A target that cannot be reached: the message says the best that can, and why.
+    Raises InputError: Whatever is wrong with the files, the options or the folder.
+    Raises CheckFailed: A target that cannot be reached: the message says the best that can, and why.
     """
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
     part = part if isinstance(part, PartConfig) else load_part(part)

@@ -84,22 +84,12 @@ def contact_sheet(
     Rows are postures, columns are lights, both in the set's order. Images are averaged down; a cell that contains
     saturated pixels is tinted red by their share, and their exact number stands below the image.
 
-    Parameters
-    ----------
-    path
-        The PNG to make or to replace, in a folder that exists; it is returned.
-    exposure
-        Which exposure to show; the longest of the set by default.
-    title
-        Instead of the names of the part's and the rig's file.
-    overwrite
-        Whether a file of other content may be replaced.
-
-    Raises
-    ------
-    InputError
-        When the set is empty or has no such exposure, an image is missing or damaged, the file cannot be written,
-        or one of other content is there and `overwrite` is False.
+    path: The PNG to make or to replace, in a folder that exists; it is returned.
+    exposure: Which exposure to show; the longest of the set by default.
+    title: Instead of the names of the part's and the rig's file.
+    overwrite: Whether a file of other content may be replaced.
+    Raises InputError: The set is empty or has no such exposure, an image is missing or damaged, the file cannot be
+        written, or one of other content is there and `overwrite` is False.
     """
     path = check_png_path(path)
     shown = _exposure(image_set, exposure)

@@ -314,14 +314,9 @@ def _best_box(label: Label, size: float, sums: Float64, bounds: Box, taken: Sequ
 def with_legend(picture: UInt8, title: str, rows: Sequence[LegendRow]) -> UInt8:
     """A picture with a title and a legend below it, on white; it is made wider where they need more room.
 
-    Parameters
-    ----------
-    picture
-        Red, green and blue, shape (height, width, 3); its pixels stay where they are.
-    title
-        One line.
-    rows
-        Colours, what they stand for, and how much that is.
+    picture: Red, green and blue, shape (height, width, 3); its pixels stay where they are.
+    title: One line.
+    rows: Colours, what they stand for, and how much that is.
     """
     height, width = picture.shape[:2]
     size = min(LARGEST_LEGEND, max(SMALLEST_LEGEND, width // 50))

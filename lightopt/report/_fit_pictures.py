@@ -34,12 +34,8 @@ _BELOW, _EQUAL, _ABOVE = (33, 102, 172), (247, 247, 247), (178, 24, 43)
 def fit_chart(result: FitResult, place: Callable[[], Path]) -> Path | None:
     """Draw how a fit came about: the ridge of R_s and σ, or the rounds of the paper's procedure.
 
-    Parameters
-    ----------
-    result
-        The fit.
-    place
-        Called for the path of the PNG where there is something to draw; None is returned where there is not.
+    result: The fit.
+    place: Called for the path of the PNG where there is something to draw; None is returned where there is not.
     """
     from lightopt.estimate.reflectance import PaperDiffuse, PaperSpecular
 
@@ -129,14 +125,9 @@ def residual_picture(
 ) -> Path:
     """Write a PNG of measured minus predicted: blue darker than predicted, white equal, red brighter; legend below.
 
-    Parameters
-    ----------
-    path
-        In a folder that exists.
-    measured, predicted
-        Sensor levels, shape (height, width); both are clipped at the saturation level first.
-    saturated_from, full
-        Saturation level and full scale of the sensor.
+    path: In a folder that exists.
+    measured, predicted: Sensor levels, shape (height, width); both are clipped at the saturation level first.
+    saturated_from, full: Saturation level and full scale of the sensor.
     """
     top = np.float32(saturated_from)
     difference = np.minimum(measured, top) - np.clip(predicted, 0.0, top)

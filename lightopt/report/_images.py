@@ -27,10 +27,7 @@ def check_png_path(path: str | Path) -> Path:
 def write_picture(path: Path, image: Image.Image, *, overwrite: bool = True) -> Path:
     """Write an RGB picture, whole or not at all.
 
-    Raises
-    ------
-    InputError
-        When the file cannot be written, or one of other content is there and `overwrite` is False.
+    Raises InputError: The file cannot be written, or one of other content is there and `overwrite` is False.
     """
     write_bytes_atomic(path, png_bytes(image), overwrite=overwrite)
     return path
@@ -71,15 +68,10 @@ def thumbnail_size(width: int, height: int, limit: int) -> tuple[int, int]:
 def thumbnail(level: NDArray[np.floating], saturated: Bool, *, limit: int) -> Thumbnail:
     """Shrink an image by averaging square cells of whole pixels; small images are enlarged by repeating pixels.
 
-    Parameters
-    ----------
-    level
-        Share of full scale, shown linearly as grey from black (0 and below) to white (1 and above), shape
-        (rows, columns).
-    saturated
-        Where the camera is saturated, same shape. The share of saturated pixels in a cell tints it.
-    limit
-        Neither side becomes longer [px].
+    level: Share of full scale, shown linearly as grey from black (0 and below) to white (1 and above), shape (rows,
+        columns).
+    saturated: Where the camera is saturated, same shape. The share of saturated pixels in a cell tints it.
+    limit: Neither side becomes longer [px].
     """
     height, width = level.shape
     shrink, enlarge = _factors(width, height, limit)

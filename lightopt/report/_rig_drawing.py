@@ -45,19 +45,10 @@ def rig_drawing(scene: Scene, path: str | Path, *, annotate: bool = True, overwr
     panel as its true rectangle, the part at its first posture, elevations θ from the table plane, azimuths φ from +X;
     beside it the part with the stage's axes, and the numbers.
 
-    Parameters
-    ----------
-    path
-        The PNG to make or to replace, in a folder that exists; it is returned.
-    annotate
-        Whether angles and axes are drawn and named.
-    overwrite
-        Whether a file of other content may be replaced.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be written, or one of other content is there and `overwrite` is False.
+    path: The PNG to make or to replace, in a folder that exists; it is returned.
+    annotate: Whether angles and axes are drawn and named.
+    overwrite: Whether a file of other content may be replaced.
+    Raises InputError: The file cannot be written, or one of other content is there and `overwrite` is False.
     """
     path = check_png_path(path)
     return write_picture(path, rig_image(scene, annotate=annotate), overwrite=overwrite)

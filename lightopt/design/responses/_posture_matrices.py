@@ -185,11 +185,6 @@ class PostureMatrices:
             f"{min(math.ceil(wanted / digit) * digit, 10.0):.3g} (now {now:.3g})"
         )
 
-    @property
-    def message(self) -> str | None:
-        """The outcome of the patch refinement."""
-        return None if self.table is None else self.table.message
-
     def patches(self) -> PatchTable:
         """The patches, made when first needed."""
         if self.table is None:

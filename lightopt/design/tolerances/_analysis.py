@@ -134,6 +134,7 @@ class WidestTolerance:
 class ToleranceAnalysis:
     """Scores under misalignment.
 
+    lights: Names, in the rig's order.
     score: Where all angles are exact.
     worst: The least over all corners.
     worst_pose, worst_lights: The corner: offsets of the part and of each light [°].
@@ -142,6 +143,7 @@ class ToleranceAnalysis:
     widest: Angle by angle.
     """
 
+    lights: tuple[str, ...]
     score: int
     worst: int
     worst_pose: Offset
@@ -191,6 +193,7 @@ def analyse_tolerances(
         widest.append(_widest_tolerance(score, exact, angle, tolerances.target * nominal))
         report()
     return ToleranceAnalysis(
+        lights=tuple(names),
         score=nominal,
         worst=worst[0],
         worst_pose=worst[1],

@@ -27,16 +27,10 @@ def inspection_report(
 ) -> str:
     """The report of an inspection as HTML.
 
-    Parameters
-    ----------
-    result, verdict
-        Of one set of images.
-    part, rig
-        Their names.
-    provenance
-        From :func:`lightopt.inspection.inspection_provenance`.
-    truth
-        From :func:`lightopt.inspection.summarise`; None where nothing is known of the part.
+    result, verdict: Of one set of images.
+    part, rig: Their names.
+    provenance: From :func:`lightopt.inspection.inspection_provenance`.
+    truth: From :func:`lightopt.inspection.summarise`; None where nothing is known of the part.
     """
     sections = [
         Section(heading="Where the defects are", blocks=[marked_part(result, part)]),
@@ -116,18 +110,11 @@ NOT_INSPECTED = "not inspected"
 class BatchRow:
     """One part of a batch.
 
-    Attributes
-    ----------
-    name
-        Of its folder.
-    report
-        Its own report, relative to the batch's; empty where it has none.
-    defects
-        Number of those found, whether they count or not.
-    verdict
-        None where the part was refused.
-    refused
-        Why it was not inspected.
+    name: Of its folder.
+    report: Its own report, relative to the batch's; empty where it has none.
+    defects: Number of those found, whether they count or not.
+    verdict: None where the part was refused.
+    refused: Why it was not inspected.
     """
 
     name: str
@@ -169,14 +156,9 @@ def batch_report(
 ) -> str:
     """The report of several parts as HTML: a row each, in the order of the sets.
 
-    Parameters
-    ----------
-    part, rig
-        Their names.
-    version
-        Of lightopt.
-    truth
-        As :func:`inspection_report` takes it, over all sets.
+    part, rig: Their names.
+    version: Of lightopt.
+    truth: As :func:`inspection_report` takes it, over all sets.
     """
     good = sum(row.verdict is not None and row.verdict.good for row in rows)
     refused = sum(row.verdict is None for row in rows)
