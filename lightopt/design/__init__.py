@@ -7,18 +7,14 @@ Positions are scored on the levels that the camera would deliver at exposure 1. 
 of each light; the objectives are integers, so that sums are exact in any order and ties are ties.
 """
 
-from lightopt.design._commands import Way
 from lightopt.design._files import DesignOutput, finish_design, write_design
 from lightopt.design._optimize import optimize
 from lightopt.design._options import OptimizeOptions, PlanOptions
 from lightopt.design._result import (
-    SHARES_OF,
-    ChosenPostures,
     DesignResult,
     ObjectiveResult,
     PlanResult,
     SetResult,
-    ToleranceResult,
     angles_of,
 )
 from lightopt.design._result_json import plan_document
@@ -47,7 +43,6 @@ from lightopt.design.blind_spots._legend import (
 from lightopt.design.blind_spots._summary import BLIND_LIGHTS, BLIND_SHARES_OF, BlindSpotSummary
 from lightopt.design.candidates._candidates import find_candidates
 from lightopt.design.exposures._plan_exposures import DEFAULT_EXPOSURE_GAIN
-from lightopt.design.exposures._selection import Brackets
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective, area_text, share_of_whole, share_text
 from lightopt.design.objectives._registry import OBJECTIVES
@@ -77,13 +72,10 @@ __all__ = [
     "DRAWN_PATCHES",
     "LEFT_OUT_MEANING",
     "OBJECTIVES",
-    "SHARES_OF",
     "BlindClass",
     "BlindReason",
     "BlindSpotSummary",
     "BlindSpots",
-    "Brackets",
-    "ChosenPostures",
     "Contrast",
     "Curve",
     "DefectHypothesis",
@@ -107,10 +99,8 @@ __all__ = [
     "SetResult",
     "Setup",
     "TargetNotReached",
-    "ToleranceResult",
     "Tolerances",
     "Visibility",
-    "Way",
     "analyse_tolerances",
     "angles_of",
     "area_text",

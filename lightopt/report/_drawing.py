@@ -278,9 +278,9 @@ _INK_COST, _SIDE_COST = 450.0, 16.0
 """What a label wholly on lines, or on the side opposite to the preferred one, costs in px of distance."""
 
 
-def _ink(rgba: UInt8) -> Float64:
+def _ink(picture: UInt8) -> Float64:
     # how much is drawn at each pixel, 0 to 1; pale areas are as good as paper
-    red, green, blue, _ = np.moveaxis(rgba, 2, 0)
+    red, green, blue = np.moveaxis(picture[..., :3], 2, 0)
     darkness = 255.0 - np.minimum(np.minimum(red, green), blue)
     return np.clip((darkness - 24.0) / 100.0, 0.0, 1.0)
 

@@ -279,7 +279,7 @@ def test_a_label_without_room_is_left_out() -> None:
 def test_ink_ignores_pale_areas() -> None:
     image = Image.new("RGB", (3, 1), "#f7f8fa")
     image.putpixel((1, 0), (20, 20, 20))
-    assert _ink(image).tolist() == [[0.0, 1.0, 0.0]]
+    assert _ink(np.asarray(image)).tolist() == [[0.0, 1.0, 0.0]]
 
 
 # ---- legends
