@@ -38,8 +38,8 @@ def check_request(
 def _check_image_count(rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions) -> None:
     # no defect can be seen in more images than there are
     if plan.chooses:
-        offered = len(posture_grid(rig, part, step_deg=plan.posture_step_deg))
-        most = min(offered, plan.postures or offered)
+        available = len(posture_grid(rig, part, step_deg=plan.posture_step_deg))
+        most = min(available, plan.postures or available)
         images = len(rig.lights) * most
         what = f"images of the plan: {counted(len(rig.lights), 'light')} × {counted(most, 'posture')} at most"
     elif plan.exposures:

@@ -1,4 +1,4 @@
-"""Commands: the one that a plan was asked for with, and those that carry it out with the stage's way in each."""
+"""Commands: the one that requests a plan, and those that carry it out, with the stage's way in each."""
 
 from __future__ import annotations
 

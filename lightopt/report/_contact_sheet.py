@@ -205,19 +205,19 @@ def saturation_text(thumbnail: Thumbnail) -> str:
     return f"{thumbnail.saturated:,} px saturated ({text} %)"
 
 
-def _exposure(image_set: ImageSet, wanted: float | None) -> float:
+def _exposure(image_set: ImageSet, requested: float | None) -> float:
     known = sorted({entry.exposure for entry in image_set.images})
     if not known:
         raise InputError(
             f"{image_set.folder}: the image set lists no images; nothing to put on a contact sheet"
         )
-    if wanted is None:
+    if requested is None:
         return known[-1]
     # 1/3 typed as 0.3333333333 is the same exposure
-    found = [value for value in known if math.isclose(value, wanted, rel_tol=1e-6)]
+    found = [value for value in known if math.isclose(value, requested, rel_tol=1e-6)]
     if not found:
         raise InputError(
-            f"exposure: {image_set.folder} has no images at {wanted:g}; it has {', '.join(f'{e:g}' for e in known)}"
+            f"exposure: {image_set.folder} has no images at {requested:g}; it has {', '.join(f'{e:g}' for e in known)}"
         )
     return found[0]
 

@@ -185,8 +185,8 @@ def exposure_table(planned: Mapping[str, Any]) -> Table:
 
 def tolerance_blocks(output: DesignOutput) -> list[Block]:
     """How far the score falls when angles are off, and how wide each may be."""
-    trust = output.document.get("trust")
-    if not trust:
+    tolerances = output.document.get("trust")
+    if not tolerances:
         return []
     offsets = output.document["provenance"]["options"]["tolerances"]
     caption = (
@@ -195,23 +195,23 @@ def tolerance_blocks(output: DesignOutput) -> list[Block]:
         f"angle alone, or those of all lights, may be off in steps of 0.05° before less than "
         f"{percent(offsets['target'], 0)} are kept."
     )
-    table = tolerance_table(trust, [_postures(one["postures"]) for one in trust])
+    table = tolerance_table(tolerances, [_postures(one["postures"]) for one in tolerances])
     return [replace(table, caption=caption)]
 
 
-def tolerance_table(trust: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Table:
+def tolerance_table(tolerances: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Table:
     """What misalignment leaves of the scores, from ``trust`` of result.json; `names` are the heads of its columns."""
     rows = [
         [
             "worst corner keeps",
-            *(share_text(one["worst_corner"]["share_of_score"], one["grain"]) for one in trust),
+            *(share_text(one["worst_corner"]["share_of_score"], one["grain"]) for one in tolerances),
         ],
-        ["95 % of draws keep", *(share_text(one["quantile_5_percent"], one["grain"]) for one in trust)],
+        ["95 % of draws keep", *(share_text(one["quantile_5_percent"], one["grain"]) for one in tolerances)],
     ]
-    for index, widest in enumerate(trust[0]["widest"]):
+    for index, widest in enumerate(tolerances[0]["widest"]):
         cells = [
             f"{'≥ ' if one['widest'][index]['or_more'] else ''}{one['widest'][index]['degrees']:.2f}°"
-            for one in trust
+            for one in tolerances
         ]
         rows.append([f"widest: {widest['what']}, {widest['angle']}", *cells])
     return Table(header=["off by the tolerance", *names], rows=rows)

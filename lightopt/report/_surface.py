@@ -132,7 +132,7 @@ def eye_distance(surface: ColouredSurface) -> float:
 
 
 def first_view(camera: PinholeCamera) -> Float64:
-    """Unit vector to where a part is looked at from first, shape (3,): from the camera, but a third aside.
+    """Unit vector to the first viewpoint, shape (3,): towards the camera, but a third aside.
 
     Not from straight above: that shows sides, too.
     """

@@ -177,8 +177,8 @@ def _all_usable(levels: Sequence[Levels], weights: Int64, thresholds: LevelThres
 
 def _coefficients(lights: int) -> list[int]:
     # c_1 … c_n of the module's text
-    wanted = [int(1 <= k <= lights - 2) for k in range(lights)]
-    return [sum((-1) ** (m - k) * math.comb(m, k) * wanted[k] for k in range(m + 1)) for m in range(lights)]
+    counts = [int(1 <= k <= lights - 2) for k in range(lights)]
+    return [sum((-1) ** (m - k) * math.comb(m, k) * counts[k] for k in range(m + 1)) for m in range(lights)]
 
 
 def _capped(layer: Levels, thresholds: LevelThresholds) -> Levels:

@@ -231,15 +231,15 @@ def _widest_tolerance(
             return all(score(pose, exact)[0] >= least for pose in either)
         return score((0.0, 0.0), [either if i == light else o for i, o in enumerate(exact)]).min() >= least
 
-    kept = 0.0
+    widest = 0.0
     for rung in RUNGS:
         if not keeps(rung):
             break
-        kept = rung
+        widest = rung
     else:
-        return WidestTolerance(what=what, angle=angle, degrees=kept, open_ended=True)
+        return WidestTolerance(what=what, angle=angle, degrees=widest, open_ended=True)
     # rungs are multiples of a step
-    low, high = round(kept * STEPS_PER_DEG), round(rung * STEPS_PER_DEG)
+    low, high = round(widest * STEPS_PER_DEG), round(rung * STEPS_PER_DEG)
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (middle, high) if keeps(middle / STEPS_PER_DEG) else (low, middle)

@@ -55,7 +55,7 @@ def overlay_image(
 ) -> tuple[Image.Image, GreyPicture]:
     """The posture's image without highlights, with the outlines and numbers of its defects; and what is beneath them.
 
-    Red for shape, blue for stain, orange for what could not be told of the defect, whichever posture told it. Where no
+    Red for shape, blue for stain, orange where neither could be determined, from whichever posture it was. Where no
     such image was made, the least level of each pixel. Pixels are made squares of `enlarge`; lines and numbers are as
     the picture's width asks for.
     """

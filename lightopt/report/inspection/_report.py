@@ -86,8 +86,8 @@ def _facts(result: InspectionResult, verdict: Verdict, provenance: Mapping[str, 
     for posture in result.postures:
         view = posture.view
         gains = ", ".join(f"{name} ×{view.photometry.gains[name]:.4f}" for name in view.lights)
-        told = f"threshold {posture.threshold:.2f}; brightness found: {gains}"
-        rows.append((f"posture {view.posture}", f"{told}; dark {view.photometry.dark:+.2f} levels"))
+        found = f"threshold {posture.threshold:.2f}; brightness found: {gains}"
+        rows.append((f"posture {view.posture}", f"{found}; dark {view.photometry.dark:+.2f} levels"))
     return Facts(rows=rows)
 
 
