@@ -10,13 +10,7 @@ of each light; the objectives are integers, so that sums are exact in any order 
 from lightopt.design._files import DesignOutput, finish_design, write_design
 from lightopt.design._optimize import optimize
 from lightopt.design._options import OptimizeOptions, PlanOptions
-from lightopt.design._result import (
-    DesignResult,
-    ObjectiveResult,
-    PlanResult,
-    SetResult,
-    angles_of,
-)
+from lightopt.design._result import DesignResult, ObjectiveResult, PlanResult, SetResult, angles_of
 from lightopt.design._result_json import plan_document
 from lightopt.design._texts import (
     LEFT_OUT_MEANING,

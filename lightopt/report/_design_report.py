@@ -54,10 +54,7 @@ def design_page(output: DesignOutput) -> Page:
 
 def fact_blocks(output: DesignOutput) -> list[Block]:
     """LevelThresholds, sensor, reflectance, patches, options, versions and hashes; and the positions left out."""
-    blocks: list[Block] = [
-        Facts(rows=[*_physics(output), *_search(output)]),
-        Facts(rows=_provenance(output)),
-    ]
+    blocks: list[Block] = [Facts(rows=[*_physics(output), *_search(output)]), Facts(rows=_provenance(output))]
     if output.result.all_candidates.left_out:
         blocks.append(
             Table(

@@ -116,12 +116,7 @@ def _paper_sweep(record: PaperSpecular) -> Figure:
 
 @fixed_style()
 def residual_picture(
-    path: str | Path,
-    *,
-    measured: Float32,
-    predicted: Float32,
-    saturated_from: float,
-    full: float,
+    path: str | Path, *, measured: Float32, predicted: Float32, saturated_from: float, full: float
 ) -> Path:
     """Write a PNG of measured minus predicted: blue darker than predicted, white equal, red brighter; legend below.
 

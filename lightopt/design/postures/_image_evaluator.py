@@ -62,11 +62,7 @@ class ImageEvaluator:
         return replace(table, postures=tuple(postures), visible=visible, grazing=grazing)
 
     def matrices(
-        self,
-        posture: Posture,
-        panels: Sequence[Sequence[PanelLight]],
-        *,
-        exposures: Sequence[float] = (1.0,),
+        self, posture: Posture, panels: Sequence[Sequence[PanelLight]], *, exposures: Sequence[float] = (1.0,)
     ) -> tuple[LuminanceMatrix, ...]:
         """Levels and visible hypotheses of a posture's images for all positions of each light, per exposure."""
         return luminance_matrices(

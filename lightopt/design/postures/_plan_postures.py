@@ -152,11 +152,7 @@ def _reasons(lost: Mapping[int, float], choice: PostureChoice) -> str:
 
 
 def plan_postures(
-    rig: RigConfig,
-    part: PartConfig,
-    options: OptimizeOptions,
-    plan: PlanOptions,
-    run: RunContext,
+    rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, run: RunContext
 ) -> tuple[ChosenPostures, ImageEvaluator]:
     """Choose the postures, and the light positions that go with them; also returns the evaluator of all patches.
 

@@ -150,10 +150,7 @@ def _synthetic(posture: InspectedPosture) -> list[Picture | None]:
     if image is None:
         return []
     pictures: list[Picture | None] = []
-    for what, level in (
-        ("without highlights", image.level),
-        ("uncertainty", image.deviation),
-    ):
+    for what, level in (("without highlights", image.level), ("uncertainty", image.deviation)):
         shown = grey_picture(level, image.mask)
         pictures.append(
             Picture(

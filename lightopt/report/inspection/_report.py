@@ -147,12 +147,7 @@ class BatchRow:
 
 
 def batch_report(
-    rows: Sequence[BatchRow],
-    *,
-    part: str,
-    rig: str,
-    version: str,
-    truth: Mapping[str, Any] | None = None,
+    rows: Sequence[BatchRow], *, part: str, rig: str, version: str, truth: Mapping[str, Any] | None = None
 ) -> str:
     """The report of several parts as HTML: a row each, in the order of the sets.
 
