@@ -124,8 +124,8 @@ def _rgb(canvas: FigureCanvasAgg) -> Image.Image:
 class Label:
     """What to write, and where it belongs.
 
-    anchor : the place named [px]
-    away : preferred direction from the anchor to the label, of any length; None for any
+    anchor: The place named [px]
+    away: Preferred direction from the anchor to the label, of any length; None for any
     """
 
     text: str

@@ -51,7 +51,7 @@ FAINTEST_MARK = 0.4
 class Thumbnail:
     """A small picture of an image: RGB, shape (rows, columns, 3), read-only.
 
-    saturated, pixels : number of saturated pixels and of all pixels in the image
+    saturated, pixels: Number of saturated pixels and of all pixels in the image
     """
 
     picture: UInt8

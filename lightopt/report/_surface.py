@@ -36,8 +36,8 @@ MOST_TRIANGLES = 500_000
 class SurfaceClass:
     """What some faces have in common, as the legend shows it.
 
-    colour : ``#rrggbb``
-    amount : how much of the surface it is; may be empty
+    colour: ``#rrggbb``
+    amount: How much of the surface it is; may be empty
     """
 
     label: str
@@ -49,8 +49,8 @@ class SurfaceClass:
 class SurfaceLayer:
     """One way to colour a surface.
 
-    of_face : class of each face, index into `classes`, shape (m,), uint8
-    group : heading above neighbouring layers of one kind; may be empty
+    of_face: Class of each face, index into `classes`, shape (m,), uint8
+    group: Heading above neighbouring layers of one kind; may be empty
     """
 
     name: str
@@ -73,10 +73,10 @@ class SurfaceLayer:
 class ColouredSurface:
     """A triangle mesh and the ways to colour it.
 
-    vertices : in any right-handed frame [mm], shape (n, 3)
-    triangles : corners of the faces, indices into `vertices`, shape (m, 3), int32
-    layers : at least one; the first is shown first
-    up, toward : unit vectors, shape (3,): what points up, and from where the surface is seen first
+    vertices: In any right-handed frame [mm], shape (n, 3)
+    triangles: Corners of the faces, indices into `vertices`, shape (m, 3), int32
+    layers: At least one; the first is shown first
+    up, toward: Unit vectors, shape (3,): what points up, and from where the surface is seen first
     """
 
     vertices: Float64
