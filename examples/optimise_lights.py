@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lightopt import load_part, load_rig
 from lightopt.design import OptimizeOptions, angles_of, finish_design, optimize, write_design
-from lightopt.report import optimum_report
+from lightopt.report import design_report
 
 HERE = Path(__file__).parent
 
@@ -20,7 +20,7 @@ def main(out: Path) -> None:
         best = one.answers[0].found.ranking[0]  # of the first objective
         print(one.postures[0], [f"{elevation:g}°" for elevation, _ in angles_of(result.candidates, best)])
     output = write_design(result)
-    finish_design(output, optimum_report(output))
+    finish_design(output, design_report(output))
 
 
 if __name__ == "__main__":

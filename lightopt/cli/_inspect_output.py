@@ -46,7 +46,7 @@ def write_set(
     """Print a result, write its files, and the evaluation where it is `summarised` for this set alone."""
     from lightopt.images import posture_folder
     from lightopt.inspection import REPORT_NAME, TRUTH_NAME, BatchRow, summarise, truth_text
-    from lightopt.report import defect_overlay, inspection_report
+    from lightopt.report.inspection import defect_overlay, inspection_report
 
     result, verdict = inspected.result, inspected.verdict
     assert result is not None
@@ -91,7 +91,7 @@ def write_batch(
     """Write the files above the folders of several sets."""
     from lightopt import __version__
     from lightopt.inspection import REPORT_NAME, TRUTH_NAME, summarise, truth_text
-    from lightopt.report import batch_report
+    from lightopt.report.inspection import batch_report
 
     summary = None if evaluations is None else summarise(evaluations)
     written: list[Path] = []
@@ -166,7 +166,13 @@ def _show_evaluation(summary: Mapping[str, Any], *, verbose: bool) -> None:
 def _show_inspection(result: InspectionResult, verdict: Verdict, *, verbose: bool) -> None:
     # the verdict, defects, where the part lies, what was inspected
     from lightopt.inspection import REFERENCE_DEFECT
-    from lightopt.report import dark_text, defect_table, placement_text, surface_notes, surface_table
+    from lightopt.report.inspection import (
+        dark_text,
+        defect_table,
+        placement_text,
+        surface_notes,
+        surface_table,
+    )
 
     say(f"{verdict.word}: {verdict.explanation}")
     if result.defects:

@@ -220,7 +220,7 @@ def optimize(
 
     from lightopt.design import OptimizeOptions, TargetNotReached, finish_design, write_design
     from lightopt.design import optimize as design
-    from lightopt.report import blind_pictures, optimum_report
+    from lightopt.report import blind_pictures, design_report
 
     loaded_rig, loaded_part = load_inputs(rig, part)
     assert loaded_part is not None
@@ -246,7 +246,7 @@ def optimize(
             )
             result = design(loaded_rig, loaded_part, out, options=options, plan=plan, force=force, run=run)
             output = write_design(result, blind_pictures=blind_pictures(result), force=force, run=run)
-            finish_design(output, optimum_report(output) if options.report else None)
+            finish_design(output, design_report(output) if options.report else None)
     except TargetNotReached as error:
         if not quiet:
             _show_reachable(error)

@@ -7,20 +7,11 @@ Positions are scored on the levels that the camera would deliver at exposure 1. 
 of each light; the objectives are integers, so that sums are exact in any order and ties are ties.
 """
 
-from lightopt.design._commands import Way
 from lightopt.design._files import DesignOutput, finish_design, write_design
 from lightopt.design._optimize import optimize
 from lightopt.design._options import OptimizeOptions, PlanOptions
-from lightopt.design._result import (
-    SHARES_OF,
-    ChosenPostures,
-    DesignResult,
-    ObjectiveResult,
-    PlanResult,
-    SetResult,
-    ToleranceResult,
-    angles_of,
-)
+from lightopt.design._result import DesignResult, ObjectiveResult, PlanResult, SetResult, angles_of
+from lightopt.design._result_json import plan_document
 from lightopt.design._texts import (
     LEFT_OUT_MEANING,
     combinations_counted_text,
@@ -28,7 +19,6 @@ from lightopt.design._texts import (
     left_out_text,
     near_meaning,
     near_text,
-    patches_text,
     score_text,
     shares_of,
     shown_text,
@@ -47,7 +37,6 @@ from lightopt.design.blind_spots._legend import (
 from lightopt.design.blind_spots._summary import BLIND_LIGHTS, BLIND_SHARES_OF, BlindSpotSummary
 from lightopt.design.candidates._candidates import find_candidates
 from lightopt.design.exposures._plan_exposures import DEFAULT_EXPOSURE_GAIN
-from lightopt.design.exposures._selection import Brackets
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective, area_text, share_of_whole, share_text
 from lightopt.design.objectives._registry import OBJECTIVES
@@ -77,13 +66,10 @@ __all__ = [
     "DRAWN_PATCHES",
     "LEFT_OUT_MEANING",
     "OBJECTIVES",
-    "SHARES_OF",
     "BlindClass",
     "BlindReason",
     "BlindSpotSummary",
     "BlindSpots",
-    "Brackets",
-    "ChosenPostures",
     "Contrast",
     "Curve",
     "DefectHypothesis",
@@ -107,10 +93,8 @@ __all__ = [
     "SetResult",
     "Setup",
     "TargetNotReached",
-    "ToleranceResult",
     "Tolerances",
     "Visibility",
-    "Way",
     "analyse_tolerances",
     "angles_of",
     "area_text",
@@ -133,8 +117,8 @@ __all__ = [
     "near_meaning",
     "near_text",
     "optimize",
-    "patches_text",
     "place_lights",
+    "plan_document",
     "score_text",
     "search",
     "share_of_whole",

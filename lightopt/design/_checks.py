@@ -8,13 +8,7 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, counted
 from lightopt.design._commands import HOME
 from lightopt.design._edited_files import planned_part_text
-from lightopt.design._options import (
-    DEFECT_OBJECTIVE,
-    OptimizeOptions,
-    PlanOptions,
-    check_options,
-    check_plan,
-)
+from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, check_options, check_plan
 from lightopt.design.objectives._registry import OBJECTIVES
 from lightopt.design.postures._posture_grid import posture_grid
 from lightopt.design.tolerances._analysis import lights_problem
@@ -38,8 +32,8 @@ def check_request(
 def _check_image_count(rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions) -> None:
     # no defect can be seen in more images than there are
     if plan.chooses:
-        offered = len(posture_grid(rig, part, step_deg=plan.posture_step_deg))
-        most = min(offered, plan.postures or offered)
+        available = len(posture_grid(rig, part, step_deg=plan.posture_step_deg))
+        most = min(available, plan.postures or available)
         images = len(rig.lights) * most
         what = f"images of the plan: {counted(len(rig.lights), 'light')} × {counted(most, 'posture')} at most"
     elif plan.exposures:

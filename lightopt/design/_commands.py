@@ -1,4 +1,4 @@
-"""Commands: the one that a plan was asked for with, and those that carry it out with the stage's way in each."""
+"""Commands: the one that requests a plan, and those that carry it out, with the stage's way in each."""
 
 from __future__ import annotations
 
@@ -58,8 +58,8 @@ def plan_commands(
 ) -> tuple[Command, ...]:
     """Commands that carry a plan out, in the folder of its files: those that capture it, then those that render it.
 
-    One of each kind for all postures of the same rig file and exposures, into an image set of their own. `files` has
-    the rig file of each posture, `render` further options of the commands that render.
+    One of each kind for all postures of the same rig file and exposures. `files` has the rig file of each posture,
+    `render` further options of the commands that render.
     """
     groups: dict[tuple[str, tuple[float, ...]], list[Posture]] = {}
     for posture, file in files.items():

@@ -63,10 +63,8 @@ def _rig_text(rig: RigConfig, angles: Sequence[tuple[float, float]], home: Path)
 def planned_part_text(part: PartConfig, postures: Sequence[Posture], *, folder: Path, comment: str) -> str:
     """Text of a part file with other postures, below a comment; the mesh is named relative to `folder`.
 
-    Raises
-    ------
-    InputError
-        The part was not read from a file, or its file is written so that its postures cannot be replaced.
+    Raises InputError: The part was not read from a file, or its file is written so that its postures cannot be
+        replaced.
     """
     if not part.source.text:
         raise InputError(

@@ -85,13 +85,10 @@ def write_design(
 ) -> DesignOutput:
     """Write the files of a design but for its report and result.json; :func:`finish_design` must follow.
 
-    `blind_pictures` has a picture of shape (height, width, 3) for each posture. With `force`, an earlier result.json
+    `blind_pictures` has a picture of shape (height, width, 3) for each posture. With `force`, a previous result.json
     goes first, then all that it lists.
 
-    Raises
-    ------
-    InputError
-        The folder cannot be written, or holds other results and `force` is False.
+    Raises InputError: The folder cannot be written, or holds other results and `force` is False.
     """
     folder, run = result.folder, run or RunContext()
     make_folder(folder)

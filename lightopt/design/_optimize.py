@@ -67,15 +67,11 @@ def optimize(
 ) -> DesignResult:
     """Find the best positions of a rig's lights for a part (paper, section 5), and plan what `plan` asks for.
 
-    In the output folder only luminance matrices are kept; :func:`lightopt.design.write_design` writes the results.
+    In the output folder only luminance matrices are cached; :func:`lightopt.design.write_design` writes the results.
     With `force`, the folder may hold other results.
 
-    Raises
-    ------
-    InputError
-        Whatever is wrong with the files, the options or the folder.
-    CheckFailed
-        A target that cannot be reached: the message says the best that can, and why.
+    Raises InputError: Whatever is wrong with the files, the options or the folder.
+    Raises CheckFailed: A target that cannot be reached: the message says the best that can, and why.
     """
     rig = rig if isinstance(rig, RigConfig) else load_rig(rig)
     part = part if isinstance(part, PartConfig) else load_part(part)
@@ -92,7 +88,7 @@ def optimize(
         options = postures.fixed_in(options, rig)
 
     problem = _state_problem(rig, part, options, plan, None if force else folder, run)
-    table = None if postures is None else postures.survey.table_of(postures.chosen.way.order)
+    table = None if postures is None else postures.evaluator.table_of(postures.chosen.way.order)
     matrices = problem.matrices(folder, table, run)
     found = _search(problem, matrices, run)
     if postures is not None:
@@ -129,7 +125,7 @@ class _ChosenPostures:
     """Postures that were chosen, and the surface that they were chosen on."""
 
     chosen: ChosenPostures
-    survey: ImageEvaluator
+    evaluator: ImageEvaluator
 
     def fixed_in(self, options: OptimizeOptions, rig: RigConfig) -> OptimizeOptions:
         """The options with these postures and the light positions that go with them."""
@@ -181,7 +177,7 @@ class _Problem:
             table,
         )
 
-    def survey(self, matrices: PostureMatrices, threads: int | None) -> ImageEvaluator:
+    def evaluator(self, matrices: PostureMatrices, threads: int | None) -> ImageEvaluator:
         """The part as the search sees it."""
         return ImageEvaluator(
             scene=self.scene,
@@ -304,7 +300,7 @@ def _scored_on_all_images(
     result = planned_answers(
         found.results[0],
         postures.chosen,
-        postures.survey,
+        postures.evaluator,
         found.candidates,
         candidates_of(problem.rig, problem.options),
         run.stage("the score along each angle"),
@@ -328,13 +324,13 @@ def _complete(
     brackets, tolerances = None if chosen is None else chosen.brackets, ()
     if plan.exposures or plan.tolerances is not None:
         # all shares are of the surface that the postures were chosen on
-        survey = problem.survey(matrices, run.threads) if postures is None else postures.survey
+        evaluator = problem.evaluator(matrices, run.threads) if postures is None else postures.evaluator
         if plan.exposures and chosen is None:
-            brackets = lights.exposures(survey, plan, run)
+            brackets = lights.exposures(evaluator, plan, run)
         if plan.tolerances is not None:
             objective = found.results[0].answers[0].objective
             tolerances = lights.tolerances(
-                survey, plan.tolerances, brackets, objective, problem.thresholds, run
+                evaluator, plan.tolerances, brackets, objective, problem.thresholds, run
             )
     if chosen is None and brackets is None:
         return PlanResult(tolerances=tolerances), found.visibility
@@ -345,7 +341,7 @@ def _complete(
         return planned, found.visibility
     candidates = found.candidates if chosen is None else candidates_of(problem.rig, problem.options)
     visibility = planned_visibility(
-        problem.survey(matrices, run.threads),
+        problem.evaluator(matrices, run.threads),
         lights.setup(brackets),
         candidates,
         all_exposures=plan.all_exposures,

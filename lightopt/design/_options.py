@@ -95,7 +95,7 @@ class PlanOptions:
     target: Share of the pairs of patch and defect that the chosen ones are to show; None for no matter.
     posture_step_deg, allow_outside_px: Of the postures to choose from: step of the grid [°], and how far the part may
         leave the view [px].
-    exposures, exposure_gain: Offered beside exposure 1, and the points that one has to add.
+    exposures, exposure_gain: To choose from beside exposure 1, and the points that one has to add.
     """
 
     postures: int | None = None
@@ -113,7 +113,7 @@ class PlanOptions:
 
     @property
     def all_exposures(self) -> tuple[float, ...]:
-        """Exposure 1, and those that are offered beside it."""
+        """Exposure 1, and those to choose from."""
         return (1.0, *(exposure for exposure in self.exposures if exposure != 1.0))
 
     def facts(self) -> dict[str, Any]:

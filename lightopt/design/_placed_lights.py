@@ -57,13 +57,13 @@ class PlacedLights:
             points=self.options.points,
         )
 
-    def exposures(self, survey: ImageEvaluator, plan: PlanOptions, run: RunContext) -> Brackets:
+    def exposures(self, evaluator: ImageEvaluator, plan: PlanOptions, run: RunContext) -> Brackets:
         """Further exposures that add enough."""
         postures = tuple(self.angles)
         setup = self.setup(None)
         lights = range(len(self.rig.lights))
         return plan_exposures(
-            survey,
+            evaluator,
             postures,
             [[setup.panel(i, light, (0.0, 0.0)) for light in lights] for i in range(len(postures))],
             plan.exposures,
@@ -75,7 +75,7 @@ class PlacedLights:
 
     def tolerances(
         self,
-        survey: ImageEvaluator,
+        evaluator: ImageEvaluator,
         tolerances: Tolerances,
         brackets: Brackets | None,
         objective: Objective,
@@ -83,7 +83,7 @@ class PlacedLights:
         run: RunContext,
     ) -> tuple[ToleranceResult, ...]:
         """How far the objective's score falls, in each posture and in all together."""
-        drawn = replace(survey, table=drawn_patches(survey.table, DRAWN_PATCHES))
+        drawn = replace(evaluator, table=drawn_patches(evaluator.table, DRAWN_PATCHES))
         postures = tuple(self.angles)
         # one posture alone shows nothing where it has fewer lights than images that must show a defect
         single = len(self.rig.lights) >= self.options.seen_in or len(postures) == 1

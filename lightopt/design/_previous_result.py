@@ -1,6 +1,6 @@
-"""The result of an earlier run in the output folder: of the same run, of another one, or of one that was interrupted.
+"""The result of a previous run in the output folder: of the same run, of another one, or of one that was interrupted.
 
-While a run writes its files, ``unfinished.json`` lists those that it will write, and those of an earlier run that it
+While a run writes its files, ``unfinished.json`` lists those that it will write, and those of a previous run that it
 removes; it goes when ``result.json`` is there. So a folder never has a ``result.json`` beside files that contradict
 it, and what an interrupted run left is known to the next one.
 """
@@ -42,28 +42,28 @@ def refuse_other_result(folder: Path, provenance: Mapping[str, Any]) -> None:
     advice = "use --force to replace it, or choose another output folder"
     if found is None:
         raise InputError(f"{path}: exists and is not a result of lightopt optimize; {advice}")
-    earlier = found.get("provenance")
-    if changes := differences(earlier if isinstance(earlier, dict) else {}, provenance, partly=True):
+    other = found.get("provenance")
+    if changes := differences(other if isinstance(other, dict) else {}, provenance, partly=True):
         raise InputError(f"{path}: the result of another run ({changes}); {advice}")
 
 
 def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> bool:
-    """List the files to come and, with `force`, remove result.json and then all that earlier runs list.
+    """List the files to come and, with `force`, remove result.json and then all that previous runs list.
 
     Removed are rigs, overlap maps, reports and further files by their names, and image sets by their manifests, inside
     the folder only; captured images, kept matrices and what no list names stay. `listed` is as in result.json.
 
-    Returns whether a report that is there is of an earlier run.
+    Returns whether a report that is there is of a previous run.
     """
-    earlier = [found for name in _FORMATS if (found := _read(folder / name)) is not None]
-    lists = {key: [one for doc in (listed, *earlier) for one in _entries(doc, key)] for key in listed}
+    previous = [found for name in _FORMATS if (found := _read(folder / name)) is not None]
+    lists = {key: [one for doc in (listed, *previous) for one in _entries(doc, key)] for key in listed}
     document = {"format": "lightopt-unfinished/1", **lists}
     write_text_atomic(folder / UNFINISHED_NAME, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
-    ours = any({"file": REPORT_NAME} in _entries(document, "files") for document in earlier)
+    ours = any({"file": REPORT_NAME} in _entries(document, "files") for document in previous)
     if not force:
         return ours
     _unlink(folder / RESULT_NAME)
-    for document in earlier:
+    for document in previous:
         for path in _paths(folder, document, "overlaps", "map"):
             if path.name.startswith("overlap") and path.suffix == ".png":
                 _unlink(path)

@@ -108,16 +108,15 @@ class ChosenPostures:
     way: Through the chosen ones, were all captured in one round.
     pace: How fast the stage goes, and who says so.
     least: Images that must show a pair.
-    requested, target: Number of postures and share that were asked for; None for what was not.
-    drawn, patches: Number of patches for the first turns of postures and lights, and for the last ones and all
-        figures.
+    requested, target: Number of postures and share that were requested; None where not.
+    drawn, patches: Number of patches for the first iterations, and for the last ones and all figures.
     max_edge, footprint: Longest edge of these, and side of a pixel's footprint on the part where it is smallest [mm].
     grain: How far shares may be off since a patch counts as its middle does: see
         :class:`lightopt.rendering.PatchTable`.
     inspectable_share, left_out_share: Of the part's surface, by area: inspectable in one candidate posture or more;
         seen at a grazing angle only.
-    exposures: That were offered, 1 among them.
-    brackets: Which of them are planned; None where there was no offer.
+    exposures: To choose from, 1 among them.
+    brackets: Which of them are planned; None where there were no others.
     """
 
     choice: PostureChoice
@@ -175,8 +174,8 @@ class PlanResult:
     """What was planned beside the lights.
 
     chosen: Postures; None where the part's own were taken.
-    brackets: Exposures; None where none were offered.
-    tolerances: Posture by posture, then together where there are several; empty where they were not asked for.
+    brackets: Exposures; None where there were no others to choose from.
+    tolerances: Posture by posture, then together where there are several; empty where not requested.
     commands: That carry the plan out; empty where neither postures nor exposures were planned.
     """
 
@@ -200,19 +199,19 @@ class DesignResult:
     """Best light positions for a part, and what was planned beside them.
 
     folder: Output folder.
-    options: With the postures and positions that were chosen, where that was asked for.
+    options: With the postures and positions that were chosen, where requested.
     command: The command line that asks for this result.
     provenance: Inputs, options and versions, from :func:`lightopt.core.provenance.provenance`.
     scene, caster: The part in its postures, the lights as the rig file has them.
-    patches: None where all matrices were kept and no report was asked for.
+    patches: None where all matrices came from the cache and there is no report.
     candidates: The positions that `results` are indices into: one of each light where they were chosen with the
         postures.
     all_candidates: The positions that there were to choose from.
     thresholds: Which levels are usable [sensor level].
     results: One per posture, or one for all of them.
     plan: Postures, exposures, tolerances, commands.
-    blind: Blind spots, where defects were looked for.
-    reused: Number of luminance matrices that were kept from an earlier run.
+    blind: Blind spots, where images are tested for defects.
+    reused: Number of luminance matrices read from the cache.
     warnings: What was repaired or is partly wrong.
     """
 

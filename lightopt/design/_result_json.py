@@ -49,7 +49,7 @@ def result_document(
         "left_out": [vars(out) for out in choice.left_out],
         "results": _set_dicts(result.results, result.candidates),
         **({} if result.blind is None else {"blind_spots": result.blind.as_dict()}),
-        **_plan_dict(result.plan, [light.name for light in result.rig.lights]),
+        **plan_document(result.plan),
         "rigs": listed["rigs"],
         "files": listed["files"],
         "images": listed["images"],
@@ -130,15 +130,15 @@ def _lights(candidates: Candidates, ranked: Ranked) -> list[dict[str, Any]]:
     ]
 
 
-def _plan_dict(result: PlanResult, names: Sequence[str]) -> dict[str, Any]:
-    # the sections of a plan; `names` are those of the lights
+def plan_document(result: PlanResult) -> dict[str, Any]:
+    """The sections of a plan in result.json; terminal and report show them."""
     sections: dict[str, Any] = {}
     if result.chosen is not None:
         sections["chosen_postures"] = _chosen_dict(result.chosen)
     if result.brackets is not None:
         sections["exposures"] = _brackets_dict(result.brackets, result.shares_of)
     if result.tolerances:
-        sections["trust"] = [_tolerance_dict(one, names) for one in result.tolerances]
+        sections["trust"] = [_tolerance_dict(one) for one in result.tolerances]
     if result.commands:
         sections["commands"] = [command.text for command in result.commands]
         sections["rounds"] = [
@@ -228,7 +228,7 @@ def _brackets_dict(brackets: Brackets, shares_of: str) -> dict[str, Any]:
     }
 
 
-def _tolerance_dict(one: ToleranceResult, names: Sequence[str]) -> dict[str, Any]:
+def _tolerance_dict(one: ToleranceResult) -> dict[str, Any]:
     robustness = one.robustness
 
     def share(score: int) -> float:
@@ -245,7 +245,7 @@ def _tolerance_dict(one: ToleranceResult, names: Sequence[str]) -> dict[str, Any
             "part": _offset_dict(robustness.worst_pose, "tilt_deg", "rotation_deg"),
             "lights": [
                 {"light": name, **_offset_dict(offset, "elevation_deg", "azimuth_deg")}
-                for name, offset in zip(names, robustness.worst_lights, strict=True)
+                for name, offset in zip(robustness.lights, robustness.worst_lights, strict=True)
             ],
         },
         "quantile_5_percent": share(robustness.quantile),

@@ -99,17 +99,6 @@ def combinations_counted_text(answer: ObjectiveResult) -> str:
     return text + (f", {found.left:,} left" if found.left else "")
 
 
-def patches_text(drawn: int, patches: int, *, on_all_patches: bool) -> str:
-    """On which patches postures and lights were chosen."""
-    if not on_all_patches:
-        return f"on {drawn:,} of {patches:,} patches"
-    return (
-        f"on all {patches:,} patches"
-        if drawn == patches
-        else f"on {drawn:,} patches, then on all {patches:,} patches"
-    )
-
-
 def cut_off(answer: ObjectiveResult, postures: Sequence[Posture]) -> str:
     """The warning of a search that left combinations."""
     found, name = answer.found, answer.objective.name

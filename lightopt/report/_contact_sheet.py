@@ -24,8 +24,14 @@ from lightopt.report._drawing import (
     sub,
     text_width,
 )
-from lightopt.report._png import check_png_path, write_picture
-from lightopt.report._thumbnail import SATURATED_COLOUR, Thumbnail, shade_of_saturation, thumbnail
+from lightopt.report._images import (
+    SATURATED_COLOUR,
+    Thumbnail,
+    check_png_path,
+    shade_of_saturation,
+    thumbnail,
+    write_picture,
+)
 
 RED = "#{:02x}{:02x}{:02x}".format(*SATURATED_COLOUR)
 EMPTY = "#f1f3f5"
@@ -78,22 +84,12 @@ def contact_sheet(
     Rows are postures, columns are lights, both in the set's order. Images are averaged down; a cell that contains
     saturated pixels is tinted red by their share, and their exact number stands below the image.
 
-    Parameters
-    ----------
-    path
-        The PNG to make or to replace, in a folder that exists; it is returned.
-    exposure
-        Which exposure to show; the longest of the set by default.
-    title
-        Instead of the names of the part's and the rig's file.
-    overwrite
-        Whether a file of other content may be replaced.
-
-    Raises
-    ------
-    InputError
-        When the set is empty or has no such exposure, an image is missing or damaged, the file cannot be written,
-        or one of other content is there and `overwrite` is False.
+    path: The PNG to make or to replace, in a folder that exists; it is returned.
+    exposure: Which exposure to show; the longest of the set by default.
+    title: Instead of the names of the part's and the rig's file.
+    overwrite: Whether a file of other content may be replaced.
+    Raises InputError: The set is empty or has no such exposure, an image is missing or damaged, the file cannot be
+        written, or one of other content is there and `overwrite` is False.
     """
     path = check_png_path(path)
     shown = _exposure(image_set, exposure)
@@ -209,19 +205,19 @@ def saturation_text(thumbnail: Thumbnail) -> str:
     return f"{thumbnail.saturated:,} px saturated ({text} %)"
 
 
-def _exposure(image_set: ImageSet, wanted: float | None) -> float:
+def _exposure(image_set: ImageSet, requested: float | None) -> float:
     known = sorted({entry.exposure for entry in image_set.images})
     if not known:
         raise InputError(
             f"{image_set.folder}: the image set lists no images; nothing to put on a contact sheet"
         )
-    if wanted is None:
+    if requested is None:
         return known[-1]
     # 1/3 typed as 0.3333333333 is the same exposure
-    found = [value for value in known if math.isclose(value, wanted, rel_tol=1e-6)]
+    found = [value for value in known if math.isclose(value, requested, rel_tol=1e-6)]
     if not found:
         raise InputError(
-            f"exposure: {image_set.folder} has no images at {wanted:g}; it has {', '.join(f'{e:g}' for e in known)}"
+            f"exposure: {image_set.folder} has no images at {requested:g}; it has {', '.join(f'{e:g}' for e in known)}"
         )
     return found[0]
 

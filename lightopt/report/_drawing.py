@@ -5,11 +5,11 @@ matplotlib takes long to import, so each function imports what it uses.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -21,6 +21,7 @@ from lightopt.core.errors import percent
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     from lightopt.design import LegendRow
@@ -73,10 +74,11 @@ def sub(letter: str, index: str) -> str:
 
 
 def font_file() -> str:
-    """Path of the font."""
-    import matplotlib
-
-    return str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf")
+    """Path of the font, found without the import of matplotlib."""
+    package = find_spec("matplotlib")
+    assert package is not None
+    assert package.origin is not None
+    return str(Path(package.origin).parent / "mpl-data" / "fonts" / "ttf" / "DejaVuSans.ttf")
 
 
 def printable(text: str) -> str:
@@ -111,6 +113,10 @@ def figure_image(figure: Figure) -> Image.Image:
 
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
+    return _rgb(canvas)
+
+
+def _rgb(canvas: FigureCanvasAgg) -> Image.Image:
     return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
 
 
@@ -118,8 +124,8 @@ def figure_image(figure: Figure) -> Image.Image:
 class Label:
     """What to write, and where it belongs.
 
-    anchor : the place named [px]
-    away : preferred direction from the anchor to the label, of any length; None for any
+    anchor: The place named [px]
+    away: Preferred direction from the anchor to the label, of any length; None for any
     """
 
     text: str
@@ -132,13 +138,15 @@ class Drawing:
     """A white picture of a size [px]. What is drawn later lies above what was drawn before."""
 
     def __init__(self, width: int, height: int) -> None:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
         from matplotlib.transforms import Affine2D
 
         self.width, self.height = width, height
         self._figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
         self._pixels = Affine2D().scale(1.0, -1.0).translate(0.0, height)
-        self._depths = itertools.count(1)
+        self._canvas = FigureCanvasAgg(self._figure)
+        self._canvas.draw()  # the paper; each artist is then drawn once, when it comes
 
     def line(
         self, points: Points, *, colour: str, width: float = 1.5, dash: tuple[float, float] | None = None
@@ -197,7 +205,7 @@ class Drawing:
     def picture(self, picture: UInt8, left: int, top: int) -> None:
         """Lay an RGB or RGBA picture over the drawing, pixel on pixel."""
         below = self.height - top - len(picture)
-        self._figure.figimage(picture, left, below, zorder=next(self._depths), origin="upper")
+        self._figure.figimage(picture, left, below, origin="upper").draw(self._canvas.get_renderer())
 
     def text(
         self,
@@ -228,7 +236,7 @@ class Drawing:
         anchor that is far.
         """
         sums = np.zeros((self.height + 1, self.width + 1))
-        sums[1:, 1:] = _ink(self.image()).cumsum(axis=0).cumsum(axis=1)
+        sums[1:, 1:] = _ink(np.asarray(self._canvas.buffer_rgba())).cumsum(axis=0).cumsum(axis=1)
         placed: list[tuple[Label, Box]] = []
         for label in labels:
             box = _best_box(label, size, sums, bounds, [other for _, other in placed])
@@ -247,12 +255,12 @@ class Drawing:
 
     def image(self) -> Image.Image:
         """The picture so far, RGB."""
-        return figure_image(self._figure)
+        return _rgb(self._canvas)
 
     def _add(self, artist: Artist) -> None:
         artist.set_transform(self._pixels)
-        artist.set_zorder(next(self._depths))
         self._figure.add_artist(artist)
+        artist.draw(self._canvas.get_renderer())
 
 
 _RADII = (6, 12, 20, 30, 44, 62, 85, 115, 155, 210, 280, 370, 480, 620, 800)
@@ -270,9 +278,10 @@ _INK_COST, _SIDE_COST = 450.0, 16.0
 """What a label wholly on lines, or on the side opposite to the preferred one, costs in px of distance."""
 
 
-def _ink(image: Image.Image) -> Float64:
+def _ink(picture: UInt8) -> Float64:
     # how much is drawn at each pixel, 0 to 1; pale areas are as good as paper
-    darkness = 255.0 - np.asarray(image).min(axis=2)
+    red, green, blue = np.moveaxis(picture[..., :3], 2, 0)
+    darkness = 255.0 - np.minimum(np.minimum(red, green), blue)
     return np.clip((darkness - 24.0) / 100.0, 0.0, 1.0)
 
 
@@ -305,14 +314,9 @@ def _best_box(label: Label, size: float, sums: Float64, bounds: Box, taken: Sequ
 def with_legend(picture: UInt8, title: str, rows: Sequence[LegendRow]) -> UInt8:
     """A picture with a title and a legend below it, on white; it is made wider where they need more room.
 
-    Parameters
-    ----------
-    picture
-        Red, green and blue, shape (height, width, 3); its pixels stay where they are.
-    title
-        One line.
-    rows
-        Colours, what they stand for, and how much that is.
+    picture: Red, green and blue, shape (height, width, 3); its pixels stay where they are.
+    title: One line.
+    rows: Colours, what they stand for, and how much that is.
     """
     height, width = picture.shape[:2]
     size = min(LARGEST_LEGEND, max(SMALLEST_LEGEND, width // 50))

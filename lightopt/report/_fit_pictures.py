@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.arrays import Float32, UInt8
-from lightopt.estimate.reflectance import FitResult, PaperDiffuse, PaperSpecular
 from lightopt.report._charts import LINE, MARK, SHADE, chart, label_whole_numbers
 from lightopt.report._drawing import SOFT, Drawing, figure_image, fixed_style
-from lightopt.report._png import write_picture
+from lightopt.report._images import write_picture
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from lightopt.estimate.reflectance import FitResult, PaperDiffuse, PaperSpecular
 
 RESIDUAL_SCALE = 0.08
 """Difference of the full colours, as a share of the sensor's full scale: 20 of 255 levels."""
@@ -33,13 +34,11 @@ _BELOW, _EQUAL, _ABOVE = (33, 102, 172), (247, 247, 247), (178, 24, 43)
 def fit_chart(result: FitResult, place: Callable[[], Path]) -> Path | None:
     """Draw how a fit came about: the ridge of R_s and σ, or the rounds of the paper's procedure.
 
-    Parameters
-    ----------
-    result
-        The fit.
-    place
-        Called for the path of the PNG where there is something to draw; None is returned where there is not.
+    result: The fit.
+    place: Called for the path of the PNG where there is something to draw; None is returned where there is not.
     """
+    from lightopt.estimate.reflectance import PaperDiffuse, PaperSpecular
+
     if isinstance(result.paper, PaperSpecular):
         figure = _paper_sweep(result.paper)
     elif isinstance(result.paper, PaperDiffuse):
@@ -117,23 +116,13 @@ def _paper_sweep(record: PaperSpecular) -> Figure:
 
 @fixed_style()
 def residual_picture(
-    path: str | Path,
-    *,
-    measured: Float32,
-    predicted: Float32,
-    saturated_from: float,
-    full: float,
+    path: str | Path, *, measured: Float32, predicted: Float32, saturated_from: float, full: float
 ) -> Path:
     """Write a PNG of measured minus predicted: blue darker than predicted, white equal, red brighter; legend below.
 
-    Parameters
-    ----------
-    path
-        In a folder that exists.
-    measured, predicted
-        Sensor levels, shape (height, width); both are clipped at the saturation level first.
-    saturated_from, full
-        Saturation level and full scale of the sensor.
+    path: In a folder that exists.
+    measured, predicted: Sensor levels, shape (height, width); both are clipped at the saturation level first.
+    saturated_from, full: Saturation level and full scale of the sensor.
     """
     top = np.float32(saturated_from)
     difference = np.minimum(measured, top) - np.clip(predicted, 0.0, top)

@@ -41,8 +41,8 @@ class Facts:
 class Table:
     """A table of texts.
 
-    numbers_from : columns from this one on are numbers, aligned to the right
-    links : per row the file that its first cell leads to, relative to the page and with ``/`` between folders, empty
+    numbers_from: Columns from this one on are numbers, aligned to the right
+    links: Per row the file that its first cell leads to, relative to the page and with ``/`` between folders, empty
         for none; no links at all where no row has one
     """
 

@@ -12,6 +12,7 @@ from urllib.parse import quote
 
 from PIL import Image
 
+from lightopt.report._images import png_bytes
 from lightopt.report._page import (
     Answer,
     Block,
@@ -25,9 +26,7 @@ from lightopt.report._page import (
     Table,
     Warnings,
 )
-from lightopt.report._png import png_bytes
-from lightopt.report._surface import SurfaceLayer, simplified
-from lightopt.report._surface_data import surface_data, surface_head
+from lightopt.report._surface import SurfaceLayer, simplified, surface_data, surface_head
 from lightopt.report._surface_still import surface_still
 
 POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"

@@ -34,9 +34,9 @@ _CREASE_COS = 0.94
 class PartPicture:
     """The part seen from one side, :data:`FINE` times as fine as the drawing.
 
-    left, top : upper left corner of the arrays [fine px]
-    picture : RGBA, shape (rows, columns, 4)
-    nearness : of the surface to the viewer [mm], shape (rows, columns); −∞ where there is no surface
+    left, top: Upper left corner of the arrays [fine px]
+    picture: RGBA, shape (rows, columns, 4)
+    nearness: Of the surface to the viewer [mm], shape (rows, columns); −∞ where there is no surface
     """
 
     view: ParallelView

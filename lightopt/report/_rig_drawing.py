@@ -14,8 +14,8 @@ from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
 from lightopt.rendering import cast_rays_at
 from lightopt.report._drawing import Drawing, fixed_style
+from lightopt.report._images import check_png_path, write_picture
 from lightopt.report._part_picture import cast_part
-from lightopt.report._png import check_png_path, write_picture
 from lightopt.report._rig_elements import Pen, number
 from lightopt.report._rig_shapes import (
     CameraShape,
@@ -26,7 +26,7 @@ from lightopt.report._rig_shapes import (
     square,
     table_grid,
 )
-from lightopt.report._rig_side import SIDE_WIDTH, draw_stage, side_height, write_numbers
+from lightopt.report._rig_stage_and_numbers import SIDE_WIDTH, draw_stage, side_height, write_numbers
 from lightopt.report._view import ParallelView, fit_view
 from lightopt.scene import PanelLight, Scene
 
@@ -45,19 +45,10 @@ def rig_drawing(scene: Scene, path: str | Path, *, annotate: bool = True, overwr
     panel as its true rectangle, the part at its first posture, elevations θ from the table plane, azimuths φ from +X;
     beside it the part with the stage's axes, and the numbers.
 
-    Parameters
-    ----------
-    path
-        The PNG to make or to replace, in a folder that exists; it is returned.
-    annotate
-        Whether angles and axes are drawn and named.
-    overwrite
-        Whether a file of other content may be replaced.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be written, or one of other content is there and `overwrite` is False.
+    path: The PNG to make or to replace, in a folder that exists; it is returned.
+    annotate: Whether angles and axes are drawn and named.
+    overwrite: Whether a file of other content may be replaced.
+    Raises InputError: The file cannot be written, or one of other content is there and `overwrite` is False.
     """
     path = check_png_path(path)
     return write_picture(path, rig_image(scene, annotate=annotate), overwrite=overwrite)

@@ -23,8 +23,8 @@ AXIS_COLOURS = ("#c8321f", "#2c8a3a", "#2458b8")
 class Pen:
     """Draws world shapes [mm]; what stands behind the part is left out.
 
-    labels : what is to be written, the important first; collected while drawing
-    part : the part's picture, once it is known
+    labels: What is to be written, the important first; collected while drawing
+    part: The part's picture, once it is known
     """
 
     drawing: Drawing

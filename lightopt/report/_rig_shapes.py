@@ -22,11 +22,11 @@ _FARTHEST = 1.5
 class CameraShape:
     """A camera to draw, in the world frame [mm]; corners from the image's top left clockwise.
 
-    aperture : front of its frustum, whose apex is the pinhole, shape (4, 3)
-    body : corners of the housing behind the pinhole, four at the front, four at the back, shape (8, 3)
-    footprint : where the image's border meets the table, shape (n, 3)
-    corners : of the footprint, shape (4, 3)
-    arrow : length of the arrows for image right and up
+    aperture: Front of its frustum, whose apex is the pinhole, shape (4, 3)
+    body: Corners of the housing behind the pinhole, four at the front, four at the back, shape (8, 3)
+    footprint: Where the image's border meets the table, shape (n, 3)
+    corners: Of the footprint, shape (4, 3)
+    arrow: Length of the arrows for image right and up
     """
 
     aperture: Float64

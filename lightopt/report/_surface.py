@@ -1,16 +1,32 @@
-"""A surface whose faces belong to classes, for a report: a value object, and how it is made small enough."""
+"""A surface whose faces belong to classes: a value object, made small enough for a page, and as text for viewer.js.
+
+The text is a head in JSON, and base64 of a zlib stream of, little-endian and in this order: the faces' corners as
+int32, the vertices as int16 in steps of ``step_mm`` from the middle of the bounding box, and one uint8 per face and
+layer. Corners and vertices are written column after column, each value as the difference from the one before, which
+packs well.
+"""
 
 from __future__ import annotations
 
+import base64
+import json
 import math
+import zlib
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightopt.core.arrays import Float64, Int32, UInt8
 from lightopt.core.errors import InputError
 from lightopt.scene import PinholeCamera
+
+FIELD_OF_VIEW = math.radians(30.0)
+"""Of the first view, from the lower to the upper edge; viewer.js has the same."""
+
+_STEPS = 32767
+"""Of a vertex's place in the data, to either side of the middle."""
 
 MOST_TRIANGLES = 500_000
 """Of more than these a report shows a simplified surface, so that the file stays small and the view turns smoothly."""
@@ -20,8 +36,8 @@ MOST_TRIANGLES = 500_000
 class SurfaceClass:
     """What some faces have in common, as the legend shows it.
 
-    colour : ``#rrggbb``
-    amount : how much of the surface it is; may be empty
+    colour: ``#rrggbb``
+    amount: How much of the surface it is; may be empty
     """
 
     label: str
@@ -33,8 +49,8 @@ class SurfaceClass:
 class SurfaceLayer:
     """One way to colour a surface.
 
-    of_face : class of each face, index into `classes`, shape (m,), uint8
-    group : heading above neighbouring layers of one kind; may be empty
+    of_face: Class of each face, index into `classes`, shape (m,), uint8
+    group: Heading above neighbouring layers of one kind; may be empty
     """
 
     name: str
@@ -57,10 +73,10 @@ class SurfaceLayer:
 class ColouredSurface:
     """A triangle mesh and the ways to colour it.
 
-    vertices : in any right-handed frame [mm], shape (n, 3)
-    triangles : corners of the faces, indices into `vertices`, shape (m, 3), int32
-    layers : at least one; the first is shown first
-    up, toward : unit vectors, shape (3,): what points up, and from where the surface is seen first
+    vertices: In any right-handed frame [mm], shape (n, 3)
+    triangles: Corners of the faces, indices into `vertices`, shape (m, 3), int32
+    layers: At least one; the first is shown first
+    up, toward: Unit vectors, shape (3,): what points up, and from where the surface is seen first
     """
 
     vertices: Float64
@@ -109,8 +125,14 @@ def simplified(surface: ColouredSurface, *, most: int = MOST_TRIANGLES) -> tuple
     return replace(surface, vertices=vertices, triangles=moved[left], layers=layers), cell
 
 
+def eye_distance(surface: ColouredSurface) -> float:
+    """From the middle of the surface's bounding box to the eye, so that the surface fits however it is turned [mm]."""
+    radius = float(np.linalg.norm(surface.vertices - _middle(surface), axis=1).max())
+    return 1.02 * max(radius, 1e-6) / math.sin(0.5 * FIELD_OF_VIEW)
+
+
 def first_view(camera: PinholeCamera) -> Float64:
-    """Unit vector to where a part is looked at from first, shape (3,): from the camera, but a third aside.
+    """Unit vector to the first viewpoint, shape (3,): towards the camera, but a third aside.
 
     Not from straight above: that shows sides, too.
     """
@@ -123,3 +145,45 @@ def _frozen(array: Any) -> Any:
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def surface_head(surface: ColouredSurface) -> str:
+    """What the viewer has to know before it unpacks the data, JSON without ``<``."""
+    head = {
+        "triangles": len(surface.triangles),
+        "vertices": len(surface.vertices),
+        "step_mm": _step(surface),
+        "distance_mm": eye_distance(surface),
+        "up": surface.up.tolist(),
+        "toward": surface.toward.tolist(),
+        "layers": [[kind.colour for kind in layer.classes] for layer in surface.layers],
+    }
+    return json.dumps(head)
+
+
+def surface_data(surface: ColouredSurface) -> str:
+    """The surface in base64."""
+    places = np.rint((surface.vertices - _middle(surface)) / _step(surface)).astype(np.int16)
+    data = b"".join(
+        [
+            _differences(surface.triangles.astype(np.int32)).astype("<i4").tobytes(),
+            _differences(places).astype("<i2").tobytes(),
+            *(layer.of_face.tobytes() for layer in surface.layers),
+        ]
+    )
+    return base64.b64encode(zlib.compress(data, 6)).decode("ascii")
+
+
+def _differences(values: NDArray[np.signedinteger]) -> NDArray[np.signedinteger]:
+    # int16 wraps round, here and in the viewer, and so comes back right
+    columns = np.ascontiguousarray(values.T)
+    return np.diff(columns, axis=1, prepend=np.zeros((3, 1), columns.dtype))
+
+
+def _middle(surface: ColouredSurface) -> Float64:
+    return 0.5 * (surface.vertices.min(axis=0) + surface.vertices.max(axis=0))
+
+
+def _step(surface: ColouredSurface) -> float:
+    half = 0.5 * float((surface.vertices.max(axis=0) - surface.vertices.min(axis=0)).max())
+    return max(half, 1e-9) / _STEPS

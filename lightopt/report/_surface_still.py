@@ -9,22 +9,12 @@ from PIL import Image, ImageColor
 
 from lightopt.core.arrays import Float64
 from lightopt.geometry import RayCaster, TriangleMesh, face_normals
-from lightopt.report._surface import ColouredSurface
-
-FIELD_OF_VIEW = math.radians(30.0)
-"""From the lower to the upper edge; viewer.js has the same."""
+from lightopt.report._surface import FIELD_OF_VIEW, ColouredSurface, eye_distance
 
 WIDTH, HEIGHT, FINE = 900, 600, 2
 _BLOCK_ROWS = 128
 _AMBIENT, _LAMP = 0.7, 0.3
 """As in viewer.js: enough to tell the shape, and so little that colours are those of the legend."""
-
-
-def eye_distance(surface: ColouredSurface) -> float:
-    """From the middle of the surface's bounding box to the eye, so that the surface fits however it is turned [mm]."""
-    middle = 0.5 * (surface.vertices.min(axis=0) + surface.vertices.max(axis=0))
-    radius = float(np.linalg.norm(surface.vertices - middle, axis=1).max())
-    return 1.02 * max(radius, 1e-6) / math.sin(0.5 * FIELD_OF_VIEW)
 
 
 def surface_still(surface: ColouredSurface) -> Image.Image:

@@ -24,8 +24,8 @@ ORIGIN, X, Y, Z = _fixed(0, 0, 0), _fixed(1, 0, 0), _fixed(0, 1, 0), _fixed(0, 0
 class ParallelView:
     """Orthographic view from (elevation, azimuth) [rad]; vectors are in the world frame, shape (3,).
 
-    scale : [px/mm]
-    offset : where the world's origin lies on the picture [px], shape (2,)
+    scale: [px/mm]
+    offset: Where the world's origin lies on the picture [px], shape (2,)
     """
 
     elevation: float

@@ -16,8 +16,8 @@ from lightopt.cli._main import run
 from lightopt.cli._plan_tables import show_plan
 from lightopt.config import load_part, load_rig
 from lightopt.core.transforms import Posture
-from lightopt.design import Brackets, PlanResult, share_text
-from lightopt.design.exposures._selection import FurtherExposure
+from lightopt.design import PlanResult, share_text
+from lightopt.design.exposures._selection import Brackets, FurtherExposure
 from lightopt.images import read_image_set
 
 

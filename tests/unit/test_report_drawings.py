@@ -19,7 +19,7 @@ from lightopt.report import rig_drawing
 from lightopt.report._drawing import Drawing, fixed_style, text_width
 from lightopt.report._part_picture import FINE, cast_part
 from lightopt.report._rig_shapes import camera_shape, nice_step, panel_corners, part_box, round_up
-from lightopt.report._rig_side import draw_stage
+from lightopt.report._rig_stage_and_numbers import draw_stage
 from lightopt.report._view import fit_view
 from lightopt.scene import PanelLight, Scene, place_camera, place_light, project
 from lightopt.scene._camera import Distortion

@@ -22,11 +22,10 @@ from lightopt.inspection import (
 )
 from lightopt.inspection.detection._defects import Detection
 from lightopt.inspection.evaluation._evaluation import KnownDefect
-from lightopt.report import batch_report
-from lightopt.report._inspection_pictures import LABEL_COLOURS, overlay_image
-from lightopt.report._inspection_surface import _ball
 from lightopt.report._page import Facts, Note, Picture, Table
-from lightopt.report._truth_blocks import truth_blocks
+from lightopt.report.inspection import batch_report
+from lightopt.report.inspection._ground_truth import truth_blocks
+from lightopt.report.inspection._pictures import LABEL_COLOURS, _ball, overlay_image
 
 
 def true_set(sizes, found):

@@ -24,11 +24,11 @@ from lightopt.design import (
     share_text,
     write_design,
 )
-from lightopt.report import _optimum_report, optimum_report
-from lightopt.report._optimum_answer import answer_blocks
-from lightopt.report._optimum_plan import posture_blocks
-from lightopt.report._optimum_report import optimum_page
-from lightopt.report._optimum_surface import LEVEL_CLASSES, level_classes
+from lightopt.report import _design_report, design_report
+from lightopt.report._design_answer import answer_blocks
+from lightopt.report._design_plan import posture_blocks
+from lightopt.report._design_report import design_page
+from lightopt.report._design_surface import LEVEL_CLASSES, level_classes
 from lightopt.report._page import Answer, Facts, Gallery, Note, Picture, SurfaceView, Table
 from lightopt.report._page_html import page_html
 
@@ -60,20 +60,20 @@ def done(shared_bench, tmp_path_factory):
 def reported(bench, options):
     """A design that is written with its report."""
     output = write_design(optimize(bench.rig, bench.part, bench.out, options=options))
-    finish_design(output, optimum_report(output))
+    finish_design(output, design_report(output))
     return output
 
 
 @pytest.fixture(scope="module")
 def blocks(done):
-    page = optimum_page(done[1])
+    page = design_page(done[1])
     return [*page.lead, *(block for section in page.sections for block in section.blocks)]
 
 
 @pytest.fixture
 def undrawn(monkeypatch):
     """Pages without drawings of the rig, which take longer than all the rest."""
-    monkeypatch.setattr(_optimum_report, "drawing_blocks", lambda _: [])
+    monkeypatch.setattr(_design_report, "drawing_blocks", lambda _: [])
 
 
 @pytest.fixture
@@ -269,7 +269,7 @@ def inspected(shared_bench, tmp_path_factory):
 def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
     bench, output = inspected
     spots = result_of(bench.out)["blind_spots"]
-    page = optimum_page(output)
+    page = design_page(output)
     first = next(block for block in answer_blocks(output) if isinstance(block, Answer))
     assert first.text.startswith("of the surface × defects (by weight) that the camera sees in posture (")
     assert first.text.endswith(" mm² by detectability")
@@ -344,7 +344,7 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
 @pytest.mark.slow
 def test_defects_seen_are_those_of_the_result(inspected, undrawn):
     bench, output = inspected
-    section = next(s for s in optimum_page(output).sections if s.heading == "Defects")
+    section = next(s for s in design_page(output).sections if s.heading == "Defects")
     (table,) = section.blocks
     for row, group in zip(table.rows, result_of(bench.out)["results"], strict=True):
         answer = group["objectives"][0]
@@ -382,7 +382,7 @@ def test_what_was_assumed_of_defects_and_tolerances_is_told(inspected, done, und
 
 
 def assumed(output):
-    section = next(s for s in optimum_page(output).sections if s.heading == "What was assumed")
+    section = next(s for s in design_page(output).sections if s.heading == "What was assumed")
     return {name: text for block in section.blocks if isinstance(block, Facts) for name, text in block.rows}
 
 
@@ -478,7 +478,7 @@ def test_a_plan_is_shown_as_the_result_has_it(done, undrawn):
     tolerances = {"light_deg": 2.0, "pose_deg": 1.0, "target": 0.95, "draws": 100, "seed": 0}
     options = {**done[1].document["provenance"]["options"], "tolerances": tolerances}
     output = replace(done[1], document={**with_options(done[1], options), **PLANNED})
-    sections = {section.heading: section.blocks for section in optimum_page(output).sections}
+    sections = {section.heading: section.blocks for section in design_page(output).sections}
     table, facts, left, lead, command = sections["Postures"]
     assert "in the folder of this report" in lead.text
     # as they are captured
@@ -505,7 +505,7 @@ def test_a_plan_is_shown_as_the_result_has_it(done, undrawn):
     assert command.text == PLANNED["commands"][0]
     assert told["these postures have at least"] == "75 % of the best with these lights"
     assert "up to 2 of each; together, what is seen in 2 images" in table.caption
-    lead = optimum_page(output).lead
+    lead = design_page(output).lead
     (answer,) = (block for block in lead if isinstance(block, Answer))
     assert answer.figure == "94 %"
     assert "in 2 images or more, by all planned images together, in (20°, 90°), (0°, 0°);" in answer.text
@@ -545,7 +545,7 @@ def test_the_way_of_several_commands_is_told_command_by_command(done, undrawn):
     document = {**done[1].document, "chosen_postures": PLANNED["chosen_postures"], "rounds": rounds}
     _, facts, *_ = next(
         section
-        for section in optimum_page(replace(done[1], document=document)).sections
+        for section in design_page(replace(done[1], document=document)).sections
         if section.heading == "Postures"
     ).blocks
     assert dict(facts.rows)["travel from (0°, 0°)"] == (
@@ -567,7 +567,7 @@ def test_exposures_that_the_target_takes_are_told(done, undrawn, why, expected):
     first, other = planned["shots"]
     planned = {**planned, "shots": [first, {**other, "planned": True, "planned_for": why}]}
     output = replace(done[1], document={**done[1].document, "exposures": planned})
-    note = next(s for s in optimum_page(output).sections if s.heading == "Exposures").blocks[0]
+    note = next(s for s in design_page(output).sections if s.heading == "Exposures").blocks[0]
     assert note.text.endswith(expected)
 
 
@@ -575,7 +575,7 @@ def test_where_one_image_is_enough_the_greedy_bound_is_told(done, undrawn):
     one = {**PLANNED["chosen_postures"], "seen_in": 1, "every_combination_tried": False}
     one |= {"lights_best_for_postures": False, "turns_on_all_patches": False}
     output = replace(done[1], document={**done[1].document, "chosen_postures": one})
-    page = optimum_page(output)
+    page = design_page(output)
     table, facts, *_ = next(s for s in page.sections if s.heading == "Postures").blocks
     assert dict(facts.rows)["these postures have at least"] == "75 % of the best with these lights"
     assert "what each posture shows that those chosen before it do not" in table.caption
@@ -591,7 +591,7 @@ def test_the_best_of_all_sets_is_told_and_whether_it_is_the_plan(done, undrawn):
         output = replace(done[1], document={**done[1].document, "chosen_postures": {**chosen, **more}})
         (proof,) = (
             block.text
-            for block in optimum_page(output).lead
+            for block in design_page(output).lead
             if isinstance(block, Note) and "roven" in block.text
         )
         return proof, dict(posture_blocks(output)[1].rows)["the same number of others shows at most"]
@@ -606,7 +606,7 @@ def test_the_best_of_all_sets_is_told_and_whether_it_is_the_plan(done, undrawn):
 
 
 def test_nothing_is_shown_of_what_was_not_planned(done):
-    headings = [section.heading for section in optimum_page(done[1]).sections]
+    headings = [section.heading for section in design_page(done[1]).sections]
     assert headings == [
         "What the images show",
         "Images of the best set",

@@ -31,8 +31,14 @@ from lightopt.report._page import (
     Warnings,
 )
 from lightopt.report._page_html import page_html
-from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer, simplified
-from lightopt.report._surface_data import surface_data, surface_head
+from lightopt.report._surface import (
+    ColouredSurface,
+    SurfaceClass,
+    SurfaceLayer,
+    simplified,
+    surface_data,
+    surface_head,
+)
 
 VIEWER = Path(__file__).resolve().parents[2] / "lightopt" / "report" / "viewer"
 NASTY = "<script>alert('x')</script> & \"quoted\" ß 日本 </title>"

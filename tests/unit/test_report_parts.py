@@ -26,8 +26,7 @@ from lightopt.report._drawing import (
     text_width,
     with_legend,
 )
-from lightopt.report._png import check_png_path, write_picture
-from lightopt.report._thumbnail import SATURATED_COLOUR, thumbnail, thumbnail_size
+from lightopt.report._images import SATURATED_COLOUR, check_png_path, thumbnail, thumbnail_size, write_picture
 from lightopt.report._view import arc, fit_view
 
 
@@ -280,7 +279,7 @@ def test_a_label_without_room_is_left_out() -> None:
 def test_ink_ignores_pale_areas() -> None:
     image = Image.new("RGB", (3, 1), "#f7f8fa")
     image.putpixel((1, 0), (20, 20, 20))
-    assert _ink(image).tolist() == [[0.0, 1.0, 0.0]]
+    assert _ink(np.asarray(image)).tolist() == [[0.0, 1.0, 0.0]]
 
 
 # ---- legends

@@ -144,7 +144,7 @@ def reason_names(lights: Sequence[str]) -> list[tuple[int, str]]:
 
 
 def planned_visibility(
-    survey: ImageEvaluator,
+    evaluator: ImageEvaluator,
     setup: Setup,
     candidates: Candidates | None,
     *,
@@ -156,15 +156,15 @@ def planned_visibility(
     """Visibility of defects in each posture: `least` images must show one.
 
     `setup` has the lights, postures and planned exposures; `candidates` (None where no light moves) and
-    `all_exposures` are those to choose from. The patches of `survey` are those of the blind spots.
+    `all_exposures` are those to choose from. The patches of `evaluator` are those of the blind spots.
     """
     found: list[PostureVisibility] = []
     for index, posture in enumerate(setup.postures):
         panels = [[setup.panel(index, light, (0.0, 0.0))] for light in range(len(setup.rig.lights))]
-        matrices = survey.matrices(posture, panels, exposures=setup.exposures[index])
+        matrices = evaluator.matrices(posture, panels, exposures=setup.exposures[index])
         chosen = defect_visibility(matrices, thresholds, least=least)
         positions = panels if candidates is None else candidates.panels
-        possible = _possible(survey, posture, positions, all_exposures, thresholds, least)
+        possible = _possible(evaluator, posture, positions, all_exposures, thresholds, least)
         found.append(PostureVisibility(posture=posture, chosen=chosen, possible=possible))
         if progress is not None:
             progress((index + 1) / len(setup.postures))
@@ -172,7 +172,7 @@ def planned_visibility(
 
 
 def _possible(
-    survey: ImageEvaluator,
+    evaluator: ImageEvaluator,
     posture: Posture,
     positions: Sequence[Sequence[PanelLight]],
     exposures: tuple[float, ...],
@@ -184,7 +184,7 @@ def _possible(
         combined_visibility,
         (
             defect_visibility(
-                chain.from_iterable(survey.in_pieces(posture, panels, exposures=exposures)),
+                chain.from_iterable(evaluator.in_batches(posture, panels, exposures=exposures)),
                 thresholds,
                 least=least,
                 first_light=light,

@@ -58,12 +58,12 @@ def plan_exposures(
     Raises InputError: More images than memory is meant for.
     """
     further = [exposure for exposure in exposures if exposure != 1.0]
-    kept = 1 if seen_in == 1 else max(map(len, lights))
+    layers = 1 if seen_in == 1 else max(map(len, lights))
     pair_bytes = len(evaluator.patches) * evaluator.weights.masks.shape[1] * 8
-    size = len(postures) * (1 + len(further)) * kept * pair_bytes
+    size = len(postures) * (1 + len(further)) * layers * pair_bytes
     if size > MOST_IMAGE_BYTES:
         raise InputError(
-            f"--exposures: {len(postures)} postures × {1 + len(further)} exposures × {kept} lights × "
+            f"--exposures: {len(postures)} postures × {1 + len(further)} exposures × {layers} lights × "
             f"{len(evaluator.patches):,} patches are {size / 1e9:.2f} GB, and there is room for "
             f"{MOST_IMAGE_BYTES / 1e9:.2f} GB; offer fewer exposures, or take fewer --patches"
         )

@@ -128,9 +128,9 @@ class CoverageObjective:
             can_use = np.zeros(end - start, np.int64)
             must_saturate = np.zeros(end - start, np.int64)
             for layer in matrix.levels:
-                light = level_range(layer, thresholds, start, end)
-                can_use += light.usable >= 0
-                must_saturate += light.least >= thresholds.saturation
+                usable, _, least = level_range(layer, thresholds, start, end)
+                can_use += usable >= 0
+                must_saturate += least >= thresholds.saturation
             could = (can_use >= LEAST_USABLE) & (must_saturate <= MOST_SATURATED)
             total += int(weights[start:end][could].sum())
         return total

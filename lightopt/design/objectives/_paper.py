@@ -139,8 +139,8 @@ class PaperObjective:
         levels, total, black = matrix.levels, 0, thresholds.black
         for start, end in blocks(levels[0].shape[1], max(1, BLOCK_LEVELS // len(levels))):
             some = [level_range(layer, thresholds, start, end) for layer in levels]
-            usable = np.sort([np.maximum(one.usable - black, 0) for one in some], axis=0)[2:]
-            greatest = np.sort([one.greatest for one in some], axis=0)[1:-1]
+            usable = np.sort([np.maximum(most_usable - black, 0) for most_usable, _, _ in some], axis=0)[2:]
+            greatest = np.sort([most for _, most, _ in some], axis=0)[1:-1]
             lit = np.minimum(greatest, thresholds.saturation - 1) - black
             middle = np.where(greatest >= thresholds.shade, lit, 0)
             total += int(np.minimum(usable.sum(axis=0), middle.sum(axis=0)).sum())
@@ -177,8 +177,8 @@ def _all_usable(levels: Sequence[Levels], weights: Int64, thresholds: LevelThres
 
 def _coefficients(lights: int) -> list[int]:
     # c_1 … c_n of the module's text
-    wanted = [int(1 <= k <= lights - 2) for k in range(lights)]
-    return [sum((-1) ** (m - k) * math.comb(m, k) * wanted[k] for k in range(m + 1)) for m in range(lights)]
+    counts = [int(1 <= k <= lights - 2) for k in range(lights)]
+    return [sum((-1) ** (m - k) * math.comb(m, k) * counts[k] for k in range(m + 1)) for m in range(lights)]
 
 
 def _capped(layer: Levels, thresholds: LevelThresholds) -> Levels:

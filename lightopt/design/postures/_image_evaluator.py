@@ -62,11 +62,7 @@ class ImageEvaluator:
         return replace(table, postures=tuple(postures), visible=visible, grazing=grazing)
 
     def matrices(
-        self,
-        posture: Posture,
-        panels: Sequence[Sequence[PanelLight]],
-        *,
-        exposures: Sequence[float] = (1.0,),
+        self, posture: Posture, panels: Sequence[Sequence[PanelLight]], *, exposures: Sequence[float] = (1.0,)
     ) -> tuple[LuminanceMatrix, ...]:
         """Levels and visible hypotheses of a posture's images for all positions of each light, per exposure."""
         return luminance_matrices(
@@ -86,7 +82,7 @@ class ImageEvaluator:
         seen = len(self.table.inspectable(posture))
         return max(1, MOST_BYTES // max(1, matrix_bytes(self.scene, seen, len(exposures), self.detection)))
 
-    def in_pieces(
+    def in_batches(
         self, posture: Posture, places: Sequence[PanelLight], *, exposures: Sequence[float] = (1.0,)
     ) -> Iterator[tuple[LuminanceMatrix, ...]]:
         """As :meth:`matrices` of one light, for as many of its positions at a time as memory allows."""
@@ -112,7 +108,7 @@ class ImageEvaluator:
             np.stack(
                 [
                     scattered_flags(matrices, patches, light=0, place=at)
-                    for matrices in self.in_pieces(posture, some, exposures=self.exposures)
+                    for matrices in self.in_batches(posture, some, exposures=self.exposures)
                     for at in range(len(matrices[0].levels[0]))
                 ]
             )

@@ -79,13 +79,7 @@ class _MultiStartSearch:
             self.full_search
             if drawn.table is whole.table
             else AlternatingSearch(
-                drawn,
-                postures,
-                candidates,
-                seen_in=seen_in,
-                where="drawn patches",
-                prove=False,
-                run=run,
+                drawn, postures, candidates, seen_in=seen_in, where="drawn patches", prove=False, run=run
             )
         )
         self.on_all_patches = self.drawn_search is self.full_search or position_counts_fit(

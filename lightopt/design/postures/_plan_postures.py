@@ -67,11 +67,11 @@ class TargetNotReached(CheckFailed):
 
 
 def target_not_reached(
-    target: float, choice: PostureChoice, survey: ImageEvaluator, *, least: int
+    target: float, choice: PostureChoice, evaluator: ImageEvaluator, *, least: int
 ) -> TargetNotReached:
     """What `choice`, which falls short of the target, can reach by how many postures, and why no more.
 
-    `survey` is of all candidate postures; `least` images must show a pair.
+    `evaluator` is of all candidate postures; `least` images must show a pair.
     """
     cover = choice.cover
     steps = tuple(
@@ -81,32 +81,32 @@ def target_not_reached(
         for number, (posture, step) in enumerate(zip(choice.postures, cover.steps, strict=True), start=1)
     )
     return TargetNotReached(
-        _text(target, choice, survey, least), target=target, steps=steps, grain=survey.table.grain
+        _text(target, choice, evaluator, least), target=target, steps=steps, grain=evaluator.table.grain
     )
 
 
-def _text(target: float, choice: PostureChoice, survey: ImageEvaluator, least: int) -> str:
-    cover, offered = choice.cover, len(survey.table.postures)
-    text = partial(share_text, grain=survey.table.grain, short_of=target)
+def _text(target: float, choice: PostureChoice, evaluator: ImageEvaluator, least: int) -> str:
+    cover, available = choice.cover, len(evaluator.table.postures)
+    text = partial(share_text, grain=evaluator.table.grain, short_of=target)
     most = cover.all_covered / max(1, cover.total)
-    asked = f"{100.0 * target:.9g} %"
+    required = f"{100.0 * target:.9g} %"
     if most >= target:
         return (
             f"--target: {counted(len(cover.steps), 'posture')} show {text(cover.share)} of the "
-            f"surface × defects, and no {len(cover.steps)} of {offered} show more than "
-            f"{text(cover.bound_share)} with these lights; {asked} was asked for. "
+            f"surface × defects, and no {len(cover.steps)} of {available} show more than "
+            f"{text(cover.bound_share)} with these lights; {required} was asked for. "
             "Raise --choose-postures or leave it out"
         )
-    lost = _lost(choice, survey, least)
+    lost = _lost(choice, evaluator, least)
     near = next(
         (i for i, step in enumerate(cover.steps, 1) if step.covered >= (most - NEAR_SHARE) * cover.total),
         len(cover.steps),
     )
     return (
-        f"--target: {asked} of the surface × defects is not reached: with {_which(choice)}, all {offered} postures "
-        f"together show {text(most)}, and {counted(near, 'posture')} come within "
-        f"{100 * NEAR_SHARE:g} point of that. Of what stays unseen, {_reasons(lost, choice)}. {_hint(lost, survey)}Ask "
-        "for less, plan --choose-postures, or change what stands in the way"
+        f"--target: {required} of the surface × defects is not reached: with {_which(choice)}, all {available} "
+        f"postures together show {text(most)}, and {counted(near, 'posture')} come within "
+        f"{100 * NEAR_SHARE:g} point of that. Of what stays unseen, {_reasons(lost, choice)}. "
+        f"{_hint(lost, evaluator)}Ask for less, plan --choose-postures, or change what stands in the way"
     )
 
 
@@ -114,29 +114,31 @@ def _which(choice: PostureChoice) -> str:
     return "the best lights found (others may show more)" if choice.iterations else "the lights as they stand"
 
 
-def _hint(lost: Mapping[int, float], survey: ImageEvaluator) -> str:
+def _hint(lost: Mapping[int, float], evaluator: ImageEvaluator) -> str:
     # more light helps where there is too little of it
     dim = lost.get(BlindReason.CONTRAST, 0.0) + lost.get(BlindReason.SHADOWED, 0.0)
-    if max(survey.exposures) > 1.0 or dim <= 0.5 * sum(lost.values()):
+    if max(evaluator.exposures) > 1.0 or dim <= 0.5 * sum(lost.values()):
         return ""
     return "Longer exposures may show some of it: offer them, such as --exposures 1,4,16. "
 
 
-def _lost(choice: PostureChoice, survey: ImageEvaluator, least: int) -> dict[int, float]:
+def _lost(choice: PostureChoice, evaluator: ImageEvaluator, least: int) -> dict[int, float]:
     # surface × defects by reason, over all candidate postures, under the chosen lights
     thresholds = LevelThresholds.of_sensor(
         shade_share=0.0,
-        max_level=survey.scene.sensor.max_level,
-        saturated_from=survey.scene.sensor.saturated_from,
-        black_level=survey.scene.sensor.black_level,
+        max_level=evaluator.scene.sensor.max_level,
+        saturated_from=evaluator.scene.sensor.saturated_from,
+        black_level=evaluator.scene.sensor.black_level,
     )
     seen: list[DefectVisibility] = []
-    for posture in survey.table.postures:
-        matrices = survey.matrices(posture, [[panel] for panel in choice.panels], exposures=survey.exposures)
+    for posture in evaluator.table.postures:
+        matrices = evaluator.matrices(
+            posture, [[panel] for panel in choice.panels], exposures=evaluator.exposures
+        )
         seen.append(defect_visibility(matrices, thresholds, least=least))
     # the shares are of the surface that the camera sees in one of them
-    areas = np.zeros(len(survey.table.patches))
-    areas[survey.patches] = survey.table.patches.areas[survey.patches]
+    areas = np.zeros(len(evaluator.table.patches))
+    areas[evaluator.patches] = evaluator.table.patches.areas[evaluator.patches]
     return blind_spots(areas, seen).by_reason()
 
 
@@ -150,11 +152,7 @@ def _reasons(lost: Mapping[int, float], choice: PostureChoice) -> str:
 
 
 def plan_postures(
-    rig: RigConfig,
-    part: PartConfig,
-    options: OptimizeOptions,
-    wanted: PlanOptions,
-    run: RunContext,
+    rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, run: RunContext
 ) -> tuple[ChosenPostures, ImageEvaluator]:
     """Choose the postures, and the light positions that go with them; also returns the evaluator of all patches.
 
@@ -163,15 +161,15 @@ def plan_postures(
     """
     candidates = candidates_of(rig, options)
     scene = build_scene(rig, part, points=options.points, defects=False)
-    grid = posture_grid(rig, part, step_deg=wanted.posture_step_deg)
+    grid = posture_grid(rig, part, step_deg=plan.posture_step_deg)
     caster = cast_rays_at(scene)
     lights = build_lights(rig, None, options.points)
     positions = lights if candidates is None else tuple(p for some in candidates.panels for p in some)
     postures, left_out = usable_postures(
-        replace(scene, postures=grid), positions, allow_outside_px=wanted.allow_outside_px
+        replace(scene, postures=grid), positions, allow_outside_px=plan.allow_outside_px
     )
-    few = wanted.postures is not None and len(postures) < wanted.postures
-    shortfall = f", fewer than the {wanted.postures} that were asked for" if few else ""
+    few = plan.postures is not None and len(postures) < plan.postures
+    shortfall = f", fewer than the {plan.postures} that were asked for" if few else ""
     run.inform(
         f"{counted(len(postures), 'posture')} to choose from{shortfall}, {len(left_out)} left out; patches are cut "
         "for all of them"
@@ -193,16 +191,14 @@ def plan_postures(
         postures,
         lights,
         candidates,
-        PostureRequest(
-            seen_in=options.seen_in, count=wanted.postures, target=wanted.target, limit=options.limit
-        ),
-        exposures=wanted.all_exposures,
-        gain_points=wanted.exposure_gain,
+        PostureRequest(seen_in=options.seen_in, count=plan.postures, target=plan.target, limit=options.limit),
+        exposures=plan.all_exposures,
+        gain_points=plan.exposure_gain,
         run=run,
     )
-    if wanted.target is not None and choice.cover.share < wanted.target:
-        offered = replace(drawn, exposures=wanted.all_exposures)
-        raise target_not_reached(wanted.target, choice, offered, least=options.seen_in)
+    if plan.target is not None and choice.cover.share < plan.target:
+        all_exposures = replace(drawn, exposures=plan.all_exposures)
+        raise target_not_reached(plan.target, choice, all_exposures, least=options.seen_in)
     if not choice.postures:
         raise CheckFailed(
             f"no posture of {len(postures)} shows any defect of {part.source.path}'s catalogue in "
@@ -218,8 +214,8 @@ def plan_postures(
         way=way_through(rig, choice.postures),
         pace=pace_text(rig),
         least=options.seen_in,
-        requested=wanted.postures,
-        target=wanted.target,
+        requested=plan.postures,
+        target=plan.target,
         drawn=len(drawn.patches),
         patches=len(whole.patches),
         max_edge=table.max_edge,
@@ -227,7 +223,7 @@ def plan_postures(
         grain=table.grain,
         inspectable_share=_area_share(table, table.inspectable_anywhere),
         left_out_share=_area_share(table, table.visible.any(axis=0) & ~table.inspectable_anywhere),
-        exposures=wanted.all_exposures,
+        exposures=plan.all_exposures,
     )
     return chosen, whole
 

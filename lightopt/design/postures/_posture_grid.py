@@ -72,22 +72,22 @@ def usable_postures(
     allow_outside_px: How far the part may leave the view at a side of the image [px].
     Raises InputError: No posture is left.
     """
-    kept: list[Posture] = []
+    usable: list[Posture] = []
     left_out: list[ExcludedPosture] = []
     for posture in scene.postures:
         found = _out_of_view(scene, posture, allow_outside_px) or _in_the_way(scene, posture, panels)
         if found is None:
-            kept.append(posture)
+            usable.append(posture)
         else:
             left_out.append(ExcludedPosture(posture, *found))
-    if not kept:
+    if not usable:
         first = left_out[0]
         raise InputError(
             f"no posture of {len(left_out)} is left to choose from: in {first.posture} {first.reason}; change the "
             "part's placement, the stage's pivot or its ranges, let the camera see more, or allow the part to leave "
             "the view (--allow-outside)"
         )
-    return tuple(kept), tuple(left_out)
+    return tuple(usable), tuple(left_out)
 
 
 def _reach(rig: RigConfig) -> tuple[tuple[float, float], tuple[float, float]]:

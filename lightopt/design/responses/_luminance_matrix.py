@@ -151,27 +151,20 @@ def _usable_sums(layer: Levels, weights: Int64, shade: int, saturation: int, bla
     return sums
 
 
-@dataclass(frozen=True, kw_only=True)
-class LevelRange:
-    """Levels at patches over all candidates of a light, each of shape (p,).
+def level_range(
+    layer: Levels, thresholds: LevelThresholds, start: int, end: int
+) -> tuple[Int64, Int64, Int64]:
+    """Extremes of a light's levels over all its candidates, at the patches from `start` to `end`, each of shape (p,).
 
-    usable: The greatest usable level; −1 where none is usable.
-    greatest, least: The greatest and the least level.
+    Returns the greatest usable level (−1 where none is usable), the greatest and the least level.
     """
-
-    usable: Int64
-    greatest: Int64
-    least: Int64
-
-
-def level_range(layer: Levels, thresholds: LevelThresholds, start: int, end: int) -> LevelRange:
-    """The range of a light's levels at the patches from `start` to `end`."""
-    usable, greatest, least = _reach(layer, thresholds.shade, thresholds.saturation, start, end)
-    return LevelRange(usable=usable, greatest=greatest, least=least)
+    return _level_range(layer, thresholds.shade, thresholds.saturation, start, end)
 
 
 @kernel
-def _reach(layer: Levels, shade: int, saturation: int, start: int, end: int) -> tuple[Int64, Int64, Int64]:
+def _level_range(
+    layer: Levels, shade: int, saturation: int, start: int, end: int
+) -> tuple[Int64, Int64, Int64]:
     usable = np.full(end - start, -1, np.int64)
     greatest = np.full(end - start, -1, np.int64)
     least = np.full(end - start, 1 << 16, np.int64)

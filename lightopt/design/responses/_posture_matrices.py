@@ -1,6 +1,6 @@
 """The luminance matrices of a run's postures, computed or read from the cache; and the patches.
 
-A kept matrix is an ``.npz`` with the arrays
+A cached matrix is an ``.npz`` with the arrays
 
 ``key``
     SHA-256 of all that the matrix depends on, as text.
@@ -178,17 +178,12 @@ class PostureMatrices:
             return f"{text}For fewer, export it with a coarser tolerance"
         now = chord_tolerance(self.part, pixel_footprint(self.scene.camera, self.rig.camera.distance_mm))
         # triangles of a curved surface go about with 1 / tolerance; half of the patches are left to cut long ones
-        wanted = now * 2.0 * self.table.seen_faces / self.options.patch_budget
-        digit = 10.0 ** math.floor(math.log10(wanted))
+        coarser = now * 2.0 * self.table.seen_faces / self.options.patch_budget
+        digit = 10.0 ** math.floor(math.log10(coarser))
         return (
             f"{text}For fewer, give the part file a coarser mesh.chord_tolerance_mm, such as "
-            f"{min(math.ceil(wanted / digit) * digit, 10.0):.3g} (now {now:.3g})"
+            f"{min(math.ceil(coarser / digit) * digit, 10.0):.3g} (now {now:.3g})"
         )
-
-    @property
-    def message(self) -> str | None:
-        """The outcome of the patch refinement."""
-        return None if self.table is None else self.table.message
 
     def patches(self) -> PatchTable:
         """The patches, made when first needed."""

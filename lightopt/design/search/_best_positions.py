@@ -35,10 +35,7 @@ PIECE_PATCHES = 1 << 15
 
 
 def search_objectives(
-    source: PostureMatrices,
-    objectives: tuple[Objective, ...],
-    thresholds: LevelThresholds,
-    run: RunContext,
+    source: PostureMatrices, objectives: tuple[Objective, ...], thresholds: LevelThresholds, run: RunContext
 ) -> tuple[tuple[SetResult, ...], list[PostureVisibility]]:
     """The best sets of every posture, or of all together, and their blind spots where defects are wanted."""
     defects = next((one for one in objectives if isinstance(one, DetectabilityObjective)), None)

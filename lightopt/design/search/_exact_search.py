@@ -302,8 +302,5 @@ def _halves(rows: Rows) -> tuple[Rows, Rows]:
     widest = max(range(len(rows)), key=lambda i: len(rows[i]))
     middle = len(rows[widest]) // 2
     low, high = list(rows), list(rows)
-    low[widest], high[widest] = (
-        rows[widest][:middle],
-        rows[widest][middle:],
-    )
+    low[widest], high[widest] = (rows[widest][:middle], rows[widest][middle:])
     return tuple(low), tuple(high)

@@ -134,6 +134,7 @@ class WidestTolerance:
 class ToleranceAnalysis:
     """Scores under misalignment.
 
+    lights: Names, in the rig's order.
     score: Where all angles are exact.
     worst: The least over all corners.
     worst_pose, worst_lights: The corner: offsets of the part and of each light [°].
@@ -142,6 +143,7 @@ class ToleranceAnalysis:
     widest: Angle by angle.
     """
 
+    lights: tuple[str, ...]
     score: int
     worst: int
     worst_pose: Offset
@@ -191,6 +193,7 @@ def analyse_tolerances(
         widest.append(_widest_tolerance(score, exact, angle, tolerances.target * nominal))
         report()
     return ToleranceAnalysis(
+        lights=tuple(names),
         score=nominal,
         worst=worst[0],
         worst_pose=worst[1],
@@ -228,15 +231,15 @@ def _widest_tolerance(
             return all(score(pose, exact)[0] >= least for pose in either)
         return score((0.0, 0.0), [either if i == light else o for i, o in enumerate(exact)]).min() >= least
 
-    kept = 0.0
+    widest = 0.0
     for rung in RUNGS:
         if not keeps(rung):
             break
-        kept = rung
+        widest = rung
     else:
-        return WidestTolerance(what=what, angle=angle, degrees=kept, open_ended=True)
+        return WidestTolerance(what=what, angle=angle, degrees=widest, open_ended=True)
     # rungs are multiples of a step
-    low, high = round(kept * STEPS_PER_DEG), round(rung * STEPS_PER_DEG)
+    low, high = round(widest * STEPS_PER_DEG), round(rung * STEPS_PER_DEG)
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (middle, high) if keeps(middle / STEPS_PER_DEG) else (low, middle)

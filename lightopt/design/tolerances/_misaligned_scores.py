@@ -87,7 +87,7 @@ class _Assessment(ABC):
 
     @abstractmethod
     def keep(self, matrices: Sequence[LuminanceMatrix], light: int, at: int) -> Any:
-        """What is kept of an image: row `at` of a light, in matrices of all exposures."""
+        """What is stored of an image: row `at` of a light, in matrices of all exposures."""
 
     def _compute_images(self, posture: int, pose: Offset, lights: Sequence[Sequence[Offset]]) -> None:
         # the images that are not known yet, those of all lights in one go

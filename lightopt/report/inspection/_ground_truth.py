@@ -10,8 +10,8 @@ import numpy as np
 
 from lightopt.report._charts import COLOURS, chart, name_lines
 from lightopt.report._drawing import SOFT, figure_image, fixed_style
+from lightopt.report._images import png_bytes
 from lightopt.report._page import Block, Facts, Note, Picture, Table
-from lightopt.report._png import png_bytes
 
 LINE_COLOURS = (*COLOURS[1:], COLOURS[0])
 POINTS = 60

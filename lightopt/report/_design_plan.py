@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -75,7 +76,7 @@ def posture_blocks(output: DesignOutput) -> list[Block]:
     if chosen is None:
         return []
     blocks: list[Block] = [
-        _posture_table(chosen),
+        posture_table(chosen),
         Facts(rows=_posture_facts(chosen, output.document.get("rounds", ()))),
     ]
     if chosen["left_out"]:
@@ -84,7 +85,8 @@ def posture_blocks(output: DesignOutput) -> list[Block]:
     return [*blocks, *_commands(output.document)]
 
 
-def _posture_table(chosen: Mapping[str, Any]) -> Table:
+def posture_table(chosen: Mapping[str, Any], *, with_exposures: bool = True) -> Table:
+    """The chosen postures in the order of travel, from ``chosen_postures`` of result.json."""
     text = partial(share_text, grain=chosen["patches"]["grain"])
     numbered = {
         Posture.from_dict(one): (number, one) for number, one in enumerate(chosen["postures"], start=1)
@@ -93,7 +95,7 @@ def _posture_table(chosen: Mapping[str, Any]) -> Table:
         [
             str(posture),
             str(number),
-            ", ".join(f"{exposure:.9g}" for exposure in one["exposures"]),
+            *([", ".join(f"{exposure:.9g}" for exposure in one["exposures"])] if with_exposures else []),
             text(one["gain"]),
             text(one["share"]),
         ]
@@ -110,7 +112,7 @@ def _posture_table(chosen: Mapping[str, Any]) -> Table:
         f"In the order of least travel, were all captured in one round. Of the surface × defects: {columns} Shares are "
         f"of {chosen['shares_of']}."
     )
-    header = ["posture", "chosen as no.", "exposures", "adds", "together"]
+    header = ["posture", "chosen as no.", *(["exposures"] if with_exposures else []), "adds", "together"]
     return Table(header=header, rows=rows, caption=caption)
 
 
@@ -155,15 +157,6 @@ def exposure_blocks(output: DesignOutput) -> list[Block]:
     if planned is None:
         return []
     text = partial(share_text, grain=planned["grain"])
-    rows = [
-        [
-            str(Posture.from_dict(shot["posture"])),
-            f"{shot['exposure']:g}",
-            text(shot["gain"]),
-            "yes" if shot["planned"] else "no",
-        ]
-        for shot in planned["shots"]
-    ]
     why = {shot["planned_for"] for shot in planned["shots"]}
     needed = ", or with another twice that" * ("pair" in why)
     needed += ", or where the target takes it" * ("target" in why)
@@ -172,32 +165,29 @@ def exposure_blocks(output: DesignOutput) -> list[Block]:
         f"alone {text(planned['share_without'])}. One is planned where it adds "
         f"{100.0 * planned['least_gain']:g} % or more{needed}."
     )
-    blocks: list[Block] = [
-        Note(text=note),
-        Table(header=["posture", "exposure", "adds", "planned"], rows=rows),
-    ]
+    blocks: list[Block] = [Note(text=note), exposure_table(planned)]
     return blocks if "chosen_postures" in output.document else [*blocks, *_commands(output.document)]
+
+
+def exposure_table(planned: Mapping[str, Any]) -> Table:
+    """The exposures that were considered, from ``exposures`` of result.json."""
+    rows = [
+        [
+            str(Posture.from_dict(shot["posture"])),
+            f"{shot['exposure']:g}",
+            share_text(shot["gain"], planned["grain"]),
+            "yes" if shot["planned"] else "no",
+        ]
+        for shot in planned["shots"]
+    ]
+    return Table(header=["posture", "exposure", "adds", "planned"], rows=rows)
 
 
 def tolerance_blocks(output: DesignOutput) -> list[Block]:
     """How far the score falls when angles are off, and how wide each may be."""
-    trust = output.document.get("trust")
-    if not trust:
+    tolerances = output.document.get("trust")
+    if not tolerances:
         return []
-    header = ["off by the tolerance", *(_postures(one["postures"]) for one in trust)]
-    rows = [
-        [
-            "worst corner keeps",
-            *(share_text(one["worst_corner"]["share_of_score"], one["grain"]) for one in trust),
-        ],
-        ["95 % of draws keep", *(share_text(one["quantile_5_percent"], one["grain"]) for one in trust)],
-    ]
-    for index, widest in enumerate(trust[0]["widest"]):
-        cells = [
-            f"{'≥ ' if one['widest'][index]['or_more'] else ''}{one['widest'][index]['degrees']:.2f}°"
-            for one in trust
-        ]
-        rows.append([f"widest: {widest['what']}, {widest['angle']}", *cells])
     offsets = output.document["provenance"]["options"]["tolerances"]
     caption = (
         f"Shares of the score: where lights are off by {offsets['light_deg']:g}° and the part by "
@@ -205,7 +195,46 @@ def tolerance_blocks(output: DesignOutput) -> list[Block]:
         f"angle alone, or those of all lights, may be off in steps of 0.05° before less than "
         f"{percent(offsets['target'], 0)} are kept."
     )
-    return [Table(header=header, rows=rows, caption=caption)]
+    table = tolerance_table(tolerances, [_postures(one["postures"]) for one in tolerances])
+    return [replace(table, caption=caption)]
+
+
+def tolerance_table(tolerances: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Table:
+    """What misalignment leaves of the scores, from ``trust`` of result.json; `names` are the heads of its columns."""
+    rows = [
+        [
+            "worst corner keeps",
+            *(share_text(one["worst_corner"]["share_of_score"], one["grain"]) for one in tolerances),
+        ],
+        ["95 % of draws keep", *(share_text(one["quantile_5_percent"], one["grain"]) for one in tolerances)],
+    ]
+    for index, widest in enumerate(tolerances[0]["widest"]):
+        cells = [
+            f"{'≥ ' if one['widest'][index]['or_more'] else ''}{one['widest'][index]['degrees']:.2f}°"
+            for one in tolerances
+        ]
+        rows.append([f"widest: {widest['what']}, {widest['angle']}", *cells])
+    return Table(header=["off by the tolerance", *names], rows=rows)
+
+
+def sets_text(chosen: Mapping[str, Any], of: str = "") -> str:
+    """Which sets of as many postures are known to show no more; the sentence goes on with "more"."""
+    number = counted(len(chosen["postures"]), "posture")
+    if chosen["best_of_sets"] is None:
+        return f"no {number}{of} show"
+    return f"none of the {chosen['best_of_sets']:,} sets of {number} shows"
+
+
+def search_text(chosen: Mapping[str, Any]) -> str:
+    """How postures and lights were searched: iterations, starts, patches."""
+    tried = "every combination" if chosen["every_combination_tried"] else "one light moved at a time"
+    drawn, patches = chosen["patches"]["drawn"], chosen["patches"]["all"]
+    where = f"on {drawn:,} of {patches:,} patches"
+    if chosen["turns_on_all_patches"]:
+        where = f"on all {patches:,} patches"
+        if drawn != patches:
+            where = f"on {drawn:,} patches, then {where}"
+    return f"in {counted(chosen['turns'], 'turn')}, the best of {counted(chosen['starts'], 'start')} ({tried}) {where}"
 
 
 def _bound(chosen: Mapping[str, Any], share: str) -> str:

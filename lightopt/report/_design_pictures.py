@@ -13,12 +13,11 @@ from lightopt.design import Curve, DesignOutput, DetectabilityObjective, SetResu
 from lightopt.images import ImageSet, read_image_set, read_png
 from lightopt.report._charts import COLOURS, chart, name_lines
 from lightopt.report._contact_sheet import degrees, entry_thumbnail, light_position, saturation_text
+from lightopt.report._design_answer import postures_text
 from lightopt.report._drawing import figure_image, fixed_style, printable
-from lightopt.report._optimum_answer import postures_text
+from lightopt.report._images import png_bytes, shrunk
 from lightopt.report._page import Block, Gallery, Note, Picture
-from lightopt.report._png import png_bytes
 from lightopt.report._rig_drawing import rig_image
-from lightopt.report._thumbnail import shrunk
 from lightopt.scene import PanelLight
 
 SIDE = 300

@@ -19,7 +19,6 @@ from lightopt.design import (
     left_out_text,
     near_meaning,
     near_text,
-    patches_text,
     score_text,
     share_of_whole,
     share_text,
@@ -29,6 +28,7 @@ from lightopt.design import (
 )
 from lightopt.rendering import GRAZING_DEG
 from lightopt.report._contact_sheet import degrees
+from lightopt.report._design_plan import search_text, sets_text
 from lightopt.report._page import Answer, Block, Note, Table, Warnings
 
 
@@ -137,14 +137,10 @@ def _plan_answer(chosen: Mapping[str, Any], exposures: Mapping[str, Any] | None)
 
 
 def _plan_proof(chosen: Mapping[str, Any]) -> str:
-    number = counted(len(chosen["postures"]), "posture")
     if chosen["optimum"] == "proven":
+        number = counted(len(chosen["postures"]), "posture")
         return f"Proven of these patches: no {number} of the {chosen['candidates']} show more."
-    sets = (
-        f"no {number} of the {chosen['candidates']} show"
-        if chosen["best_of_sets"] is None
-        else f"none of the {chosen['best_of_sets']:,} sets of {number} shows"
-    )
+    sets = sets_text(chosen, of=f" of the {chosen['candidates']}")
     more = (
         ""
         if chosen["proven_with_these_lights"]
@@ -154,15 +150,11 @@ def _plan_proof(chosen: Mapping[str, Any]) -> str:
     bound = f"Proven: with these lights {sets} more{more}{whatever}."
     if not chosen["turns"]:
         return f"{bound} No light moves."
-    tried = "every combination" if chosen["every_combination_tried"] else "one light moved at a time"
-    drawn, patches = chosen["patches"]["drawn"], chosen["patches"]["all"]
-    where = patches_text(drawn, patches, on_all_patches=chosen["turns_on_all_patches"])
     if chosen["lights_best_for_postures"]:
         bound += " Proven: in these postures no other positions of the lights show more."
     return (
         f"{bound} A local optimum: other postures with other lights may show more; the lights were placed for the "
-        f"postures, and the postures chosen for the lights, in {counted(chosen['turns'], 'turn')}, the best of "
-        f"{counted(chosen['starts'], 'start')} ({tried}) {where}."
+        f"postures, and the postures chosen for the lights, {search_text(chosen)}."
     )
 
 

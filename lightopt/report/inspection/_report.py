@@ -1,19 +1,18 @@
-"""The report of ``lightopt inspect``: the verdict first, then the pictures, the defects, and what was not inspected."""
+"""The reports of ``lightopt inspect``: of one part, the verdict first; of a batch, a row for each part."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lightopt.config import InspectionConfig
 from lightopt.core.errors import counted, percent
-from lightopt.inspection import REFERENCE_DEFECT, InspectionResult, Verdict
-from lightopt.report._inspection_pictures import image_blocks
-from lightopt.report._inspection_surface import marked_part
-from lightopt.report._inspection_tables import dark_text, defect_table, placement_text, surface_table
-from lightopt.report._page import Answer, Facts, Note, Page, Section, Warnings
+from lightopt.inspection import REFERENCE_CONTRAST, REFERENCE_DEFECT, BatchRow, InspectionResult, Verdict
+from lightopt.report._page import Answer, Facts, Note, Page, Section, Table, Warnings
 from lightopt.report._page_html import page_html
-from lightopt.report._truth_blocks import truth_blocks
+from lightopt.report.inspection._ground_truth import truth_blocks
+from lightopt.report.inspection._pictures import image_blocks, marked_part
+from lightopt.report.inspection._tables import dark_text, defect_table, placement_text, surface_table
 
 
 def inspection_report(
@@ -27,16 +26,10 @@ def inspection_report(
 ) -> str:
     """The report of an inspection as HTML.
 
-    Parameters
-    ----------
-    result, verdict
-        Of one set of images.
-    part, rig
-        Their names.
-    provenance
-        From :func:`lightopt.inspection.inspection_provenance`.
-    truth
-        From :func:`lightopt.inspection.summarise`; None where nothing is known of the part.
+    result, verdict: Of one set of images.
+    part, rig: Their names.
+    provenance: From :func:`lightopt.inspection.inspection_provenance`.
+    truth: From :func:`lightopt.inspection.summarise`; None where nothing is known of the part.
     """
     sections = [
         Section(heading="Where the defects are", blocks=[marked_part(result, part)]),
@@ -92,8 +85,8 @@ def _facts(result: InspectionResult, verdict: Verdict, provenance: Mapping[str, 
     for posture in result.postures:
         view = posture.view
         gains = ", ".join(f"{name} ×{view.photometry.gains[name]:.4f}" for name in view.lights)
-        told = f"threshold {posture.threshold:.2f}; brightness found: {gains}"
-        rows.append((f"posture {view.posture}", f"{told}; dark {view.photometry.dark:+.2f} levels"))
+        found = f"threshold {posture.threshold:.2f}; brightness found: {gains}"
+        rows.append((f"posture {view.posture}", f"{found}; dark {view.photometry.dark:+.2f} levels"))
     return Facts(rows=rows)
 
 
@@ -107,3 +100,63 @@ def _limits(limits: InspectionConfig) -> str:
 
 def _rate(rate: float, *, calibrated: bool) -> str:
     return f"in a posture, on a share of {rate:g} of good parts" if calibrated else f"{rate:g} per posture"
+
+
+def batch_report(
+    rows: Sequence[BatchRow], *, part: str, rig: str, version: str, truth: Mapping[str, Any] | None = None
+) -> str:
+    """The report of several parts as HTML: a row each, in the order of the sets.
+
+    part, rig: Their names.
+    version: Of lightopt.
+    truth: As :func:`inspection_report` takes it, over all sets.
+    """
+    good = sum(row.verdict is not None and row.verdict.good for row in rows)
+    refused = sum(row.verdict is None for row in rows)
+    table = Table(
+        header=[
+            "set",
+            "verdict",
+            "reasons",
+            "defects",
+            "that count",
+            "inspected",
+            f"finds {100 * REFERENCE_CONTRAST:g} %",
+            "only glints",
+        ],
+        rows=[_cells(row) for row in rows],
+        numbers_from=3,
+        caption="A set's name leads to its own report. Inspected: share of the surface that the part's postures show. "
+        f"Finds: share of it where {REFERENCE_DEFECT} is found half of the time. Only glints: share of it that was "
+        "inspected, but is dark.",
+        links=[row.report for row in rows],
+    )
+    rest = f"; {counted(refused, 'set')} not inspected" if refused else ""
+    sections = [
+        Section(heading="Parts", blocks=[table]),
+        Section(heading="Against the truth", blocks=[] if truth is None else truth_blocks(truth)),
+    ]
+    return page_html(
+        Page(
+            title=f"{counted(len(rows), 'part')}: {part}",
+            subtitle=f"{part} on {rig}, lightopt {version}",
+            lead=[Answer(figure=f"{good} of {len(rows)}", text=f"parts are OK{rest}")],
+            sections=[section for section in sections if section.blocks],
+        )
+    )
+
+
+def _cells(row: BatchRow) -> list[str]:
+    verdict = row.verdict
+    if verdict is None:
+        return [row.name, row.word, "; ".join(row.refused), *"-----"]
+    return [
+        row.name,
+        row.word,
+        verdict.explanation,
+        str(row.defects),
+        str(len(verdict.counting)),
+        percent(verdict.inspected),
+        percent(verdict.finds),
+        percent(verdict.glints),
+    ]

@@ -1,4 +1,4 @@
-"""Assumptions of a design: everything that its figures depend on."""
+"""The report of ``lightopt optimize``: the answer first, then what it is based on, last what all figures depend on."""
 
 from __future__ import annotations
 
@@ -8,16 +8,53 @@ from typing import Any
 from lightopt.core.errors import counted
 from lightopt.design import DIRECTIONS, DesignOutput, defect_hypotheses
 from lightopt.rendering import GRAZING_DEG
-from lightopt.report._page import Block, Facts, Table
+from lightopt.report._design_answer import answer_blocks, scores_table
+from lightopt.report._design_pictures import curve_blocks, drawing_blocks, image_blocks
+from lightopt.report._design_plan import (
+    blind_tables,
+    defect_blocks,
+    exposure_blocks,
+    posture_blocks,
+    tolerance_blocks,
+)
+from lightopt.report._design_surface import surface_blocks
+from lightopt.report._page import Block, Facts, Page, Section, Table
+from lightopt.report._page_html import page_html
 from lightopt.scene import PanelLight, build_catalogue
+
+
+def design_report(output: DesignOutput) -> str:
+    """The report of an optimisation as HTML; for :func:`lightopt.design.finish_design`."""
+    return page_html(design_page(output))
+
+
+def design_page(output: DesignOutput) -> Page:
+    """The report of an optimisation as plain values."""
+    sections = [
+        Section(heading="What the images show", blocks=surface_blocks(output)),
+        Section(heading="Blind spots", blocks=blind_tables(output)),
+        Section(heading="Defects", blocks=defect_blocks(output)),
+        Section(heading="Postures", blocks=posture_blocks(output)),
+        Section(heading="Exposures", blocks=exposure_blocks(output)),
+        Section(heading="Images of the best set", blocks=image_blocks(output)),
+        Section(heading="Where the lights stand", blocks=drawing_blocks(output)),
+        Section(heading="How flat the top is", blocks=curve_blocks(output)),
+        Section(heading="How exact the angles must be", blocks=tolerance_blocks(output)),
+        Section(heading="Scores", blocks=[scores_table(output)]),
+        Section(heading="What was assumed", blocks=fact_blocks(output)),
+    ]
+    rig, part = output.result.rig, output.result.part
+    return Page(
+        title=f"Where the lights go: {part.name}",
+        subtitle=f"{part.name} on {rig.name}, lightopt {output.document['provenance']['lightopt']}",
+        lead=answer_blocks(output),
+        sections=[section for section in sections if section.blocks],
+    )
 
 
 def fact_blocks(output: DesignOutput) -> list[Block]:
     """LevelThresholds, sensor, reflectance, patches, options, versions and hashes; and the positions left out."""
-    blocks: list[Block] = [
-        Facts(rows=[*_physics(output), *_search(output)]),
-        Facts(rows=_provenance(output)),
-    ]
+    blocks: list[Block] = [Facts(rows=[*_physics(output), *_search(output)]), Facts(rows=_provenance(output))]
     if output.result.all_candidates.left_out:
         blocks.append(
             Table(

@@ -47,7 +47,7 @@ BLOCK_ROWS = 64
 def blind_pictures(result: DesignResult) -> dict[Posture, UInt8]:
     """What the camera sees in each posture, coloured by what the chosen lights show of the defects, with a legend.
 
-    Pictures have the shape (height, width, 3); none where no defects were looked for.
+    Pictures have the shape (height, width, 3); none where images are not tested for defects.
     """
     if result.blind is None or result.patches is None:
         return {}

@@ -1,14 +1,44 @@
-"""A camera image made small without losing its highlights."""
+"""Pictures as PNG, the same picture as the same bytes; camera images made small without losing their highlights."""
 
 from __future__ import annotations
 
+import io
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from lightopt.core.arrays import Bool, Float64, UInt8
+from lightopt.core.errors import InputError
+from lightopt.images import write_bytes_atomic
+
+
+def check_png_path(path: str | Path) -> Path:
+    """The path of a picture to write; an InputError where it does not end in ``.png``."""
+    path = Path(path)
+    if path.suffix.lower() != ".png":
+        raise InputError(f"{path}: pictures are written as PNG; expected a name that ends in .png")
+    return path
+
+
+def write_picture(path: Path, image: Image.Image, *, overwrite: bool = True) -> Path:
+    """Write an RGB picture, whole or not at all.
+
+    Raises InputError: The file cannot be written, or one of other content is there and `overwrite` is False.
+    """
+    write_bytes_atomic(path, png_bytes(image), overwrite=overwrite)
+    return path
+
+
+def png_bytes(image: Image.Image) -> bytes:
+    """The bytes of a PNG file."""
+    data = io.BytesIO()
+    image.save(data, format="PNG", compress_level=6)
+    return data.getvalue()
+
 
 SATURATED_COLOUR = (225, 29, 42)
 """Of a cell all of whose pixels are saturated."""
@@ -21,7 +51,7 @@ FAINTEST_MARK = 0.4
 class Thumbnail:
     """A small picture of an image: RGB, shape (rows, columns, 3), read-only.
 
-    saturated, pixels : number of saturated pixels and of all pixels in the image
+    saturated, pixels: Number of saturated pixels and of all pixels in the image
     """
 
     picture: UInt8
@@ -38,15 +68,10 @@ def thumbnail_size(width: int, height: int, limit: int) -> tuple[int, int]:
 def thumbnail(level: NDArray[np.floating], saturated: Bool, *, limit: int) -> Thumbnail:
     """Shrink an image by averaging square cells of whole pixels; small images are enlarged by repeating pixels.
 
-    Parameters
-    ----------
-    level
-        Share of full scale, shown linearly as grey from black (0 and below) to white (1 and above), shape
-        (rows, columns).
-    saturated
-        Where the camera is saturated, same shape. The share of saturated pixels in a cell tints it.
-    limit
-        Neither side becomes longer [px].
+    level: Share of full scale, shown linearly as grey from black (0 and below) to white (1 and above), shape (rows,
+        columns).
+    saturated: Where the camera is saturated, same shape. The share of saturated pixels in a cell tints it.
+    limit: Neither side becomes longer [px].
     """
     height, width = level.shape
     shrink, enlarge = _factors(width, height, limit)

@@ -10,7 +10,7 @@ from lightopt.core.arrays import UInt8
 from lightopt.core.transforms import Posture
 from lightopt.design import DesignOutput, Levels, LevelThresholds, area_text, area_units, share_text
 from lightopt.rendering import GRAZING_DEG, grain_of
-from lightopt.report._optimum_blind import blind_layers
+from lightopt.report._design_blind_spots import blind_layers
 from lightopt.report._page import Block, Note, SurfaceView, Table
 from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer, first_view
 
