@@ -167,8 +167,8 @@ def search_rows(
     rng = np.random.default_rng(1)
     count = PLAIN_COMBINATIONS // 10
     drawn = [tuple(int(rng.integers(n)) for n in matrix.shape) for _ in range(count)]
-    for seen_in in SEEN_IN:
-        objective = DetectabilityObjective(trials, seen_in)
+    for min_images in SEEN_IN:
+        objective = DetectabilityObjective(trials, min_images)
         weights = objective.weights(matrix.areas)
 
         def fast(objective: DetectabilityObjective = objective) -> object:
@@ -179,11 +179,11 @@ def search_rows(
 
         fast()  # compiles
         times = rounds({"search": fast, "plain": plain}, repeats)
-        numbers[f"search: {part}, {name}, {seen_in}"] = times
+        numbers[f"search: {part}, {name}, {min_images}"] = times
         slow = min(times["plain"]) / count * cells
         rows.append(
             (
-                part, name, f"{len(matrix.areas):,} × {len(trials)}", str(seen_in), f"{cells:,}",
+                part, name, f"{len(matrix.areas):,} × {len(trials)}", str(min_images), f"{cells:,}",
                 f"{min(times['search']):.3f}", f"{slow:,.0f}", f"{slow / min(times['search']):,.0f}",
             )
         )  # fmt: skip

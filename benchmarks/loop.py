@@ -90,7 +90,7 @@ class Tally:
 
     part: str
     objective: str
-    seen_in: int
+    min_images: int
     kind: str
     planned: float
     beneath: float
@@ -149,9 +149,9 @@ class Prediction:
         assert matrix.visibility is not None
         self.visibility: Visibility = matrix.visibility
 
-    def seen(self, seen_in: int) -> Bool:
+    def seen(self, min_images: int) -> Bool:
         """Whether enough images show each trial on each patch, shape (p, t)."""
-        words = self.visibility.seen((0,) * len(self.visibility.words), seen_in)
+        words = self.visibility.seen((0,) * len(self.visibility.words), min_images)
         return unpack_flags(words, len(self.trials))
 
     def trials_of(self, name: str) -> Bool:
@@ -219,9 +219,9 @@ def close_loop(folder: Path, name: str, options: argparse.Namespace) -> Iterator
             image_set = take(rig, part, folder / f"{name}-{objective}-{seed}", seed)
             once = inspect_set(rig, part, image_set, options=InspectOptions(fusion=None, min_images=1))
             placed = place_defects(once.nominal, rig, part)
-            for seen_in in SEEN_IN:
-                result = once if seen_in == 1 else looked_at_again(once, seen_in)
-                counts.add(seen_in, placed, evaluate_set(image_set, result, known=placed))
+            for min_images in SEEN_IN:
+                result = once if min_images == 1 else looked_at_again(once, min_images)
+                counts.add(min_images, placed, evaluate_set(image_set, result, known=placed))
             print(f"{name}, {objective}, seed {seed}: done", flush=True)
         yield from counts.tallies(name, objective)
 
@@ -236,8 +236,8 @@ class _Counts:
         self.false_alarms = dict.fromkeys(SEEN_IN, 0)
         self.postures = dict.fromkeys(SEEN_IN, 0)
 
-    def add(self, seen_in: int, placed: tuple[PlacedDefect, ...], known: SetEvaluation) -> None:
-        seen, areas = self.prediction.seen(seen_in), self.prediction.visibility.areas
+    def add(self, min_images: int, placed: tuple[PlacedDefect, ...], known: SetEvaluation) -> None:
+        seen, areas = self.prediction.seen(min_images), self.prediction.visibility.areas
         found = {defect.name: defect.found for defect in known.defects}
         for defect in placed:
             if defect.name not in found:
@@ -245,38 +245,38 @@ class _Counts:
             kind = defect.name.rsplit("-", 1)[0]
             rows = self.prediction.beneath(defect)
             pairs = seen[np.ix_(rows, self.prediction.trials_of(kind))]
-            key = seen_in, kind
+            key = min_images, kind
             share = float(areas[rows] @ pairs.mean(axis=1) / areas[rows].sum())
             self.shares.setdefault(key, []).append(share)
             self.hits.setdefault(key, []).append((bool(pairs.any()), found[defect.name]))
-        self.false_alarms[seen_in] += known.false_alarms
-        self.postures[seen_in] += known.postures
+        self.false_alarms[min_images] += known.false_alarms
+        self.postures[min_images] += known.postures
 
     def tallies(self, part: str, objective: str) -> Iterator[Tally]:
         areas = self.prediction.visibility.areas
-        for seen_in in SEEN_IN:
-            seen = self.prediction.seen(seen_in)
-            kinds = [kind for number, kind in self.hits if number == seen_in]
+        for min_images in SEEN_IN:
+            seen = self.prediction.seen(min_images)
+            kinds = [kind for number, kind in self.hits if number == min_images]
             planned = {
                 kind: float(areas @ seen[:, self.prediction.trials_of(kind)].mean(axis=1) / areas.sum())
                 for kind in kinds
             }
             for kind in (*kinds, "all"):
                 own = [k for k in kinds if kind in (k, "all")]
-                shares = [x for k in own for x in self.shares[seen_in, k]]
-                hits = [x for k in own for x in self.hits[seen_in, k]]
+                shares = [x for k in own for x in self.shares[min_images, k]]
+                hits = [x for k in own for x in self.hits[min_images, k]]
                 yield Tally(
                     part=part,
                     objective=objective,
-                    seen_in=seen_in,
+                    min_images=min_images,
                     kind=kind,
                     planned=float(np.mean([planned[k] for k in own])),
                     beneath=float(np.mean(shares)),
                     strewn=len(hits),
                     whole=sum(whole for whole, _ in hits),
                     found=sum(found for _, found in hits),
-                    false_alarms=self.false_alarms[seen_in],
-                    postures=self.postures[seen_in],
+                    false_alarms=self.false_alarms[min_images],
+                    postures=self.postures[min_images],
                 )
 
 
@@ -289,15 +289,15 @@ def table(tallies: list[Tally]) -> str:
     for t in tallies:
         if t.kind == "all":
             alarms = f"{t.false_alarms} in {t.postures}"
-            lines.append(f"| {t.part} | {t.objective} | {t.seen_in} | {_cells(t)} | {alarms} |")
+            lines.append(f"| {t.part} | {t.objective} | {t.min_images} | {_cells(t)} | {alarms} |")
     lines += [
         "",
         "| kind | images | planned | beneath | whole | found | 95 % |",
         "|---|---|---|---|---|---|---|",
     ]
     mine = [t for t in tallies if t.objective == "detectability" and t.kind != "all"]
-    for seen_in, kind in itertools.product(SEEN_IN, dict.fromkeys(t.kind for t in mine)):
-        both = [t for t in mine if (t.seen_in, t.kind) == (seen_in, kind)]
+    for min_images, kind in itertools.product(SEEN_IN, dict.fromkeys(t.kind for t in mine)):
+        both = [t for t in mine if (t.min_images, t.kind) == (min_images, kind)]
         strewn = sum(t.strewn for t in both)
         joined = replace(
             both[0],
@@ -307,7 +307,7 @@ def table(tallies: list[Tally]) -> str:
             whole=sum(t.whole for t in both),
             found=sum(t.found for t in both),
         )
-        lines.append(f"| {kind} | {seen_in} | {_cells(joined)} |")
+        lines.append(f"| {kind} | {min_images} | {_cells(joined)} |")
     return "\n".join(lines)
 
 
@@ -329,12 +329,12 @@ def plot(tallies: list[Tally], path: Path) -> None:
             title="The loop, kind by kind",
             x_label="predicted [%]",
             labels=[
-                f"found [%] against {what}, {seen_in} image{'s' if seen_in > 1 else ''}"
-                for seen_in, what in shown
+                f"found [%] against {what}, {min_images} image{'s' if min_images > 1 else ''}"
+                for min_images, what in shown
             ],
         )
-        for panel, (seen_in, what) in zip(panels, shown, strict=True):
-            own = [t for t in tallies if t.kind != "all" and t.seen_in == seen_in]
+        for panel, (min_images, what) in zip(panels, shown, strict=True):
+            own = [t for t in tallies if t.kind != "all" and t.min_images == min_images]
             predicted = [t.planned if what.startswith("share") else t.whole / t.strewn for t in own]
             found = [100.0 * t.found / t.strewn for t in own]
             panel.plot([100.0 * share for share in predicted], found, ".", color="#5c636e")

@@ -200,6 +200,6 @@ def tolerances(drawn: ImageEvaluator, choice: PostureChoice) -> tuple[float, int
         exposures=((1.0,),),
     )
     names = [light.name for light in rig.lights]
-    assess = PairAssessment(drawn, setup, seen_in=1)
+    assess = PairAssessment(drawn, setup, min_images=1)
     found = analyse_tolerances(assess, names, Tolerances(light_deg=2.0, pose_deg=1.0))
     return found.worst / max(1, found.score), len(drawn.patches)

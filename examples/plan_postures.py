@@ -14,7 +14,7 @@ HERE = Path(__file__).parent
 def main(out: Path) -> None:
     rig, part = load_rig(HERE / "rig.yaml"), load_part(HERE / "part.yaml")
     options = OptimizeOptions(step_deg=30, patch_budget=600, images=False)
-    plan = PlanOptions(postures=2, posture_step_deg=90)
+    plan = PlanOptions(choose_postures=2, posture_step_deg=90)
     result = optimize(rig, part, out, options=options, plan=plan)
     print("postures, in the order of least travel:", *result.options.postures or ())
     finish_design(write_design(result), None)

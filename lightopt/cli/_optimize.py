@@ -237,7 +237,7 @@ def optimize(
         images=images,
         report=report,
         rows=ranking_rows,
-        **given(seen_in=min_images, contrast=threshold, patch_budget=patches, limit=max_combinations),
+        **given(min_images=min_images, threshold=threshold, patch_budget=patches, limit=max_combinations),
     )
     try:
         with show_progress(quiet=quiet) as progress:

@@ -145,7 +145,7 @@ def show_blind_spots(blind: BlindSpotSummary) -> None:
     ]
     header = ["posture", "lights", "seen", *(blind_text(code, blind.lights) for code in codes), "left out"]
     show_table(header, rows, numbers_from=2)
-    images = counted(blind.objective.seen_in, "image")
+    images = counted(blind.objective.min_images, "image")
     own = "; a posture's own images in its row, those of all postures in all" if len(parts) > 1 else ""
     say(f"shares of {BLIND_SHARES_OF}, seen in {images} or more{own}")
     say("left out: of the whole surface, what the camera sees at a grazing angle only")

@@ -52,7 +52,7 @@ def _show_postures(chosen: Section) -> None:
         say(f"left out: posture {Posture.from_dict(out)}: {out['reason']}")
     table = posture_table(chosen, with_exposures=len(chosen["bounds_with_any_of_exposures"]) > 1)
     show_table(table.header, table.rows)
-    number, images = counted(len(chosen["postures"]), "posture"), counted(chosen["seen_in"], "image")
+    number, images = counted(len(chosen["postures"]), "posture"), counted(chosen["min_images"], "image")
     say(
         f"{number} of {chosen['candidates']} show {text(chosen['share'])} of the surface × defects in {images} or "
         "more, all planned images together and no others"
@@ -65,8 +65,8 @@ def _show_postures(chosen: Section) -> None:
         f"is: shares may be off by some {100.0 * patches['grain']:.1g} points"
     )
     _show_spare(chosen, text)
-    if chosen["seen_in"] > 1:
-        k = chosen["seen_in"]
+    if chosen["min_images"] > 1:
+        k = chosen["min_images"]
         say(
             f"adds: images new to a pair of patch and defect, up to {k} of each; together: pairs with {k} images or "
             "more"

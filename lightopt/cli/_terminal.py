@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def say(text: str) -> None:
     """Print a line of results to standard output."""
-    typer.echo(text)
+    typer.echo(with_flags(text))
 
 
 def say_error(*messages: str, label: str = "error: ") -> None:

@@ -33,7 +33,7 @@ def _check_image_count(rig: RigConfig, part: PartConfig, options: OptimizeOption
     # no defect can be seen in more images than there are
     if plan.chooses:
         available = len(posture_grid(rig, part, step_deg=plan.posture_step_deg))
-        most = min(available, plan.postures or available)
+        most = min(available, plan.choose_postures or available)
         images = len(rig.lights) * most
         what = f"images of the plan: {counted(len(rig.lights), 'light')} × {counted(most, 'posture')} at most"
     elif plan.exposures:
@@ -43,9 +43,10 @@ def _check_image_count(rig: RigConfig, part: PartConfig, options: OptimizeOption
         what = f"images of the plan: {of}, further exposures of the same light not being others"
     else:
         return
-    if options.seen_in > images:
+    if options.min_images > images:
         raise InputError(
-            f"--seen-in: expected at most {images}, the number of {what}; found {options.seen_in}; lower it"
+            f"option 'min_images': expected at most {images}, the number of {what}; found {options.min_images}; "
+            "lower it"
         )
 
 
@@ -57,16 +58,20 @@ def _check_choice_of_postures(rig: RigConfig, options: OptimizeOptions, plan: Pl
     if options.postures is not None:
         given = " and ".join(
             name
-            for name, value in (("--choose-postures", plan.postures), ("--target", plan.target))
+            for name, value in (
+                ("option 'choose_postures'", plan.choose_postures),
+                ("option 'target'", plan.target),
+            )
             if value is not None
         )
         problems.append(
-            f"--posture: given together with {given}, by which postures are chosen from the stage's range; leave "
-            f"--posture out, or {given}"
+            f"option 'postures': given together with {given}, by which postures are chosen from the stage's range; "
+            f"leave option 'postures' out, or {given}"
         )
     if options.objectives and options.objectives[0] != DEFECT_OBJECTIVE:
         problems.append(
-            f"--objective: postures are chosen by what they show of the defects: expected {DEFECT_OBJECTIVE} first, "
+            "option 'objectives': postures are chosen by what they show of the defects: expected "
+            f"{DEFECT_OBJECTIVE} first, "
             f'found "{options.objectives[0]}"'
         )
     if problems:

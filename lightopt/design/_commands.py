@@ -69,18 +69,17 @@ def plan_commands(
     for number, ((file, exposures), postures) in enumerate(groups.items(), start=1):
         end = "" if len(groups) == 1 else f"-{number}"
         chosen = [] if len(groups) == 1 else _posture_words(postures)
-        levels = [f"{exposure:.9g}" for exposure in exposures]
+        levels = f"--exposures {','.join(f'{exposure:.9g}' for exposure in exposures)}"
         words = [
             "lightopt capture",
             file,
             part,
             *chosen,
-            f"--exposures {','.join(levels)}",
+            levels,
             f"-o captured{end}",
         ]
         captures.append(Command(text=" ".join(words), way=way_through(rig, postures)))
-        each = (f"--exposure {level}" for level in levels)
-        words = ["lightopt render", file, part, *chosen, *each, *render, f"-o rendered{end}"]
+        words = ["lightopt render", file, part, *chosen, levels, *render, f"-o rendered{end}"]
         renders.append(Command(text=" ".join(words)))
     return (*captures, *renders)
 
@@ -109,10 +108,10 @@ def _search_words(options: OptimizeOptions) -> list[str]:
     words = [word for name in options.objectives for word in ("--objective", name)]
     words += _differing(
         ("--step", options.step_deg, default.step_deg),
-        ("--seen-in", options.seen_in, default.seen_in),
-        ("--threshold", options.contrast, default.contrast),
+        ("--min-images", options.min_images, default.min_images),
+        ("--threshold", options.threshold, default.threshold),
         ("--shade-below", options.shade_below, default.shade_below),
-        ("--rows", options.rows, default.rows),
+        ("--ranking-rows", options.rows, default.rows),
         ("--max-combinations", options.limit, default.limit),
     )
     words += _posture_words(options.postures or ())
@@ -127,7 +126,7 @@ def _search_words(options: OptimizeOptions) -> list[str]:
 def _plan_words(plan: PlanOptions) -> list[str]:
     default = PlanOptions()
     words = _differing(
-        ("--choose-postures", plan.postures, None),
+        ("--choose-postures", plan.choose_postures, None),
         ("--target", plan.target, None),
         ("--posture-step", plan.posture_step_deg, default.posture_step_deg),
         ("--allow-outside", plan.allow_outside_px, default.allow_outside_px),
@@ -138,9 +137,9 @@ def _plan_words(plan: PlanOptions) -> list[str]:
     if plan.tolerances is not None:
         none = Tolerances(light_deg=0.0, pose_deg=0.0)
         words += _differing(
-            ("--tolerance-deg", plan.tolerances.light_deg, none.light_deg),
-            ("--pose-tolerance-deg", plan.tolerances.pose_deg, none.pose_deg),
-            ("--tolerance-target", plan.tolerances.target, none.target),
+            ("--light-tolerance", plan.tolerances.light_deg, none.light_deg),
+            ("--pose-tolerance", plan.tolerances.pose_deg, none.pose_deg),
+            ("--tolerance-target", plan.tolerances.tolerance_target, none.tolerance_target),
         )
     return words
 

@@ -253,7 +253,7 @@ def _objectives(
         # positions that were chosen before were chosen for the images of all postures together
         lambda: DetectabilityObjective(
             defect_hypotheses(build_catalogue(part)),
-            options.seen_in,
+            options.min_images,
             across_postures=options.places is not None,
         ),
     )
@@ -346,7 +346,7 @@ def _complete(
         candidates,
         all_exposures=plan.all_exposures,
         thresholds=problem.thresholds,
-        least=problem.options.seen_in,
+        least=problem.options.min_images,
         progress=run.stage("blind spots"),
     )
     return planned, visibility

@@ -12,7 +12,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
 from lightopt.design.exposures._plan_exposures import DEFAULT_EXPOSURE_GAIN, check_exposures
-from lightopt.design.objectives._detectability import DetectabilityObjective, seen_in_problem
+from lightopt.design.objectives._detectability import DetectabilityObjective, min_images_problem
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.postures._posture_grid import DEFAULT_OUTSIDE_PX, DEFAULT_POSTURE_STEP
 from lightopt.design.responses._detection import DEFAULT_CONTRAST, threshold_problem
@@ -37,8 +37,8 @@ class OptimizeOptions:
     common_elevation: Whether all lights that move in elevation stand at the same one.
     common_lights: Whether the lights stand the same for all postures: the sum over the postures decides.
     shade_below: Share of full scale, above black, below which a level is shaded.
-    seen_in: Images that must show a defect, for objective detectability.
-    contrast: Times the sensor's noise that a defect must change the level by, for objective detectability.
+    min_images: Images that must show a defect, for objective detectability.
+    threshold: Times the sensor's noise that a defect must change the level by, for objective detectability.
     postures, points: Instead of the part's own; point lights per panel, instead of the rig's.
     patch_budget: About how many patches may be visible.
     images, report: Whether images of the best set and an HTML report are part of the results.
@@ -53,8 +53,8 @@ class OptimizeOptions:
     common_elevation: bool = False
     common_lights: bool = False
     shade_below: float = DEFAULT_SHADE_SHARE
-    seen_in: int = 1
-    contrast: float = DEFAULT_CONTRAST
+    min_images: int = 1
+    threshold: float = DEFAULT_CONTRAST
     postures: tuple[Posture, ...] | None = None
     points: int | Literal["auto"] | None = None
     shadows: bool = True
@@ -81,7 +81,7 @@ def check_options(options: OptimizeOptions) -> None:
             problems.append(f"{name}: expected at least 1, found {value}")
     if options.postures is not None and len(set(options.postures)) < len(options.postures):
         problems.append("posture: the same posture was given twice")
-    defects = (seen_in_problem(options.seen_in), threshold_problem(options.contrast))
+    defects = (min_images_problem(options.min_images), threshold_problem(options.threshold))
     problems += [problem for problem in defects if problem is not None]
     if problems:
         raise InputError(*problems)
@@ -91,14 +91,14 @@ def check_options(options: OptimizeOptions) -> None:
 class PlanOptions:
     """What to plan beside the positions of the lights; nothing by default.
 
-    postures: How many to choose; as many as the target takes where None.
+    choose_postures: How many to choose; as many as the target takes where None.
     target: Share of the pairs of patch and defect that the chosen ones are to show; None for no matter.
     posture_step_deg, allow_outside_px: Of the postures to choose from: step of the grid [°], and how far the part may
         leave the view [px].
     exposures, exposure_gain: To choose from beside exposure 1, and the points that one has to add.
     """
 
-    postures: int | None = None
+    choose_postures: int | None = None
     target: float | None = None
     posture_step_deg: float = DEFAULT_POSTURE_STEP
     allow_outside_px: float = DEFAULT_OUTSIDE_PX
@@ -109,7 +109,7 @@ class PlanOptions:
     @property
     def chooses(self) -> bool:
         """Whether postures are to be chosen."""
-        return self.postures is not None or self.target is not None
+        return self.choose_postures is not None or self.target is not None
 
     @property
     def all_exposures(self) -> tuple[float, ...]:
@@ -120,7 +120,7 @@ class PlanOptions:
         """The options that are in use, as JSON."""
         facts: dict[str, Any] = {}
         if self.chooses:
-            facts["choose_postures"] = self.postures
+            facts["choose_postures"] = self.choose_postures
             facts["target"] = self.target
             facts["posture_step_deg"] = self.posture_step_deg
             facts["allow_outside_px"] = self.allow_outside_px
@@ -131,7 +131,7 @@ class PlanOptions:
             facts["tolerances"] = {
                 "light_deg": self.tolerances.light_deg,
                 "pose_deg": self.tolerances.pose_deg,
-                "target": self.tolerances.target,
+                "target": self.tolerances.tolerance_target,
                 "draws": self.tolerances.draws,
                 "seed": self.tolerances.seed,
             }
@@ -141,18 +141,18 @@ class PlanOptions:
 def check_plan(plan: PlanOptions) -> None:
     """Refuse options that are out of range, all at once."""
     problems: list[str] = []
-    if plan.postures is not None and plan.postures < 1:
-        problems.append(f"--choose-postures: expected 1 posture or more, found {plan.postures}")
+    if plan.choose_postures is not None and plan.choose_postures < 1:
+        problems.append(f"option 'choose_postures': expected 1 posture or more, found {plan.choose_postures}")
     if plan.target is not None and not 0.0 < plan.target <= 1.0:
         percents = 1.0 < plan.target <= 100.0
-        hint = f"; {plan.target:g} % is --target {plan.target / 100.0:g}" if percents else ""
+        hint = f"; for {plan.target:g} % give {plan.target / 100.0:g}" if percents else ""
         problems.append(
-            "--target: expected a share of the surface above 0 and up to 1, such as 0.95, found "
+            "option 'target': expected a share of the surface above 0 and up to 1, such as 0.95, found "
             f"{plan.target:g}{hint}"
         )
     if not (math.isfinite(plan.allow_outside_px) and plan.allow_outside_px >= 0.0):
         problems.append(
-            f"--allow-outside: expected a number of pixels, 0 or more, found {plan.allow_outside_px:g}"
+            f"option 'allow_outside_px': expected a number of pixels, 0 or more, found {plan.allow_outside_px:g}"
         )
     problems += check_exposures(plan.exposures, plan.exposure_gain)
     if problems:
@@ -209,7 +209,7 @@ def known_provenance(
 
 
 def _defect_facts(options: OptimizeOptions) -> dict[str, Any]:
-    return {"seen_in": options.seen_in, "threshold": options.contrast}
+    return {"min_images": options.min_images, "threshold": options.threshold}
 
 
 def _plan_facts(options: OptimizeOptions, plan: PlanOptions) -> dict[str, Any]:

@@ -67,7 +67,7 @@ class PlacedLights:
             postures,
             [[setup.panel(i, light, (0.0, 0.0)) for light in lights] for i in range(len(postures))],
             plan.exposures,
-            seen_in=self.options.seen_in,
+            min_images=self.options.min_images,
             gain_points=plan.exposure_gain,
             target=plan.target,
             progress=run.stage("exposures"),
@@ -86,7 +86,7 @@ class PlacedLights:
         drawn = replace(evaluator, table=drawn_patches(evaluator.table, DRAWN_PATCHES))
         postures = tuple(self.angles)
         # one posture alone shows nothing where it has fewer lights than images that must show a defect
-        single = len(self.rig.lights) >= self.options.seen_in or len(postures) == 1
+        single = len(self.rig.lights) >= self.options.min_images or len(postures) == 1
         groups = [(posture,) for posture in postures if single] + ([postures] if len(postures) > 1 else [])
         return tuple(
             ToleranceResult(
@@ -108,7 +108,7 @@ class PlacedLights:
         self, drawn: ImageEvaluator, setup: Setup, objective: Objective, thresholds: LevelThresholds
     ) -> PairAssessment | ObjectiveAssessment:
         if objective.name == DEFECT_OBJECTIVE:
-            return PairAssessment(drawn, setup, seen_in=self.options.seen_in)
+            return PairAssessment(drawn, setup, min_images=self.options.min_images)
         # an objective of levels knows exposure 1 only
         return ObjectiveAssessment(
             replace(drawn, detection=None),

@@ -39,7 +39,7 @@ def refuse_other_result(folder: Path, provenance: Mapping[str, Any]) -> None:
     if not path.exists():
         return
     found = _read(path)
-    advice = "use --force to replace it, or choose another output folder"
+    advice = "use option 'force' to replace it, or choose another output folder"
     if found is None:
         raise InputError(f"{path}: exists and is not a result of lightopt optimize; {advice}")
     other = found.get("provenance")

@@ -159,7 +159,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
     total = max(1, cover.total)
     before = chosen.choice.initial_if_moved
     return {
-        "seen_in": chosen.least,
+        "min_images": chosen.least,
         "asked": chosen.requested,
         "target": chosen.target,
         "share": round(cover.share, 6),

@@ -110,7 +110,7 @@ def cut_off(answer: ObjectiveResult, postures: Sequence[Posture]) -> str:
     return (
         f"objective {name}, {', '.join(map(str, postures))}: the search stopped after {found.scored:,} combinations "
         f"with {found.left:,} left; the best found scores {found.best.score:,}, {proof}. Ties and runner-up are of "
-        "what was looked at. Raise --max-combinations or take a larger --step"
+        "what was looked at. Raise option 'limit' or option 'step_deg'"
     )
 
 

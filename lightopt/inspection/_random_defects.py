@@ -270,8 +270,8 @@ def write_random_defects(path: Path, text: str, *, force: bool) -> None:
     if path.exists() and not force and path.read_bytes() != text.encode():
         changed = differences(_provenance(path.read_text("utf-8", errors="replace")), _provenance(text))
         raise InputError(
-            f"{path}: already there and different{f' ({changed})' if changed else ''}; use option 'force' to replace it, "
-            "or choose another name"
+            f"{path}: already there and different{f' ({changed})' if changed else ''}; use option 'force' to replace "
+            "it, or choose another name"
         )
     write_text_atomic(path, text)
 

@@ -121,7 +121,7 @@ def _answer(result: SetResult) -> Answer:
 
 
 def _plan_answer(chosen: Mapping[str, Any], exposures: Mapping[str, Any] | None) -> Answer:
-    images = counted(chosen["seen_in"], "image")
+    images = counted(chosen["min_images"], "image")
     postures = ", ".join(str(Posture.from_dict(one)) for one in chosen["order_of_travel"])
     text = (
         f"of the surface × defects is seen in {images} or more, by all planned images together, in {postures}; the "

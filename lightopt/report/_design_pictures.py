@@ -34,7 +34,7 @@ def image_blocks(output: DesignOutput) -> list[Block]:
         for one in output.document["images"]
     ]
     if not sets:
-        return [Note(text="Not rendered (--no-images).")]
+        return [Note(text="Not rendered: images were switched off.")]
     maps = {
         (overlap.posture, overlap.exposure): (output.result.folder / listed["map"], overlap.pixels)
         for listed, overlap in zip(output.document["overlaps"], output.overlaps, strict=True)

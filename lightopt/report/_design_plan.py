@@ -33,7 +33,7 @@ def defect_blocks(output: DesignOutput) -> list[Block]:
         ]
         for postures, answer, grain in answers
     ]
-    images = counted(answers[0][1]["seen_in"], "image")
+    images = counted(answers[0][1]["min_images"], "image")
     caption = (
         f"Shares of {answers[0][1]['share_of']}, on which {images} or more show the defect. "
         "Directions of walls are counted as direction_deg of defects: in the tangent plane, counterclockwise seen from "
@@ -60,7 +60,7 @@ def blind_tables(output: DesignOutput) -> list[Block]:
         lost = [shares.get(reason, 0.0) for reason in reasons]
         cells = [text(share) for share in (facts["seen"], *lost, facts["left_out_of_surface"])]
         rows.append([name, lights, *cells])
-    images = counted(spots["seen_in"], "image")
+    images = counted(spots["min_images"], "image")
     caption = (
         f"Shares of {spots['shares_of']}; seen: in {images} or more, of a posture or of all. "
         f"{BLIND_LIGHTS[1].capitalize()}: every light wherever it shows that defect; no one set of positions need show "
@@ -102,7 +102,7 @@ def posture_table(chosen: Mapping[str, Any], *, with_exposures: bool = True) -> 
         for posture in map(Posture.from_dict, chosen["order_of_travel"])
         for number, one in [numbered[posture]]
     ]
-    k = chosen["seen_in"]
+    k = chosen["min_images"]
     columns = (
         "what each posture shows that those chosen before it do not, and what it shows with them."
         if k == 1

@@ -88,7 +88,7 @@ def _physics(output: DesignOutput) -> list[tuple[str, str]]:
         ("sensor noise", f"read noise {sensor.read_noise_levels:g} levels, {shot}; {_use_of_noise(output)}"),
         ("reflectance", f"{coefficients}, of full scale {reflectance.full_scale:g}; only direct light"),
         ("lights", "; ".join(dict.fromkeys(map(_light, scene.lights)))),
-        ("shadows", "cast by the part" if shadows else "none (--no-shadows)"),
+        ("shadows", "cast by the part" if shadows else "none"),
         ("patches", output.patches.message),
         ("left out", f"what the camera sees at more than {GRAZING_DEG:g}° to the normal"),
     ]
@@ -136,10 +136,9 @@ def _defects(output: DesignOutput) -> list[tuple[str, str]]:
         return []
     entries = build_catalogue(output.result.part)
     trials = counted(len(defect_hypotheses(entries)), "trial")
-    images = counted(options["seen_in"], "image")
+    images = counted(options["min_images"], "image")
     visible = (
-        f"where the level changes by {options['threshold']:g} times the noise or more (--threshold), in {images} or "
-        "more (--seen-in)"
+        f"where the level changes by {options['threshold']:g} times the noise or more, in {images} or more"
     )
     return [
         ("defects looked for", f"{', '.join(entry.name for entry in entries)}: {trials}"),

@@ -70,7 +70,7 @@ class Narrow:
         What was looked at.
     slope_deg, width_px
         Of the defects; pixels that face the camera.
-    seen_in
+    min_images
         Images that must show a defect.
     predicted, measured
         Shares of the defects.
@@ -81,7 +81,7 @@ class Narrow:
     kind: str
     slope_deg: float
     width_px: float
-    seen_in: int
+    min_images: int
     predicted: float
     measured: float
 
@@ -118,12 +118,12 @@ def compare(
             for finish, changes in finishes.items():
                 own = replace(scene, reflectance=replace(scene.reflectance, **changes))
                 said, shown = _both(own, caster, table, defects, at, _samples(width))
-                for seen_in in SEEN_IN:
+                for min_images in SEEN_IN:
                     yield Narrow(
                         part=part.name, finish=finish, kind=kind, slope_deg=slope, width_px=width,
-                        seen_in=seen_in,
-                        predicted=float((said.sum(axis=0) >= seen_in).mean()),
-                        measured=float((shown.sum(axis=0) >= seen_in).mean()),
+                        min_images=min_images,
+                        predicted=float((said.sum(axis=0) >= min_images).mean()),
+                        measured=float((shown.sum(axis=0) >= min_images).mean()),
                     )  # fmt: skip
 
 
@@ -237,17 +237,17 @@ def main(arguments: list[str] | None = None) -> None:
     print(
         f"\n{int((differences <= 0.05).sum())} of {len(rows)} within 5 points, mean difference "
         f"{100.0 * differences.mean():.1f}; furthest off: {worst.part}, {worst.finish}, {worst.kind} of "
-        f"{worst.width_px:g} px, {worst.seen_in} images, {100.0 * (worst.predicted - worst.measured):+.1f} points"
+        f"{worst.width_px:g} px, {worst.min_images} images, {100.0 * (worst.predicted - worst.measured):+.1f} points"
     )
     options.out.mkdir(parents=True, exist_ok=True)
     path = options.out / "narrow.csv"
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(
-            ["part", "finish", "kind", "slope_deg", "width_px", "seen_in", "predicted", "measured"]
+            ["part", "finish", "kind", "slope_deg", "width_px", "min_images", "predicted", "measured"]
         )
         for r in rows:
-            writer.writerow([r.part, r.finish, r.kind, r.slope_deg, r.width_px, r.seen_in, *shares(r)])
+            writer.writerow([r.part, r.finish, r.kind, r.slope_deg, r.width_px, r.min_images, *shares(r)])
     print(path)
 
 

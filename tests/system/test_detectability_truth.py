@@ -43,7 +43,7 @@ def test_predicted_shares_are_the_counted_ones(
     monkeypatch.setattr("truth_pits.WIDTH_MM", 6.0)
     file = CONFIGS / "parts" / f"{part}.yaml"
     points = list(compare(small_rig, load_part(file), patches=patches, pits=pits))
-    assert {(p.finish, p.seen_in) for p in points} == {(f, k) for f in finishes for k in SEEN_IN}
+    assert {(p.finish, p.min_images) for p in points} == {(f, k) for f in finishes for k in SEEN_IN}
     whole = [p for p in points if not p.kind.startswith("pits")]
     assert len(whole) == len(finishes) * 2 * 2 * 8
     for p in whole:

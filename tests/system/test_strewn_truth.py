@@ -56,7 +56,7 @@ def test_one_wall_over_the_whole_width_is_found_out(small_rig, knob, monkeypatch
 def test_sets_of_lights_are_counted_beside_what_is_predicted_of_them(small_rig, knob, monkeypatch):
     monkeypatch.setattr("worth_sets.FINISHES", {"glossy": {}})
     rows = list(worth.sets(small_rig, knob, patches=3000, defects=28, step=15.0))
-    assert [(row.seen_in, row.what) for row in rows] == [
+    assert [(row.min_images, row.what) for row in rows] == [
         (k, what) for k in (1, 2) for what in ("detectability", "paper")
     ]
     for own, paper in zip(rows[::2], rows[1::2], strict=True):

@@ -73,11 +73,11 @@ def table(points: list[Point]) -> str:
     for one in points:
         furthest, name = "", one.kind
         if one.kind == "all":
-            case = (one.part, one.finish, one.seen_in, one.pixels)
+            case = (one.part, one.finish, one.min_images, one.pixels)
             kinds = [
                 p
                 for p in points
-                if (p.part, p.finish, p.seen_in, p.pixels) == case and not p.kind.startswith("pits")
+                if (p.part, p.finish, p.min_images, p.pixels) == case and not p.kind.startswith("pits")
             ]
             worst = max(kinds, key=lambda p: abs(p.measured - p.predicted))
             furthest = f"{worst.kind} {100.0 * (worst.measured - worst.predicted):+.1f} points"
@@ -85,7 +85,7 @@ def table(points: list[Point]) -> str:
         elif not one.kind.startswith("pits"):
             continue
         lines.append(
-            f"| {one.part} | {one.finish} | {one.seen_in} | {name} | {one.pixels} | {100.0 * one.predicted:.1f} % "
+            f"| {one.part} | {one.finish} | {one.min_images} | {name} | {one.pixels} | {100.0 * one.predicted:.1f} % "
             f"| {100.0 * one.measured:.1f} % | {furthest} |"
         )
     return "\n".join(lines)
@@ -118,10 +118,10 @@ def write(points: list[Point], folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / TABLE).open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["part", "finish", "defects", "seen_in", "pixels", "predicted", "measured"])
+        writer.writerow(["part", "finish", "defects", "min_images", "pixels", "predicted", "measured"])
         for p in points:
             writer.writerow(
-                [p.part, p.finish, p.kind, p.seen_in, p.pixels, f"{p.predicted:.6f}", f"{p.measured:.6f}"]
+                [p.part, p.finish, p.kind, p.min_images, p.pixels, f"{p.predicted:.6f}", f"{p.measured:.6f}"]
             )
 
 

@@ -29,7 +29,7 @@ class Point:
     ----------
     part, finish, kind
         What was looked at: a kind of the catalogue, ``all`` of it, or ``pits of …``.
-    seen_in
+    min_images
         Images that must show a defect.
     pixels
         Whose mean level is compared.
@@ -40,7 +40,7 @@ class Point:
     part: str
     finish: str
     kind: str
-    seen_in: int
+    min_images: int
     pixels: int
     predicted: float
     measured: float

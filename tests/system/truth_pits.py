@@ -81,12 +81,12 @@ def pits_of(case: Case, rig: RigConfig, part: PartConfig, finish: str, count: in
                 own += off(
                     noisy[:mean].mean(axis=0), plain[:mean].mean(axis=0), case.scene, case.contrast.threshold
                 )
-        for seen_in, mean in itertools.product(SEEN_IN, MEANS):
-            flags = unpack_flags(visibility.seen((0,) * len(good.lights), seen_in), len(trials))
+        for min_images, mean in itertools.product(SEEN_IN, MEANS):
+            flags = unpack_flags(visibility.seen((0,) * len(good.lights), min_images), len(trials))
             yield Point(
-                part=part.name, finish=finish, kind=f"pits of {slope:g}°", seen_in=seen_in, pixels=mean,
+                part=part.name, finish=finish, kind=f"pits of {slope:g}°", min_images=min_images, pixels=mean,
                 predicted=float(flags[rows, toward].mean()),
-                measured=float((counts[mean] >= seen_in).mean()),
+                measured=float((counts[mean] >= min_images).mean()),
             )  # fmt: skip
 
 

@@ -61,15 +61,15 @@ def walls(case: Case, part: PartConfig, finish: str) -> Iterator[Point]:
                 own[t] += off(noisy[:pixels].mean(axis=0), good[k], case.scene, case.contrast.threshold)
     weights = np.array([trial.weight for trial in trials])
     names = [trial.name for trial in trials]
-    for seen_in, pixels in itertools.product(SEEN_IN, MEANS):
-        measured = (counts[pixels] >= seen_in) @ areas / areas.sum()
-        flags = unpack_flags(visibility.seen((0,) * len(lights), seen_in), len(trials))
+    for min_images, pixels in itertools.product(SEEN_IN, MEANS):
+        measured = (counts[pixels] >= min_images) @ areas / areas.sum()
+        flags = unpack_flags(visibility.seen((0,) * len(lights), min_images), len(trials))
         predicted = visibility.areas @ flags / visibility.areas.sum()
         for kind in (*dict.fromkeys(names), "all"):
             own = weights * np.array([kind in (name, "all") for name in names])
             shares = (float(own @ values / own.sum()) for values in (predicted, measured))
             yield Point(
-                part=part.name, finish=finish, kind=kind, seen_in=seen_in, pixels=pixels,
+                part=part.name, finish=finish, kind=kind, min_images=min_images, pixels=pixels,
                 predicted=next(shares), measured=next(shares),
             )  # fmt: skip
 

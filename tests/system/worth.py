@@ -37,7 +37,7 @@ def table(rows: Sequence[Row]) -> str:
         "|---|---|---|---|---|---|---|---|",
     ]
     lines += [
-        f"| {r.part} | {r.finish} | {r.seen_in} | {r.what} | {r.lights} | {100.0 * r.share:.1f} % | "
+        f"| {r.part} | {r.finish} | {r.min_images} | {r.what} | {r.lights} | {100.0 * r.share:.1f} % | "
         f"{r.predicted} of {r.defects} | {r.counted} |"
         for r in rows
     ]
@@ -70,11 +70,11 @@ def main(arguments: list[str] | None = None) -> None:
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(
-            ["part", "surface", "seen_in", "set", "lights", "share", "defects", "predicted", "counted"]
+            ["part", "surface", "min_images", "set", "lights", "share", "defects", "predicted", "counted"]
         )
         for r in rows:
             numbers = (f"{r.share:.6f}", r.defects, r.predicted, r.counted)
-            writer.writerow([r.part, r.finish, r.seen_in, r.what, r.lights, *numbers])
+            writer.writerow([r.part, r.finish, r.min_images, r.what, r.lights, *numbers])
     print(path)
 
 

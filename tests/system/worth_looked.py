@@ -32,7 +32,7 @@ class Row:
 
     Attributes
     ----------
-    part, finish, seen_in
+    part, finish, min_images
         What was asked.
     what
         Which set or plan.
@@ -48,7 +48,7 @@ class Row:
 
     part: str
     finish: str
-    seen_in: int
+    min_images: int
     what: str
     lights: str
     share: float

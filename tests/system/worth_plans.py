@@ -47,10 +47,10 @@ def plans(
     looked = finished(looked, finish)
     own = tuple(posture for posture in scene.postures if posture in usable)[:POSTURES]
     lights = build_lights(rig)
-    for seen_in in SEEN_IN:
+    for min_images in SEEN_IN:
         for what, among in ((f"the part's own {len(own)}", own), (f"{POSTURES} chosen", usable)):
             for offered in ((1.0,), tuple(OFFERED)):
-                yield _plan(looked, among, lights, candidates, offered, part.name, finish, seen_in, what)
+                yield _plan(looked, among, lights, candidates, offered, part.name, finish, min_images, what)
 
 
 def _plan(
@@ -61,7 +61,7 @@ def _plan(
     offered: Sequence[float],
     part: str,
     finish: str,
-    seen_in: int,
+    min_images: int,
     what: str,
 ) -> Row:
     survey = looked.survey
@@ -71,7 +71,7 @@ def _plan(
         among,
         lights,
         candidates,
-        PostureRequest(seen_in=seen_in, count=POSTURES),
+        PostureRequest(min_images=min_images, count=POSTURES),
         exposures=offered,
         gain_points=DEFAULT_EXPOSURE_GAIN,
     )
@@ -80,13 +80,13 @@ def _plan(
     return Row(
         part=part,
         finish=finish,
-        seen_in=seen_in,
+        min_images=min_images,
         what=what if len(offered) == 1 else f"{what}, {_further(exposures)}",
         lights=places_text(choice.panels),
         share=choice.cover.share,
         defects=len(looked.defects),
-        predicted=int((said >= seen_in).sum()),
-        counted=int((found >= seen_in).sum()),
+        predicted=int((said >= min_images).sum()),
+        counted=int((found >= min_images).sum()),
     )
 
 

@@ -78,8 +78,8 @@ def _best_sets(looked: Looked, rig: RigConfig, part: PartConfig, finish: str, st
     weights = area_units(matrix.areas)
     paper = search([matrix], OBJECTIVES["paper"], thresholds, space=candidates.space, keep=1).best.candidates
     seen: dict[tuple[int, ...], tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
-    for seen_in in SEEN_IN:
-        goal = DetectabilityObjective(looked.trials, seen_in)
+    for min_images in SEEN_IN:
+        goal = DetectabilityObjective(looked.trials, min_images)
         own = search([matrix], goal, thresholds, space=candidates.space, keep=1).best.candidates
         for what, places in (("detectability", own), ("paper", paper)):
             score = goal.score(matrix.combination(places), weights, thresholds)
@@ -88,7 +88,7 @@ def _best_sets(looked: Looked, rig: RigConfig, part: PartConfig, finish: str, st
                 seen[places] = looked.seen([posture], panels, [(1.0,)])
             said, found = seen[places]
             yield Row(
-                part=part.name, finish=finish, seen_in=seen_in, what=what, lights=places_text(panels),
+                part=part.name, finish=finish, min_images=min_images, what=what, lights=places_text(panels),
                 share=score / (int(weights.sum()) * goal.total_weight), defects=len(looked.defects),
-                predicted=int((said >= seen_in).sum()), counted=int((found >= seen_in).sum()),
+                predicted=int((said >= min_images).sum()), counted=int((found >= min_images).sum()),
             )  # fmt: skip

@@ -59,12 +59,12 @@ def ply_of(path):
 @pytest.mark.slow
 def test_result_has_scores_kinds_directions_and_blind_spots(planned):
     result = result_of(planned.out)
-    assert result["provenance"]["options"]["seen_in"] == 2
+    assert result["provenance"]["options"]["min_images"] == 2
     assert result["provenance"]["options"]["threshold"] == 4.0
     for one in result["results"]:
         found, paper = one["objectives"]
         assert found["objective"] == "detectability"
-        assert found["seen_in"] == 2
+        assert found["min_images"] == 2
         assert found["complete"]
         kinds = found["defects"]
         assert list(kinds) == ["scratch", "dent", "bump", "pit", "blister", "stain", "haze"]
@@ -74,7 +74,7 @@ def test_result_has_scores_kinds_directions_and_blind_spots(planned):
         assert found["score"] >= paper["scores_under"]["detectability"]
         assert found["bound"] == found["score"]
     spots = result["blind_spots"]
-    assert spots["seen_in"] == 2
+    assert spots["min_images"] == 2
     for part in (spots, *spots["postures"]):
         for lights in ("chosen", "any_position"):
             own = part[lights]
@@ -230,4 +230,6 @@ def test_part_with_a_catalogue_of_its_own(three, cli):
     assert cli(*command, "--objective", "detectability").status == 0
     found = result_of(three.out)["results"][0]["objectives"][0]
     assert list(found["defects"]) == ["<knock>", "spot"]
-    assert json.loads((three.out / "result.json").read_text(encoding="utf-8"))["blind_spots"]["seen_in"] == 1
+    assert (
+        json.loads((three.out / "result.json").read_text(encoding="utf-8"))["blind_spots"]["min_images"] == 1
+    )

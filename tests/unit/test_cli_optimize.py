@@ -411,7 +411,7 @@ def test_one_light_is_placed_for_defects_and_refused_by_objectives_that_compare_
     assert ran.status == 0, ran.err
     (result,) = json.loads((bench.out / "result.json").read_text(encoding="utf-8"))["results"]
     (answer,) = result["objectives"]
-    assert answer["seen_in"] == 1
+    assert answer["min_images"] == 1
     assert answer["combinations"]["total"] == 2
     assert 0.0 < answer["share_of_inspectable_area"] < 1.0
     twice = cli(

@@ -219,7 +219,7 @@ def test_what_is_planned_goes_with_the_plan(two, cli):
     assert cli("optimize", two.rig, two.part, "-o", two.out, *FEW, "--exposures", "1/16").status == 0
     assert (two.out / "part.planned.yaml").is_file()
     options = result_of(two.out)["provenance"]["options"]
-    assert (options["seen_in"], options["threshold"]) == (1, 5.0)  # exposures are planned for defects
+    assert (options["min_images"], options["threshold"]) == (1, 5.0)  # exposures are planned for defects
     ran = plan(cli, two, "--force")
     assert ran.status == 0, ran.err
     assert not (two.out / "part.planned.yaml").exists()

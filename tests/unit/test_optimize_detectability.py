@@ -55,7 +55,7 @@ def random_matrix(rng, sizes, patches, trials, *, share=0.4, smooth=False):
     return flags, matrix_of(flags, trials, rng.random(patches) * 1e-3, levels)
 
 
-def plain(flags, matrix, trials, seen_in):
+def plain(flags, matrix, trials, min_images):
     """All combinations, best first, as the reference has them."""
     areas = area_units(matrix.areas)
     weights = [trial.weight for trial in trials]
@@ -64,7 +64,7 @@ def plain(flags, matrix, trials, seen_in):
 
     def value(columns):
         images = [layer[int(i)] for layer, (i,) in zip(flags, columns, strict=True)]
-        return detectability_value(images, areas, weights, seen_in)
+        return detectability_value(images, areas, weights, min_images)
 
     ranked = all_combinations(index, value, 0, 0, 0)
     usable = [
@@ -88,7 +88,7 @@ def test_plain_reading_of_any_small_matrix(data):
     sizes = data.draw(st.lists(st.integers(1, 3), min_size=lights, max_size=lights))
     patches = data.draw(st.integers(1, 4))
     weights = data.draw(st.lists(st.integers(1, 9), min_size=1, max_size=4))
-    seen_in = data.draw(st.integers(1, min(3, lights)))
+    min_images = data.draw(st.integers(1, min(3, lights)))
     trials = trials_of(weights)
     rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
     flags = [
@@ -98,8 +98,8 @@ def test_plain_reading_of_any_small_matrix(data):
     areas = rng.integers(0, 4, patches) * 1e-6
     levels = tuple(rng.choice([0, 30, 255], (size, patches)).astype(np.uint8) for size in sizes)
     matrix = matrix_of(flags, trials, areas, levels)
-    objective = DetectabilityObjective(trials, seen_in)
-    expected = plain(flags, matrix, trials, seen_in)
+    objective = DetectabilityObjective(trials, min_images)
+    expected = plain(flags, matrix, trials, min_images)
     found = search([matrix], objective, THRESHOLDS, keep=1000)
     assert as_tuples(found) == expected
     assert found.ties == sum(value == expected[0][0] for value, _, _ in expected) - 1
@@ -112,12 +112,12 @@ def test_plain_reading_of_any_small_matrix(data):
 
 @pytest.mark.parametrize("smooth", [True, False])
 @pytest.mark.parametrize("sizes", [(6, 5), (4, 1, 5, 3), (2, 3, 2, 1, 2, 2)])
-@pytest.mark.parametrize("seen_in", [1, 2, 3])
-def test_built_in_catalogue_and_more_trials_than_a_word_has_bits(sizes, seen_in, smooth):
-    rng = np.random.default_rng(seen_in)
+@pytest.mark.parametrize("min_images", [1, 2, 3])
+def test_built_in_catalogue_and_more_trials_than_a_word_has_bits(sizes, min_images, smooth):
+    rng = np.random.default_rng(min_images)
     for trials in (defect_hypotheses(BUILT_IN_CATALOGUE), trials_of(rng.integers(1, 40, 150).tolist())):
         flags, matrix = random_matrix(rng, sizes, 9, trials, smooth=smooth)
-        objective = DetectabilityObjective(trials, seen_in)
+        objective = DetectabilityObjective(trials, min_images)
         if objective.refusal(len(sizes)):
             continue
         weights = objective.weights(matrix.areas)
@@ -126,18 +126,18 @@ def test_built_in_catalogue_and_more_trials_than_a_word_has_bits(sizes, seen_in,
         some = rng.choice(len(places), 12, replace=False)
         for k in some:
             images = [layer[i] for layer, i in zip(flags, places[k], strict=True)]
-            expected = detectability_value(images, weights, [trial.weight for trial in trials], seen_in)
+            expected = detectability_value(images, weights, [trial.weight for trial in trials], min_images)
             assert scores[k] == expected
             assert objective.score(matrix.combination(places[k]), weights, THRESHOLDS) == expected
         assert scores.max() <= objective.bound(matrix, weights, THRESHOLDS)
 
 
-@pytest.mark.parametrize("seen_in", [1, 2, 4])
-def test_packed_bits_take_over_where_bits_change_everywhere_and_agree(monkeypatch, seen_in):
+@pytest.mark.parametrize("min_images", [1, 2, 4])
+def test_packed_bits_take_over_where_bits_change_everywhere_and_agree(monkeypatch, min_images):
     rng = np.random.default_rng(3)
     trials = trials_of(rng.integers(1, 9, 70).tolist())
     _, matrix = random_matrix(rng, (7, 1, 6, 5), 40, trials)
-    objective = DetectabilityObjective(trials, seen_in)
+    objective = DetectabilityObjective(trials, min_images)
     weights = objective.weights(matrix.areas)
     whole = objective.scores(matrix, weights, THRESHOLDS, threads=2)
     shares: list[float] = []

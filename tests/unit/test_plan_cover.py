@@ -273,7 +273,7 @@ def test_two_exposures_that_only_together_show_enough_are_planned(least_gain, ta
         CandidateExposure(posture=1, exposure=0.25, images=short),
     ]
     found = select_exposures(
-        postures, [dark, dark], offers, weights, seen_in=2, least_gain=least_gain, target=target
+        postures, [dark, dark], offers, weights, min_images=2, least_gain=least_gain, target=target
     )
     planned = [
         (shot.posture, shot.exposure, shot.gain, shot.reason) for shot in found.further if shot.planned
@@ -306,7 +306,7 @@ def test_no_other_two_exposures_add_more_together(seed):
     two = max(shown(some) for some in combinations(range(len(offers)), 2)) - before
     # more than any adds alone, and as much as two have to
     for least_gain in (0.5 * two / weights.total, 0.5 * (two + 1) / weights.total):
-        found = select_exposures(postures, now, offers, weights, seen_in=least, least_gain=least_gain)
+        found = select_exposures(postures, now, offers, weights, min_images=least, least_gain=least_gain)
         planned = [shot for shot in found.further if shot.planned]
         if alone >= max(1.0, least_gain * weights.total):
             assert planned[0].reason == "gain"

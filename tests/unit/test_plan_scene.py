@@ -166,7 +166,7 @@ def test_tolerances_of_pairs_are_those_of_recounting_every_corner(world, least):
     rig, survey = world
     postures = POSTURES[1:3]
     exposures = ((1.0, 0.25), (1.0,))
-    assess = PairAssessment(survey, setup_of(rig, postures, exposures), seen_in=least)
+    assess = PairAssessment(survey, setup_of(rig, postures, exposures), min_images=least)
     found = analyse_tolerances(
         assess, ["light1", "light2"], Tolerances(light_deg=4.0, pose_deg=3.0, draws=3, seed=1)
     )
@@ -234,7 +234,7 @@ def test_postures_and_lights_are_chosen_together(world, least):
     candidates = find_candidates(rig, step_deg=10.0)
     lights = build_lights(rig)
     choice = choose_postures(
-        survey, survey, POSTURES, lights, candidates, PostureRequest(seen_in=least, count=2)
+        survey, survey, POSTURES, lights, candidates, PostureRequest(min_images=least, count=2)
     )
     weights = heavy(survey)
     total = weights[survey.patches].sum()
@@ -254,7 +254,7 @@ def test_postures_and_lights_are_chosen_together(world, least):
     # nor do two other postures beyond the bound
     best = max(plain(two, choice.lights) for two in combinations(POSTURES, 2))
     assert choice.cover.covered <= best <= choice.cover.bound_share * total + 0.5
-    alone = choose_postures(survey, survey, POSTURES, lights, None, PostureRequest(seen_in=least, count=2))
+    alone = choose_postures(survey, survey, POSTURES, lights, None, PostureRequest(min_images=least, count=2))
     assert alone.lights is None
     assert alone.cover.share == pytest.approx(choice.initial.share)
     assert choice.initial.postures == len(alone.cover.steps)
@@ -265,7 +265,7 @@ def test_postures_and_lights_are_chosen_together(world, least):
     assert choice.cover.share >= alone.cover.share
     # what the last turn counted is kept for the curves, where it was of these postures
     shots = [(posture, (1.0,)) for posture in choice.postures]
-    again = placing.position_counts(survey, shots, candidates, seen_in=least)
+    again = placing.position_counts(survey, shots, candidates, min_images=least)
     assert choice.position_counts is not None or least == 2
     assert all(np.array_equal(*two) for two in zip(choice.position_counts or again, again, strict=True))
     assert alone.position_counts is None
@@ -400,7 +400,7 @@ def test_exposures_are_planned_where_they_add_enough(world, least):
     offered = (1.0, 0.25, 0.0625)
     # a light's exposures do not confirm each other, so that they add little where two images must agree
     points = 1.0 if least == 1 else 0.0
-    found = plan_exposures(survey, POSTURES[:2], [lights] * 2, offered, seen_in=least, gain_points=points)
+    found = plan_exposures(survey, POSTURES[:2], [lights] * 2, offered, min_images=least, gain_points=points)
     weights = heavy(survey)
     total = weights[survey.patches].sum()
 
@@ -423,7 +423,7 @@ def test_exposures_are_planned_where_they_add_enough(world, least):
     assert len(found.further) == 4
     assert any(shot.planned for shot in found.further)
     assert {found.of(posture)[0] for posture in POSTURES[:2]} == {1.0}
-    none = plan_exposures(survey, POSTURES[:2], [lights] * 2, offered, seen_in=least, gain_points=100.0)
+    none = plan_exposures(survey, POSTURES[:2], [lights] * 2, offered, min_images=least, gain_points=100.0)
     assert not any(shot.planned for shot in none.further)
     assert none.after == none.before
 
@@ -439,7 +439,7 @@ def test_a_target_that_only_further_exposures_reach_is_reached_by_no_more_of_the
     choice = choose_postures(offered, offered, POSTURES, lights, None, PostureRequest(target=target))
     assert choice.cover.share >= target
     panels = [lights] * len(choice.postures)
-    asked = {"seen_in": 1, "gain_points": 100.0}
+    asked = {"min_images": 1, "gain_points": 100.0}
     none = plan_exposures(survey, choice.postures, panels, offered.exposures, **asked)
     assert none.after == none.before < target
     found = plan_exposures(survey, choice.postures, panels, offered.exposures, target=target, **asked)
@@ -464,9 +464,9 @@ def test_offering_exposures_never_makes_a_plan_worse(world, seed):
     points = float(rng.choice([0.0, 0.5, 1.0, 5.0]))
     lights, candidates = build_lights(rig), find_candidates(rig, step_deg=10.0)
     ask = (survey, drawn, POSTURES, lights, candidates)
-    plain = choose_postures(*ask, PostureRequest(seen_in=least, count=count))
+    plain = choose_postures(*ask, PostureRequest(min_images=least, count=count))
     choice, brackets = choose_with_exposures(
-        *ask, PostureRequest(seen_in=least, count=count), exposures=offered, gain_points=points
+        *ask, PostureRequest(min_images=least, count=count), exposures=offered, gain_points=points
     )
     assert choice.cover.share >= plain.cover.share
     assert len(choice.postures) <= count
@@ -491,7 +491,7 @@ def test_offering_exposures_never_makes_a_plan_worse(world, seed):
     assert choice.cover.sets == math.comb(len(POSTURES), len(choice.postures))
     assert choice.cover.bound_share == best / choice.cover.total
     none, nothing = choose_with_exposures(
-        *ask, PostureRequest(seen_in=least, count=count), exposures=(1.0,), gain_points=points
+        *ask, PostureRequest(min_images=least, count=count), exposures=(1.0,), gain_points=points
     )
     assert nothing is None
     assert none == plain
@@ -529,14 +529,14 @@ def test_a_number_and_a_target_that_takes_as_many_give_the_same_plan(world, leas
     rig, survey = world
     few = replace(survey, table=drawn_patches(survey.table, drawn))
     ask = (survey, few, POSTURES, build_lights(rig), find_candidates(rig, step_deg=10.0))
-    by_number = {n: choose_postures(*ask, PostureRequest(seen_in=least, count=n)) for n in (1, 2, 3, 4)}
+    by_number = {n: choose_postures(*ask, PostureRequest(min_images=least, count=n)) for n in (1, 2, 3, 4)}
     for n, choice in by_number.items():
-        found = choose_postures(*ask, PostureRequest(seen_in=least, target=choice.cover.share))
+        found = choose_postures(*ask, PostureRequest(min_images=least, target=choice.cover.share))
         assert len(found.postures) <= n
         same = by_number[len(found.postures)]
         assert (found.postures, found.lights) == (same.postures, same.lights)
         assert found.cover.share == same.cover.share >= choice.cover.share
-        capped = choose_postures(*ask, PostureRequest(seen_in=least, count=n, target=choice.cover.share))
+        capped = choose_postures(*ask, PostureRequest(min_images=least, count=n, target=choice.cover.share))
         assert (capped.postures, capped.lights) == (found.postures, found.lights)
 
 
@@ -546,7 +546,7 @@ def test_more_starts_are_never_worse_than_the_lights_as_they_stand_alone(world, 
     wanted = PostureRequest(count=count)
     candidates = find_candidates(rig, step_deg=5.0)
     turns = turning.AlternatingSearch(
-        survey, POSTURES, candidates, seen_in=1, where="all patches", prove=True, run=RunContext()
+        survey, POSTURES, candidates, min_images=1, where="all patches", prove=True, run=RunContext()
     )
     alone = turns.improve(turns.solution_for(build_lights(rig), None, wanted), 6, wanted)
     found = choose_postures(survey, survey, POSTURES, build_lights(rig), candidates, wanted)

@@ -368,9 +368,9 @@ def test_what_was_assumed_of_defects_and_tolerances_is_told(inspected, done, und
     names = ", ".join(result_of(output.result.folder)["results"][0]["objectives"][0]["defects"])
     assert told["defects looked for"].startswith(f"{names}: ")
     assert told["directions of walls"] == "8, evenly around"
-    seen_in, threshold = options["seen_in"], options["threshold"]
+    min_images, threshold = options["min_images"], options["threshold"]
     assert (
-        f"by {threshold:g} times the noise or more (--threshold), in {seen_in} image"
+        f"by {threshold:g} times the noise or more (--threshold), in {min_images} image"
         in told["a defect is seen"]
     )
     assert told["left out"] == "what the camera sees at more than 80° to the normal"
@@ -392,7 +392,7 @@ def place(elevation: float, rotation: float) -> dict[str, float]:
 
 PLANNED = {
     "chosen_postures": {
-        "seen_in": 2,
+        "min_images": 2,
         "asked": 3,
         "target": 0.9,
         "share": 0.905,
@@ -572,7 +572,7 @@ def test_exposures_that_the_target_takes_are_told(done, undrawn, why, expected):
 
 
 def test_where_one_image_is_enough_the_greedy_bound_is_told(done, undrawn):
-    one = {**PLANNED["chosen_postures"], "seen_in": 1, "every_combination_tried": False}
+    one = {**PLANNED["chosen_postures"], "min_images": 1, "every_combination_tried": False}
     one |= {"lights_best_for_postures": False, "turns_on_all_patches": False}
     output = replace(done[1], document={**done[1].document, "chosen_postures": one})
     page = design_page(output)
@@ -585,7 +585,7 @@ def test_where_one_image_is_enough_the_greedy_bound_is_told(done, undrawn):
 
 
 def test_the_best_of_all_sets_is_told_and_whether_it_is_the_plan(done, undrawn):
-    chosen = {**PLANNED["chosen_postures"], "best_of_sets": 66, "seen_in": 1}
+    chosen = {**PLANNED["chosen_postures"], "best_of_sets": 66, "min_images": 1}
 
     def told(**more):
         output = replace(done[1], document={**done[1].document, "chosen_postures": {**chosen, **more}})

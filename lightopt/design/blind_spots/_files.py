@@ -54,7 +54,7 @@ def _ply(summary: BlindSpotSummary, patches: Patches, placement: Placement) -> b
         "ply",
         "format binary_little_endian 1.0",
         "comment lightopt blind spots; lengths in mm, coordinates of the part's own file (GLB: Z up)",
-        f"comment seen and code: chosen lights; {summary.objective.seen_in} or more images of all postures show it",
+        f"comment seen and code: chosen lights; {summary.objective.min_images} or more images of all postures show it",
         "comment reachable and reachable_code: each light where it shows the defect, whatever the others",
         "comment seen, reachable: weighted share of the defects, 0 to 1",
         *(f"comment colour {' '.join(map(str, one.colour))}: {one.label}" for one in BLIND_CLASSES),

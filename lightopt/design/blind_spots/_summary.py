@@ -94,7 +94,7 @@ class BlindSpotSummary:
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
         return {
-            "seen_in": self.objective.seen_in,
+            "min_images": self.objective.min_images,
             "shares_of": BLIND_SHARES_OF,
             "surface_mm2": round(float(self.chosen.areas.sum()), 6),
             "grain": round(self.chosen.grain, 6),
@@ -126,14 +126,14 @@ def posture_visibility(
     posture: Posture,
     thresholds: LevelThresholds,
     *,
-    seen_in: int,
+    min_images: int,
     candidates: Sequence[int],
 ) -> PostureVisibility:
     """What a posture's images show under a combination of light positions, and under all of them."""
     return PostureVisibility(
         posture=posture,
-        chosen=defect_visibility([matrix], thresholds, least=seen_in, candidates=candidates),
-        possible=defect_visibility([matrix], thresholds, least=seen_in),
+        chosen=defect_visibility([matrix], thresholds, least=min_images, candidates=candidates),
+        possible=defect_visibility([matrix], thresholds, least=min_images),
     )
 
 

@@ -28,7 +28,7 @@ def light_angles(
     Raises InputError: A step that is not a positive number, or that makes too many positions.
     """
     if not (math.isfinite(step_deg) and step_deg > 0.0):
-        raise InputError(f"--step: expected degrees above 0, found {step_deg:g}")
+        raise InputError(f"option 'step_deg': expected degrees above 0, found {step_deg:g}")
     light = rig.lights[index]
     if elevations is None or light.elevation_range_deg is None:
         elevations = _steps(light.elevation_range_deg, light.elevation_deg, step_deg)
@@ -37,7 +37,7 @@ def light_angles(
         azimuths.pop()  # the full turn ends where it begins
     if len(elevations) * len(azimuths) > MOST_POSITIONS:
         raise InputError(
-            f"{rig.source.at('lights', index)}: at --step {step_deg:g} light {light.name} has more than "
+            f"{rig.source.at('lights', index)}: at option 'step_deg' {step_deg:g} light {light.name} has more than "
             f"{MOST_POSITIONS:,} positions, the most that are accepted; take a larger step"
         )
     return [(elevation, azimuth) for elevation in elevations for azimuth in azimuths]
@@ -56,7 +56,7 @@ def common_elevations(rig: RigConfig, *, step_deg: float) -> list[float] | None:
     low, high = _ends(highest_low)[0], _ends(lowest_high)[1]
     if low > high:
         raise InputError(
-            f"{rig.source.at('lights')}: --common-elevation: {highest_low.name} stays at {low:g}° or above and "
+            f"{rig.source.at('lights')}: option 'common_elevation': {highest_low.name} stays at {low:g}° or above and "
             f"{lowest_high.name} at {high:g}° or below, so that there is no elevation for both; widen a range"
         )
     return _steps((low, high), low, step_deg)

@@ -258,6 +258,6 @@ def _groups(
             groups.append(rows)
     if not groups:
         raise InputError(
-            f"{rig.source.at('lights')}: --common-elevation: at no elevation are positions of all lights left"
+            f"{rig.source.at('lights')}: option 'common_elevation': at no elevation are positions of all lights left"
         )
     return tuple(groups)

@@ -104,7 +104,7 @@ class _JointPlanner:
             choice.postures,
             [choice.panels] * len(choice.postures),
             self.whole.exposures,
-            seen_in=self.request.seen_in,
+            min_images=self.request.min_images,
             gain_points=100.0 * self.least_gain,
             target=self.request.target,
             progress=self.run.stage("exposures"),
@@ -121,7 +121,7 @@ class _JointPlanner:
         """The lights where they serve the planned images best, and the exposures with enough gain there."""
         if self.candidates is None:
             return plan
-        if not position_counts_fit(self.whole, self.candidates, seen_in=self.request.seen_in):
+        if not position_counts_fit(self.whole, self.candidates, min_images=self.request.min_images):
             return replace(plan, choice=replace(plan.choice, converged=False))
         for _ in range(MOST_ITERATIONS):
             choice = plan.choice
@@ -129,7 +129,7 @@ class _JointPlanner:
                 self.whole,
                 [(posture, plan.brackets.of(posture)) for posture in choice.postures],
                 self.candidates,
-                seen_in=self.request.seen_in,
+                min_images=self.request.min_images,
                 limit=self.request.limit,
                 progress=self.run.stage("lights for the planned images"),
             )
@@ -171,7 +171,7 @@ class _JointPlanner:
 
     def _counts(self, choice: PostureChoice, posture: Posture, exposures: tuple[float, ...]) -> Counts:
         evaluator = replace(self.whole, exposures=exposures)
-        return evaluator.counts(posture, choice.panels, seen_in=self.request.seen_in)
+        return evaluator.counts(posture, choice.panels, min_images=self.request.min_images)
 
     def _covered(self, plan: _Plan) -> int:
         return round(plan.brackets.after * max(1, self.whole.weights.total))

@@ -26,14 +26,14 @@ MOST_IMAGE_BYTES = 1_500_000_000
 def check_exposures(exposures: Sequence[float], gain_points: float) -> list[str]:
     """What is wrong with exposures and the required gain."""
     problems = [
-        f"--exposures: expected numbers above 0, such as 1/16,1/4,1,4,16, found {exposure:g}"
+        f"option 'exposures': expected numbers above 0, such as 1/16,1/4,1,4,16, found {exposure:g}"
         for exposure in exposures
         if not (math.isfinite(exposure) and exposure > 0.0)
     ]
     if len(set(exposures)) < len(exposures):
-        problems.append("--exposures: the same exposure was given twice")
+        problems.append("option 'exposures': the same exposure was given twice")
     if not (math.isfinite(gain_points) and 0.0 <= gain_points <= 100.0):
-        problems.append(f"--exposure-gain: expected points from 0 to 100, found {gain_points:g}")
+        problems.append(f"option 'exposure_gain': expected points from 0 to 100, found {gain_points:g}")
     return problems
 
 
@@ -43,7 +43,7 @@ def plan_exposures(
     lights: Sequence[Sequence[PanelLight]],
     exposures: Sequence[float],
     *,
-    seen_in: int,
+    min_images: int,
     gain_points: float = DEFAULT_EXPOSURE_GAIN,
     target: float | None = None,
     progress: Share | None = None,
@@ -52,20 +52,20 @@ def plan_exposures(
 
     lights: The panels posture by posture, world frame.
     exposures: Further exposures to choose from; 1 is taken anyway.
-    seen_in: Images that must show a pair, of all postures together.
+    min_images: Images that must show a pair, of all postures together.
     gain_points: The least gain [hundredths of the pairs].
     target: Share of the pairs that is to be shown.
     Raises InputError: More images than memory is meant for.
     """
     further = [exposure for exposure in exposures if exposure != 1.0]
-    layers = 1 if seen_in == 1 else max(map(len, lights))
+    layers = 1 if min_images == 1 else max(map(len, lights))
     pair_bytes = len(evaluator.patches) * evaluator.weights.masks.shape[1] * 8
     size = len(postures) * (1 + len(further)) * layers * pair_bytes
     if size > MOST_IMAGE_BYTES:
         raise InputError(
-            f"--exposures: {len(postures)} postures × {1 + len(further)} exposures × {layers} lights × "
+            f"option 'exposures': {len(postures)} postures × {1 + len(further)} exposures × {layers} lights × "
             f"{len(evaluator.patches):,} patches are {size / 1e9:.2f} GB, and there is room for "
-            f"{MOST_IMAGE_BYTES / 1e9:.2f} GB; offer fewer exposures, or take fewer --patches"
+            f"{MOST_IMAGE_BYTES / 1e9:.2f} GB; choose from fewer exposures, or lower option 'patch_budget'"
         )
     now: list[Images] = []
     candidates: list[CandidateExposure] = []
@@ -77,7 +77,7 @@ def plan_exposures(
                     scattered_flags([matrix], evaluator.patches, light=light, place=0)
                     for light in range(len(panels))
                 ],
-                seen_in,
+                min_images,
             )
             for matrix in matrices
         )
@@ -93,13 +93,13 @@ def plan_exposures(
         now,
         candidates,
         evaluator.weights,
-        seen_in=seen_in,
+        min_images=min_images,
         least_gain=gain_points / 100.0,
         target=target,
     )
     return replace(found, grain=evaluator.table.grain)
 
 
-def images_of(flags: Sequence[Words], seen_in: int) -> Images:
+def images_of(flags: Sequence[Words], min_images: int) -> Images:
     """The flags of a posture's lights; where one image is enough, only what they show together matters."""
-    return np.bitwise_or.reduce(flags, axis=0)[None] if seen_in == 1 else np.stack(flags)
+    return np.bitwise_or.reduce(flags, axis=0)[None] if min_images == 1 else np.stack(flags)

@@ -98,7 +98,7 @@ def select_exposures(
     candidates: Sequence[CandidateExposure],
     weights: PairWeights,
     *,
-    seen_in: int,
+    min_images: int,
     least_gain: float,
     target: float | None = None,
 ) -> Brackets:
@@ -109,11 +109,11 @@ def select_exposures(
 
     now: What the images of each posture show at exposure 1, from
         :func:`lightopt.design.exposures._plan_exposures.images_of`.
-    seen_in: Images that must show a pair.
+    min_images: Images that must show a pair.
     least_gain: Share of the pairs.
     """
     total = max(1, weights.total)
-    planned = _PlannedImages(now, weights, seen_in)
+    planned = _PlannedImages(now, weights, min_images)
     before = planned.covered
     left = list(candidates)
     further: list[FurtherExposure] = []
@@ -177,8 +177,8 @@ class _Gain:
 class _PlannedImages:
     """What the planned images show; an image taken with several exposures shows what any of them shows."""
 
-    def __init__(self, images: Sequence[Images], weights: PairWeights, seen_in: int) -> None:
-        self._images, self._weights, self._seen_in = list(images), weights, seen_in
+    def __init__(self, images: Sequence[Images], weights: PairWeights, min_images: int) -> None:
+        self._images, self._weights, self._seen_in = list(images), weights, min_images
         self._own = [self._counts(flags) for flags in images]
         self._update()
 

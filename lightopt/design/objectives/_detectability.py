@@ -108,31 +108,31 @@ SCORE_IS = (
 """What the number is, beside it in result.json."""
 
 
-def seen_in_problem(seen_in: int) -> str | None:
+def min_images_problem(min_images: int) -> str | None:
     """What is wrong with a number of images that must show a defect; None where nothing is."""
-    if seen_in >= 1:
+    if min_images >= 1:
         return None
-    return f"--seen-in: expected the number of images that must show a defect, 1 or more, found {seen_in}"
+    return f"option 'min_images': expected the number of images that must show a defect, 1 or more, found {min_images}"
 
 
 @dataclass(frozen=True)
 class DetectabilityObjective:
     """Defects that enough images show; see the module's text.
 
-    seen_in: Images that must show a defect.
+    min_images: Images that must show a defect.
     across_postures: Whether images of other postures count, so that a posture may have fewer lights than that; the
         score of its own images is then 0.
     """
 
     hypotheses: tuple[DefectHypothesis, ...]
-    seen_in: int = 1
+    min_images: int = 1
     across_postures: bool = False
     name: str = "detectability"
     unit: str = "µm² × weight of the defects"
     share_of: str = f"{INSPECTABLE_SURFACE}, × defects by weight"
 
     def __post_init__(self) -> None:
-        if problem := seen_in_problem(self.seen_in):
+        if problem := min_images_problem(self.min_images):
             raise InputError(problem)
 
     @property
@@ -148,11 +148,11 @@ class DetectabilityObjective:
 
     def refusal(self, lights: int) -> str | None:
         """There are no more images than lights, but for those of other postures."""
-        if lights >= self.seen_in or self.across_postures:
+        if lights >= self.min_images or self.across_postures:
             return None
         return (
-            f"objective detectability wants each defect seen in {self.seen_in} images, and the rig has "
-            f"{counted(lights, 'light')} only; lower --seen-in"
+            f"objective detectability wants each defect seen in {self.min_images} images, and the rig has "
+            f"{counted(lights, 'light')} only; lower option 'min_images'"
         )
 
     def weights(self, areas: Float64) -> Int64:
@@ -180,7 +180,7 @@ class DetectabilityObjective:
             weights,
             visibility.planes,
             self._hypothesis_weights(),
-            least=self.seen_in,
+            least=self.min_images,
             threads=threads,
             progress=progress,
         )
@@ -189,7 +189,7 @@ class DetectabilityObjective:
         """What could be seen if each light stood where it shows each defect best."""
         del thresholds
         visibility = _visibility(matrix)
-        return int(weights @ visibility.weights(visibility.reachable(self.seen_in)))
+        return int(weights @ visibility.weights(visibility.reachable(self.min_images)))
 
     def details(self, matrices: Sequence[LuminanceMatrix], weights: Sequence[Int64]) -> Mapping[str, Any]:
         """Share of the area on which each kind of defect is seen, the worst kind, and the worst direction of walls."""
@@ -208,7 +208,7 @@ class DetectabilityObjective:
             "score_is": SCORE_IS,
             "area_um2": area,
             "weight_of_all_defects": self.total_weight,
-            "seen_in": self.seen_in,
+            "min_images": self.min_images,
             "defects": kinds,
             "worst_defect": min(kinds, key=lambda name: kinds[name]),
         }
@@ -226,7 +226,7 @@ class DetectabilityObjective:
         # for one position of each light: which hypotheses enough images show, shape (p, t)
         count = len(self.hypotheses)
         images = sum((unpack_flags(layer[0], count) for layer in visibility.words), start=np.uint8(0))
-        return np.asarray(images >= self.seen_in)
+        return np.asarray(images >= self.min_images)
 
     def _hypothesis_weights(self) -> Int64:
         return np.array([hypothesis.weight for hypothesis in self.hypotheses], np.int64)

@@ -30,12 +30,12 @@ def objectives_named(
     if detectability is not None:
         factories["detectability"] = detectability
     problems = [
-        f'--objective: expected {" or ".join(factories)}, found "{name}"'
+        f"option 'objectives': expected {' or '.join(factories)}, found \"{name}\""
         for name in names
         if name not in factories
     ]
     if len(set(names)) < len(names):
-        problems.append("--objective: the same objective was given twice")
+        problems.append("option 'objectives': the same objective was given twice")
     if problems:
         raise InputError(*problems)
     return tuple(factories[name]() for name in names) or tuple(OBJECTIVES.values())

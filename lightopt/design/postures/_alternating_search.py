@@ -60,7 +60,7 @@ class AlternatingSearch:
 
     postures: To choose from.
     candidates: Positions of the lights to choose from; None where no light moves.
-    seen_in: Images that must show a pair, of all postures together.
+    min_images: Images that must show a pair, of all postures together.
     where: The patches, for progress messages.
     prove: Whether all sets of postures are searched where that is little work.
     """
@@ -71,14 +71,14 @@ class AlternatingSearch:
         postures: Sequence[Posture],
         candidates: Candidates | None,
         *,
-        seen_in: int,
+        min_images: int,
         where: str,
         prove: bool,
         run: RunContext,
     ) -> None:
         self.prove = prove
         self.evaluator, self.postures = evaluator, postures
-        self.candidates, self.seen_in = candidates, seen_in
+        self.candidates, self.min_images = candidates, min_images
         self._where, self._run, self._passes = where, run, 0
         self._counts: dict[Lights, list[Counts]] = {}
         self._positions: dict[tuple[int, ...], LightPositions] = {}
@@ -162,7 +162,7 @@ class AlternatingSearch:
                 self.evaluator,
                 [(self.postures[i], self.evaluator.exposures) for i in key],
                 self.candidates,
-                seen_in=self.seen_in,
+                min_images=self.min_images,
                 limit=request.limit,
                 progress=self._stage("lights for postures"),
             )
@@ -183,7 +183,7 @@ class AlternatingSearch:
             self._passes += 1
             progress = self._stage("postures for lights")
             for i, posture in enumerate(self.postures):
-                counts.append(self.evaluator.counts(posture, panels, seen_in=self.seen_in))
+                counts.append(self.evaluator.counts(posture, panels, min_images=self.min_images))
                 if progress is not None:
                     progress((i + 1) / len(self.postures))
             size = sum(one.nbytes for one in counts)

@@ -146,13 +146,13 @@ def cover_steps(ordered: Sequence[tuple[int, Counts]], weights: PairWeights) -> 
 class PostureRequest:
     """How much the postures are to show, and how many there may be.
 
-    seen_in: Images that must show a pair, of all postures together.
+    min_images: Images that must show a pair, of all postures together.
     count: Most postures; as many as the target takes where None.
     target: Share of the pairs to be shown.
     limit: Most combinations of the lights' positions that are tried; with more, lights are moved one at a time.
     """
 
-    seen_in: int = 1
+    min_images: int = 1
     count: int | None = None
     target: float | None = None
     limit: int = DEFAULT_LIMIT

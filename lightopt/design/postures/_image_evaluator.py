@@ -115,10 +115,10 @@ class ImageEvaluator:
             for some in panels
         )
 
-    def counts(self, posture: Posture, panels: Sequence[PanelLight], *, seen_in: int) -> Counts:
-        """In how many images of a posture, one of each light, each pair is seen, up to `seen_in`."""
+    def counts(self, posture: Posture, panels: Sequence[PanelLight], *, min_images: int) -> Counts:
+        """In how many images of a posture, one of each light, each pair is seen, up to `min_images`."""
         images = self.flags(posture, [[panel] for panel in panels])
-        return counts_of_images([layer[0] for layer in images], seen_in)
+        return counts_of_images([layer[0] for layer in images], min_images)
 
 
 def scattered_flags(matrices: Sequence[LuminanceMatrix], patches: Index, *, light: int, place: int) -> Words:

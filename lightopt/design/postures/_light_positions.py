@@ -181,12 +181,12 @@ def first_allowed(space: CombinationSpace, rows: Rows) -> list[int] | None:
     return chosen if go(0) else None
 
 
-def position_counts_fit(evaluator: ImageEvaluator, candidates: Candidates | None, *, seen_in: int) -> bool:
+def position_counts_fit(evaluator: ImageEvaluator, candidates: Candidates | None, *, min_images: int) -> bool:
     """Whether memory suffices for the counts of all positions of the lights."""
     positions = 0 if candidates is None else sum(len(some) for some in candidates.panels)
     pairs = len(evaluator.patches) * evaluator.weights.masks.shape[1]
     # those of a posture's images beside the sums
-    return positions * (seen_in + 1) * pairs * 8 <= MOST_COUNT_BYTES
+    return positions * (min_images + 1) * pairs * 8 <= MOST_COUNT_BYTES
 
 
 def position_counts(
@@ -194,20 +194,20 @@ def position_counts(
     postures: Sequence[tuple[Posture, tuple[float, ...]]],
     candidates: Candidates,
     *,
-    seen_in: int,
+    min_images: int,
     progress: Share | None = None,
 ) -> list[PositionCounts]:
     """What each position of each light shows in postures: counts, of each light of shape (positions, k, p, words).
 
-    Each posture comes with the exposures that an image of it may be taken with; k is `seen_in`.
+    Each posture comes with the exposures that an image of it may be taken with; k is `min_images`.
     """
-    empty = zero_counts(evaluator.weights, seen_in)
+    empty = zero_counts(evaluator.weights, min_images)
     totals = [np.repeat(empty[None], len(some), axis=0) for some in candidates.panels]
     for done, (posture, exposures) in enumerate(postures, start=1):
         images = replace(evaluator, exposures=exposures).flags(posture, candidates.panels)
         for total, layer in zip(totals, images, strict=True):
             for position, flags in enumerate(layer):
-                total[position] = add_counts(total[position], counts_of_images([flags], seen_in))
+                total[position] = add_counts(total[position], counts_of_images([flags], min_images))
         if progress is not None:
             progress(done / len(postures))
     return totals
@@ -218,14 +218,14 @@ def best_positions(
     postures: Sequence[tuple[Posture, tuple[float, ...]]],
     candidates: Candidates,
     *,
-    seen_in: int,
+    min_images: int,
     limit: int = DEFAULT_LIMIT,
     progress: Share | None = None,
 ) -> tuple[LightPositions, list[PositionCounts]]:
     """The positions of the lights that show most in postures, and the counts of all positions."""
     counted = len(postures) / (len(postures) + 1)
     counts = position_counts(
-        evaluator, postures, candidates, seen_in=seen_in, progress=part_of(progress, 0.0, counted)
+        evaluator, postures, candidates, min_images=min_images, progress=part_of(progress, 0.0, counted)
     )
     positions = place_lights(
         counts,

@@ -49,11 +49,12 @@ def choose_postures(
     candidates: Positions to choose from; None where no light moves.
     Raises InputError: More postures than memory is meant for; lights that collide in every combination.
     """
-    size = len(postures) * request.seen_in * len(whole.patches) * whole.weights.masks.shape[1] * 8
+    size = len(postures) * request.min_images * len(whole.patches) * whole.weights.masks.shape[1] * 8
     if size > MOST_COUNT_BYTES:
         raise InputError(
             f"{len(postures)} postures × {len(whole.patches):,} patches are {size / 1e9:.2f} GB of counts, and there "
-            f"is room for {MOST_COUNT_BYTES / 1e9:.2f} GB; take a larger --posture-step or fewer --patches"
+            f"is room for {MOST_COUNT_BYTES / 1e9:.2f} GB; raise option 'posture_step_deg' or lower option "
+            "'patch_budget'"
         )
     return _MultiStartSearch(whole, drawn, postures, start, candidates, request, run or RunContext()).choice()
 
@@ -71,19 +72,25 @@ class _MultiStartSearch:
     ) -> None:
         self.request, self.postures, self.start = request, postures, tuple(start)
         self.candidates = candidates
-        seen_in = request.seen_in
+        min_images = request.min_images
         self.full_search = AlternatingSearch(
-            whole, postures, candidates, seen_in=seen_in, where="all patches", prove=True, run=run
+            whole, postures, candidates, min_images=min_images, where="all patches", prove=True, run=run
         )
         self.drawn_search = (
             self.full_search
             if drawn.table is whole.table
             else AlternatingSearch(
-                drawn, postures, candidates, seen_in=seen_in, where="drawn patches", prove=False, run=run
+                drawn,
+                postures,
+                candidates,
+                min_images=min_images,
+                where="drawn patches",
+                prove=False,
+                run=run,
             )
         )
         self.on_all_patches = self.drawn_search is self.full_search or position_counts_fit(
-            whole, candidates, seen_in=seen_in
+            whole, candidates, min_images=min_images
         )
         self.starts = 1
         self._drawn: dict[int, Solution] = {}

@@ -92,10 +92,10 @@ def _text(target: float, choice: PostureChoice, evaluator: ImageEvaluator, least
     required = f"{100.0 * target:.9g} %"
     if most >= target:
         return (
-            f"--target: {counted(len(cover.steps), 'posture')} show {text(cover.share)} of the "
+            f"option 'target': {counted(len(cover.steps), 'posture')} show {text(cover.share)} of the "
             f"surface × defects, and no {len(cover.steps)} of {available} show more than "
             f"{text(cover.bound_share)} with these lights; {required} was asked for. "
-            "Raise --choose-postures or leave it out"
+            "Raise option 'choose_postures' or leave it out"
         )
     lost = _lost(choice, evaluator, least)
     near = next(
@@ -103,10 +103,10 @@ def _text(target: float, choice: PostureChoice, evaluator: ImageEvaluator, least
         len(cover.steps),
     )
     return (
-        f"--target: {required} of the surface × defects is not reached: with {_which(choice)}, all {available} "
+        f"option 'target': {required} of the surface × defects is not reached: with {_which(choice)}, all {available} "
         f"postures together show {text(most)}, and {counted(near, 'posture')} come within "
         f"{100 * NEAR_SHARE:g} point of that. Of what stays unseen, {_reasons(lost, choice)}. "
-        f"{_hint(lost, evaluator)}Ask for less, plan --choose-postures, or change what stands in the way"
+        f"{_hint(lost, evaluator)}Ask for less, use option 'choose_postures', or change what stands in the way"
     )
 
 
@@ -119,7 +119,7 @@ def _hint(lost: Mapping[int, float], evaluator: ImageEvaluator) -> str:
     dim = lost.get(BlindReason.CONTRAST, 0.0) + lost.get(BlindReason.SHADOWED, 0.0)
     if max(evaluator.exposures) > 1.0 or dim <= 0.5 * sum(lost.values()):
         return ""
-    return "Longer exposures may show some of it: offer them, such as --exposures 1,4,16. "
+    return "Longer exposures may show some of it: add them, such as option 'exposures' 1,4,16. "
 
 
 def _lost(choice: PostureChoice, evaluator: ImageEvaluator, least: int) -> dict[int, float]:
@@ -168,8 +168,8 @@ def plan_postures(
     postures, left_out = usable_postures(
         replace(scene, postures=grid), positions, allow_outside_px=plan.allow_outside_px
     )
-    few = plan.postures is not None and len(postures) < plan.postures
-    shortfall = f", fewer than the {plan.postures} that were asked for" if few else ""
+    few = plan.choose_postures is not None and len(postures) < plan.choose_postures
+    shortfall = f", fewer than the {plan.choose_postures} that were asked for" if few else ""
     run.inform(
         f"{counted(len(postures), 'posture')} to choose from{shortfall}, {len(left_out)} left out; patches are cut "
         "for all of them"
@@ -191,19 +191,21 @@ def plan_postures(
         postures,
         lights,
         candidates,
-        PostureRequest(seen_in=options.seen_in, count=plan.postures, target=plan.target, limit=options.limit),
+        PostureRequest(
+            min_images=options.min_images, count=plan.choose_postures, target=plan.target, limit=options.limit
+        ),
         exposures=plan.all_exposures,
         gain_points=plan.exposure_gain,
         run=run,
     )
     if plan.target is not None and choice.cover.share < plan.target:
         all_exposures = replace(drawn, exposures=plan.all_exposures)
-        raise target_not_reached(plan.target, choice, all_exposures, least=options.seen_in)
+        raise target_not_reached(plan.target, choice, all_exposures, least=options.min_images)
     if not choice.postures:
         raise CheckFailed(
             f"no posture of {len(postures)} shows any defect of {part.source.path}'s catalogue in "
-            f"{counted(options.seen_in, 'image')} or more: lower --threshold or --seen-in, or change the lights' gain, "
-            "their ranges, or the catalogue"
+            f"{counted(options.min_images, 'image')} or more: lower option 'threshold' or option 'min_images', or "
+            "change the lights' gain, their ranges, or the catalogue"
         )
 
     chosen = ChosenPostures(
@@ -213,8 +215,8 @@ def plan_postures(
         left_out=left_out,
         way=way_through(rig, choice.postures),
         pace=pace_text(rig),
-        least=options.seen_in,
-        requested=plan.postures,
+        least=options.min_images,
+        requested=plan.choose_postures,
         target=plan.target,
         drawn=len(drawn.patches),
         patches=len(whole.patches),
@@ -249,7 +251,7 @@ def detection_model_of(scene: Scene, part: PartConfig, options: OptimizeOptions)
     return DetectionModel(
         hypotheses=defect_hypotheses(build_catalogue(part)),
         contrast=Contrast(
-            sensor=scene.sensor, full_scale=scene.reflectance.full_scale, threshold=options.contrast
+            sensor=scene.sensor, full_scale=scene.reflectance.full_scale, threshold=options.threshold
         ),
     )
 

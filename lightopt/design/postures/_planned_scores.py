@@ -61,7 +61,7 @@ def planned_answers(
     """
     first = result.answers[0].objective
     assert isinstance(first, DetectabilityObjective)
-    goal = PlannedDetectability(first.hypotheses, first.seen_in, area=int(evaluator.weights.areas.sum()))
+    goal = PlannedDetectability(first.hypotheses, first.min_images, area=int(evaluator.weights.areas.sum()))
     answers = tuple(_planned(answer, goal, chosen, evaluator, candidates, free) for answer in result.answers)
     best = answers[0].found.best
     at = angles_of(candidates, best)
@@ -69,7 +69,7 @@ def planned_answers(
     if (
         free is not None
         and all(angles in some for angles, some in zip(at, free.angles, strict=True))
-        and position_counts_fit(evaluator, free, seen_in=chosen.least)
+        and position_counts_fit(evaluator, free, min_images=chosen.least)
     ):
         here = tuple(some.index(angles) for angles, some in zip(at, free.angles, strict=True))
         curves = _curves(replace(best, candidates=here), chosen, evaluator, free, progress)
@@ -81,7 +81,7 @@ def _curves(
 ) -> tuple[Curve, ...]:
     postures = [(posture, chosen.exposures_of(posture)) for posture in chosen.way.order]
     lights = chosen.choice.position_counts or position_counts(
-        evaluator, postures, free, seen_in=chosen.least, progress=progress
+        evaluator, postures, free, min_images=chosen.least, progress=progress
     )
 
     def score(combination: tuple[int, ...]) -> int:
@@ -128,5 +128,5 @@ def _counts(chosen: ChosenPostures, evaluator: ImageEvaluator, panels: Sequence[
     total = zero_counts(evaluator.weights, chosen.least)
     for posture in chosen.way.order:
         there = replace(evaluator, exposures=chosen.exposures_of(posture))
-        total = add_counts(total, there.counts(posture, panels, seen_in=chosen.least))
+        total = add_counts(total, there.counts(posture, panels, min_images=chosen.least))
     return total

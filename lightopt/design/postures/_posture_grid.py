@@ -44,13 +44,13 @@ def posture_grid(rig: RigConfig, part: PartConfig, *, step_deg: float) -> tuple[
     Raises InputError: A step that is not a positive number, or that makes too many postures.
     """
     if not (math.isfinite(step_deg) and step_deg > 0.0):
-        raise InputError(f"--posture-step: expected degrees above 0, found {step_deg:g}")
+        raise InputError(f"option 'posture_step_deg': expected degrees above 0, found {step_deg:g}")
     ranges = _reach(rig)
     tilts, rotations = (_angles(_one_turn(ends), step_deg) for ends in ranges)
     if len(tilts) * len(rotations) > MOST_POSTURES:
         raise InputError(
-            f"--posture-step: at {step_deg:g}° the stage has {len(tilts):,} × {len(rotations):,} postures, more than "
-            f"{MOST_POSTURES:,}, the most that are accepted; take a larger step, or narrow the stage's ranges"
+            f"option 'posture_step_deg': at {step_deg:g}° the stage has {len(tilts):,} × {len(rotations):,} postures, "
+            f"more than {MOST_POSTURES:,}, the most that are accepted; take a larger step, or narrow the stage's ranges"
         )
     (lowest, highest), (first, last) = ranges
     own = [
@@ -85,7 +85,7 @@ def usable_postures(
         raise InputError(
             f"no posture of {len(left_out)} is left to choose from: in {first.posture} {first.reason}; change the "
             "part's placement, the stage's pivot or its ranges, let the camera see more, or allow the part to leave "
-            "the view (--allow-outside)"
+            "the view (option 'allow_outside_px')"
         )
     return tuple(usable), tuple(left_out)
 

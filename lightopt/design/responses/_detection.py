@@ -13,9 +13,9 @@ pixel that the defect does not fill sees the defect and its surroundings; walls 
 
 with M the mean of D over the directions of the defect's walls, and the shares F and A of the two pixels that may show
 it best (:mod:`lightopt.defects._pixel_shares`); a hypothesis is visible where one of them shows it. The shares depend
-on the side of the pixel's footprint over the defect's width. The footprint is taken as a square of its area on the surface;
-its side is that on a plane facing the camera / √cosθ, with θ between normal and view. Surface seen at a grazing angle
-(:data:`lightopt.rendering.GRAZING_DEG`) is excluded before.
+on the side of the pixel's footprint over the defect's width. The footprint is taken as a square of its area on the
+surface; its side is that on a plane facing the camera / √cosθ, with θ between normal and view. Surface seen at a
+grazing angle (:data:`lightopt.rendering.GRAZING_DEG`) is excluded before.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def threshold_problem(threshold: float) -> str | None:
     """What is wrong with a multiple of the noise; None where nothing is."""
     if math.isfinite(threshold) and threshold > 0.0:
         return None
-    return f"--threshold: expected a number above 0, times the sensor's noise, found {threshold:g}"
+    return f"option 'threshold': expected a number above 0, times the sensor's noise, found {threshold:g}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -129,7 +129,8 @@ def luminance_matrices(
     if size > most_bytes:
         raise InputError(
             f"luminance matrix: {counted(positions, 'position')} × {len(seen):,} patches are {size / 1e9:.2f} GB, and "
-            f"there is room for {most_bytes / 1e9:.2f} GB a posture; take a larger --step or fewer --patches"
+            f"there is room for {most_bytes / 1e9:.2f} GB a posture; raise option 'step_deg' or lower option "
+            "'patch_budget'"
         )
     levels: list[list[Levels]] = [
         [np.zeros((len(some), len(seen)), dtype) for some in panels] for _ in exposures

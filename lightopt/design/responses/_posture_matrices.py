@@ -166,12 +166,14 @@ class PostureMatrices:
         # refinement may end somewhat before the budget is used up
         needed = 1.02 * patches_for_edge(self.table, self.scene.mesh, 0.8 * longest)
         step = 10 ** max(0, math.floor(math.log10(needed)) - 1)
-        text = f"--patches {step * math.ceil(needed / step)} cuts them to {longest:.2g} mm or less"
+        text = (
+            f"option 'patch_budget' {step * math.ceil(needed / step)} cuts them to {longest:.2g} mm or less"
+        )
         if not self.table.seen_faces:
             return text
         text += (
             f". The mesh itself has {len(self.scene.mesh.faces):,} triangles, {self.table.seen_faces:,} of which may "
-            f"show: --patches {self.options.patch_budget} cannot make fewer. "
+            f"show: option 'patch_budget' {self.options.patch_budget} cannot make fewer. "
         )
         mesh = self.part.mesh
         if not mesh.of_step:

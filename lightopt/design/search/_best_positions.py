@@ -58,7 +58,9 @@ def search_objectives(
         if defects is not None:
             best = result.answers[0].found.best.candidates
             blind_spots += [
-                posture_visibility(matrix, posture, thresholds, seen_in=defects.seen_in, candidates=best)
+                posture_visibility(
+                    matrix, posture, thresholds, min_images=defects.min_images, candidates=best
+                )
                 for matrix, posture in zip(matrices, postures, strict=True)
             ]
         del matrices

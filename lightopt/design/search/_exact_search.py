@@ -280,7 +280,7 @@ def _check(scorer: _BoxScorer, space: CombinationSpace) -> None:
     if sum(map(_cells, space.groups)) > MOST_COMBINATIONS:
         raise InputError(
             f"search: {lights} lights of up to {max(space.sizes):,} positions make more than 10^300 combinations; take "
-            "a larger --step, or leave only those lights a range that are to be moved"
+            "a larger option 'step_deg', or leave only those lights a range that are to be moved"
         )
     for matrix in scorer.matrices:
         if matrix.shape != space.sizes:

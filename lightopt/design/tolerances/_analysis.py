@@ -42,14 +42,14 @@ class Tolerances:
 
     light_deg: Elevation and azimuth of each light [°].
     pose_deg: Tilt and rotation of the part [°].
-    target: Share of the score that the widest tolerances keep.
+    tolerance_target: Share of the score that the widest tolerances keep.
     draws: Number of random draws.
     seed: Random seed.
     """
 
     light_deg: float = 0.0
     pose_deg: float = 0.0
-    target: float = DEFAULT_TOLERANCE_TARGET
+    tolerance_target: float = DEFAULT_TOLERANCE_TARGET
     draws: int = 100
     seed: int = 0
 
@@ -57,15 +57,15 @@ class Tolerances:
         problems = [
             f"{option}: expected degrees from 0 to {LARGEST_TOLERANCE:g}, found {value:g}"
             for option, value in (
-                ("--tolerance-deg", self.light_deg),
-                ("--pose-tolerance-deg", self.pose_deg),
+                ("option 'light_deg'", self.light_deg),
+                ("option 'pose_deg'", self.pose_deg),
             )
             if not 0.0 <= value <= LARGEST_TOLERANCE
         ]
-        if not 0.0 < self.target < 1.0:
+        if not 0.0 < self.tolerance_target < 1.0:
             problems.append(
-                "--tolerance-target: expected a share of the score between 0 and 1, such as 0.95, found "
-                f"{self.target:g}"
+                "option 'tolerance_target': expected a share of the score between 0 and 1, such as 0.95, found "
+                f"{self.tolerance_target:g}"
             )
         if self.draws < 1:
             problems.append(f"draws: expected at least 1, found {self.draws}")
@@ -78,7 +78,7 @@ def lights_problem(lights: int) -> str | None:
     if lights <= MOST_LIGHTS:
         return None
     return (
-        f"--tolerance-deg, --pose-tolerance-deg: all corners of the lights' angles are tried, 4 per light: expected at "
+        f"option 'light_deg', option 'pose_deg': all corners of the lights' angles are tried, 4 per light: expected at "
         f"most {MOST_LIGHTS} lights ({4**MOST_LIGHTS:,} corners), found {lights}; leave the tolerances out, or some "
         "lights out of the rig"
     )
@@ -190,7 +190,7 @@ def analyse_tolerances(
         report()
     widest: list[WidestTolerance] = []
     for angle in varied:
-        widest.append(_widest_tolerance(score, exact, angle, tolerances.target * nominal))
+        widest.append(_widest_tolerance(score, exact, angle, tolerances.tolerance_target * nominal))
         report()
     return ToleranceAnalysis(
         lights=tuple(names),

@@ -124,11 +124,11 @@ class _Assessment(ABC):
 
 
 class PairAssessment(_Assessment):
-    """Weight of the pairs of patch and defect that all postures together show in `seen_in` images or more."""
+    """Weight of the pairs of patch and defect that all postures together show in `min_images` images or more."""
 
-    def __init__(self, evaluator: ImageEvaluator, setup: Setup, *, seen_in: int) -> None:
+    def __init__(self, evaluator: ImageEvaluator, setup: Setup, *, min_images: int) -> None:
         super().__init__(evaluator, setup)
-        self._seen_in = seen_in
+        self._seen_in = min_images
         self._weights = evaluator.weights
 
     def keep(self, matrices: Sequence[LuminanceMatrix], light: int, at: int) -> Any:

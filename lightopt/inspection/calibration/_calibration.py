@@ -102,8 +102,8 @@ class Calibration:
         before = self.fingerprint.get("options")
         before = before if isinstance(before, Mapping) else {}
         problems += [
-            f"option '{key}': {self.name} was made with {_shown(before.get(key))}, found {_shown(value)}; calibrate anew, or "
-            "inspect as it was made"
+            f"option '{key}': {self.name} was made with {_shown(before.get(key))}, found {_shown(value)}; calibrate "
+            "anew, or inspect as it was made"
             for key, value in now["options"].items()
             if value != before.get(key)
         ]
