@@ -252,8 +252,8 @@ def optimize(
             _show_reachable(error)
         raise
     if not quiet:
-        show_design(output)
-        show_plan(result.plan, out)
+        show_design(output, verbose=verbose)
+        show_plan(result.plan, out, verbose=verbose)
     _require_usable(result, out)
 
 

@@ -20,9 +20,25 @@ if TYPE_CHECKING:
     from lightopt.images import Overlap
 
 
-def show_design(output: DesignOutput) -> None:
-    """Candidates, the best sets with every objective's score, overlaps, and where the files are."""
+def show_design(output: DesignOutput, *, verbose: bool) -> None:
+    """The best sets with every objective's score, and the files; with `verbose` all other tables as well."""
     result = output.result
+    _show_best(result, verbose=verbose)
+    if verbose:
+        _show_inputs(result)
+    if result.blind is not None:
+        if verbose:
+            _show_defects(result)
+            show_blind_spots(result.blind)
+        else:
+            _summarise_blind_spots(result.blind)
+    if output.overlaps and verbose:
+        show_overlaps(output.overlaps)
+    for path in output.paths:
+        say(f"{path}")
+
+
+def _show_inputs(result: DesignResult) -> None:
     for out in result.all_candidates.left_out:
         say(
             f"left out: {out.light} at elevation {out.elevation_deg:g}°, azimuth {out.azimuth_deg:g}°: it {out.reason}"
@@ -31,18 +47,10 @@ def show_design(output: DesignOutput) -> None:
         say(result.patches.message)
     if result.reused:
         matrices = "matrix" if result.reused == 1 else "matrices"
-        say(f"{result.reused} kept luminance {matrices} reused")
-    _show_best(result)
-    if result.blind is not None:
-        _show_defects(result)
-        show_blind_spots(result.blind)
-    if output.overlaps:
-        show_overlaps(output.overlaps)
-    for path in output.paths:
-        say(f"{path}")
+        say(f"{result.reused} stored luminance {matrices} reused")
 
 
-def _show_best(found: DesignResult) -> None:
+def _show_best(found: DesignResult, *, verbose: bool) -> None:
     names = [answer.objective.name for answer in found.results[0].answers]
     counts = ("left out", "runner-up", "ties", "near best", "combinations")
     header = ["posture", "best for", *found.candidates.names, *names, *counts]
@@ -53,7 +61,8 @@ def _show_best(found: DesignResult) -> None:
             rows.append([posture, answer.objective.name, *_cells(answer, result, found)])
             posture = ""
     show_table(header, rows, numbers_from=2)
-    _explain([answer.objective for answer in found.results[0].answers])
+    if verbose:
+        _explain([answer.objective for answer in found.results[0].answers])
 
 
 def _explain(objectives: Sequence[Objective]) -> None:
@@ -117,6 +126,18 @@ def _show_defects(found: DesignResult) -> None:
                 f"{which}: best for {answer.objective.name} shows {kinds}{least}; shares as those of "
                 f"{answer.objective.name}"
             )
+
+
+def _summarise_blind_spots(blind: BlindSpotSummary) -> None:
+    """What the chosen lights show of the defects over all postures, in one line."""
+    from lightopt.design import BLIND_SHARES_OF, blind_text, share_text
+
+    _, chosen, _ = blind.parts()[0]
+    reasons = "; ".join(
+        f"{blind_text(code, blind.lights)} {share_text(share, chosen.grain)}"
+        for code, share in sorted(chosen.by_reason().items())
+    )
+    say(f"seen {share_text(chosen.seen, chosen.grain)} of {BLIND_SHARES_OF}; {reasons}")
 
 
 def show_blind_spots(blind: BlindSpotSummary) -> None:

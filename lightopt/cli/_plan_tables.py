@@ -16,20 +16,20 @@ if TYPE_CHECKING:
 Section = Mapping[str, Any]
 
 
-def show_plan(result: PlanResult, folder: Path) -> None:
-    """The plan, and the commands that carry it out."""
+def show_plan(result: PlanResult, folder: Path, *, verbose: bool) -> None:
+    """The plan, and the commands that carry it out; with `verbose` also what the figures mean and how far they hold."""
     from lightopt.design import plan_document, share_text
     from lightopt.report import exposure_table, tolerance_table
 
     document = plan_document(result)
     if "chosen_postures" in document:
-        _show_postures(document["chosen_postures"])
+        _show_postures(document["chosen_postures"], verbose=verbose)
     if "exposures" in document:
         planned = document["exposures"]
         table = exposure_table(planned)
         show_table(table.header, table.rows)
         _explain_exposures(planned, partial(share_text, grain=planned["grain"]))
-        if "chosen_postures" not in document:
+        if verbose and "chosen_postures" not in document:
             say(f"shares of exposures: of {planned['shares_of']}")
     if result.tolerances:
         table = tolerance_table(document["trust"], [together(one.postures) for one in result.tolerances])
@@ -38,18 +38,17 @@ def show_plan(result: PlanResult, folder: Path) -> None:
         say(f"to carry the plan out, in {folder}:")
         for command in document["commands"]:
             say(f"  {command}")
-        _show_rounds(document["rounds"])
+        if verbose:
+            _show_rounds(document["rounds"])
 
 
-def _show_postures(chosen: Section) -> None:
+def _show_postures(chosen: Section, *, verbose: bool) -> None:
     from lightopt.core.transforms import Posture
     from lightopt.design import share_text
     from lightopt.report import posture_table
 
     patches = chosen["patches"]
     text = partial(share_text, grain=patches["grain"])
-    for out in chosen["left_out"]:
-        say(f"left out: posture {Posture.from_dict(out)}: {out['reason']}")
     table = posture_table(chosen, with_exposures=len(chosen["bounds_with_any_of_exposures"]) > 1)
     show_table(table.header, table.rows)
     number, images = counted(len(chosen["postures"]), "posture"), counted(chosen["min_images"], "image")
@@ -57,6 +56,12 @@ def _show_postures(chosen: Section) -> None:
         f"{number} of {chosen['candidates']} show {text(chosen['share'])} of the surface × defects in {images} or "
         "more, all planned images together and no others"
     )
+    _show_spare(chosen, text)
+    _show_proof(chosen, text, verbose=verbose)
+    if not verbose:
+        return
+    for out in chosen["left_out"]:
+        say(f"left out: posture {Posture.from_dict(out)}: {out['reason']}")
     say(f"shares of postures and exposures: of {chosen['shares_of']}")
     say(
         f"that surface is {text(chosen['inspectable_share_of_surface'])} of the part's, and "
@@ -64,14 +69,12 @@ def _show_postures(chosen: Section) -> None:
         f"{patches['all']:,} patches with edges up to {patches['max_edge_mm']:.3g} mm, each seen or not as its middle "
         f"is: shares may be off by some {100.0 * patches['grain']:.1g} points"
     )
-    _show_spare(chosen, text)
     if chosen["min_images"] > 1:
         k = chosen["min_images"]
         say(
             f"adds: images new to a pair of patch and defect, up to {k} of each; together: pairs with {k} images or "
             "more"
         )
-    _show_proof(chosen, text)
     say(f"stage, in one round: {_travel(chosen)} of travel {chosen['travel_pace']}")
 
 
@@ -110,7 +113,7 @@ def _show_spare(chosen: Section, text: partial[str]) -> None:
         )
 
 
-def _show_proof(chosen: Section, text: partial[str]) -> None:
+def _show_proof(chosen: Section, text: partial[str], *, verbose: bool) -> None:
     from lightopt.report import search_text, sets_text
 
     number = counted(len(chosen["postures"]), "posture")
@@ -129,6 +132,8 @@ def _show_proof(chosen: Section, text: partial[str]) -> None:
             "the best at least"
         )
         say(f"{local}{bound}" + "; other lights with other postures may show more" * bool(chosen["turns"]))
+    if not verbose:
+        return
     say(
         f"all {chosen['candidates']} postures with these lights show {text(chosen['all_candidates'])}{whatever}"
     )
