@@ -264,7 +264,9 @@ def _options(
     texts = [] if points is None else [text.strip() for text in points.split(",")]
     if kind == "diffuse" and len(texts) > 1:
         problems.append("--points: fit-diffuse takes one number of points; fit-specular compares several")
-    chosen = tuple(m for text in texts if (m := parse_points(text)) is not None)
+    chosen: tuple[int | Literal["auto"], ...] = tuple(
+        m for text in texts if (m := parse_points(text)) is not None
+    )
     problems += [f"--points: {problem}" for m in chosen if (problem := points_problem(m)) is not None]
     problems += paper.problems()
     if method == "likelihood":
