@@ -72,9 +72,7 @@ def _scene(part: str, size: Size, coarser: float) -> Scene:
         chord_tolerance_mm=coarser * size.chord_mm,
         angular_tolerance=coarser * size.angle,
     )
-    scene = replace(
-        scene, mesh=_rest_on_table(loaded.mesh), postures=(Posture(elevation_deg=0.0, rotation_deg=0.0),)
-    )
+    scene = replace(scene, mesh=_rest_on_table(loaded.mesh), postures=(Posture(elevation_deg=0.0, rotation_deg=0.0),))
     return replace(scene, camera=resized(scene.camera, size.width))
 
 
@@ -87,9 +85,7 @@ def resized(camera: PinholeCamera, width: int) -> PinholeCamera:
 def one_posture_files(folder: Path, name: str, *, width: int, pixel_um: str) -> tuple[Path, str]:
     """The sample rig's file with a smaller camera, and the text of a part's file with one posture."""
     rig = RIG.read_text(encoding="utf-8").replace("[1600, 1200]", f"[{width}, {width * 3 // 4}]")
-    (folder / "rig.yaml").write_text(
-        rig.replace("pixel_size_um: 4.4", f"pixel_size_um: {pixel_um}"), encoding="utf-8"
-    )
+    (folder / "rig.yaml").write_text(rig.replace("pixel_size_um: 4.4", f"pixel_size_um: {pixel_um}"), encoding="utf-8")
     part = (CONFIGS / "parts" / f"{name}.yaml").read_text(encoding="utf-8")
     part = re.sub(r"file: \S+", f"file: '{(CONFIGS / 'parts' / f'{name}.step').as_posix()}'", part)
     one = "postures: [{elevation_deg: 0, rotation_deg: 0}]\n\nreflectance:"

@@ -68,9 +68,7 @@ def render_numpy(scene: Scene, backend: Backend, *, threads: int) -> list[Float3
         place = pixels[own][hit[front]]
         start_points = points + np.float32(OFFSET_MM) * facet
         for image, (grid, weight) in zip(images, grids, strict=True):
-            level = _panel(
-                points, normal, facet, view, start_points, grid, scene.reflectance, backend.occluded
-            )
+            level = _panel(points, normal, facet, view, start_points, grid, scene.reflectance, backend.occluded)
             image.ravel()[place] = np.float32(weight) * level
 
     with ThreadPoolExecutor(threads) as pool:

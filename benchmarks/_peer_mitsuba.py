@@ -71,9 +71,7 @@ class MitsubaPeer:
         delta = 2.0 * dr.asin(dr.minimum(0.5 * chord, 1.0))
         n_dot_v = dr.dot(normal, view)
         specular = (
-            reflectance.R_s
-            / dr.maximum(n_dot_v, MIN_COS_VIEW)
-            * dr.exp(-0.5 / reflectance.sigma**2 * delta * delta)
+            reflectance.R_s / dr.maximum(n_dot_v, MIN_COS_VIEW) * dr.exp(-0.5 / reflectance.sigma**2 * delta * delta)
         )
         level = reflectance.R_d * dr.dot(normal, light) + dr.select(n_dot_v > 0.0, specular, 0.0)
         return dr.select(active, level, mi.Float(0.0))

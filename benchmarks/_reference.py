@@ -58,9 +58,7 @@ def sum_of_points(
         some = surface.take(np.arange(start, min(start + step, len(surface)), dtype=np.intp))
         above, facing = _facing(some.points, some.normals, some.facets, some.front, panel.positions)
         point, target = (index.astype(np.int32) for index in np.nonzero(facing))
-        blocked = caster.occluded(
-            some.points, some.facets, panel.positions, point_index=point, target_index=target
-        )
+        blocked = caster.occluded(some.points, some.facets, panel.positions, point_index=point, target_index=target)
         visible = facing
         visible[point[blocked], target[blocked]] = False
         own = slice(start, start + len(some))

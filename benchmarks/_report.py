@@ -26,10 +26,7 @@ class Table:
         lines = [list(self.header), *map(list, self.rows)]
         widths = [max(len(line[i]) for line in lines) for i in range(len(self.header))]
         padded = [
-            "  ".join(
-                c.ljust(w) if i == 0 else c.rjust(w)
-                for i, (c, w) in enumerate(zip(line, widths, strict=True))
-            )
+            "  ".join(c.ljust(w) if i == 0 else c.rjust(w) for i, (c, w) in enumerate(zip(line, widths, strict=True)))
             for line in lines
         ]
         return "\n".join([self.title, *("  " + line.rstrip() for line in padded)])

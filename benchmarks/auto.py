@@ -71,19 +71,13 @@ def converged(scene: Scene) -> Scene:
 def run(size: Size) -> Report:
     """Time and exactness on the cover knob, glossy and as in the paper, and on the spout that shades itself."""
     knob, spout = case_scene(size), spout_scene(size)
-    scenes = {
-        "knob, σ = 0.003": chrome(knob),
-        "knob, σ = 0.0475": knob,
-        "spout, σ = 0.003": chrome(spout),
-    }
+    scenes = {"knob, σ = 0.003": chrome(knob), "knob, σ = 0.0475": knob, "spout, σ = 0.003": chrome(spout)}
     seconds = _times(scenes, size.repeats)
     # exactness is that of the rendering, not of the mesh: the images are reduced, the mesh is not
     found: list[tuple[str, str, Comparison]] = []
     for name, scene in scenes.items():
         reduced = replace(scene, camera=resized(scene.camera, size.reference_width))
-        found += exactness(
-            f"{name}, {size.reference_width} px wide", reduced, size.reference_points, near=False
-        )
+        found += exactness(f"{name}, {size.reference_width} px wide", reduced, size.reference_points, near=False)
     name = "knob, σ = 0.003"
     found += exactness(f"{name}, near highlights", scenes[name], size.reference_points, near=True)
     return Report(

@@ -48,10 +48,7 @@ class RecordedRays:
 
     def blocks(self, size: int) -> Iterator[tuple[str, Float32, Float32, Float32]]:
         """The rays in blocks of at most `size`: query, origins, directions, and how far each ray reaches."""
-        for query, (origins, directions), far in (
-            ("INTERSECT", self.camera, np.inf),
-            ("OCCLUDED", self.shadow, 1.0),
-        ):
+        for query, (origins, directions), far in (("INTERSECT", self.camera, np.inf), ("OCCLUDED", self.shadow, 1.0)):
             reach = np.full(len(origins), far, np.float32)
             for start in range(0, len(origins), size):
                 part = slice(start, start + size)
@@ -130,10 +127,7 @@ def run(size: Size) -> Report:
         "bare",
         [
             _table(
-                seconds,
-                "bare embreex",
-                f"{THREADS} threads, {size.repeats} rounds (target ≤ {TARGET})",
-                rays.count,
+                seconds, "bare embreex", f"{THREADS} threads, {size.repeats} rounds (target ≤ {TARGET})", rays.count
             ),
             _table(single, "bare embreex, 1 thread", "1 thread", rays.count),
         ],

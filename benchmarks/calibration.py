@@ -74,9 +74,7 @@ def taken(scene: Scene, images: PostureImages, seed: int) -> list[Observation]:
     found: list[Observation] = []
     for index, image in enumerate(images.lights):
         rng = image_rng(seed, light=index, posture=0, exposure=0)
-        levels = expose(
-            image.level, sensor=sensor, exposure=1.0, full_scale=scene.reflectance.full_scale, rng=rng
-        )
+        levels = expose(image.level, sensor=sensor, exposure=1.0, full_scale=scene.reflectance.full_scale, rng=rng)
         found.append(
             Observation(
                 light=image.light,
@@ -91,9 +89,7 @@ def taken(scene: Scene, images: PostureImages, seed: int) -> list[Observation]:
     return found
 
 
-def view_of(
-    true: Scene, model: Scene, lies: Placement, seed: int, pixel_mm: float
-) -> tuple[PostureView, Placement]:
+def view_of(true: Scene, model: Scene, lies: Placement, seed: int, pixel_mm: float) -> tuple[PostureView, Placement]:
     """Noisy images of the true part where it lies, registered with the model about there."""
     placed = place_part(true, lies)
     images = render_posture(placed, FIRST, caster=cast_rays_at(placed))
@@ -145,28 +141,20 @@ def try_part(task: tuple[str, int, Size, float]) -> list[str]:
             alarms = [len_of(regions_of(one, model, options, taught)) for one in sets[half:]]
             hits = region_hits(regions_of(marked, model, options, taught), labels)
             found = {int(index) for touched in hits for index in touched}
-            cells += [
-                f"{sum(map(bool, alarms))} of {half} ({sum(alarms)})",
-                f"{len(found)} of {size.defects}",
-            ]
+            cells += [f"{sum(map(bool, alarms))} of {half} ({sum(alarms)})", f"{len(found)} of {size.defects}"]
         rows.append(f"| {name} | {detector} | {' | '.join(cells)} |")
     return rows
 
 
 def regions_of(
-    one: tuple[PostureView, Placement],
-    model: Scene,
-    options: InspectOptions,
-    taught: CalibratedPosture | None,
+    one: tuple[PostureView, Placement], model: Scene, options: InspectOptions, taught: CalibratedPosture | None
 ) -> np.ndarray:
     """Number of the region of each pixel."""
     view, assumed = one
     found: Deviations = deviations(view)
     if taught is not None and taught.systematic is not None:
         found = subtract_systematic(found, taught.systematic, nominal_pixels(view, model, assumed))
-    make_synthetic = (
-        None if options.fusion is None else partial(synthetic_image, view, options.fusion, probes=0)
-    )
+    make_synthetic = None if options.fusion is None else partial(synthetic_image, view, options.fusion, probes=0)
     detector = DETECTORS[options.detector]
     score = detector.score(found, options.min_images, make_synthetic, None)
     noise = threshold(options.false_alarms, int(view.clean.sum()), detector.tests)

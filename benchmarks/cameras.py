@@ -93,12 +93,7 @@ def _producer() -> str:
 
 def _gentl_driver(frames: int) -> float:
     settings = CameraSettings(
-        where="gentl",
-        resolution_px=SIZE,
-        bit_depth=8,
-        port="1",
-        producer=_producer(),
-        fixed_exposure_us=100.0,
+        where="gentl", resolution_px=SIZE, bit_depth=8, port="1", producer=_producer(), fixed_exposure_us=100.0
     )
     camera = open_camera("genicam", settings)
     try:
@@ -140,9 +135,7 @@ def main(arguments: list[str] | None = None) -> int:
     print("|---|---:|---:|---:|")
     for driver, (ours, bare) in ratios(chosen.frames).items():
         print(f"| `{driver}` | {ours:.0f} | {bare:.0f} | {ours / bare:.2f} |")
-    print(
-        f"\n`python -m benchmarks.cameras --frames {chosen.frames}`, {SIZE[0]} × {SIZE[1]} pixels of 8 bits."
-    )
+    print(f"\n`python -m benchmarks.cameras --frames {chosen.frames}`, {SIZE[0]} × {SIZE[1]} pixels of 8 bits.")
     return 0
 
 

@@ -46,10 +46,7 @@ def run(size: Size) -> Report:
             _take(rig, part, Path(name) / "warm", CASES["one exposure"], bench)
             for case, options in CASES.items():
                 best = min(
-                    (
-                        _take(rig, part, Path(name) / f"{case}-{i}", options, bench)
-                        for i in range(min(3, size.repeats))
-                    ),
+                    (_take(rig, part, Path(name) / f"{case}-{i}", options, bench) for i in range(min(3, size.repeats))),
                     key=lambda timing: timing.overhead,
                 )
                 numbers[case] = {**best.parts(), "whole_s": best.whole_s, "overhead": best.overhead}
@@ -89,9 +86,7 @@ def _files(folder: Path, size: Size) -> tuple[RigConfig, PartConfig]:
     return load_rig(path), load_part(folder / "cover-knob.yaml")
 
 
-def _take(
-    rig: RigConfig, part: PartConfig, folder: Path, options: CaptureOptions, bench: BenchProcess
-) -> Timing:
+def _take(rig: RigConfig, part: PartConfig, folder: Path, options: CaptureOptions, bench: BenchProcess) -> Timing:
     def connect(plan: CapturePlan) -> Devices:
         return connect_devices(rig, plan.wiring, part=part, plan=plan, bench=bench)
 

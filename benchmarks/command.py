@@ -73,11 +73,7 @@ def run(size: Size) -> Report:
 def measure(command: list[str]) -> dict[str, float]:
     """Seconds and peak memory of a command, in a process of its own."""
     done = subprocess.run(
-        [sys.executable, "-m", "benchmarks._child", *command],
-        cwd=ROOT,
-        check=True,
-        capture_output=True,
-        text=True,
+        [sys.executable, "-m", "benchmarks._child", *command], cwd=ROOT, check=True, capture_output=True, text=True
     )
     result = json.loads(done.stdout)
     if result["status"] != 0:
@@ -132,9 +128,7 @@ def _render_table(measured: dict[str, list[dict[str, float]]], limits: dict[str,
         peaks = [result["peak_bytes"] for result in results]
         peak = f"{max(peaks) / 1e9:.2f} GB" if None not in peaks else "not measured here"
         seconds = sorted(result["seconds"] for result in results)
-        rows.append(
-            (key, f"{seconds[0]:.1f}", f"{seconds[len(seconds) // 2]:.1f}", peak, f"{limits[key]} GB")
-        )
+        rows.append((key, f"{seconds[0]:.1f}", f"{seconds[len(seconds) // 2]:.1f}", peak, f"{limits[key]} GB"))
     return Table("lightopt render, files to files", ("", "least s", "median s", "peak memory", "limit"), rows)
 
 

@@ -39,8 +39,7 @@ def three_slopes() -> tuple[DefectHypothesis, ...]:
     return defect_hypotheses(
         [
             CatalogueEntry(
-                f"dent of {slope:g}°",
-                DefectShape(kind="dent", length=2.0, width=2.0, slope=math.radians(slope)),
+                f"dent of {slope:g}°", DefectShape(kind="dent", length=2.0, width=2.0, slope=math.radians(slope))
             )
             for slope in SLOPES_DEG
         ]
@@ -62,14 +61,7 @@ def run(size: Size) -> Report:
             matrix = matrix_rows(part, name, trials, scale, 4, repeats, matrices, numbers)
             searches += search_rows(part, name, matrix, trials, repeats, numbers)
         matrix_rows(
-            part,
-            "built-in catalogue",
-            defect_hypotheses(BUILT_IN_CATALOGUE),
-            scale,
-            "auto",
-            repeats,
-            matrices,
-            numbers,
+            part, "built-in catalogue", defect_hypotheses(BUILT_IN_CATALOGUE), scale, "auto", repeats, matrices, numbers
         )
     numbers["peak_bytes"] = peak_bytes()
     return Report(

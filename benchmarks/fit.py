@@ -34,11 +34,7 @@ def run(size: Size) -> Report:
         for panel, points in PANELS.items():
             images = folder / panel.replace(": ", "-").replace(" = ", "")
             render_image_set(
-                rig,
-                PART,
-                images,
-                options=RenderOptions(points=points, noise=1),
-                run=RunContext(threads=THREADS),
+                rig, PART, images, options=RenderOptions(points=points, noise=1), run=RunContext(threads=THREADS)
             )
             found = rounds(_tasks(load_rig(rig), load_part(PART), images, points), min(3, size.repeats))
             one = found["one image"]
@@ -46,13 +42,7 @@ def run(size: Size) -> Report:
             for name in ("fit", "fit, validated"):
                 least, median = ratios(found[name], one)
                 rows.append(
-                    (
-                        f"{panel}: {name}",
-                        f"{min(one):.2f}",
-                        f"{min(found[name]):.1f}",
-                        f"{least:.1f}",
-                        f"{median:.1f}",
-                    )
+                    (f"{panel}: {name}", f"{min(one):.2f}", f"{min(found[name]):.1f}", f"{least:.1f}", f"{median:.1f}")
                 )
     return Report(
         "fit",
@@ -73,23 +63,17 @@ def run(size: Size) -> Report:
     )
 
 
-def _tasks(
-    rig: RigConfig, part: PartConfig, images: Path, points: int | str | None
-) -> dict[str, Callable[[], object]]:
+def _tasks(rig: RigConfig, part: PartConfig, images: Path, points: int | str | None) -> dict[str, Callable[[], object]]:
     scene = build_scene(rig, part, points=points)  # type: ignore[arg-type]
     alone = replace(scene, lights=scene.lights[:1])
 
     def fit(validate: bool) -> object:
         tried = () if points is None else (points,)
         options = FitOptions(joint=True, validate=validate, points=tried)  # type: ignore[arg-type]
-        return fit_specular(
-            rig, part, read_image_set(images), options=options, run=RunContext(threads=THREADS)
-        )
+        return fit_specular(rig, part, read_image_set(images), options=options, run=RunContext(threads=THREADS))
 
     return {
-        "one image": lambda: render_posture(
-            alone, alone.postures[0], caster=cast_rays_at(alone), threads=THREADS
-        ),
+        "one image": lambda: render_posture(alone, alone.postures[0], caster=cast_rays_at(alone), threads=THREADS),
         "fit": lambda: fit(False),
         "fit, validated": lambda: fit(True),
     }

@@ -40,15 +40,7 @@ def run(size: Size) -> Report:
     for part in PARTS if size.repeats > 1 else PARTS[:1]:
         with tempfile.TemporaryDirectory(prefix="lightopt-bench-") as name:
             rows += _part(Path(name), part, size, numbers)
-    header = (
-        "",
-        "seconds",
-        "read and cast [s]",
-        "ratio, least",
-        "ratio, median",
-        f"≤ {TARGET:g}",
-        "processor ratio",
-    )
+    header = ("", "seconds", "read and cast [s]", "ratio, least", "ratio, median", f"≤ {TARGET:g}", "processor ratio")
     notes = (
         f"one posture, four lights, {size.width} px wide, 8 bits with noise, {THREADS} threads; files are in the cache",
         "read and cast: manifest, hashes and PNGs, and a ray through every pixel centre that can show the part",
@@ -104,10 +96,7 @@ def _part(folder: Path, part: str, size: Size, numbers: dict[str, object]) -> li
         (f"{part}: {what}", f"{seconds:.2f}", f"{cast:.2f}", f"{seconds / cast:.1f}", "", "", "")
         for what, seconds in zip(("first part", "second part, slopes rendered"), once, strict=True)
     ]
-    for key, label in (
-        ("verdict", "next part, to its verdict"),
-        ("synthetic", "next part, to its synthetic image"),
-    ):
+    for key, label in (("verdict", "next part, to its verdict"), ("synthetic", "next part, to its synthetic image")):
         times, work = timed[key], worked[key]
         numbers[f"{part}: {label}"] = {"seconds": times[key], "base": times["base"], "processor": work}
         met = "yes" if ratios(times[key], times["base"])[0] <= TARGET else "no"
@@ -137,14 +126,12 @@ def _sets(folder: Path, name: str, rig: RigConfig) -> tuple[PartConfig, list[Pat
     for number, (x, y) in enumerate(PLACES_MM):
         # as many pixels apart whatever the size
         own = ", ".join(
-            f"{first + scale * (there - first):.6g}"
-            for there, first in zip((x, y), PLACES_MM[0], strict=True)
+            f"{first + scale * (there - first):.6g}" for there, first in zip((x, y), PLACES_MM[0], strict=True)
         )
         placed = f"placement: {{anchor: rest_on_table, translate_mm: [{own}, 0]}}\n\npostures:"
         moved = folder / f"part-{number}.yaml"
         moved.write_text(
-            re.sub(r"placement:.*?\npostures:", lambda _, t=placed: t, text, flags=re.DOTALL),
-            encoding="utf-8",
+            re.sub(r"placement:.*?\npostures:", lambda _, t=placed: t, text, flags=re.DOTALL), encoding="utf-8"
         )
         sets.append(folder / f"set-{number}")
         options = RenderOptions(noise=number + 1, postures=(FIRST,), patch_budget=2000)

@@ -182,19 +182,7 @@ def images(folder: Path, rig: RigConfig, part: Path, seed: int, *, good: bool, s
     from lightopt.cli._main import run
 
     strewn = folder / f"{part.stem}-{seed}.yaml"
-    command = [
-        "defects",
-        rig.source.path,
-        part,
-        "--seed",
-        seed,
-        "--count",
-        size.defects,
-        "-o",
-        strewn,
-        "-q",
-        "--force",
-    ]
+    command = ["defects", rig.source.path, part, "--seed", seed, "--count", size.defects, "-o", strewn, "-q", "--force"]
     assert run([str(word) for word in command]) == 0
     text = strewn.read_text(encoding="utf-8")
     turn = math.degrees(LIES.turn)
@@ -300,9 +288,7 @@ def highlights(view: PostureView, image_set: ImageSet) -> list[tuple[str, float,
     return rows
 
 
-def try_set(
-    task: tuple[str, int, int, Size],
-) -> tuple[dict[str, Tally], list[tuple[str, float, float, float]]]:
+def try_set(task: tuple[str, int, int, Size]) -> tuple[dict[str, Tally], list[tuple[str, float, float, float]]]:
     """One set of a part: with defects, or the good part where the seed is beyond the number of sets."""
     part_name, seed, sets, size = task
     good = seed > sets
@@ -348,10 +334,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 for fusion, step, deviation, before in rows
             ]
     blocks = {"ways": ways_table(tallies, size.parts), "defects": defects_table(tallies, size.parts)}
-    head = [
-        "| part | fusion | before [level] | left [level] | uncertainty [level] |",
-        "|---|---|---|---|---|",
-    ]
+    head = ["| part | fusion | before [level] | left [level] | uncertainty [level] |", "|---|---|---|---|---|"]
     blocks["highlights"] = "\n".join([*head, *gone])
     for block, text in blocks.items():
         print(f"\n{text}")

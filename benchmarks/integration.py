@@ -69,9 +69,7 @@ def main() -> None:
             direct(mask, gx, gy)
             slow = time.process_time() - begun
             cells = f"{slow:.2f}", f"{slow / min(times):.0f}"
-        print(
-            f"| {columns} × {rows} | {min(times):.2f} | {cells[0]} | {cells[1]} | {error:.1e} |", flush=True
-        )
+        print(f"| {columns} × {rows} | {min(times):.2f} | {cells[0]} | {cells[1]} | {error:.1e} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -33,14 +33,7 @@ from benchmarks.inspection import FALSE_ALARMS, FIRST, replace_block
 from lightopt import build_scene, load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
 from lightopt.defects import BUILT_IN_CATALOGUE, PlacedDefect, radial_place, surface_coordinates
-from lightopt.design import (
-    Contrast,
-    DetectionModel,
-    Visibility,
-    defect_hypotheses,
-    luminance_matrix,
-    unpack_flags,
-)
+from lightopt.design import Contrast, DetectionModel, Visibility, defect_hypotheses, luminance_matrix, unpack_flags
 from lightopt.images import ImageSet, read_image_set
 from lightopt.inspection import (
     SCALES_PX,
@@ -57,15 +50,7 @@ from lightopt.inspection import (
 )
 from lightopt.rendering import PatchTable, build_patches, cast_rays_at
 from lightopt.report import chart, figure_image, fixed_style
-from lightopt.rig.capture import (
-    CaptureOptions,
-    CapturePlan,
-    Devices,
-    capture,
-    connect_devices,
-    start_bench,
-    wiring_of,
-)
+from lightopt.rig.capture import CaptureOptions, CapturePlan, Devices, capture, connect_devices, start_bench, wiring_of
 from lightopt.rig.simulated import BenchTruth
 from lightopt.scene import place_defects
 
@@ -290,11 +275,7 @@ def table(tallies: list[Tally]) -> str:
         if t.kind == "all":
             alarms = f"{t.false_alarms} in {t.postures}"
             lines.append(f"| {t.part} | {t.objective} | {t.min_images} | {_cells(t)} | {alarms} |")
-    lines += [
-        "",
-        "| kind | images | planned | beneath | whole | found | 95 % |",
-        "|---|---|---|---|---|---|---|",
-    ]
+    lines += ["", "| kind | images | planned | beneath | whole | found | 95 % |", "|---|---|---|---|---|---|---|"]
     mine = [t for t in tallies if t.objective == "detectability" and t.kind != "all"]
     for min_images, kind in itertools.product(SEEN_IN, dict.fromkeys(t.kind for t in mine)):
         both = [t for t in mine if (t.min_images, t.kind) == (min_images, kind)]
@@ -321,9 +302,7 @@ def _cells(t: Tally) -> str:
 
 def plot(tallies: list[Tally], path: Path) -> None:
     """Predicted across, found up, a dot per part, rig and kind; the line is where they are equal."""
-    shown = list(
-        itertools.product(SEEN_IN, ("share of pairs planned", "defects of which a pair beneath is seen"))
-    )
+    shown = list(itertools.product(SEEN_IN, ("share of pairs planned", "defects of which a pair beneath is seen")))
     with fixed_style():
         figure, panels = chart(
             title="The loop, kind by kind",
@@ -354,9 +333,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--step", type=float, default=5.0, help="of the lights' angles [°]")
     parser.add_argument("--out", type=Path, default=Path("out/loop"), help="folder of loop.csv")
     parser.add_argument("--plot", type=Path, help="picture to draw")
-    parser.add_argument(
-        "--page", action="store_true", help="put the tables into docs/validation/inspection.md"
-    )
+    parser.add_argument("--page", action="store_true", help="put the tables into docs/validation/inspection.md")
     options = parser.parse_args(arguments)
     tallies: list[Tally] = []
     for name in options.parts:

@@ -167,9 +167,7 @@ def run(size: Size) -> Report:
     )
 
 
-def placing(
-    whole: ImageEvaluator, choice: PostureChoice, step_deg: float
-) -> dict[int, tuple[int, float, float]]:
+def placing(whole: ImageEvaluator, choice: PostureChoice, step_deg: float) -> dict[int, tuple[int, float, float]]:
     """Combinations, seconds and processor seconds of placing the lights, by the images that must show a pair."""
     candidates = find_candidates(load_rig(RIG), step_deg=step_deg)
     images = [whole.flags(posture, candidates.panels) for posture in choice.postures[:2]]
@@ -182,11 +180,7 @@ def placing(
         start, work = time.perf_counter(), time.process_time()
         found = place_lights(lights, whole.weights, candidates.space, threads=THREADS)
         assert found.exact
-        took[k] = (
-            math.prod(candidates.space.sizes),
-            time.perf_counter() - start,
-            time.process_time() - work,
-        )
+        took[k] = (math.prod(candidates.space.sizes), time.perf_counter() - start, time.process_time() - work)
     return took
 
 

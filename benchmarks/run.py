@@ -11,18 +11,7 @@ from pathlib import Path
 from benchmarks._case import FULL, QUICK, TOY, Size
 from benchmarks._report import Report, machine
 
-NAMES = (
-    "bare",
-    "peers",
-    "auto",
-    "command",
-    "search",
-    "detectability",
-    "plan",
-    "fit",
-    "inspecting",
-    "capture",
-)
+NAMES = ("bare", "peers", "auto", "command", "search", "detectability", "plan", "fit", "inspecting", "capture")
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -62,8 +51,7 @@ def save(report: Report, size: Size, about: dict[str, object], load: float | Non
         "machine": {**about, "load_at_start": load},
         "notes": list(report.notes),
         "tables": [
-            {"title": t.title, "header": list(t.header), "rows": [list(row) for row in t.rows]}
-            for t in report.tables
+            {"title": t.title, "header": list(t.header), "rows": [list(row) for row in t.rows]} for t in report.tables
         ],
         "numbers": dict(report.numbers),
     }

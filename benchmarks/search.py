@@ -71,9 +71,7 @@ def run(size: Size) -> Report:
     for part in PARTS:
         scene, table, panels = case(part, scale)
         start = time.perf_counter()
-        matrix = luminance_matrix(
-            scene, table, scene.postures[0], panels, caster=cast_rays_at(scene), threads=THREADS
-        )
+        matrix = luminance_matrix(scene, table, scene.postures[0], panels, caster=cast_rays_at(scene), threads=THREADS)
         whole = time.perf_counter() - start
         matrix_rows.append(matrix_row(part, scene, table, panels, matrix, whole, scale, repeats, numbers))
         matrix = drawn(matrix, scale.patches)
@@ -83,8 +81,7 @@ def run(size: Size) -> Report:
     rng = np.random.default_rng(0)
     patches = matrix.levels[0].shape[1]
     noise = LuminanceMatrix(
-        levels=tuple(rng.integers(0, 256, layer.shape).astype(np.uint8) for layer in matrix.levels),
-        areas=matrix.areas,
+        levels=tuple(rng.integers(0, 256, layer.shape).astype(np.uint8) for layer in matrix.levels), areas=matrix.areas
     )
     rows += search_rows("random levels", noise, repeats, seconds)
     for step in scale.coarse_deg:
@@ -100,9 +97,7 @@ def run(size: Size) -> Report:
                 ("levels", "objective", "combinations", "least s", "plain s", "times faster", "target"),
                 rows,
             ),
-            Table(
-                f"growth with patches, {PARTS[0]}", ("patches", *(f"{name} s" for name in OBJECTIVES)), growth
-            ),
+            Table(f"growth with patches, {PARTS[0]}", ("patches", *(f"{name} s" for name in OBJECTIVES)), growth),
             Table(
                 "luminance matrix against bare embreex on the same rays (target ≤ 2)",
                 ("part", "positions × patches", "whole s", "ratio of least", "median ratio"),
@@ -131,8 +126,7 @@ def drawn(matrix: LuminanceMatrix, patches: int) -> LuminanceMatrix:
     count = len(matrix.areas)
     some = np.sort(np.random.default_rng(3).choice(count, min(count, patches), replace=False))
     return LuminanceMatrix(
-        levels=tuple(np.ascontiguousarray(layer[:, some]) for layer in matrix.levels),
-        areas=matrix.areas[some],
+        levels=tuple(np.ascontiguousarray(layer[:, some]) for layer in matrix.levels), areas=matrix.areas[some]
     )
 
 
@@ -183,8 +177,7 @@ def growth_rows(matrix: LuminanceMatrix, repeats: int, numbers: dict[str, object
     for share in (8, 4, 2, 1):
         some = np.sort(rng.choice(patches, patches // share, replace=False))
         part = LuminanceMatrix(
-            levels=tuple(np.ascontiguousarray(layer[:, some]) for layer in matrix.levels),
-            areas=matrix.areas[some],
+            levels=tuple(np.ascontiguousarray(layer[:, some]) for layer in matrix.levels), areas=matrix.areas[some]
         )
         times = rounds(
             {
@@ -212,8 +205,7 @@ def matrix_row(
 ) -> tuple[str, ...]:
     """The luminance matrix of some positions against a replay of exactly its rays."""
     some = tuple(
-        tuple(light[k] for k in np.linspace(0, len(light) - 1, scale.ray_positions).astype(int))
-        for light in panels
+        tuple(light[k] for k in np.linspace(0, len(light) - 1, scale.ray_positions).astype(int)) for light in panels
     )
     posture = scene.postures[0]
     recorded: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = []
@@ -237,8 +229,7 @@ def matrix_row(
         embree.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
         with ThreadPoolExecutor(THREADS) as pool:
             found = pool.map(
-                lambda p: int((embree.run(origins[p], directions[p], reach[p], query="OCCLUDED") >= 0).sum()),
-                blocks,
+                lambda p: int((embree.run(origins[p], directions[p], reach[p], query="OCCLUDED") >= 0).sum()), blocks
             )
             blocked = sum(found)
         del mesh
@@ -257,13 +248,7 @@ def matrix_row(
         "whole_seconds": whole,
     }
     positions = sum(matrix.shape)
-    return (
-        part,
-        f"{positions} × {matrix.levels[0].shape[1]:,}",
-        f"{whole:.1f}",
-        f"{least:.2f}",
-        f"{median:.2f}",
-    )
+    return (part, f"{positions} × {matrix.levels[0].shape[1]:,}", f"{whole:.1f}", f"{least:.2f}", f"{median:.2f}")
 
 
 def peak_bytes() -> int:

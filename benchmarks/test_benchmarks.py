@@ -47,9 +47,7 @@ def test_replay_casts_the_rays_of_the_run(scene: Scene) -> None:
     rays = bare.record_rays(scene)
     images = bare.render_from_mesh(scene)
     assert rays.count == images.rays
-    answers = {
-        bare.replay(rays, block=block, threads=threads)() for block in (100, 10_000) for threads in (1, 2)
-    }
+    answers = {bare.replay(rays, block=block, threads=threads)() for block in (100, 10_000) for threads in (1, 2)}
     hits = int(images.geometry.hit.sum())
     assert {hit for hit, _ in answers} == {hits}
     assert len({blocked for _, blocked in answers}) == 1
@@ -228,17 +226,13 @@ def test_a_peer_that_could_not_be_installed_is_tried_again(tmp_path: Path) -> No
 
     def run(fails: str) -> list[str]:
         python.write_text(
-            f'#!/bin/sh\necho "$@" >>{tmp_path}/log\ncase "$*" in *{fails}*) exit 1;; esac\n',
-            encoding="utf-8",
+            f'#!/bin/sh\necho "$@" >>{tmp_path}/log\ncase "$*" in *{fails}*) exit 1;; esac\n', encoding="utf-8"
         )
         python.chmod(0o755)
         (tmp_path / "log").write_text("", encoding="utf-8")
         peers_installed = f"{tmp_path}/.peers"
         subprocess.run(
-            ["make", "--silent", f"BENCH={tmp_path}", peers_installed],
-            cwd=ROOT,
-            check=True,
-            stdout=subprocess.PIPE,
+            ["make", "--silent", f"BENCH={tmp_path}", peers_installed], cwd=ROOT, check=True, stdout=subprocess.PIPE
         )
         return (tmp_path / "log").read_text(encoding="utf-8").splitlines()
 
@@ -276,8 +270,7 @@ def test_measure_says_how_much_memory_and_refuses_a_failed_command() -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(
-    "name",
-    ["bare", "peers", "auto", "command", "search", "detectability", "plan", "fit", "inspecting", "capture"],
+    "name", ["bare", "peers", "auto", "command", "search", "detectability", "plan", "fit", "inspecting", "capture"]
 )
 def test_each_benchmark_runs_and_writes_its_numbers(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -311,9 +304,7 @@ def test_the_overhead_of_a_capture_is_what_its_times_leave() -> None:
         needed = sum(found[name] for name in ("settling_s", "exposing_s", "transfer_s"))
         assert found["settling_s"] >= 4 * 0.1 * 0.99  # four lights
         assert found["overhead"] == pytest.approx(
-            (found["whole_s"] - found["opening_s"] - found["closing_s"] - found["moving_s"] - needed)
-            / needed,
-            rel=1e-6,
+            (found["whole_s"] - found["opening_s"] - found["closing_s"] - found["moving_s"] - needed) / needed, rel=1e-6
         )
 
 

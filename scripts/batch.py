@@ -19,23 +19,12 @@ INTERRUPTED = 130
 
 OWN = {("lightopt-images", "simulated"), ("lightopt-optimum", "simulated")}
 
-HEADER = (
-    "part",
-    "check",
-    "render",
-    "optimize",
-    "seconds",
-    "posture",
-    "share",
-    "lights (elevation, azimuth)",
-)
+HEADER = ("part", "check", "render", "optimize", "seconds", "posture", "share", "lights (elevation, azimuth)")
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the batch; returns the exit status."""
-    parser = argparse.ArgumentParser(
-        prog="batch", description="Check, render and optimise every part of a folder."
-    )
+    parser = argparse.ArgumentParser(prog="batch", description="Check, render and optimise every part of a folder.")
     parser.add_argument("rig", type=Path, help="rig file (YAML)")
     parser.add_argument("parts", type=Path, help="folder of part files (*.yaml)")
     parser.add_argument("--step", default="5", help="step of the angles [deg]")
@@ -44,10 +33,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     parts = sorted(path for path in options.parts.glob("*.yaml") if path.is_file())
     if not parts:
-        print(
-            f"error: {options.parts}: no part file (*.yaml) is there; give the folder of the parts",
-            file=sys.stderr,
-        )
+        print(f"error: {options.parts}: no part file (*.yaml) is there; give the folder of the parts", file=sys.stderr)
         return 2
     rows: list[tuple[str, ...]] = []
     tried, failed = 0, list[str]()
@@ -60,9 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
         if interrupted:
             break
     widths = [max(len(row[i]) for row in (HEADER, *rows)) for i in range(len(HEADER))]
-    table = [
-        "  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in (HEADER, *rows)
-    ]
+    table = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in (HEADER, *rows)]
     print("\n" + "\n".join(table))
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "summary.txt").write_text("\n".join(table) + "\n", encoding="utf-8")
@@ -75,9 +59,7 @@ def main(arguments: list[str] | None = None) -> int:
     return 1 if failed else 0
 
 
-def run_part(
-    rig: Path, part: Path, step: str, more: list[str], out: Path
-) -> tuple[list[tuple[str, ...]], bool]:
+def run_part(rig: Path, part: Path, step: str, more: list[str], out: Path) -> tuple[list[tuple[str, ...]], bool]:
     """Check, render and optimise a part; what fails keeps the rest from being tried.
 
     Rows, one for each set of lights and so for each posture, or one for all; and whether Ctrl-C was pressed.

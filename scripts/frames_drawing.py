@@ -185,12 +185,7 @@ def draw_zenith(drawing: Drawing, box: Box) -> list[Label]:
 def draw_light(drawing: Drawing, box: Box) -> list[Label]:
     """A panel with its points, facing the origin."""
     light = place_light(
-        name="panel",
-        distance=100.0,
-        elevation=np.radians(50.0),
-        azimuth=np.radians(75.0),
-        size=(62.0, 44.0),
-        points=9,
+        name="panel", distance=100.0, elevation=np.radians(50.0), azimuth=np.radians(75.0), size=(62.0, 44.0), points=9
     )
     corners = panel_corners(light)
     points = np.concatenate([square(42.0, ORIGIN), corners, [light.centre + 52 * light.across]])
@@ -224,19 +219,13 @@ def draw_camera(drawing: Drawing, box: Box) -> list[Label]:
     """A camera with roll, between its own and the sphere's directions."""
     roll = np.radians(25.0)
     angles = {"elevation": np.radians(52.0), "azimuth": np.radians(320.0)}
-    camera = place_camera(
-        distance=110.0, roll=roll, width=40, height=30, pixel_size=0.3, image_distance=24.0, **angles
-    )
+    camera = place_camera(distance=110.0, roll=roll, width=40, height=30, pixel_size=0.3, image_distance=24.0, **angles)
     e_phi = azimuth_tangent(azimuth=angles["azimuth"])
     e_theta = elevation_tangent(**angles)
     shape = camera_shape(camera, 20.0)
     tips = camera.position + 50.0 * np.stack([e_phi, e_theta, camera.up])
     pen = fit_pen(
-        drawing,
-        box,
-        np.concatenate([square(46.0, ORIGIN), tips, shape.footprint]),
-        elevation=30.0,
-        azimuth=292.0,
+        drawing, box, np.concatenate([square(46.0, ORIGIN), tips, shape.footprint]), elevation=30.0, azimuth=292.0
     )
     pen.grid(46.0, 23.0)
     pen.footprint(shape)
@@ -286,9 +275,7 @@ def draw_pixels(drawing: Drawing, box: Box) -> list[Label]:
 
     drawing.polygon(cell(0, 0), fill="#d9e0e6")
     for column in range(camera.width + 1):
-        drawing.line(
-            place(np.array([column] * 2), np.array([0.0, camera.height])), colour="#b9c0c9", width=1.0
-        )
+        drawing.line(place(np.array([column] * 2), np.array([0.0, camera.height])), colour="#b9c0c9", width=1.0)
     for row in range(camera.height + 1):
         drawing.line(place(np.array([0.0, camera.width]), np.array([row] * 2)), colour="#b9c0c9", width=1.0)
     # where these image points look on the table, and back through the lens: what is drawn is what the camera does
@@ -378,9 +365,7 @@ def fit_pen(drawing: Drawing, box: Box, points: Float64, *, elevation: float, az
     return Pen(drawing, view, [])
 
 
-def named_arrow(
-    pen: Pen, start: Float64, tip: Float64, name: str, colour: str, *, width: float = 2.6
-) -> None:
+def named_arrow(pen: Pen, start: Float64, tip: Float64, name: str, colour: str, *, width: float = 2.6) -> None:
     """Draw an arrow and its name at the tip."""
     pen.arrow(np.stack([start, tip]), colour, width)
     pen.label(name, tip, colour, away_from=start)

@@ -36,15 +36,7 @@ def render(name: str, folder: Path) -> None:
     """Render one golden scene into a folder."""
     rig, part, *options = RENDERS[name]
     status = run(
-        "render",
-        str(SCENES / rig),
-        str(SCENES / part),
-        "-o",
-        str(folder),
-        "--patches",
-        PATCHES,
-        "-q",
-        *options,
+        "render", str(SCENES / rig), str(SCENES / part), "-o", str(folder), "--patches", PATCHES, "-q", *options
     )
     if status:
         sys.exit(f"{name}: lightopt render left with exit status {status}")

@@ -69,12 +69,7 @@ def saturated_table() -> str:
             images = next(iter(render(scene)))
             figures[points] = [
                 saturated_region(
-                    expose(
-                        image.level,
-                        sensor=scene.sensor,
-                        exposure=1.0,
-                        full_scale=scene.reflectance.full_scale,
-                    ),
+                    expose(image.level, sensor=scene.sensor, exposure=1.0, full_scale=scene.reflectance.full_scale),
                     scene.sensor.saturation_level,
                 ).area
                 for image in images.lights
@@ -214,9 +209,7 @@ def main() -> None:
         frames_drawing(PICTURES / "frames.png")
         scene = build_scene(RIGS / "four-panel.yaml", PARTS / "cover-knob.yaml")
         rig_drawing(scene, PICTURES / "four-panel.png")
-        print(
-            lightopt("render", RIGS / "four-panel.yaml", PARTS / "cover-knob.yaml", "-o", out / "knob", "-q")
-        )
+        print(lightopt("render", RIGS / "four-panel.yaml", PARTS / "cover-knob.yaml", "-o", out / "knob", "-q"))
         contact_sheet(read_image_set(out / "knob"), PICTURES / "cover-knob-sheet.png")
         crops = []
         for points in ("4", "auto"):

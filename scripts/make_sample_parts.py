@@ -33,18 +33,14 @@ STEP_DECIMALS = 7  # of coordinates [mm]: the kernel's own tolerance is 1e-7 mm
 
 
 # ---------- building blocks
-def barrel(
-    *, top: Vector, normal: Vector, axis: Vector, along: float, around: float, half: float
-) -> cq.Workplane:
+def barrel(*, top: Vector, normal: Vector, axis: Vector, along: float, around: float, half: float) -> cq.Workplane:
     """Solid of revolution whose surface passes through `top` with outward `normal`.
 
     Its radius of curvature there is `along` [mm] in the direction of `axis` (its axis of revolution, at right
     angles to the normal) and `around` [mm] across it; it extends `half` [mm] along the axis to both sides.
     """
     end = around - along + math.sqrt(along**2 - half**2)
-    plane = cq.Plane(
-        origin=(top - normal * around).toTuple(), xDir=axis.toTuple(), normal=axis.cross(normal).toTuple()
-    )
+    plane = cq.Plane(origin=(top - normal * around).toTuple(), xDir=axis.toTuple(), normal=axis.cross(normal).toTuple())
     # The profile lies on the side away from the normal: the seam of the surface of revolution, which the
     # kernel's fillets cannot cross, then stays out of the part.
     profile = cq.Workplane(plane).moveTo(-half, 0)
@@ -99,9 +95,7 @@ def cover_knob() -> cq.Solid:
         a = math.radians(azimuth)
         top = Vector(12.43 * math.cos(a), 11.0 * math.sin(a), 15.8)
         half = along * math.sin(math.radians(75))
-        body = body.intersect(
-            barrel(top=top, normal=normal, axis=downhill, along=along, around=around, half=half)
-        )
+        body = body.intersect(barrel(top=top, normal=normal, axis=downhill, along=along, around=around, half=half))
     solid = only_solid(body)
     solid = solid.fillet(8.0, edges_between(solid, ("REVOLUTION", "REVOLUTION")))
     wall = max((face for face in solid.Faces() if face.geomType() == "BSPLINE"), key=lambda face: face.Area())
@@ -134,17 +128,12 @@ def spout() -> cq.Solid:
     """Domed body with a boat-shaped bowl cut into it, edges rounded with 1.5 mm, a leaning ring as handle."""
     normal, forward = leaning(azimuth_deg=0, tilt_deg=4)
     crown = barrel(top=Vector(0, 0, 20.5), normal=normal, axis=forward, along=75, around=38, half=64.95)
-    down, forward = (
-        Vector(0, 0, 0) - leaning(azimuth_deg=0, tilt_deg=12)[0],
-        leaning(azimuth_deg=0, tilt_deg=12)[1],
-    )
+    down, forward = (Vector(0, 0, 0) - leaning(azimuth_deg=0, tilt_deg=12)[0], leaning(azimuth_deg=0, tilt_deg=12)[1])
     length = math.sqrt(55.0**2 - (55.0 - 11.5) ** 2)  # the bowl's barrel closes to a point at both ends
     bowl = barrel(top=Vector(14, 0, 7.5), normal=down, axis=forward, along=55, around=11.5, half=length)
     prism = spout_outline().extrude(40).edges("|Z and >X").fillet(2.0)
     solid = only_solid(prism.intersect(crown).cut(bowl))
-    sharp = edges_between(
-        solid, ("CYLINDER", "REVOLUTION"), ("REVOLUTION", "REVOLUTION"), ("PLANE", "REVOLUTION")
-    )
+    sharp = edges_between(solid, ("CYLINDER", "REVOLUTION"), ("REVOLUTION", "REVOLUTION"), ("PLANE", "REVOLUTION"))
     solid = solid.fillet(1.5, sharp)
 
     lean = math.radians(18)

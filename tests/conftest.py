@@ -24,9 +24,7 @@ from lightopt.geometry._step import read_step
 
 # a busy machine is no reason for an example to fail; CI draws the same every time, make test-nightly ten times as many
 settings.register_profile("developer", deadline=None, max_examples=30)
-settings.register_profile(
-    "ci", deadline=None, max_examples=30, derandomize=True, database=None, print_blob=True
-)
+settings.register_profile("ci", deadline=None, max_examples=30, derandomize=True, database=None, print_blob=True)
 settings.register_profile("nightly", deadline=None, max_examples=300)
 settings.load_profile("ci" if os.environ.get("CI") else "developer")
 

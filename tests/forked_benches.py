@@ -69,10 +69,7 @@ class ForkingProcess:
             # what this process finds its modules by; each bench has the environment of its request instead
             places = os.pathsep.join(place or str(Path.cwd()) for place in sys.path)
             self._process = subprocess.Popen(
-                command,
-                pass_fds=[theirs.fileno()],
-                start_new_session=True,
-                env={**os.environ, "PYTHONPATH": places},
+                command, pass_fds=[theirs.fileno()], start_new_session=True, env={**os.environ, "PYTHONPATH": places}
             )
             theirs.close()
         request = {"spec": spec, "folder": str(Path.cwd()), "environment": dict(os.environ)}

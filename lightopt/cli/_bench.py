@@ -48,8 +48,7 @@ def light(
         int | None, typer.Argument(metavar="[LEVEL]", help="Intensity; the rig's level where it is left out.")
     ] = None,
     seconds: Annotated[
-        float | None,
-        typer.Option(metavar="S", min=0.0, help="Time; otherwise until Enter is pressed."),
+        float | None, typer.Option(metavar="S", min=0.0, help="Time; otherwise until Enter is pressed.")
     ] = None,
     serial_log: SerialLog = None,
 ) -> None:
@@ -72,10 +71,7 @@ def light(
             + (f" until Enter is pressed{at_most}" if seconds is None else f" for {seconds:g} s")
         )
         held = hold_light(devices, name, chosen, seconds=seconds, wait=_wait)
-    say(
-        f"{name} is off; "
-        + ("its level cannot be read back" if held is None else f"the controller held level {held}")
-    )
+    say(f"{name} is off; " + ("its level cannot be read back" if held is None else f"the controller held level {held}"))
 
 
 @bench.command(cls=HeadedCommand)
@@ -161,21 +157,13 @@ def snap(
     ] = None,
     exposure: Annotated[str, typer.Option(metavar="X", help="Exposure, such as 1 or 1/16.")] = "1",
     part: Annotated[
-        Path | None,
-        typer.Option(metavar="PART", help="What lies on the virtual bench; needed for its camera only."),
+        Path | None, typer.Option(metavar="PART", help="What lies on the virtual bench; needed for its camera only.")
     ] = None,
     serial_log: SerialLog = None,
     force: Force = False,
 ) -> None:
     """Take one frame where the stage stands."""
-    from lightopt.rig.capture import (
-        check_exposure,
-        check_level,
-        check_on_time,
-        connect_devices,
-        snap_on_s,
-        wiring_of,
-    )
+    from lightopt.rig.capture import check_exposure, check_level, check_on_time, connect_devices, snap_on_s, wiring_of
     from lightopt.rig.capture import snap as take
 
     relative = parse_exposure(exposure)
@@ -187,9 +175,7 @@ def snap(
     if light is not None:
         check_level(wiring, loaded, light, None)
         check_on_time(wiring, loaded, light, snap_on_s(wiring, relative))
-    devices = connect_devices(
-        loaded, wiring, part=loaded_part, serial_log=serial_log, run=RunContext(warn=say_warning)
-    )
+    devices = connect_devices(loaded, wiring, part=loaded_part, serial_log=serial_log, run=RunContext(warn=say_warning))
     with devices:
         low, high, mean = take(devices, file, light=light, exposure=relative, overwrite=force)
     say(f"levels {low} to {high}, mean {mean:.1f}")
@@ -198,9 +184,7 @@ def snap(
 
 @bench.command("devices", cls=HeadedCommand)
 def list_devices(
-    rig: Annotated[
-        Path | None, typer.Argument(metavar="[RIG]", help="Print also what this rig expects.")
-    ] = None,
+    rig: Annotated[Path | None, typer.Argument(metavar="[RIG]", help="Print also what this rig expects.")] = None,
 ) -> None:
     """List the serial ports of this computer and the cameras that answer; no port is opened or written to."""
     from lightopt.rig.devices import serial_ports

@@ -36,28 +36,18 @@ def capture(
     rig: RigFile,
     part: PartFile,
     out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", metavar="DIR", help="Output folder; made if missing."),
+        Path | None, typer.Option("--out", "-o", metavar="DIR", help="Output folder; made if missing.")
     ] = None,
     light: Lights = None,
     posture: Postures = None,
     exposures: Exposures = "1",
-    average: Annotated[
-        int,
-        selection_option(metavar="N", min=1, help="Average N frames for each image."),
-    ] = 1,
+    average: Annotated[int, selection_option(metavar="N", min=1, help="Average N frames for each image.")] = 1,
     dark: Annotated[
-        bool,
-        selection_option(
-            "--dark", help="Capture frames without light as well; they are subtracted in the EXR."
-        ),
+        bool, selection_option("--dark", help="Capture frames without light as well; they are subtracted in the EXR.")
     ] = False,
     home: Annotated[bool, hardware_option("--home", help="Home the stage first.")] = False,
     check_lights: Annotated[
-        bool,
-        hardware_option(
-            "--check-lights/--no-check-lights", help="Check that each image is lit by its light."
-        ),
+        bool, hardware_option("--check-lights/--no-check-lights", help="Check that each image is lit by its light.")
     ] = True,
     check_repeatability: Annotated[
         bool,
@@ -67,13 +57,9 @@ def capture(
         ),
     ] = False,
     dry_run: Annotated[
-        bool,
-        hardware_option("--dry-run", help="Print every step with its time; open and move nothing."),
+        bool, hardware_option("--dry-run", help="Print every step with its time; open and move nothing.")
     ] = False,
-    resume: Annotated[
-        bool,
-        output_option("--resume", help="Capture only what the existing image set lacks."),
-    ] = False,
+    resume: Annotated[bool, output_option("--resume", help="Capture only what the existing image set lacks.")] = False,
     sheet: Sheet = False,
     serial_log: SerialLog = None,
     force: Force = False,
@@ -172,6 +158,4 @@ def _show_result(done: CaptureResult) -> None:
         say(f"{counted(done.retries, 'command')} had to be sent again; the manifest says at which images")
     say(f"{done.folder / 'manifest.json'}")
     if done.virtual_bench:
-        say(
-            "all devices were the VIRTUAL BENCH: the rig file has no hardware section, and no real device was touched"
-        )
+        say("all devices were the VIRTUAL BENCH: the rig file has no hardware section, and no real device was touched")

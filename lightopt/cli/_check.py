@@ -15,13 +15,11 @@ from lightopt.core.errors import CheckFailed, InputError, counted
 def check(
     rig: RigFile,
     part: Annotated[
-        Path | None,
-        typer.Argument(metavar="[PART]", help="Part file (YAML); without it only the rig is checked."),
+        Path | None, typer.Argument(metavar="[PART]", help="Part file (YAML); without it only the rig is checked.")
     ] = None,
     json_file: JsonFile = None,
     drawing: Annotated[
-        Path | None,
-        output_option(metavar="FILE", help="Draw the rig with its frames and angles (PNG)."),
+        Path | None, output_option(metavar="FILE", help="Draw the rig with its frames and angles (PNG).")
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
@@ -46,9 +44,7 @@ def check(
     levels = Counter(finding.level for finding in report.findings)
     if not quiet:
         named = [counted(levels[level], level) for level in ("error", "warning", "note") if levels[level]]
-        say(
-            f"{', '.join(named) or 'nothing to correct'}; {levels['ok']} of {len(report.findings)} findings are ok"
-        )
+        say(f"{', '.join(named) or 'nothing to correct'}; {levels['ok']} of {len(report.findings)} findings are ok")
     shown: set[str] = set()
     for finding in report.findings:
         if quiet and finding.level in ("ok", "note"):
@@ -72,6 +68,4 @@ def check(
         text = json.dumps(found, indent=2, ensure_ascii=False) + "\n"
         write_text_atomic(json_file, text, overwrite=force)
     if errors := levels["error"]:
-        raise CheckFailed(
-            f"{errors} of {counted(len(report.findings), 'finding')} must be corrected before rendering"
-        )
+        raise CheckFailed(f"{errors} of {counted(len(report.findings), 'finding')} must be corrected before rendering")

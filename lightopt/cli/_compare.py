@@ -38,20 +38,15 @@ def compare(
         ),
     ] = 0.001,
     geometry_absolute: Annotated[
-        float,
-        threshold_option(metavar="MM", help="Threshold in geometry images and patch tables."),
+        float, threshold_option(metavar="MM", help="Threshold in geometry images and patch tables.")
     ] = 0.001,
     min_iou: Annotated[
         float | None,
-        threshold_option(
-            metavar="IOU", help="Minimum overlap of the saturated areas, intersection over union."
-        ),
+        threshold_option(metavar="IOU", help="Minimum overlap of the saturated areas, intersection over union."),
     ] = None,
     saturation: Annotated[
         float | None,
-        threshold_option(
-            metavar="LEVEL", help="Saturated from this level on.", show_default="as the files say"
-        ),
+        threshold_option(metavar="LEVEL", help="Saturated from this level on.", show_default="as the files say"),
     ] = None,
     diff: Annotated[
         Path | None,
@@ -125,9 +120,7 @@ def _show(files: Sequence[FileComparison], *, parts: int, verbose: bool) -> None
     shown = (
         channels
         if verbose
-        else (differing or sorted(channels, key=lambda pair: (pair[1].share, pair[1].max or 0.0))[-1:])[
-            :MOST_ROWS
-        ]
+        else (differing or sorted(channels, key=lambda pair: (pair[1].share, pair[1].max or 0.0))[-1:])[:MOST_ROWS]
     )
     rows: list[list[str]] = []
     for file, channel in shown:

@@ -7,15 +7,7 @@ from typing import Annotated
 import typer
 
 from lightopt.cli._inputs import load_inputs
-from lightopt.cli._options import (
-    Force,
-    PartFile,
-    Quiet,
-    RigFile,
-    Threads,
-    Verbose,
-    make_folder,
-)
+from lightopt.cli._options import Force, PartFile, Quiet, RigFile, Threads, Verbose, make_folder
 from lightopt.cli._terminal import say
 from lightopt.core.errors import counted
 from lightopt.core.run_context import RunContext
@@ -25,14 +17,9 @@ def defects(
     rig: RigFile,
     part: PartFile,
     out: Annotated[
-        Path,
-        typer.Option(
-            "--out", "-o", metavar="FILE", help="Part file to write; its folder is made if missing."
-        ),
+        Path, typer.Option("--out", "-o", metavar="FILE", help="Part file to write; its folder is made if missing.")
     ],
-    seed: Annotated[
-        int, typer.Option(metavar="N", help="Random seed; the same seed gives the same defects.")
-    ],
+    seed: Annotated[int, typer.Option(metavar="N", help="Random seed; the same seed gives the same defects.")],
     count: Annotated[int, typer.Option(metavar="K", help="Number of defects, 1 to 500.")],
     force: Force = False,
     threads: Threads = None,

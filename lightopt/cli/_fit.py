@@ -31,14 +31,7 @@ from lightopt.core.errors import CheckFailed, InputError
 from lightopt.core.run_context import RunContext
 
 if TYPE_CHECKING:
-    from lightopt.estimate.reflectance import (
-        FitFolder,
-        FitOptions,
-        FitResult,
-        FittedValue,
-        MeasuredNoise,
-        PaperOptions,
-    )
+    from lightopt.estimate.reflectance import FitFolder, FitOptions, FitResult, FittedValue, MeasuredNoise, PaperOptions
 
 
 paper_option = partial(typer.Option, rich_help_panel="The paper's procedure (--method paper)")
@@ -49,29 +42,21 @@ Images = Annotated[
 Method = Annotated[
     Literal["likelihood", "paper"],
     typer.Option(
-        metavar="likelihood|paper",
-        help="Maximum likelihood, or the procedure of the paper's sections 4.2 and 4.3.",
+        metavar="likelihood|paper", help="Maximum likelihood, or the procedure of the paper's sections 4.2 and 4.3."
     ),
 ]
 Free = Annotated[
     list[str] | None,
-    model_option(
-        "--free", metavar="gain|dark", help="Also fit the gain of each light, or the dark level; repeatable."
-    ),
+    model_option("--free", metavar="gain|dark", help="Also fit the gain of each light, or the dark level; repeatable."),
 ]
 Pixels = Annotated[
-    int,
-    model_option(metavar="N", min=1000, help="Target for the number of pixels to use, over all images."),
+    int, model_option(metavar="N", min=1000, help="Target for the number of pixels to use, over all images.")
 ]
 WriteNoise = Annotated[
-    bool,
-    output_option("--write-noise", help="Write the noise measured in the images to rig.fitted.yaml."),
+    bool, output_option("--write-noise", help="Write the noise measured in the images to rig.fitted.yaml.")
 ]
 AllowUnconverged = Annotated[
-    bool,
-    output_option(
-        "--allow-unconverged", help="Exit with status 0 even where the optimiser did not converge."
-    ),
+    bool, output_option("--allow-unconverged", help="Exit with status 0 even where the optimiser did not converge.")
 ]
 FREE = ("gain", "dark")
 
@@ -86,16 +71,10 @@ def fit_diffuse(
     free: Free = None,
     points: Points = None,
     pixels: Pixels = 1_500_000,
-    lambda_d: Annotated[
-        float,
-        paper_option(metavar="LEVEL", help="λ_d: tolerance of the mean brightness."),
-    ] = 0.01,
+    lambda_d: Annotated[float, paper_option(metavar="LEVEL", help="λ_d: tolerance of the mean brightness.")] = 0.01,
     start_rd: Annotated[float, paper_option(metavar="LEVEL", help="Starting value of R_d.")] = 10.0,
     highlight_margin: Annotated[
-        float,
-        paper_option(
-            metavar="DEG", help="Use only pixels whose normals are this far from mirroring a panel."
-        ),
+        float, paper_option(metavar="DEG", help="Use only pixels whose normals are this far from mirroring a panel.")
     ] = 20.0,
     write_noise: WriteNoise = False,
     allow_unconverged: AllowUnconverged = False,
@@ -127,10 +106,7 @@ def fit_specular(
     images: Images,
     out: Out,
     method: Method = "likelihood",
-    joint: Annotated[
-        bool,
-        model_option("--joint", help="Fit R_d as well instead of holding the part file's."),
-    ] = False,
+    joint: Annotated[bool, model_option("--joint", help="Fit R_d as well instead of holding the part file's.")] = False,
     register: Register = False,
     free: Free = None,
     points: Annotated[
@@ -143,16 +119,13 @@ def fit_specular(
     ] = None,
     pixels: Pixels = 1_500_000,
     validate: Annotated[
-        bool,
-        model_option("--validate/--no-validate", help="Predict each light from the others."),
+        bool, model_option("--validate/--no-validate", help="Predict each light from the others.")
     ] = True,
     lambda_s1: Annotated[
-        float,
-        paper_option(metavar="SHARE", help="λ_s1: tolerance of the number of saturated pixels."),
+        float, paper_option(metavar="SHARE", help="λ_s1: tolerance of the number of saturated pixels.")
     ] = 0.005,
     lambda_s2: Annotated[
-        float,
-        paper_option(metavar="SHARE", help="λ_s2: tolerance of the total specular brightness."),
+        float, paper_option(metavar="SHARE", help="λ_s2: tolerance of the total specular brightness.")
     ] = 0.05,
     start_rs: Annotated[float, paper_option(metavar="LEVEL", help="Starting value of R_s.")] = 255.0,
     start_sigma: Annotated[float, paper_option(metavar="RAD", help="Starting value of σ.")] = 0.01,
@@ -175,11 +148,7 @@ def fit_specular(
     from lightopt.estimate.reflectance import PaperOptions
 
     paper = PaperOptions(
-        lambda_s1=lambda_s1,
-        lambda_s2=lambda_s2,
-        sigma_step=sigma_step,
-        sigma_start=start_sigma,
-        R_s_start=start_rs,
+        lambda_s1=lambda_s1, lambda_s2=lambda_s2, sigma_step=sigma_step, sigma_start=start_sigma, R_s_start=start_rs
     )
     options = _options(
         "specular", method, free, points, paper, pixels=pixels, joint=joint, register=register, validate=validate,
@@ -227,9 +196,7 @@ def _run(
             save = _save_residuals(
                 folder, loaded_rig.camera.sensor.bit_depth, loaded_rig.camera.sensor.saturation_level
             )
-            result = fit_specular(
-                loaded_rig, loaded_part, image_set, options=options, save_prediction=save, run=run
-            )
+            result = fit_specular(loaded_rig, loaded_part, image_set, options=options, save_prediction=save, run=run)
     chart = fit_chart(result, lambda: folder.place("fit.png"))
     written = folder.write(result, loaded_rig, loaded_part)
     if not terminal.quiet:
@@ -258,15 +225,11 @@ def _options(
     from lightopt.config import points_problem
     from lightopt.estimate.reflectance import FitOptions, PaperOptions
 
-    problems = [
-        f'--free: expected {" or ".join(FREE)}, found "{name}"' for name in free or () if name not in FREE
-    ]
+    problems = [f'--free: expected {" or ".join(FREE)}, found "{name}"' for name in free or () if name not in FREE]
     texts = [] if points is None else [text.strip() for text in points.split(",")]
     if kind == "diffuse" and len(texts) > 1:
         problems.append("--points: fit-diffuse takes one number of points; fit-specular compares several")
-    chosen: tuple[int | Literal["auto"], ...] = tuple(
-        m for text in texts if (m := parse_points(text)) is not None
-    )
+    chosen: tuple[int | Literal["auto"], ...] = tuple(m for text in texts if (m := parse_points(text)) is not None)
     problems += [f"--points: {problem}" for m in chosen if (problem := points_problem(m)) is not None]
     problems += paper.problems()
     if method == "likelihood":
@@ -293,9 +256,7 @@ def _options(
     )
 
 
-def _save_residuals(
-    folder: FitFolder, bit_depth: int, saturation: float | None
-) -> Callable[[Any, Any], None]:
+def _save_residuals(folder: FitFolder, bit_depth: int, saturation: float | None) -> Callable[[Any, Any], None]:
     # a picture of measured minus predicted for each image that was left out
     from lightopt.images import png_name
     from lightopt.report import residual_picture
@@ -327,9 +288,7 @@ def _show(result: FitResult, verbose: bool) -> None:
     show_table(["", "value", "std. error", "95 % interval"], rows)
     if result.highlights is not None:
         r_s, sigma = result.highlights
-        say(
-            f"R_s {r_s:.4g} and σ {sigma:.4g} rad were fitted to know where the highlights are; they are not written"
-        )
+        say(f"R_s {r_s:.4g} and σ {sigma:.4g} rad were fitted to know where the highlights are; they are not written")
     if result.paper is not None:
         say(f"from {result.paper.image}; this method gives no uncertainty")
     if result.correlation is not None:
@@ -424,6 +383,4 @@ def _show_left_out(result: FitResult) -> None:
         for left in result.left_out
         for image in left.images
     ]
-    show_table(
-        ["image", "R_s", "σ [rad]", "rms [sensor level]", "rms [grey level]", "IoU", "border [px]"], rows
-    )
+    show_table(["image", "R_s", "σ [rad]", "rms [sensor level]", "rms [grey level]", "IoU", "border [px]"], rows)

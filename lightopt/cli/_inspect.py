@@ -38,8 +38,7 @@ DEFAULT_FALSE_ALARMS = 0.05
 calibration_option = partial(typer.Option, rich_help_panel="Calibration with good parts")
 
 Images = Annotated[
-    list[Path],
-    typer.Argument(metavar="IMAGES…", help="Image sets of one part each: folder or manifest.json."),
+    list[Path], typer.Argument(metavar="IMAGES…", help="Image sets of one part each: folder or manifest.json.")
 ]
 
 
@@ -81,9 +80,7 @@ def inspect(
     ] = False,
     calibration: Annotated[
         Path | None,
-        calibration_option(
-            metavar="FILE", help="calibration.json of good parts; holds the false-alarm rate on them."
-        ),
+        calibration_option(metavar="FILE", help="calibration.json of good parts; holds the false-alarm rate on them."),
     ] = None,
     evaluate: Annotated[
         bool,
@@ -94,8 +91,7 @@ def inspect(
         ),
     ] = False,
     fail_on_defect: Annotated[
-        bool,
-        output_option("--fail-on-defect", help="Exit status 1 where a part is NG."),
+        bool, output_option("--fail-on-defect", help="Exit status 1 where a part is NG.")
     ] = False,
     report: Report = True,
     force: Force = False,
@@ -126,14 +122,8 @@ def inspect(
     )
     problems = options.problems()
     if calibrate:
-        given = {
-            "--calibration": learned is not None,
-            "--evaluate": evaluate,
-            "--fail-on-defect": fail_on_defect,
-        }
-        problems += [
-            f"{name}: not with --calibrate, which inspects nothing" for name, is_ in given.items() if is_
-        ]
+        given = {"--calibration": learned is not None, "--evaluate": evaluate, "--fail-on-defect": fail_on_defect}
+        problems += [f"{name}: not with --calibrate, which inspects nothing" for name, is_ in given.items() if is_]
     if problems:
         raise InputError(*problems)
     loaded_rig, loaded_part = load_inputs(rig, part)
@@ -144,9 +134,7 @@ def inspect(
         return
     if learned is not None:
         learned.require_match(loaded_rig, loaded_part, options)
-    output = Output(
-        rig=loaded_rig, part=loaded_part, report=report, threads=threads, quiet=quiet, verbose=verbose
-    )
+    output = Output(rig=loaded_rig, part=loaded_part, report=report, threads=threads, quiet=quiet, verbose=verbose)
     rows = _inspect(output, sets, out, options, learned, evaluate=evaluate, force=force)
     refused = [row.name for row in rows if row.verdict is None]
     bad = [
@@ -193,9 +181,7 @@ def _inspect(
         made_from["options"]["evaluate"] = evaluate
         batch = BatchFolder(out, made_from, force=force)
     folders = [
-        InspectionFolder(
-            out / name if several else out, describe([image_set], before=sets[:number]), force=force
-        )
+        InspectionFolder(out / name if several else out, describe([image_set], before=sets[:number]), force=force)
         for number, (image_set, name) in enumerate(zip(sets, names, strict=True))
     ]
     shown: list[StageShare | None] = [None]

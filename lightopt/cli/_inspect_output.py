@@ -40,9 +40,7 @@ MOST_DEFECTS = 6
 """Rows of the table of defects without ``--verbose``; defects.csv has all of them."""
 
 
-def write_set(
-    output: Output, folder: InspectionFolder, inspected: InspectedSet, *, summarised: bool
-) -> BatchRow:
+def write_set(output: Output, folder: InspectionFolder, inspected: InspectedSet, *, summarised: bool) -> BatchRow:
     """Print a result, write its files, and the evaluation where it is `summarised` for this set alone."""
     from lightopt.images import posture_folder
     from lightopt.inspection import REPORT_NAME, TRUTH_NAME, BatchRow, summarise, truth_text
@@ -69,12 +67,7 @@ def write_set(
         more.append(folder.write_text(TRUTH_NAME, truth_text(summary)))
     if output.report:
         page = inspection_report(
-            result,
-            verdict,
-            part=output.part.name,
-            rig=output.rig.name,
-            provenance=folder.made_from,
-            truth=summary,
+            result, verdict, part=output.part.name, rig=output.rig.name, provenance=folder.made_from, truth=summary
         )
         more.append(folder.write_text(REPORT_NAME, page))
     _show_written(output, summary, [*folder.write(result, verdict), *more])
@@ -83,10 +76,7 @@ def write_set(
 
 
 def write_batch(
-    output: Output,
-    folder: BatchFolder,
-    rows: Sequence[BatchRow],
-    evaluations: Sequence[SetEvaluation] | None,
+    output: Output, folder: BatchFolder, rows: Sequence[BatchRow], evaluations: Sequence[SetEvaluation] | None
 ) -> None:
     """Write the files above the folders of several sets."""
     from lightopt import __version__
@@ -98,9 +88,7 @@ def write_batch(
     if summary is not None:
         written.append(folder.write_text(TRUTH_NAME, truth_text(summary)))
     if output.report:
-        page = batch_report(
-            rows, part=output.part.name, rig=output.rig.name, version=__version__, truth=summary
-        )
+        page = batch_report(rows, part=output.part.name, rig=output.rig.name, version=__version__, truth=summary)
         written.append(folder.write_text(REPORT_NAME, page))
     written.insert(0, folder.finish({"sets": [row.as_dict() for row in rows]}))
     _show_written(output, summary, written)
@@ -166,13 +154,7 @@ def _show_evaluation(summary: Mapping[str, Any], *, verbose: bool) -> None:
 def _show_inspection(result: InspectionResult, verdict: Verdict, *, verbose: bool) -> None:
     # the verdict, defects, where the part lies, what was inspected
     from lightopt.inspection import REFERENCE_DEFECT
-    from lightopt.report.inspection import (
-        dark_text,
-        defect_table,
-        placement_text,
-        surface_notes,
-        surface_table,
-    )
+    from lightopt.report.inspection import dark_text, defect_table, placement_text, surface_notes, surface_table
 
     say(f"{verdict.word}: {verdict.explanation}")
     if result.defects:

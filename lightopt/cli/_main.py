@@ -64,12 +64,8 @@ app.command(short_help="Validate rig and part files and summarise the set-up.", 
 app.command(short_help="Render what the camera would see.", cls=HeadedCommand)(render)
 app.command(short_help="Capture images on the rig, or on the virtual bench.", cls=HeadedCommand)(capture)
 app.command(short_help="Place random defects on a part for testing.", cls=HeadedCommand)(defects)
-app.command("fit-diffuse", short_help="Fit the diffuse coefficient to images.", cls=HeadedCommand)(
-    fit_diffuse
-)
-app.command("fit-specular", short_help="Fit the specular coefficients to images.", cls=HeadedCommand)(
-    fit_specular
-)
+app.command("fit-diffuse", short_help="Fit the diffuse coefficient to images.", cls=HeadedCommand)(fit_diffuse)
+app.command("fit-specular", short_help="Fit the specular coefficients to images.", cls=HeadedCommand)(fit_specular)
 app.command(short_help="Find where the lights go, exactly.", cls=HeadedCommand)(optimize)
 app.command(short_help="Find defects in images and locate them on the part.", cls=HeadedCommand)(inspect)
 app.command(short_help="Report where the highlights of several images overlap.", cls=HeadedCommand)(overlap)

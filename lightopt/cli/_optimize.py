@@ -48,19 +48,14 @@ def optimize(
     part: PartFile,
     out: Out,
     posture: Postures = None,
-    step: Annotated[
-        float,
-        light_option(metavar="DEG", help="Step of the angles within the lights' ranges."),
-    ] = 5.0,
+    step: Annotated[float, light_option(metavar="DEG", help="Step of the angles within the lights' ranges.")] = 5.0,
     common_elevation: Annotated[
-        bool,
-        light_option("--common-elevation", help="Same elevation for all lights that move in elevation."),
+        bool, light_option("--common-elevation", help="Same elevation for all lights that move in elevation.")
     ] = False,
     common_lights: Annotated[
         bool,
         light_option(
-            "--common-lights",
-            help="Same light positions for all postures; the sum over the postures decides.",
+            "--common-lights", help="Same light positions for all postures; the sum over the postures decides."
         ),
     ] = False,
     max_combinations: Annotated[
@@ -81,18 +76,12 @@ def optimize(
         ),
     ] = None,
     shade_below: Annotated[
-        str,
-        objective_option(
-            metavar="SHARE", help="Levels less than this share of full scale above black are shaded."
-        ),
+        str, objective_option(metavar="SHARE", help="Levels less than this share of full scale above black are shaded.")
     ] = "10/255",
     min_images: Annotated[
         int | None,
         objective_option(
-            metavar="K",
-            min=1,
-            help="detectability: number of images that must show a defect.",
-            show_default="1",
+            metavar="K", min=1, help="detectability: number of images that must show a defect.", show_default="1"
         ),
     ] = None,
     threshold: Annotated[
@@ -104,30 +93,23 @@ def optimize(
         ),
     ] = None,
     choose_postures: Annotated[
-        int | None,
-        posture_option(metavar="N", help="Choose the N postures that show most of the surface together."),
+        int | None, posture_option(metavar="N", help="Choose the N postures that show most of the surface together.")
     ] = None,
     target: Annotated[
         str | None,
-        posture_option(
-            metavar="SHARE", help="Choose as few postures as show this share, such as 0.95 or 95%."
-        ),
+        posture_option(metavar="SHARE", help="Choose as few postures as show this share, such as 0.95 or 95%."),
     ] = None,
     posture_step: Annotated[
-        float | None,
-        posture_option(metavar="DEG", help="Step of the postures to choose from.", show_default="22.5"),
+        float | None, posture_option(metavar="DEG", help="Step of the postures to choose from.", show_default="22.5")
     ] = None,
     allow_outside: Annotated[
         float | None,
         posture_option(
-            metavar="PX",
-            help="How far the part may leave the view in a posture to choose from.",
-            show_default="10",
+            metavar="PX", help="How far the part may leave the view in a posture to choose from.", show_default="10"
         ),
     ] = None,
     exposures: Annotated[
-        str | None,
-        exposure_option(metavar="X,…", help="Exposures to choose from, such as 1/16,1/4,1,4,16."),
+        str | None, exposure_option(metavar="X,…", help="Exposures to choose from, such as 1/16,1/4,1,4,16.")
     ] = None,
     exposure_gain: Annotated[
         float | None,
@@ -139,9 +121,7 @@ def optimize(
     ] = None,
     light_tolerance: Annotated[
         float | None,
-        tolerance_option(
-            metavar="DEG", help="Report how far the score falls when each light is off by this angle."
-        ),
+        tolerance_option(metavar="DEG", help="Report how far the score falls when each light is off by this angle."),
     ] = None,
     pose_tolerance: Annotated[
         float | None,
@@ -162,19 +142,12 @@ def optimize(
     shadows: Shadows = True,
     patches: Patches = None,
     keep_matrix: Annotated[
-        bool,
-        output_option(
-            "--keep-matrix", help="Keep the luminance matrices; the same command then reuses them."
-        ),
+        bool, output_option("--keep-matrix", help="Keep the luminance matrices; the same command then reuses them.")
     ] = False,
-    images: Annotated[
-        bool,
-        output_option("--images/--no-images", help="Render the images of the best set."),
-    ] = True,
+    images: Annotated[bool, output_option("--images/--no-images", help="Render the images of the best set.")] = True,
     report: Report = True,
     ranking_rows: Annotated[
-        int,
-        output_option(metavar="N", help="Combinations in ranking.csv, per posture and objective."),
+        int, output_option(metavar="N", help="Combinations in ranking.csv, per posture and objective.")
     ] = 100,
     force: Force = False,
     threads: Threads = None,
@@ -241,9 +214,7 @@ def optimize(
     )
     try:
         with show_progress(quiet=quiet) as progress:
-            run = RunContext(
-                threads=threads, progress=progress, inform=say if verbose else None, warn=say_warning
-            )
+            run = RunContext(threads=threads, progress=progress, inform=say if verbose else None, warn=say_warning)
             result = design(loaded_rig, loaded_part, out, options=options, plan=plan, force=force, run=run)
             output = write_design(result, blind_pictures=blind_pictures(result), force=force, run=run)
             finish_design(output, design_report(output) if options.report else None)
@@ -292,6 +263,4 @@ def _require_usable(result: DesignResult, out: Path) -> None:
         if answer.nothing is not None
     ]
     if messages:
-        raise CheckFailed(
-            *messages, f"no rig was written for these postures; {out / 'result.json'} says the same"
-        )
+        raise CheckFailed(*messages, f"no rig was written for these postures; {out / 'result.json'} says the same")

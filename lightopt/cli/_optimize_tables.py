@@ -9,14 +9,7 @@ from lightopt.cli._terminal import say, show_table, together
 from lightopt.core.errors import counted
 
 if TYPE_CHECKING:
-    from lightopt.design import (
-        BlindSpotSummary,
-        DesignOutput,
-        DesignResult,
-        Objective,
-        ObjectiveResult,
-        SetResult,
-    )
+    from lightopt.design import BlindSpotSummary, DesignOutput, DesignResult, Objective, ObjectiveResult, SetResult
     from lightopt.images import Overlap
 
 
@@ -40,9 +33,7 @@ def show_design(output: DesignOutput, *, verbose: bool) -> None:
 
 def _show_inputs(result: DesignResult) -> None:
     for out in result.all_candidates.left_out:
-        say(
-            f"left out: {out.light} at elevation {out.elevation_deg:g}°, azimuth {out.azimuth_deg:g}°: it {out.reason}"
-        )
+        say(f"left out: {out.light} at elevation {out.elevation_deg:g}°, azimuth {out.azimuth_deg:g}°: it {out.reason}")
     if result.patches is not None:
         say(result.patches.message)
     if result.reused:
@@ -92,9 +83,7 @@ def _cells(answer: ObjectiveResult, result: SetResult, found: DesignResult) -> l
     if answer.nothing is not None:
         blank = ["-"] * (len(found.candidates.names) + len(result.answers))
         return [*blank, left_out_text(result), "-", "all 0", "all 0", counted_text]
-    angles = [
-        f"{elevation:g}°, {azimuth:g}°" for elevation, azimuth in angles_of(found.candidates, best.best)
-    ]
+    angles = [f"{elevation:g}°, {azimuth:g}°" for elevation, azimuth in angles_of(found.candidates, best.best)]
     objectives = {other.objective.name: other.objective for other in result.answers}
     scores = [score_text(value, objectives[name], result) for name, value in answer.scores.items()]
     counts = [gap_text(answer, result), ties_text(answer), near_text(answer), counted_text]
@@ -109,9 +98,7 @@ def _show_defects(found: DesignResult) -> None:
             facts = answer.details
             if "worst_defect" not in facts or answer.nothing is not None:
                 continue
-            kinds = ", ".join(
-                f"{name} {share_text(share, result.grain)}" for name, share in facts["defects"].items()
-            )
+            kinds = ", ".join(f"{name} {share_text(share, result.grain)}" for name, share in facts["defects"].items())
             worst = facts.get("worst_direction_deg")
             least = (
                 ""
@@ -154,11 +141,7 @@ def show_blind_spots(blind: BlindSpotSummary) -> None:
             lights,
             *(
                 share_text(share, spots.grain)
-                for share in (
-                    spots.seen,
-                    *(spots.by_reason().get(code, 0.0) for code in codes),
-                    spots.left_out,
-                )
+                for share in (spots.seen, *(spots.by_reason().get(code, 0.0) for code in codes), spots.left_out)
             ),
         ]
         for posture, chosen, possible in parts

@@ -26,39 +26,27 @@ run_option = partial(typer.Option, rich_help_panel="Run")
 """Headings of options in ``--help``."""
 
 RigFile = Annotated[Path, typer.Argument(metavar="RIG", help="Rig file (YAML): camera, lights, stage.")]
-PartFile = Annotated[
-    Path, typer.Argument(metavar="PART", help="Part file (YAML): mesh, postures, reflectance.")
-]
+PartFile = Annotated[Path, typer.Argument(metavar="PART", help="Part file (YAML): mesh, postures, reflectance.")]
 Out = Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Output folder; made if missing.")]
 Force = Annotated[bool, output_option("--force", help="Overwrite existing results.")]
 Report = Annotated[bool, output_option("--report/--no-report", help="Write report.html.")]
-JsonFile = Annotated[
-    Path | None,
-    output_option("--json", metavar="FILE", help="Write all results as JSON."),
-]
+JsonFile = Annotated[Path | None, output_option("--json", metavar="FILE", help="Write all results as JSON.")]
 Sheet = Annotated[
     bool,
     output_option(
-        "--sheet",
-        help="Write a contact sheet of all images with labels, contact-sheet.png; one per exposure.",
+        "--sheet", help="Write a contact sheet of all images with labels, contact-sheet.png; one per exposure."
     ),
 ]
 Lights = Annotated[
-    list[str] | None,
-    selection_option("--light", metavar="NAME", help="Take only this light; repeatable."),
+    list[str] | None, selection_option("--light", metavar="NAME", help="Take only this light; repeatable.")
 ]
 Postures = Annotated[
     list[str] | None,
     selection_option(
-        "--posture",
-        metavar="θ,φ",
-        help="Take this tilt and rotation [deg] instead of the part's postures; repeatable.",
+        "--posture", metavar="θ,φ", help="Take this tilt and rotation [deg] instead of the part's postures; repeatable."
     ),
 ]
-Exposures = Annotated[
-    str,
-    selection_option(metavar="X,…", help="Exposures of each image, such as 1,1/16."),
-]
+Exposures = Annotated[str, selection_option(metavar="X,…", help="Exposures of each image, such as 1,1/16.")]
 Points = Annotated[
     str | None,
     model_option(
@@ -70,41 +58,27 @@ Points = Annotated[
 Shadows = Annotated[bool, model_option("--shadows/--no-shadows", help="The part casts shadows.")]
 Patches = Annotated[
     int | None,
-    model_option(
-        metavar="N", min=1, help="Target for the number of visible surface patches.", show_default="200000"
-    ),
+    model_option(metavar="N", min=1, help="Target for the number of visible surface patches.", show_default="200000"),
 ]
 Register = Annotated[
     bool,
     model_option(
-        "--register/--no-register",
-        help="Find where the part lies on the stage; otherwise assume nominal placement.",
+        "--register/--no-register", help="Find where the part lies on the stage; otherwise assume nominal placement."
     ),
 ]
 MinImages = Annotated[
-    int,
-    model_option(metavar="K", min=1, help="Number of images of a posture that must show a defect."),
+    int, model_option(metavar="K", min=1, help="Number of images of a posture that must show a defect.")
 ]
 Threads = Annotated[
     int | None,
     run_option(
-        metavar="N",
-        min=1,
-        help="Number of threads. The files do not depend on it.",
-        show_default="all processors",
+        metavar="N", min=1, help="Number of threads. The files do not depend on it.", show_default="all processors"
     ),
 ]
-Quiet = Annotated[
-    bool,
-    run_option("--quiet", "-q", help="Print errors and warnings only."),
-]
-Verbose = Annotated[
-    bool,
-    run_option("--verbose", "-v", callback=set_up_log, help="Print all tables, and the log."),
-]
+Quiet = Annotated[bool, run_option("--quiet", "-q", help="Print errors and warnings only.")]
+Verbose = Annotated[bool, run_option("--verbose", "-v", callback=set_up_log, help="Print all tables, and the log.")]
 SerialLog = Annotated[
-    Path | None,
-    output_option(metavar="FILE", help="Append every byte on the wires, with its time, to this file."),
+    Path | None, output_option(metavar="FILE", help="Append every byte on the wires, with its time, to this file.")
 ]
 
 

@@ -13,8 +13,7 @@ from lightopt.cli._terminal import say
 def overlap(
     images: Annotated[Path, typer.Argument(metavar="IMAGES", help="Image set: its folder or manifest.json.")],
     out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", metavar="DIR", help="Write the maps (PNG) and overlap.json here."),
+        Path | None, typer.Option("--out", "-o", metavar="DIR", help="Write the maps (PNG) and overlap.json here.")
     ] = None,
     force: Force = False,
     quiet: Quiet = False,

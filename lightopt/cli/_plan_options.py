@@ -53,9 +53,7 @@ def plan_options(
     tolerances = None
     if not no_tolerance:
         tolerances = Tolerances(
-            light_deg=light_tolerance or 0.0,
-            pose_deg=pose_tolerance or 0.0,
-            **given(tolerance_target=kept_share),
+            light_deg=light_tolerance or 0.0, pose_deg=pose_tolerance or 0.0, **given(tolerance_target=kept_share)
         )
     return PlanOptions(
         choose_postures=choose_postures,

@@ -99,11 +99,7 @@ def _show_spare(chosen: Section, text: partial[str]) -> None:
     # fewer postures than were requested, and postures that hardly add anything
     count, sufficient = len(chosen["postures"]), chosen["postures_to_a_tenth_of_a_point"]
     if chosen["asked"] is not None and count < chosen["asked"] and chosen["target"] is None:
-        why = (
-            "there are no others"
-            if count == chosen["candidates"]
-            else "no other adds anything with these lights"
-        )
+        why = "there are no others" if count == chosen["candidates"] else "no other adds anything with these lights"
         say(f"{chosen['asked']} postures were asked for: {why}")
     if sufficient < count:
         share = text(chosen["postures"][sufficient - 1]["share"])
@@ -134,9 +130,7 @@ def _show_proof(chosen: Section, text: partial[str], *, verbose: bool) -> None:
         say(f"{local}{bound}" + "; other lights with other postures may show more" * bool(chosen["turns"]))
     if not verbose:
         return
-    say(
-        f"all {chosen['candidates']} postures with these lights show {text(chosen['all_candidates'])}{whatever}"
-    )
+    say(f"all {chosen['candidates']} postures with these lights show {text(chosen['all_candidates'])}{whatever}")
     if chosen["fewest_possible"] is not None and chosen["target"] is not None:
         needed = counted(chosen["fewest_possible"], "posture")
         say(f"{100.0 * chosen['target']:.9g} % takes at least {needed} with these lights")

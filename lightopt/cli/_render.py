@@ -39,19 +39,14 @@ def render(
     exposures: Exposures = "1",
     points: Points = None,
     noise: Annotated[
-        int | None,
-        model_option(metavar="SEED", help="Add the sensor's shot and read noise to the PNGs."),
+        int | None, model_option(metavar="SEED", help="Add the sensor's shot and read noise to the PNGs.")
     ] = None,
     shadows: Shadows = True,
-    defects: Annotated[
-        bool,
-        model_option("--defects/--no-defects", help="Show the defects that PART names."),
-    ] = True,
+    defects: Annotated[bool, model_option("--defects/--no-defects", help="Show the defects that PART names.")] = True,
     supersample: Annotated[int, model_option(metavar="N", min=1, help="Cast N × N rays per pixel.")] = 1,
     patches: Patches = None,
     layers: Annotated[
-        bool,
-        output_option("--layers", help="Write EXR channels diffuse.Y and specular.Y as well."),
+        bool, output_option("--layers", help="Write EXR channels diffuse.Y and specular.Y as well.")
     ] = False,
     sheet: Sheet = False,
     force: Force = False,

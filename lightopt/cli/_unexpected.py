@@ -63,10 +63,7 @@ def report_unexpected(error: BaseException) -> None:
         try:
             where = f"its traceback is in {_written(text)}; {where}"
         except Exception as problem:  # noqa: BLE001  (the first error is reported, whatever this one is)
-            where, shown = (
-                f"its traceback is above, because no file can be written: {error_text(problem)}",
-                True,
-            )
+            where, shown = (f"its traceback is above, because no file can be written: {error_text(problem)}", True)
     with contextlib.suppress(Exception):
         sys.stderr.write(f"{text if shown else ''}error: unexpected {what} (a defect of lightopt); {where}\n")
         sys.stderr.flush()

@@ -23,9 +23,7 @@ _Distortion = Annotated[float, Field(ge=-1e3, le=1e3), expecting("a number")]
 _Pixels = Annotated[int, Field(ge=1, le=65535)]
 _Nanoseconds = Annotated[int, Field(ge=0, le=1000000000), expecting("nanoseconds, from 0 to 1000000000")]
 _Pixel = Annotated[int, Field(ge=0, le=65535), expecting("pixels, from 0 to 65535")]
-_Offset = Annotated[
-    tuple[_Pixel, _Pixel], Field(strict=False), expecting("two whole numbers of pixels, [left, top]")
-]
+_Offset = Annotated[tuple[_Pixel, _Pixel], Field(strict=False), expecting("two whole numbers of pixels, [left, top]")]
 _PacketSize = Annotated[int, Field(ge=576, le=65535), expecting("bytes, from 576 to 65535")]
 
 
@@ -48,9 +46,9 @@ class DistortionConfig(Frozen):
 class SensorConfig(Frozen):
     """How the sensor turns light into levels."""
 
-    bit_depth: Annotated[
-        Literal[8, 10, 12, 14, 16], BeforeValidator(_whole), expecting("8, 10, 12, 14 or 16")
-    ] = Field(description="Bits per pixel: 8, 10, 12, 14 or 16. The full scale is 2^bits - 1 levels.")
+    bit_depth: Annotated[Literal[8, 10, 12, 14, 16], BeforeValidator(_whole), expecting("8, 10, 12, 14 or 16")] = Field(
+        description="Bits per pixel: 8, 10, 12, 14 or 16. The full scale is 2^bits - 1 levels."
+    )
     saturation_level: Annotated[int, Field(ge=1), expecting("a whole level above 0")] | None = Field(
         default=None,
         description="Level [levels] from which a pixel counts as saturated; the full scale unless given. "
@@ -99,16 +97,13 @@ class CameraConfig(Frozen):
     )
     roll_deg: Azimuth = Field(default=0.0, description="Roll of the camera about its viewing axis [deg].")
     resolution_px: Annotated[
-        tuple[_Pixels, _Pixels],
-        Field(strict=False),
-        expecting("[width, height], two whole numbers from 1 to 65535"),
+        tuple[_Pixels, _Pixels], Field(strict=False), expecting("[width, height], two whole numbers from 1 to 65535")
     ] = Field(description="Width and height of the image [pixels].")
     pixel_size_um: Annotated[float, Field(ge=0.01, le=1000), expecting("a number from 0.01 to 1000")] = Field(
         description="Edge of a square pixel on the sensor [µm]."
     )
     image_distance_mm: Length | None = Field(
-        default=None,
-        description="Distance from the pinhole to the image plane [mm]. Give this or focal_length_mm.",
+        default=None, description="Distance from the pinhole to the image plane [mm]. Give this or focal_length_mm."
     )
     focal_length_mm: Length | None = Field(
         default=None,
@@ -116,9 +111,7 @@ class CameraConfig(Frozen):
         "or image_distance_mm.",
         validate_default=True,
     )
-    distortion: DistortionConfig = Field(
-        default=DistortionConfig(), description="Lens distortion; none unless given."
-    )
+    distortion: DistortionConfig = Field(default=DistortionConfig(), description="Lens distortion; none unless given.")
     sensor: SensorConfig = Field(description="The sensor, and how it turns light into levels.")
     exposure_us: Positive | None = Field(
         default=None, description="Exposure time [µs] that counts as exposure 1 on real hardware."
@@ -129,15 +122,11 @@ class CameraConfig(Frozen):
     def _one_of_two(cls, focal: float | None, info: ValidationInfo) -> float | None:
         if "image_distance_mm" not in info.data:
             return focal
-        missing = (
-            'missing key "image_distance_mm" (pinhole to image plane) or "focal_length_mm" (of the lens)'
-        )
+        missing = 'missing key "image_distance_mm" (pinhole to image plane) or "focal_length_mm" (of the lens)'
         exactly_one(focal, info, other="image_distance_mm", missing=missing)
         distance = info.data.get("distance_mm")
         if focal is not None and distance is not None and focal >= distance:
-            raise complaint(
-                f"expected less than distance_mm, {distance:g}: a lens of {focal:g} mm cannot focus there"
-            )
+            raise complaint(f"expected less than distance_mm, {distance:g}: a lens of {focal:g} mm cannot focus there")
         return focal
 
 
@@ -189,8 +178,7 @@ class CameraDeviceConfig(Frozen):
         default=None, description="aravis, genicam: exposure time [us] of a camera on which it cannot be set."
     )
     packet_size: _PacketSize | None = Field(
-        default=None,
-        description="aravis: size of a camera's packets on the network [bytes]; as it is if absent.",
+        default=None, description="aravis: size of a camera's packets on the network [bytes]; as it is if absent."
     )
     packet_delay_ns: _Nanoseconds | None = Field(
         default=None, description="aravis: pause between a camera's packets [ns]; as it is if absent."

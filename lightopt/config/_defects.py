@@ -81,9 +81,7 @@ class CatalogueEntryConfig(Frozen):
 
     @field_validator("size_mm")
     @classmethod
-    def _longer_first(
-        cls, size: float | tuple[float, float], info: ValidationInfo
-    ) -> float | tuple[float, float]:
+    def _longer_first(cls, size: float | tuple[float, float], info: ValidationInfo) -> float | tuple[float, float]:
         if isinstance(size, tuple) and size[0] < size[1]:
             raise complaint(
                 f"expected [length, width] with the length at least the width, found [{size[0]:g}, {size[1]:g}]; "

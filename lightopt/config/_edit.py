@@ -75,11 +75,7 @@ def with_list(text: str, key: str, entries: Sequence[str], *, comment: str, repl
     """
     span = _list_span(text, key) if replace else None
     beside = "" if span is None else span.comment
-    lines = [
-        *(f"# {line}" for line in comment.splitlines()),
-        f"{key}:{beside}",
-        *(f"  - {entry}" for entry in entries),
-    ]
+    lines = [*(f"# {line}" for line in comment.splitlines()), f"{key}:{beside}", *(f"  - {entry}" for entry in entries)]
     if span is None:
         longer = text.rstrip() + "\n\n" + "\n".join(lines) + "\n"
     else:
@@ -91,14 +87,8 @@ def with_list(text: str, key: str, entries: Sequence[str], *, comment: str, repl
             f"{key} cannot be added at the end of the file: {error.problem.message}; write the file without braces "
             "around it all and without an end mark"
         ) from None
-    if (
-        document.problems
-        or (key, len(entries) - 1) not in document.lines
-        or (key, len(entries)) in document.lines
-    ):
-        raise InputError(
-            f"{key} cannot be added at the end of the file: it has such a key, or ends in a text block"
-        )
+    if document.problems or (key, len(entries) - 1) not in document.lines or (key, len(entries)) in document.lines:
+        raise InputError(f"{key} cannot be added at the end of the file: it has such a key, or ends in a text block")
     return longer
 
 
@@ -175,9 +165,7 @@ def _index(text: str) -> tuple[dict[Keys, tuple[int, int]], dict[Keys, tuple[int
     return spans, mappings
 
 
-def copied_text(
-    config: RigConfig | PartConfig, folder: Path, values: Mapping[Keys, str] | None = None
-) -> str:
+def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Keys, str] | None = None) -> str:
     """The text of a configuration file for another folder; comments, order and layout stay.
 
     Names relative to the configuration file change: a part's mesh, the folder that a rig's camera replays, and the

@@ -111,18 +111,14 @@ def value_of(entry: object, key: str) -> Any:
     return entry.get(key) if isinstance(entry, dict) else getattr(entry, key, None)
 
 
-def with_complaints(
-    value: object, handler: ValidatorFunctionWrapHandler, complaints: Iterable[Complaint]
-) -> Any:
+def with_complaints(value: object, handler: ValidatorFunctionWrapHandler, complaints: Iterable[Complaint]) -> Any:
     """Validate a value, and report complaints about it together with what the validation finds."""
     more = [InitErrorDetails(type=error, loc=loc, input=found) for loc, found, error in complaints]
     try:
         result = handler(value)
     except ValidationError as error:
         for e in error.errors(include_url=False):
-            kind = PydanticCustomError(
-                cast("LiteralString", e["type"]), cast("LiteralString", e["msg"]), e.get("ctx")
-            )
+            kind = PydanticCustomError(cast("LiteralString", e["type"]), cast("LiteralString", e["msg"]), e.get("ctx"))
             more.append(InitErrorDetails(type=kind, loc=e["loc"], input=e["input"]))
         raise ValidationError.from_exception_data("configuration", more) from None
     if more:
@@ -150,9 +146,7 @@ Positive = Annotated[float, Field(gt=0, le=1e9), expecting("a number above 0, up
 Coefficient = Annotated[float, Field(ge=0, le=1e12), expecting("a number from 0 to 1e12")]
 Length = Annotated[float, Field(ge=1e-3, le=1e6), expecting("a length between 0.001 and 1000000 (a number)")]
 Elevation = Annotated[
-    float,
-    Field(gt=0, lt=180),
-    expecting("a number between 0 and 180 (degrees above the table, ends excluded)"),
+    float, Field(gt=0, lt=180), expecting("a number between 0 and 180 (degrees above the table, ends excluded)")
 ]
 Azimuth = Annotated[float, Field(ge=-360, le=360), expecting("a number from -360 to 360 (degrees about Z)")]
 ElevationRange = Annotated[
@@ -169,18 +163,11 @@ AzimuthRange = Annotated[
 ]
 Tilt = Annotated[float, Field(ge=-180, le=180), expecting("a number from -180 to 180 (degrees of tilt)")]
 TiltRange = Annotated[
-    tuple[Tilt, Tilt],
-    _LIST,
-    AfterValidator(_ordered),
-    expecting("[low, high], two numbers from -180 to 180 (degrees)"),
+    tuple[Tilt, Tilt], _LIST, AfterValidator(_ordered), expecting("[low, high], two numbers from -180 to 180 (degrees)")
 ]
-Coordinates = Annotated[
-    tuple[Number, Number, Number], _LIST, expecting("[x, y, z], three numbers up to 1000000")
-]
+Coordinates = Annotated[tuple[Number, Number, Number], _LIST, expecting("[x, y, z], three numbers up to 1000000")]
 Size = Annotated[
-    tuple[Length, Length],
-    _LIST,
-    expecting("[along azimuth, along elevation], two lengths between 0.001 and 1000000"),
+    tuple[Length, Length], _LIST, expecting("[along azimuth, along elevation], two lengths between 0.001 and 1000000")
 ]
 Points = Annotated[
     Annotated[int, Field(ge=1, le=MOST_POINTS)] | Literal["auto"],

@@ -10,17 +10,7 @@ from typing import Annotated, Any, Literal, cast, get_args
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from lightopt.config._camera import CameraConfig, CameraDeviceConfig
-from lightopt.config._fields import (
-    Complaint,
-    FileName,
-    Frozen,
-    Positive,
-    Text,
-    absent,
-    complaint,
-    expecting,
-    repeated,
-)
+from lightopt.config._fields import Complaint, FileName, Frozen, Positive, Text, absent, complaint, expecting, repeated
 from lightopt.config._light_controllers import PORT, Baud, ChannelConfig, ControllerConfig
 
 _Seconds = Annotated[float, Field(ge=0, le=600), expecting("seconds, from 0 to 600")]
@@ -46,13 +36,9 @@ class AxisConfig(Frozen):
         description='The axis as the device calls it: "1", "2", "X", "Y".'
     )
     steps_per_deg: Annotated[
-        float,
-        Field(ge=-1e7, le=1e7),
-        AfterValidator(_not_zero),
-        expecting("a number other than 0, from -1e7 to 1e7"),
+        float, Field(ge=-1e7, le=1e7), AfterValidator(_not_zero), expecting("a number other than 0, from -1e7 to 1e7")
     ] = Field(
-        default=1.0,
-        description="Device units per degree; negative where the device counts against the rig's sense.",
+        default=1.0, description="Device units per degree; negative where the device counts against the rig's sense."
     )
     zero: Annotated[float, Field(ge=-1e9, le=1e9), expecting("a number")] = Field(
         default=0.0, description="Device units at which the rig's angle is 0."
@@ -99,9 +85,7 @@ class StageDeviceConfig(Frozen):
             return axis
         tilt = info.data["elevation"]
         if axis is None and tilt is None:
-            raise absent(
-                'missing key "elevation" or "rotation": an axis that the stage has', "elevation", "rotation"
-            )
+            raise absent('missing key "elevation" or "rotation": an axis that the stage has', "elevation", "rotation")
         if axis is not None and tilt is not None and axis.axis == tilt.axis:
             raise complaint(f'axis "{axis.axis}" is already that of elevation; two axes have two names')
         return axis
@@ -115,9 +99,7 @@ class TimingConfig(Frozen):
     discard_frames: Annotated[int, Field(ge=0, le=20), expecting("a whole number from 0 to 20")] = Field(
         default=1, description="Frames thrown away after a change, by a camera that has no software trigger."
     )
-    frame_timeout_s: _Seconds = Field(
-        default=5.0, description="Longest wait for a frame beyond its exposure [s]."
-    )
+    frame_timeout_s: _Seconds = Field(default=5.0, description="Longest wait for a frame beyond its exposure [s].")
 
 
 class HardwareConfig(Frozen):
@@ -125,9 +107,7 @@ class HardwareConfig(Frozen):
 
     controllers: dict[FileName, ControllerConfig] = Field(description="The light controllers by name.")
     lights: dict[FileName, ChannelConfig] = Field(description="Where each light of the rig is plugged in.")
-    stage: StageDeviceConfig | None = Field(
-        default=None, description="The stage; none: the part stands still."
-    )
+    stage: StageDeviceConfig | None = Field(default=None, description="The stage; none: the part stands still.")
     camera: CameraDeviceConfig = Field(description="The camera.")
     timing: TimingConfig = Field(default=TimingConfig(), description="What is waited for.")
 
@@ -138,9 +118,7 @@ _CHANNELS = 4
 _TOP_LEVEL = 255
 
 
-def misfits(
-    hardware: object, lights: tuple[str, ...] | None, camera: CameraConfig | None
-) -> Iterator[Complaint]:
+def misfits(hardware: object, lights: tuple[str, ...] | None, camera: CameraConfig | None) -> Iterator[Complaint]:
     """What does not fit together, by the path under ``hardware``; parts that are wrong themselves are passed over.
 
     hardware: The section as it was read
@@ -193,11 +171,7 @@ def _plug(name: str, channel: Mapping[str, object], controllers: Mapping[str, ob
     wanted, number = channel.get("controller"), _whole(channel.get("channel"))
     level, most = _whole(channel.get("level")), _whole(channel.get("max_level"))
     if level is not None and most is not None and level > most:
-        yield (
-            ("lights", name, "level"),
-            level,
-            complaint(f"expected at most max_level, {most}, found {level}"),
-        )
+        yield (("lights", name, "level"), level, complaint(f"expected at most max_level, {most}, found {level}"))
     if not isinstance(wanted, str):
         return
     if wanted not in controllers:

@@ -8,15 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, StringConstraints, ValidationInfo, field_validator
 
-from lightopt.config._fields import (
-    FileName,
-    Frozen,
-    Positive,
-    Text,
-    complaint,
-    expecting,
-    only_of_driver,
-)
+from lightopt.config._fields import FileName, Frozen, Positive, Text, complaint, expecting, only_of_driver
 
 Baud = Annotated[int, Field(ge=300, le=4000000), expecting("a baud rate, from 300 to 4000000")]
 _Channel = Annotated[int, Field(ge=1, le=64), expecting("a channel number as on the device, from 1 to 64")]
@@ -95,9 +87,7 @@ def wrong_pair(read: str | None, reply: str | None) -> None:
 
 _LINE = Annotated[str, StringConstraints(min_length=1, max_length=200), AfterValidator(_bytes)]
 
-Command = Annotated[
-    _LINE, AfterValidator(_escaped), AfterValidator(_filled_in), expecting("the text of a command")
-]
+Command = Annotated[_LINE, AfterValidator(_escaped), AfterValidator(_filled_in), expecting("the text of a command")]
 Pattern = Annotated[_LINE, AfterValidator(_compiled), expecting("a regular expression")]
 End = Annotated[_LINE, AfterValidator(_escaped), expecting("the bytes that end a reply")]
 
@@ -116,9 +106,7 @@ class TemplateConfig(Frozen):
         default=None,
         description="Regular expression that the whole reply matches, without its end; none: there is no reply.",
     )
-    off: Command | None = Field(
-        default=None, description="Command that darkens; `set` with level 0 if absent."
-    )
+    off: Command | None = Field(default=None, description="Command that darkens; `set` with level 0 if absent.")
     off_reply: Pattern | None = Field(
         default=None, description="Regular expression of the reply to `off`; none: there is no reply."
     )
@@ -153,8 +141,7 @@ class ControllerConfig(Frozen):
     """A light controller."""
 
     driver: Annotated[
-        Literal["ccs", "sa", "template"],
-        expecting("ccs, sa or template, which suits devices of other makers"),
+        Literal["ccs", "sa", "template"], expecting("ccs, sa or template, which suits devices of other makers")
     ] = Field(description="Protocol: ccs (@ frames), sa (SA0255# family), or template.")
     port: Text = Field(description=PORT)
     baud: Baud | None = Field(default=None, description="Baud rate; the protocol's usual one if absent.")
@@ -196,9 +183,7 @@ class ChannelConfig(Frozen):
 
     controller: FileName = Field(description="Name of the controller.")
     channel: _Channel = Field(description="Channel, counted from 1 as on the device.")
-    level: _Level = Field(
-        description="Intensity at which the light has the brightness that the rig describes."
-    )
+    level: _Level = Field(description="Intensity at which the light has the brightness that the rig describes.")
     max_level: _Level | None = Field(
         default=None, description="Intensity never exceeded; the controller's highest if absent."
     )

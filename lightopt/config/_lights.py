@@ -36,8 +36,7 @@ class LightSourceConfig(Frozen):
 
     size_mm: Size = Field(description="Size of the panel along the azimuth and along the elevation [mm].")
     points: Points = Field(
-        description="Point lights of the panel: a square number (1, 4, 9, 16, ...), or auto for the "
-        "converged panel."
+        description="Point lights of the panel: a square number (1, 4, 9, 16, ...), or auto for the converged panel."
     )
     normalisation: _Normalisation = Field(
         default="mean",
@@ -51,8 +50,7 @@ class LightSourceConfig(Frozen):
         "unchanged at the distance of the panel's centre.",
     )
     emission_exponent: _Exponent = Field(
-        default=0.0,
-        description="Exponent n of the panel's emission, cosⁿ of the angle to its axis; 0 is uniform.",
+        default=0.0, description="Exponent n of the panel's emission, cosⁿ of the angle to its axis; 0 is uniform."
     )
 
     @field_validator("normalisation")
@@ -66,26 +64,21 @@ class LightSourceConfig(Frozen):
 class LightConfig(Frozen):
     """One panel light, which faces the origin; any key of light_source may be given here for this light."""
 
-    name: FileName = Field(
-        description="Name of the light; it becomes a file name and differs from the others."
-    )
+    name: FileName = Field(description="Name of the light; it becomes a file name and differs from the others.")
     distance_mm: Length = Field(description="Distance from the origin to the panel's centre [mm].")
     elevation_deg: Elevation = Field(
         description="Elevation of the panel's centre above the table plane [deg]; 90 is straight above."
     )
     azimuth_deg: Azimuth = Field(description="Azimuth of the panel's centre about Z, from X [deg].")
     elevation_range_deg: ElevationRange | None = Field(
-        default=None,
-        description="Elevations [low, high] that the light can be moved to [deg]; fixed if absent.",
+        default=None, description="Elevations [low, high] that the light can be moved to [deg]; fixed if absent."
     )
     azimuth_range_deg: AzimuthRange | None = Field(
-        default=None,
-        description="Azimuths [low, high] that the light can be moved to [deg]; fixed if absent.",
+        default=None, description="Azimuths [low, high] that the light can be moved to [deg]; fixed if absent."
     )
     gain: Coefficient = Field(default=1.0, description="Factor on the brightness of this light.")
     size_mm: Size | None = Field(
-        default=None,
-        description="Size of this panel along azimuth and elevation [mm]; as light_source if absent.",
+        default=None, description="Size of this panel along azimuth and elevation [mm]; as light_source if absent."
     )
     points: Points | None = Field(
         default=None, description="Point lights of this panel, a square or auto; as light_source if absent."
@@ -102,9 +95,7 @@ class LightConfig(Frozen):
 
     @field_validator("elevation_range_deg", "azimuth_range_deg")
     @classmethod
-    def _holds_the_light(
-        cls, ends: tuple[float, float] | None, info: ValidationInfo
-    ) -> tuple[float, float] | None:
+    def _holds_the_light(cls, ends: tuple[float, float] | None, info: ValidationInfo) -> tuple[float, float] | None:
         angle = str(info.field_name).replace("_range", "")
         now = info.data.get(angle)
         if ends is not None and now is not None and not ends[0] <= now <= ends[1]:
@@ -124,9 +115,7 @@ def same_names(lights: list[object] | tuple[object, ...]) -> Iterator[Complaint]
         yield (i, "name"), names[i], complaint(reason)
 
 
-def auto_sums(
-    lights: list[object] | tuple[object, ...], shared: LightSourceConfig | None
-) -> Iterator[Complaint]:
+def auto_sums(lights: list[object] | tuple[object, ...], shared: LightSourceConfig | None) -> Iterator[Complaint]:
     """Complaints about lights whose points and normalisation, their own or the shared ones, exclude each other."""
     for i, light in enumerate(lights):
         own = {key: value_of(light, key) for key in ("points", "normalisation")}

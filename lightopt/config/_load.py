@@ -55,9 +55,7 @@ def _load(path: Path, model: type[Config], expected: str) -> Config:
     except YamlError as error:
         raise _error(path, [error.problem]) from None
     if document.data is None and not document.problems:
-        raise InputError(
-            f'{path}: the file is empty; expected {_kind(expected)} that begins "format: {expected}"'
-        )
+        raise InputError(f'{path}: the file is empty; expected {_kind(expected)} that begins "format: {expected}"')
     problems = _wrong_kind(document, expected)
     if problems:
         raise _error(path, problems)

@@ -48,9 +48,7 @@ def describe(value: object) -> str:
     return text
 
 
-def model_problems(
-    model: type[BaseModel], errors: Sequence[ErrorDetails], document: Document
-) -> list[Problem]:
+def model_problems(model: type[BaseModel], errors: Sequence[ErrorDetails], document: Document) -> list[Problem]:
     """Problems of a document that does not fit a model, except where they are already reported."""
     meant = _suggestions(model, errors)
     covered = {(*loc[:-1], known) for loc, known in meant.items()}
@@ -145,9 +143,7 @@ def _unknown_key(model: type[BaseModel], loc: Keys, known: str | None) -> str:
 def _home(model: type[BaseModel], parent: type[BaseModel] | None, key: str) -> str | None:
     """Key of a list whose entries have this key, where they extend those of the mapping at hand."""
     more = () if parent is None else tuple(m for m in parent.__subclasses__() if key in m.model_fields)
-    return next(
-        (name for name, field in model.model_fields.items() if _inner_model(field.annotation) in more), None
-    )
+    return next((name for name, field in model.model_fields.items() if _inner_model(field.annotation) in more), None)
 
 
 def _other_unit(key: str, known: str) -> str:

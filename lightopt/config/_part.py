@@ -39,8 +39,8 @@ _Share = Annotated[float, Field(ge=0, le=1), expecting("a number from 0 to 1")]
 class InspectionConfig(Frozen):
     """Limits by which `lightopt inspect` judges OK or NG."""
 
-    most_defects: Annotated[int, Field(ge=0, le=10**6), expecting("a whole number from 0 to 1000000")] = (
-        Field(default=0, description="A part with more defects than this is no good.")
+    most_defects: Annotated[int, Field(ge=0, le=10**6), expecting("a whole number from 0 to 1000000")] = Field(
+        default=0, description="A part with more defects than this is no good."
     )
     least_size_mm: Annotated[float, Field(ge=0, le=1e3), expecting("a number from 0 to 1000 (mm)")] = Field(
         default=0.0, description="Defects shorter than this do not count [mm]."
@@ -65,9 +65,7 @@ _SUFFIXES = (*_UNITLESS, ".glb", *_STEP)
 class MeshConfig(Frozen):
     """The file with the part's shape, and how its surface is read."""
 
-    file: Text = Field(
-        description="Mesh or CAD file, relative to this file: .stl, .ply, .obj, .glb, .step or .stp."
-    )
+    file: Text = Field(description="Mesh or CAD file, relative to this file: .stl, .ply, .obj, .glb, .step or .stp.")
     units: _Unit | None = Field(
         default=None,
         description="Length unit of the mesh file: um, mm, cm, m, inch or ft. Mandatory for .stl, .ply and "
@@ -79,9 +77,7 @@ class MeshConfig(Frozen):
         description="smooth: normals vary over the facets, except across edges sharper than the crease "
         "angle; facet: each facet is flat.",
     )
-    crease_angle_deg: Annotated[
-        float, Field(gt=0, le=180), expecting("a number above 0, up to 180 (degrees)")
-    ] = Field(
+    crease_angle_deg: Annotated[float, Field(gt=0, le=180), expecting("a number above 0, up to 180 (degrees)")] = Field(
         default=30.0, description="Edges where the facets' normals differ by more than this stay sharp [deg]."
     )
     chord_tolerance_mm: _ChordTolerance | None = Field(
@@ -126,11 +122,7 @@ class MeshConfig(Frozen):
         if suffix in _STEP and units is not None and info.context is not None:
             declared = _declared_units(info.context["folder"] / file)
             if units not in declared:
-                unit = (
-                    f"the file is in {' and '.join(sorted(declared))}"
-                    if declared
-                    else "no unit is found in it"
-                )
+                unit = f"the file is in {' and '.join(sorted(declared))}" if declared else "no unit is found in it"
                 raise complaint(f"found {units}, but {unit}; STEP carries its own unit, remove this key")
         return units
 
@@ -139,9 +131,7 @@ class MeshConfig(Frozen):
     def _of_step(cls, tolerance: float | None, info: ValidationInfo) -> float | None:
         suffix = PurePath(str(info.data.get("file", ""))).suffix.lower()
         if tolerance is not None and suffix and suffix not in _STEP:
-            raise complaint(
-                f"{suffix} files have their triangles already; it belongs to STEP; remove this key"
-            )
+            raise complaint(f"{suffix} files have their triangles already; it belongs to STEP; remove this key")
         return tolerance
 
 
@@ -163,8 +153,7 @@ class PlacementConfig(Frozen):
         Field(strict=False),
         expecting("[x, y, z], three numbers from -360 to 360 (degrees)"),
     ] = Field(
-        default=(0.0, 0.0, 0.0),
-        description="Rotation about the fixed X, then Y, then Z axis, before the anchor [deg].",
+        default=(0.0, 0.0, 0.0), description="Rotation about the fixed X, then Y, then Z axis, before the anchor [deg]."
     )
 
 
@@ -173,14 +162,10 @@ class ReflectanceConfig(Frozen):
 
     R_d: Coefficient = Field(description="Diffuse coefficient [levels of full_scale].")
     R_s: Coefficient = Field(description="Specular coefficient [levels of full_scale].")
-    sigma_rad: Annotated[
-        float,
-        Field(ge=1e-5, le=0.5),
-        expecting("a number from 0.00001 to 0.5 (radians)"),
-    ] = Field(description="Width σ of the specular lobe [rad]: 0.003 is polished chrome, 0.05 satin plating.")
-    full_scale: Positive = Field(
-        default=255.0, description="Full scale that R_d and R_s are expressed in [levels]."
+    sigma_rad: Annotated[float, Field(ge=1e-5, le=0.5), expecting("a number from 0.00001 to 0.5 (radians)")] = Field(
+        description="Width σ of the specular lobe [rad]: 0.003 is polished chrome, 0.05 satin plating."
     )
+    full_scale: Positive = Field(default=255.0, description="Full scale that R_d and R_s are expressed in [levels].")
 
 
 class PartConfig(Frozen):
@@ -192,22 +177,18 @@ class PartConfig(Frozen):
     name: Text = Field(description="Name of the part, for people.")
     mesh: MeshConfig = Field(description="The part's shape.")
     placement: PlacementConfig = Field(
-        default=PlacementConfig(),
-        description="How the part lies on the table; resting at its centre if absent.",
+        default=PlacementConfig(), description="How the part lies on the table; resting at its centre if absent."
     )
-    postures: Annotated[tuple[PostureConfig, ...], Field(strict=False, min_length=1, max_length=1000)] = (
-        Field(
-            default=(PostureConfig(elevation_deg=0.0, rotation_deg=0.0),),
-            description="Postures the part is inspected in; (0, 0) alone if absent.",
-        )
+    postures: Annotated[tuple[PostureConfig, ...], Field(strict=False, min_length=1, max_length=1000)] = Field(
+        default=(PostureConfig(elevation_deg=0.0, rotation_deg=0.0),),
+        description="Postures the part is inspected in; (0, 0) alone if absent.",
     )
     reflectance: ReflectanceConfig = Field(description="Reflection of the part's surface.")
     defects: Annotated[tuple[DefectConfig, ...], Field(strict=False, max_length=500)] = Field(
         default=(), description="Defects that are on this part; renders show them. None if absent."
     )
     defect_catalogue: _Catalogue | None = Field(
-        default=None,
-        description="Kinds of defect that the inspection is planned for; the built-in ones if absent.",
+        default=None, description="Kinds of defect that the inspection is planned for; the built-in ones if absent."
     )
     inspection: InspectionConfig = Field(
         default=InspectionConfig(),

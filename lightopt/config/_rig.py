@@ -8,15 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PrivateAttr, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
 
 from lightopt.config._camera import CameraConfig
-from lightopt.config._fields import (
-    AzimuthRange,
-    Coordinates,
-    Frozen,
-    Text,
-    TiltRange,
-    expecting,
-    with_complaints,
-)
+from lightopt.config._fields import AzimuthRange, Coordinates, Frozen, Text, TiltRange, expecting, with_complaints
 from lightopt.config._hardware import HardwareConfig, misfits
 from lightopt.config._lights import LightConfig, LightSourceConfig, auto_sums, same_names
 from lightopt.config._source import Source
@@ -48,9 +40,7 @@ class RigConfig(Frozen):
     lights: Annotated[tuple[LightConfig, ...], Field(strict=False, min_length=1, max_length=1000)] = Field(
         description="The lights, at least one."
     )
-    stage: StageConfig = Field(
-        default=StageConfig(), description="The stage; unlimited about the origin if absent."
-    )
+    stage: StageConfig = Field(default=StageConfig(), description="The stage; unlimited about the origin if absent.")
     hardware: HardwareConfig | None = Field(
         default=None, description="The devices behind camera, lights and stage; absent is the virtual bench."
     )

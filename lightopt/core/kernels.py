@@ -128,9 +128,7 @@ def _add_code(digest: Any, code: CodeType, *, skip: int = 0) -> None:
 
 
 def _globals_of(code: CodeType) -> set[str]:
-    names = {
-        step.argval for step in dis.get_instructions(code) if step.opname in ("LOAD_GLOBAL", "LOAD_NAME")
-    }
+    names = {step.argval for step in dis.get_instructions(code) if step.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
     inner = (constant for constant in code.co_consts if isinstance(constant, CodeType))
     return names.union(*map(_globals_of, inner))
 
@@ -202,9 +200,7 @@ class _DiskCache(NullCache):
 
     def __init__(self, compiled: Any) -> None:
         self._compiled = compiled
-        self._form = object.__new__(
-            CompileResultCacheImpl
-        )  # how numba puts a kernel into bytes, which needs no state
+        self._form = object.__new__(CompileResultCacheImpl)  # how numba puts a kernel into bytes, which needs no state
 
     @property
     def cache_path(self) -> str:  # pyright: ignore[reportIncompatibleMethodOverride]

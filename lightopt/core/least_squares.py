@@ -186,9 +186,7 @@ def solve(
     least_spread: Lower bound of the residuals' spread [standard deviations].
     most_iterations: Steps to try at most.
     """
-    return _Solver(problem, limits, _Loss(loss), least_spread).run(
-        np.asarray(start, np.float64), most_iterations
-    )
+    return _Solver(problem, limits, _Loss(loss), least_spread).run(np.asarray(start, np.float64), most_iterations)
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,9 +343,7 @@ class _Solver:
             return False
         held, unit = self._held[:, of], self._limits.resolution[of]
         free = np.eye(len(of)) - held.T @ held
-        values, vectors = np.linalg.eigh(
-            free @ (self._covariance(here)[np.ix_(of, of)] / np.outer(unit, unit)) @ free
-        )
+        values, vectors = np.linalg.eigh(free @ (self._covariance(here)[np.ix_(of, of)] / np.outer(unit, unit)) @ free)
         scattered = np.zeros((int(np.sum(values > 1.0)), self._size))
         scattered[:, of] = vectors[:, values > 1.0].T
         self._held = np.concatenate([self._held, scattered])
@@ -393,9 +389,7 @@ class _Solver:
         return rows[int(np.sum(values > 1e-9)) :].T
 
     def _clipped(self, x: Float64) -> Float64:
-        return np.clip(
-            x, self._limits.nominal - self._limits.reach, self._limits.nominal + self._limits.reach
-        )
+        return np.clip(x, self._limits.nominal - self._limits.reach, self._limits.nominal + self._limits.reach)
 
     def _bounded(self, x: Float64, change: Float64) -> Float64:
         change = np.where(np.isfinite(change), change, 0.0)

@@ -82,9 +82,7 @@ class Posture:
     @property
     def matrix(self) -> Float64:
         """R = Rx(θ_j)·Rz(φ_j), shape (3, 3)."""
-        return posture_rotation(
-            elevation=math.radians(self.elevation_deg), rotation=math.radians(self.rotation_deg)
-        )
+        return posture_rotation(elevation=math.radians(self.elevation_deg), rotation=math.radians(self.rotation_deg))
 
     @staticmethod
     def from_dict(facts: Mapping[str, float]) -> Posture:

@@ -27,9 +27,7 @@ from lightopt.defects._shape import SHAPE_KINDS, DefectShape, height_gradient, r
 PER_OCTAVE = 4
 LEAST_OCTAVE, MOST_OCTAVE = -5, 3
 
-PIXEL_RATIOS: Float64 = np.exp2(
-    np.arange(LEAST_OCTAVE * PER_OCTAVE, MOST_OCTAVE * PER_OCTAVE + 1) / PER_OCTAVE
-)
+PIXEL_RATIOS: Float64 = np.exp2(np.arange(LEAST_OCTAVE * PER_OCTAVE, MOST_OCTAVE * PER_OCTAVE + 1) / PER_OCTAVE)
 """Side of a pixel's footprint over the width of the defect, at which shares are worked out: 1/32 to 8."""
 
 TURN = math.radians(22.5)
@@ -86,7 +84,5 @@ def _means(shape: DefectShape, x: Float64, y: Float64) -> tuple[Float64, Float64
         share = (radial_place(shape, x.ravel(), y.ravel()) < 1.0).reshape(x.shape).mean(axis=1)
         return share, share
     steepest = math.tan(shape.slope)
-    along, across = (
-        part.reshape(x.shape) / steepest for part in height_gradient(shape, x.ravel(), y.ravel())
-    )
+    along, across = (part.reshape(x.shape) / steepest for part in height_gradient(shape, x.ravel(), y.ravel()))
     return np.abs(across.mean(axis=1)), (along**2 + across**2).mean(axis=1)

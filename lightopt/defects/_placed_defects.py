@@ -79,9 +79,7 @@ def tangent_references(normals: Float64, *, x_axis: Float64, y_axis: Float64) ->
     return references / lengths[:, None]
 
 
-def surface_coordinates(
-    defect: PlacedDefect, points: Float64, normals: Float64
-) -> tuple[Float64, Float64, Bool]:
+def surface_coordinates(defect: PlacedDefect, points: Float64, normals: Float64) -> tuple[Float64, Float64, Bool]:
     """Coordinates x, y of points in a defect's tangent plane [mm], and whether they belong to its surface.
 
     Projection onto the tangent plane stands for lengths along the surface: on a radius of curvature R they differ at a
@@ -156,9 +154,5 @@ def mark_surface(defects: Sequence[PlacedDefect], points: Float64, normals: Floa
     flat = ~slope.any(axis=1)
     tilted[flat] = undisturbed[flat]
     return Marks(
-        index=index,
-        label=label[index],
-        normals=tilted,
-        R_d_factor=factors[index, 0],
-        sigma_factor=factors[index, 1],
+        index=index, label=label[index], normals=tilted, R_d_factor=factors[index, 0], sigma_factor=factors[index, 1]
     )

@@ -14,9 +14,7 @@ from lightopt.design.postures._posture_grid import posture_grid
 from lightopt.design.tolerances._analysis import lights_problem
 
 
-def check_request(
-    rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, folder: Path
-) -> None:
+def check_request(rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, folder: Path) -> None:
     """Refuse options that are out of range, contradict each other, or do not go with the rig and the part."""
     check_options(options)
     check_plan(plan)
@@ -51,17 +49,12 @@ def _check_image_count(rig: RigConfig, part: PartConfig, options: OptimizeOption
 
 
 def _check_choice_of_postures(rig: RigConfig, options: OptimizeOptions, plan: PlanOptions) -> None:
-    refusals = [
-        OBJECTIVES[name].refusal(len(rig.lights)) for name in options.objectives if name in OBJECTIVES
-    ]
+    refusals = [OBJECTIVES[name].refusal(len(rig.lights)) for name in options.objectives if name in OBJECTIVES]
     problems = [text for text in refusals if text is not None]
     if options.postures is not None:
         given = " and ".join(
             name
-            for name, value in (
-                ("option 'choose_postures'", plan.choose_postures),
-                ("option 'target'", plan.target),
-            )
+            for name, value in (("option 'choose_postures'", plan.choose_postures), ("option 'target'", plan.target))
             if value is not None
         )
         problems.append(

@@ -50,11 +50,7 @@ def way_through(rig: RigConfig, postures: Sequence[Posture]) -> Way:
 
 
 def plan_commands(
-    rig: RigConfig,
-    files: Mapping[Posture, str],
-    part: str,
-    brackets: Brackets | None,
-    render: Sequence[str] = (),
+    rig: RigConfig, files: Mapping[Posture, str], part: str, brackets: Brackets | None, render: Sequence[str] = ()
 ) -> tuple[Command, ...]:
     """Commands that carry a plan out, in the folder of its files: those that capture it, then those that render it.
 
@@ -70,14 +66,7 @@ def plan_commands(
         end = "" if len(groups) == 1 else f"-{number}"
         chosen = [] if len(groups) == 1 else _posture_words(postures)
         levels = f"--exposures {','.join(f'{exposure:.9g}' for exposure in exposures)}"
-        words = [
-            "lightopt capture",
-            file,
-            part,
-            *chosen,
-            levels,
-            f"-o captured{end}",
-        ]
+        words = ["lightopt capture", file, part, *chosen, levels, f"-o captured{end}"]
         captures.append(Command(text=" ".join(words), way=way_through(rig, postures)))
         words = ["lightopt render", file, part, *chosen, levels, *render, f"-o rendered{end}"]
         renders.append(Command(text=" ".join(words)))
@@ -97,8 +86,7 @@ def render_words(options: OptimizeOptions) -> list[str]:
     """The options of ``lightopt render`` that make it see what the plan saw, where they differ from its defaults."""
     default = OptimizeOptions()
     words = _differing(
-        ("--points", options.points, default.points),
-        ("--patches", options.patch_budget, default.patch_budget),
+        ("--points", options.points, default.points), ("--patches", options.patch_budget, default.patch_budget)
     )
     return [*words, *(() if options.shadows else ("--no-shadows",))]
 

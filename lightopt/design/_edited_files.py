@@ -42,9 +42,7 @@ def rig_texts(
         sets = [(sets[0][0], all_postures, Path())]
     elif len(results) == 1:
         sets = [(angles, postures, Path()) for angles, postures, _ in sets]
-    return [
-        (home / RIG_NAME, postures, _rig_text(rig, angles, folder / home)) for angles, postures, home in sets
-    ]
+    return [(home / RIG_NAME, postures, _rig_text(rig, angles, folder / home)) for angles, postures, home in sets]
 
 
 def _rig_text(rig: RigConfig, angles: Sequence[tuple[float, float]], home: Path) -> str:

@@ -206,9 +206,7 @@ def _listed(
             }
             for path, postures, _ in rigs
         ],
-        "images": [
-            {"folder": home.as_posix(), "exposures": list(images.exposures)} for home, images in homes
-        ],
+        "images": [{"folder": home.as_posix(), "exposures": list(images.exposures)} for home, images in homes],
         "overlaps": [
             {"map": (home / overlap_map_name(posture, exposure)).as_posix()}
             for home, images in homes
@@ -240,10 +238,7 @@ def _render(images: _Images, result: DesignResult, force: bool, run: RunContext)
 
 def _write_overlaps(images: _Images, force: bool) -> list[Overlap]:
     # in the order in which they are listed
-    found = {
-        (overlap.posture, overlap.exposure): overlap
-        for overlap in find_overlaps(read_image_set(images.folder))
-    }
+    found = {(overlap.posture, overlap.exposure): overlap for overlap in find_overlaps(read_image_set(images.folder))}
     overlaps = [found[posture, exposure] for posture in images.postures for exposure in images.exposures]
     for overlap in overlaps:
         path = images.folder / overlap_map_name(overlap.posture, overlap.exposure)

@@ -17,13 +17,7 @@ from lightopt.core.run_context import RunContext
 from lightopt.design._checks import check_request
 from lightopt.design._commands import command_text
 from lightopt.design._edited_files import check_editable
-from lightopt.design._options import (
-    DEFECT_OBJECTIVE,
-    OptimizeOptions,
-    PlanOptions,
-    known_provenance,
-    run_provenance,
-)
+from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, known_provenance, run_provenance
 from lightopt.design._placed_lights import PlacedLights
 from lightopt.design._previous_result import refuse_other_result
 from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult
@@ -35,21 +29,12 @@ from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.objectives._registry import objectives_named
 from lightopt.design.postures._image_evaluator import ImageEvaluator
-from lightopt.design.postures._plan_postures import (
-    candidates_of,
-    chosen_angles,
-    detection_model_of,
-    plan_postures,
-)
+from lightopt.design.postures._plan_postures import candidates_of, chosen_angles, detection_model_of, plan_postures
 from lightopt.design.postures._planned_scores import planned_answers
 from lightopt.design.responses._defect_hypotheses import defect_hypotheses
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.design.responses._posture_matrices import PostureMatrices
-from lightopt.design.search._best_positions import (
-    candidates_of_others,
-    search_objectives,
-    search_other_objectives,
-)
+from lightopt.design.search._best_positions import candidates_of_others, search_objectives, search_other_objectives
 from lightopt.geometry import RayCaster
 from lightopt.rendering import PatchTable, cast_rays_at, refuse_unusable_scene
 from lightopt.scene import Scene, build_catalogue, build_scene, coarse_warnings
@@ -165,16 +150,7 @@ class _Problem:
         """The responses of the candidates; `table` has patches that were cut before."""
         defects = None if self.defects is None else detection_model_of(self.scene, self.part, self.options)
         return PostureMatrices(
-            self.rig,
-            self.part,
-            self.scene,
-            self.candidates,
-            self.options,
-            folder,
-            self.caster,
-            defects,
-            run,
-            table,
+            self.rig, self.part, self.scene, self.candidates, self.options, folder, self.caster, defects, run, table
         )
 
     def evaluator(self, matrices: PostureMatrices, threads: int | None) -> ImageEvaluator:
@@ -190,12 +166,7 @@ class _Problem:
 
 
 def _state_problem(
-    rig: RigConfig,
-    part: PartConfig,
-    options: OptimizeOptions,
-    plan: PlanOptions,
-    folder: Path | None,
-    run: RunContext,
+    rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, folder: Path | None, run: RunContext
 ) -> _Problem:
     """Build the scene and the candidates; `folder` must hold no other result, None where it may."""
 
@@ -244,17 +215,13 @@ def _state_problem(
     )
 
 
-def _objectives(
-    rig: RigConfig, part: PartConfig, options: OptimizeOptions, run: RunContext
-) -> tuple[Objective, ...]:
+def _objectives(rig: RigConfig, part: PartConfig, options: OptimizeOptions, run: RunContext) -> tuple[Objective, ...]:
     """The objectives; one that was named must be possible, one that is a default is left out otherwise."""
     chosen = objectives_named(
         options.objectives,
         # positions that were chosen before were chosen for the images of all postures together
         lambda: DetectabilityObjective(
-            defect_hypotheses(build_catalogue(part)),
-            options.min_images,
-            across_postures=options.places is not None,
+            defect_hypotheses(build_catalogue(part)), options.min_images, across_postures=options.places is not None
         ),
     )
     refusals = {objective.name: objective.refusal(len(rig.lights)) for objective in chosen}
@@ -292,9 +259,7 @@ def _search(problem: _Problem, matrices: PostureMatrices, run: RunContext) -> _F
     return _Found(results=results, candidates=free or problem.candidates, visibility=visibility)
 
 
-def _scored_on_all_images(
-    found: _Found, problem: _Problem, postures: _ChosenPostures, run: RunContext
-) -> _Found:
+def _scored_on_all_images(found: _Found, problem: _Problem, postures: _ChosenPostures, run: RunContext) -> _Found:
     """The same positions, scored for defects by what the images of all chosen postures show together."""
     # one set of lights for all postures is one result
     result = planned_answers(
@@ -329,14 +294,10 @@ def _complete(
             brackets = lights.exposures(evaluator, plan, run)
         if plan.tolerances is not None:
             objective = found.results[0].answers[0].objective
-            tolerances = lights.tolerances(
-                evaluator, plan.tolerances, brackets, objective, problem.thresholds, run
-            )
+            tolerances = lights.tolerances(evaluator, plan.tolerances, brackets, objective, problem.thresholds, run)
     if chosen is None and brackets is None:
         return PlanResult(tolerances=tolerances), found.visibility
-    planned = PlanResult(
-        chosen=chosen, brackets=brackets, tolerances=tolerances, commands=lights.commands(brackets)
-    )
+    planned = PlanResult(chosen=chosen, brackets=brackets, tolerances=tolerances, commands=lights.commands(brackets))
     if problem.defects is None:
         return planned, found.visibility
     candidates = found.candidates if chosen is None else candidates_of(problem.rig, problem.options)

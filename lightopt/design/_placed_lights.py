@@ -121,8 +121,5 @@ class PlacedLights:
         """Commands that capture and render the plan."""
         # as the rig files are written: one where all postures have the same lights
         one_rig = len(set(self.angles.values())) == 1
-        files = {
-            posture: RIG_NAME if one_rig else f"{posture_folder(posture)}/{RIG_NAME}"
-            for posture in self.angles
-        }
+        files = {posture: RIG_NAME if one_rig else f"{posture_folder(posture)}/{RIG_NAME}" for posture in self.angles}
         return plan_commands(self.rig, files, PLANNED_PART_NAME, brackets, render_words(self.options))

@@ -54,8 +54,7 @@ def result_document(
         "files": listed["files"],
         "images": listed["images"],
         "overlaps": [
-            {**where, **overlap.as_dict()}
-            for where, overlap in zip(listed["overlaps"], overlaps, strict=True)
+            {**where, **overlap.as_dict()} for where, overlap in zip(listed["overlaps"], overlaps, strict=True)
         ],
     }
 
@@ -148,10 +147,7 @@ def plan_document(result: PlanResult) -> dict[str, Any]:
 
 
 def _way_dict(way: Way) -> dict[str, Any]:
-    return {
-        "order_of_travel": [posture.as_dict() for posture in way.order],
-        "travel_s": round(way.seconds, 3),
-    }
+    return {"order_of_travel": [posture.as_dict() for posture in way.order], "travel_s": round(way.seconds, 3)}
 
 
 def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
@@ -187,9 +183,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
         **_way_dict(chosen.way),
         "travel_pace": chosen.pace,
         "candidates": chosen.candidate_count,
-        "left_out": [
-            {**out.posture.as_dict(), "kind": out.kind, "reason": out.reason} for out in chosen.left_out
-        ],
+        "left_out": [{**out.posture.as_dict(), "kind": out.kind, "reason": out.reason} for out in chosen.left_out],
         "turns": chosen.choice.iterations,
         "starts": chosen.choice.starts,
         "every_combination_tried": chosen.choice.exact,

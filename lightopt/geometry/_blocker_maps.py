@@ -76,9 +76,7 @@ class BlockerMaps:
             closed, folded = _closed_and_folded(self._vertices, self._faces, welded)
             self._closed = bool(closed)
             if closed:
-                either = folded[self._faces].any(axis=1) | _near_other_bodies(
-                    self._vertices, self._faces, welded
-                )
+                either = folded[self._faces].any(axis=1) | _near_other_bodies(self._vertices, self._faces, welded)
                 self._surface = _planes(self._vertices, self._faces), either
         return bool(self._closed)
 
@@ -186,9 +184,7 @@ def _normal(vertices: Float32, face: Int32) -> tuple[float, float, float]:
 
 
 @kernel
-def _fill(
-    vertices: Float32, faces: Int32, planes: Float32, either: Bool, frame: Float32, depths: Float32
-) -> None:
+def _fill(vertices: Float32, faces: Int32, planes: Float32, either: Bool, frame: Float32, depths: Float32) -> None:
     # every texel that the bounding box of a triangle touches gets the depth of its nearest vertex
     seen = np.empty((len(vertices), 3), np.float32)
     for i in range(len(vertices)):
@@ -312,17 +308,13 @@ def _bodies(faces: Int32, vertices: int) -> Int64:
 
 
 @kernel
-def _within_other_box(
-    least: Float32, most: Float32, body: Int64, low: Float32, high: Float32, near: Bool
-) -> None:
+def _within_other_box(least: Float32, most: Float32, body: Int64, low: Float32, high: Float32, near: Bool) -> None:
     for f in range(len(near)):
         for other in range(len(low)):
             if other != body[f]:
                 inside = True
                 for axis in range(3):
-                    inside = (
-                        inside and least[f, axis] <= high[other, axis] and most[f, axis] >= low[other, axis]
-                    )
+                    inside = inside and least[f, axis] <= high[other, axis] and most[f, axis] >= low[other, axis]
                 if inside:
                     near[f] = True
                     break

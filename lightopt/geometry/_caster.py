@@ -100,16 +100,7 @@ class RayCaster:
         if outside:
             numbers, frames, depths = self._maps.find((targets - self.centre) / self.radius)
         origins32, directions32, ray = _shadow_rays(
-            points,
-            normals,
-            targets,
-            point_index,
-            target_index,
-            self.centre,
-            self.radius,
-            numbers,
-            frames,
-            depths,
+            points, normals, targets, point_index, target_index, self.centre, self.radius, numbers, frames, depths
         )
         blocked = self._run("OCCLUDED", origins32, directions32) >= 0
         if len(ray) == len(point_index):
@@ -143,9 +134,7 @@ class RayCaster:
 
 
 @kernel
-def _primary_rays(
-    origin: Float64, directions: Float64, centre: Float64, radius: float
-) -> tuple[Float32, Float32]:
+def _primary_rays(origin: Float64, directions: Float64, centre: Float64, radius: float) -> tuple[Float32, Float32]:
     # each ray starts near the mesh's bounding sphere, not at the far camera: the rounding of its origin to float32
     # then is that of the part's size, not of the camera's distance
     n = len(directions)

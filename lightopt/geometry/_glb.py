@@ -27,8 +27,7 @@ def split_glb(name: str, data: bytes) -> tuple[dict[str, Any], bytes]:
         raise InputError(f"{name}: glTF version {version}, expected 2")
     if total != len(data) or 20 + json_size > total:
         raise InputError(
-            f"{name}: its header says {total:,} bytes, but the file has {len(data):,}: cut off. Export or "
-            "copy it again"
+            f"{name}: its header says {total:,} bytes, but the file has {len(data):,}: cut off. Export or copy it again"
         )
     try:
         tree = json.loads(data[20 : 20 + json_size])
@@ -60,9 +59,7 @@ def glb_triangle_count(name: str, tree: dict[str, Any]) -> int:
     return total
 
 
-def placed(
-    matrix: Float64, vertices: Float64, faces: Int64, normals: Float64 | None
-) -> dict[str, NDArray[Any]]:
+def placed(matrix: Float64, vertices: Float64, faces: Int64, normals: Float64 | None) -> dict[str, NDArray[Any]]:
     """Vertices, faces and normals after an affine transform, shape (4, 4); a mirror turns the winding."""
     linear = np.asarray(matrix, dtype=np.float64)[:3, :3]
     part: dict[str, NDArray[Any]] = {

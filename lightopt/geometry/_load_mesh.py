@@ -83,9 +83,7 @@ def load_mesh(
     suffix = path.suffix.lower()
     _check_arguments(unit_mm, normals, crease_angle, chord_tolerance_mm, angular_tolerance, max_triangles)
     if suffix not in MESH_SUFFIXES:
-        raise InputError(
-            f"{path}: unknown mesh format '{path.suffix}', expected one of {', '.join(MESH_SUFFIXES)}"
-        )
+        raise InputError(f"{path}: unknown mesh format '{path.suffix}', expected one of {', '.join(MESH_SUFFIXES)}")
     if unit_mm is None and suffix in UNITLESS_SUFFIXES:
         raise InputError(f"{path}: {suffix[1:].upper()} files carry no unit of length; give it (mm, inch, …)")
     data = _read(path, max_triangles)

@@ -75,9 +75,7 @@ def read_stl(name: str, data: bytes, max_triangles: int) -> RawMesh:
         if not claimed:
             raise InputError(f"{name}: the binary STL file has no triangles")
         vertices = np.frombuffer(data, _STL_TRIANGLE, offset=84)["vertices"].reshape(-1, 3)
-        return RawMesh(
-            vertices.astype(np.float64), np.arange(3 * claimed).reshape(-1, 3), None, "binary STL", True
-        )
+        return RawMesh(vertices.astype(np.float64), np.arange(3 * claimed).reshape(-1, 3), None, "binary STL", True)
     from trimesh.exchange.stl import load_stl
 
     claimed = _check_ascii_stl(name, data)
@@ -86,9 +84,7 @@ def read_stl(name: str, data: bytes, max_triangles: int) -> RawMesh:
     parts = list(loaded["geometry"].values()) if "geometry" in loaded else [loaded]
     raw = _joined(name, parts, "ASCII STL", repeats_vertices=True)
     if len(raw.faces) != claimed:
-        raise InputError(
-            f"{name}: {claimed} triangles in the ASCII STL file, but only {len(raw.faces)} could be read"
-        )
+        raise InputError(f"{name}: {claimed} triangles in the ASCII STL file, but only {len(raw.faces)} could be read")
     return raw
 
 
@@ -140,9 +136,7 @@ def read_ply(name: str, data: bytes, max_triangles: int) -> RawMesh:
             )
     kind = "ASCII PLY" if is_ascii else "binary PLY"
     loaded = _trimesh(
-        name,
-        f"{kind} ({_listed(counts)})",
-        lambda: load_ply(io.BytesIO(data), fix_texture=False, skip_materials=True),
+        name, f"{kind} ({_listed(counts)})", lambda: load_ply(io.BytesIO(data), fix_texture=False, skip_materials=True)
     )
     if "faces" not in loaded:
         raise InputError(f"{name}: the {kind} file has no triangles ({_listed(counts)})")
@@ -204,9 +198,7 @@ def read_glb(name: str, data: bytes, max_triangles: int) -> RawMesh:
     has_normals = all("NORMAL" in a for a in attributes)
     seams = any(key.startswith("TEXCOORD") for a in attributes for key in a)
     scene = _trimesh(
-        name,
-        "GLB",
-        lambda: trimesh.load_scene(io.BytesIO(data), file_type="glb", process=False, skip_materials=True),
+        name, "GLB", lambda: trimesh.load_scene(io.BytesIO(data), file_type="glb", process=False, skip_materials=True)
     )
     parts: list[dict[str, Any]] = []
     for node in sorted(scene.graph.nodes_geometry):
@@ -254,9 +246,7 @@ def _joined(name: str, parts: list[dict[str, Any]], kind: str, *, repeats_vertic
     complete = len(normals) == len(parts)
     warnings = ()
     if normals and not complete:
-        warnings = (
-            f"{len(normals)} of {len(parts)} pieces of the {kind} file carry vertex normals: not used",
-        )
+        warnings = (f"{len(normals)} of {len(parts)} pieces of the {kind} file carry vertex normals: not used",)
     return RawMesh(
         np.concatenate(vertices),
         np.concatenate(faces),

@@ -32,9 +32,7 @@ def surface_place(mesh: TriangleMesh, face: int, u: float, v: float) -> SurfaceP
     normal = np.zeros(3) if mesh.normals is None else weights @ mesh.normals[corners]
     if math.hypot(*normal) <= 1e-12:
         normal = np.cross(b - a, c - a)
-    return SurfacePlace(
-        point=weights @ mesh.vertices[corners], normal=normal / np.linalg.norm(normal), face=face
-    )
+    return SurfacePlace(point=weights @ mesh.vertices[corners], normal=normal / np.linalg.norm(normal), face=face)
 
 
 class SurfaceFinder:

@@ -86,8 +86,7 @@ def carried_normals(
         )
     if inward.any():
         warnings.append(
-            f"{np.count_nonzero(inward)} of {np.count_nonzero(used)} vertex normals pointed into the part: "
-            "turned"
+            f"{np.count_nonzero(inward)} of {np.count_nonzero(used)} vertex normals pointed into the part: turned"
         )
     if crease_angle is not None:
         warnings += _smeared_creases(given[faces.reshape(-1)], flat, pairs, crease_angle)
@@ -136,9 +135,7 @@ def _unit_or(vectors: Float64, fallback: Float64, *, least: float = 1e-9) -> tup
     """Vectors at unit length, the fallback where they are too short, and the number of those."""
     length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
     short = length <= least
-    return np.where(short[:, None], fallback, vectors / np.where(short, 1.0, length)[:, None]), int(
-        short.sum()
-    )
+    return np.where(short[:, None], fallback, vectors / np.where(short, 1.0, length)[:, None]), int(short.sum())
 
 
 @kernel

@@ -67,9 +67,7 @@ def _aligned(count: int) -> Float32:
 
 
 @kernel
-def _blocked(
-    function: int, scene: int, arguments: int, width: int, origins: Float32, directions: Float32
-) -> Int32:
+def _blocked(function: int, scene: int, arguments: int, width: int, origins: Float32, directions: Float32) -> Int32:
     # 0 where anything lies within the length of a direction, −1 where nothing does
     n = len(origins)
     found = np.empty(n, np.int32)
@@ -135,9 +133,7 @@ class PacketScene:
         library.rtcReleaseGeometry(geometry)
         library.rtcCommitScene(self._scene)
         if error := library.rtcGetDeviceError(device):
-            raise MemoryError(
-                f"Embree's error {error} while it built a hierarchy over {len(faces):,} triangles"
-            )
+            raise MemoryError(f"Embree's error {error} while it built a hierarchy over {len(faces):,} triangles")
 
     def _share(self, geometry: int, kind: int, form: int, data: NDArray[Any], count: int) -> None:
         self._library.rtcSetSharedGeometryBuffer(geometry, kind, 0, form, data.ctypes.data, 0, 12, count)

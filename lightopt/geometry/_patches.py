@@ -66,12 +66,7 @@ class Patches:
         """
         faces = np.asarray(face)
         us, vs = np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64)
-        if (
-            faces.ndim != 1
-            or faces.shape != us.shape
-            or faces.shape != vs.shape
-            or faces.dtype.kind not in "iu"
-        ):
+        if faces.ndim != 1 or faces.shape != us.shape or faces.shape != vs.shape or faces.dtype.kind not in "iu":
             raise InputError(
                 "patch_at: expected integer faces and coordinates u, v of one shape (k,), found "
                 f"{faces.dtype} {faces.shape}, {us.shape}, {vs.shape}"
@@ -83,9 +78,7 @@ class Patches:
         return _find(self.roots, self.children, self.cut_edge, faces.astype(np.int32), us, vs)
 
 
-def refine(
-    mesh: TriangleMesh, *, max_edge_mm: float, max_patches: int, select: Bool | None = None
-) -> Patches:
+def refine(mesh: TriangleMesh, *, max_edge_mm: float, max_patches: int, select: Bool | None = None) -> Patches:
     """Patches of a mesh: every face bisected at its longest edge until no edge is longer than `max_edge_mm`.
 
     Longest-edge bisection (Rivara, Int. J. Numer. Meth. Eng. 20, 1984) bounds the smallest angle by half of
@@ -177,9 +170,7 @@ def _longest_edge(a: Float64, b: Float64, c: Float64, limit: float) -> int:
 
 
 @kernel
-def _halves(
-    triangle: NDArray[Any], edge: int, middle: Any, first: NDArray[Any], second: NDArray[Any]
-) -> None:
+def _halves(triangle: NDArray[Any], edge: int, middle: Any, first: NDArray[Any], second: NDArray[Any]) -> None:
     """Cut a triangle, keeping its sense of rotation; the first half holds the start of the cut edge."""
     for k in range(3):
         first[k] = triangle[k]
@@ -218,9 +209,7 @@ def _count(vertices: Float64, faces: Int32, selected: Bool, limit: float, enough
 
 
 @kernel
-def _build(
-    vertices: Float64, faces: Int32, selected: Bool, limit: float, count: int
-) -> tuple[NDArray[Any], ...]:
+def _build(vertices: Float64, faces: Int32, selected: Bool, limit: float, count: int) -> tuple[NDArray[Any], ...]:
     """Cut all faces: vertices, triangles, centroid weights, depths, faces, and the trees of `Patches`.
 
     Follows `_count` exactly. A child's tree entry is written into its parent when the child is taken

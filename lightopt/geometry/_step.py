@@ -55,9 +55,7 @@ def read_step(
     """
     name = str(path)
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"ISO-10303-21"):
-        raise InputError(
-            f"{name}: not a STEP file: expected it to begin with ISO-10303-21, found {data[:20]!r}"
-        )
+        raise InputError(f"{name}: not a STEP file: expected it to begin with ISO-10303-21, found {data[:20]!r}")
     if b"END-ISO-10303-21" not in data[-2000:]:
         raise InputError(
             f"{name}: the STEP file is cut off: {len(data):,} bytes without END-ISO-10303-21 at the end. "
@@ -125,9 +123,7 @@ def _check_size(name: str, parts: list[dict[str, NDArray[Any]]], declared: float
     )
 
 
-def _tessellate(
-    path: Path, linear: float, angular: float, deadline: float, *, relative: bool
-) -> tuple[bytes, str]:
+def _tessellate(path: Path, linear: float, angular: float, deadline: float, *, relative: bool) -> tuple[bytes, str]:
     """GLB written by the worker process, and what the CAD kernel complained about."""
     what = f"{'coarse' if relative else 'fine'} tessellation (" + (
         "to learn the size)" if relative else f"chord tolerance {linear:g} mm, {angular:g} rad)"
@@ -162,9 +158,7 @@ def _tessellate(
             return glb.read_bytes(), _last_line(done.stdout)
     output = f" ({_last_line(done.stdout)})" if done.stdout.strip() else ""
     if done.returncode == _step_worker.EXIT_READ:
-        raise InputError(
-            f"{path}: the STEP file could not be read{output}. Export it again (AP203, AP214 or AP242)"
-        )
+        raise InputError(f"{path}: the STEP file could not be read{output}. Export it again (AP203, AP214 or AP242)")
     if done.returncode == _step_worker.EXIT_MEMORY:
         raise InputError(
             f"{path}: {what} needs more than {MEMORY_GB:g} GB of memory. Use a coarser "

@@ -86,11 +86,7 @@ def edge_pairs(faces: Int32) -> EdgePairs:
     corners = edges.corners[edges.uses == 2].astype(np.int32)
     rim = np.zeros(len(faces), dtype=np.bool_)
     rim[edges.order[np.repeat(edges.uses != 2, edges.uses)] // 3] = True
-    return EdgePairs(
-        corners=corners,
-        same_direction=start[corners[:, 0]] == start[corners[:, 1]],
-        rim=rim,
-    )
+    return EdgePairs(corners=corners, same_direction=start[corners[:, 0]] == start[corners[:, 1]], rim=rim)
 
 
 def _corner_vertices(faces: NDArray[np.integer]) -> tuple[Int64, Int64]:

@@ -35,9 +35,7 @@ class TriangleMesh:
         vertices = _rows_of_three("vertices", self.vertices)
         faces = np.asarray(self.faces)
         if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
-            raise InputError(
-                f"mesh faces: expected integers of shape (m, 3), found {faces.dtype} {faces.shape}"
-            )
+            raise InputError(f"mesh faces: expected integers of shape (m, 3), found {faces.dtype} {faces.shape}")
         if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
             raise InputError(
                 f"mesh faces: vertex indices from {faces.min()} to {faces.max()} for {len(vertices)} vertices"
@@ -52,9 +50,7 @@ class TriangleMesh:
         length = np.sqrt(np.einsum("ij,ij->i", normals, normals))
         if np.any(np.abs(length - 1.0) > 1e-6):
             worst = int(np.argmax(np.abs(length - 1.0)))
-            raise InputError(
-                f"mesh normals: expected unit length, found {length[worst]:.6g} at vertex {worst}"
-            )
+            raise InputError(f"mesh normals: expected unit length, found {length[worst]:.6g} at vertex {worst}")
         object.__setattr__(self, "normals", normals)
 
     @property
@@ -114,7 +110,6 @@ def _rows_of_three(name: str, values: Float64) -> Float64:
     finite = np.isfinite(array).all(axis=1)
     if not finite.all():
         raise InputError(
-            f"mesh {name}: {np.count_nonzero(~finite)} rows are not finite, the first is row "
-            f"{int(np.argmin(finite))}"
+            f"mesh {name}: {np.count_nonzero(~finite)} rows are not finite, the first is row {int(np.argmin(finite))}"
         )
     return read_only(array)

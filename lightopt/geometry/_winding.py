@@ -45,9 +45,7 @@ def repair_winding(vertices: Float64, faces: Int32) -> Repaired:
     turn = turn ^ minority[label]
     warnings: list[str] = []
     if turn.any():
-        warnings.append(
-            f"{np.count_nonzero(turn)} of {len(faces)} triangles wound against their neighbours: turned"
-        )
+        warnings.append(f"{np.count_nonzero(turn)} of {len(faces)} triangles wound against their neighbours: turned")
         faces = _turned(faces, turn)
         pairs = edge_pairs(faces)
     twisted = pairs.corners[pairs.same_direction, 0] // 3
@@ -78,12 +76,8 @@ def _inside_out(vertices: Float64, faces: Int32, label: Int32, closed: Bool) -> 
     # the volume of a closed surface does not depend on the origin, its rounding error does
     corners = (vertices - vertices.mean(axis=0))[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    volume = np.bincount(
-        label, weights=np.einsum("ij,ij->i", corners[:, 0], cross) / 6.0, minlength=len(closed)
-    )
-    area = np.bincount(
-        label, weights=0.5 * np.sqrt(np.einsum("ij,ij->i", cross, cross)), minlength=len(closed)
-    )
+    volume = np.bincount(label, weights=np.einsum("ij,ij->i", corners[:, 0], cross) / 6.0, minlength=len(closed))
+    area = np.bincount(label, weights=0.5 * np.sqrt(np.einsum("ij,ij->i", cross, cross)), minlength=len(closed))
     result = closed & (volume < -_NO_VOLUME * area**1.5)
     if not result.any() or np.count_nonzero(closed) == 1:
         return result

@@ -75,9 +75,7 @@ def write_npz_atomic(path: str | Path, arrays: Mapping[str, NDArray[Any]]) -> st
     """
     for name, array in arrays.items():
         if array.dtype.hasobject:
-            raise InputError(
-                f"{path}: array {name!r} holds Python objects; expected numbers, booleans or strings"
-            )
+            raise InputError(f"{path}: array {name!r} holds Python objects; expected numbers, booleans or strings")
 
     def write(temporary: Path) -> None:
         with zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:

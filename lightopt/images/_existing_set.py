@@ -83,6 +83,4 @@ def _remove_files(folder: Path, manifest: Manifest) -> int:
 
 def _header(manifest: Manifest) -> dict[str, Any]:
     """What differs between the sets of two runs."""
-    return {
-        key: value for key, value in manifest.as_dict().items() if key not in (*_CONTENT_KEYS, *_FOUND_KEYS)
-    }
+    return {key: value for key, value in manifest.as_dict().items() if key not in (*_CONTENT_KEYS, *_FOUND_KEYS)}

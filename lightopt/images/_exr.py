@@ -11,14 +11,7 @@ import numpy as np
 from lightopt.core.arrays import Float32
 from lightopt.core.errors import InputError
 from lightopt.images._atomic import write_atomically
-from lightopt.images._oiio import (
-    METADATA_KEY,
-    metadata_json,
-    open_input,
-    openimageio,
-    read_metadata,
-    write_rows,
-)
+from lightopt.images._oiio import METADATA_KEY, metadata_json, open_input, openimageio, read_metadata, write_rows
 
 if TYPE_CHECKING:
     import OpenImageIO
@@ -104,9 +97,7 @@ def read_exr(path: str | Path) -> dict[str, Channel]:
         index = {name: i for i, name in enumerate(spec.channelnames)}
         for name, i in index.items():
             if str(spec.channelformat(i)) not in ("float", "half"):
-                raise InputError(
-                    f"{path}: channel {name}: expected float or half, found {spec.channelformat(i)}"
-                )
+                raise InputError(f"{path}: channel {name}: expected float or half, found {spec.channelformat(i)}")
         pixels = source.read_image(0, 0, 0, len(index), "float")
         if pixels is None or source.has_error:
             raise InputError(f"{path}: damaged: {source.geterror().strip()}; write the file anew")
@@ -123,9 +114,7 @@ def _check_plain(path: Path, source: OpenImageIO.ImageInput, spec: OpenImageIO.I
     window = (spec.x, spec.y, spec.width, spec.height)
     display = (spec.full_x, spec.full_y, spec.full_width, spec.full_height)
     if window != display:
-        raise InputError(
-            f"{path}: data window {window} (x, y, w, h) differs from the display window {display}"
-        )
+        raise InputError(f"{path}: data window {window} (x, y, w, h) differs from the display window {display}")
 
 
 def read_exr_metadata(path: str | Path) -> dict[str, Any]:

@@ -82,9 +82,7 @@ class FileNames:
             where = posture_folder(posture)
             self.claim(geometry_name(posture), f"the geometry of {where}")
             self.claim(exr_name(light, posture), f"light {light!r} in {where}")
-            self.claim(
-                png_name(light, posture, exposure), f"light {light!r} at exposure {exposure:g} in {where}"
-            )
+            self.claim(png_name(light, posture, exposure), f"light {light!r} at exposure {exposure:g} in {where}")
 
     @staticmethod
     def _check_light(light: str) -> None:

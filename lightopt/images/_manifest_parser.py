@@ -103,9 +103,7 @@ def read_manifest(path: str | Path) -> Manifest:
         text = path.read_text(encoding="utf-8")
         data = json.loads(text, parse_constant=_no_constant)
     except OSError as error:
-        raise InputError(
-            f"{path}: cannot be read: {error.strerror or error}; expected a manifest of images"
-        ) from error
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}; expected a manifest of images") from error
     except json.JSONDecodeError as error:
         raise InputError(f"{path}:{error.lineno}: not valid JSON: {error.msg}") from error
     except UnicodeDecodeError:

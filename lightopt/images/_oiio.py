@@ -124,7 +124,5 @@ def read_metadata(path: Path, *, file_format: str) -> dict[str, Any]:
     except (TypeError, ValueError) as error:
         raise InputError(f"{path}: attribute {METADATA_KEY} is not valid JSON: {error}") from error
     if not isinstance(metadata, dict):
-        raise InputError(
-            f"{path}: attribute {METADATA_KEY}: expected a JSON object, found {type(metadata).__name__}"
-        )
+        raise InputError(f"{path}: attribute {METADATA_KEY}: expected a JSON object, found {type(metadata).__name__}")
     return metadata

@@ -12,14 +12,7 @@ from numpy.typing import NDArray
 from lightopt.core.arrays import UInt8
 from lightopt.core.errors import InputError
 from lightopt.images._atomic import write_atomically
-from lightopt.images._oiio import (
-    METADATA_KEY,
-    metadata_json,
-    open_input,
-    openimageio,
-    read_metadata,
-    write_rows,
-)
+from lightopt.images._oiio import METADATA_KEY, metadata_json, open_input, openimageio, read_metadata, write_rows
 
 Levels = UInt8 | NDArray[np.uint16]
 
@@ -33,9 +26,7 @@ _END_CHUNK = b"\0\0\0\0IEND\xaeB`\x82"
 _COLOUR_TYPES = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGB with alpha"}
 
 
-def write_png(
-    path: str | Path, levels: Levels, *, metadata: Mapping[str, Any], overwrite: bool = True
-) -> str:
+def write_png(path: str | Path, levels: Levels, *, metadata: Mapping[str, Any], overwrite: bool = True) -> str:
     """Write a PNG, whole or not at all: values exactly as given, no colour transform, same input same bytes.
 
     Returns the SHA-256 in hex.
@@ -93,17 +84,13 @@ def read_png(path: str | Path, *, colour: bool = False) -> Levels:
         spec = source.spec()
         pixels = source.read_image(str(spec.format))
         if pixels is None or source.has_error:
-            raise InputError(
-                f"{path}: damaged: {source.geterror().strip().splitlines()[0]}; write the file anew"
-            )
+            raise InputError(f"{path}: damaged: {source.geterror().strip().splitlines()[0]}; write the file anew")
         values = np.ascontiguousarray(pixels).reshape(spec.height, spec.width, -1)
     if values.shape[2] == 1:
         return values[:, :, 0]
     if values.shape[2] == 3 and colour:
         return values
-    raise InputError(
-        f"{path}: has a transparent colour; expected plain {'grey or RGB' if colour else 'grey'}"
-    )
+    raise InputError(f"{path}: has a transparent colour; expected plain {'grey or RGB' if colour else 'grey'}")
 
 
 def _check_header(path: Path, *, colour: bool) -> None:

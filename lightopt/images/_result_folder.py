@@ -67,12 +67,7 @@ class ResultFolder:
 
     def finish(self, content: Mapping[str, Any]) -> Path:
         """Write the JSON file, which completes the result: its format, `content`, the other files, provenance."""
-        document = {
-            "format": self._format,
-            **content,
-            "files": sorted(self._files),
-            "provenance": self._made_from,
-        }
+        document = {"format": self._format, **content, "files": sorted(self._files), "provenance": self._made_from}
         text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
         return self.write_text(self._name, text)
 

@@ -15,13 +15,7 @@ from lightopt.core.arrays import Float32, UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256
 from lightopt.core.transforms import Posture
-from lightopt.images._atomic import (
-    make_folder,
-    remove_file,
-    write_bytes_atomic,
-    write_npz_atomic,
-    write_text_atomic,
-)
+from lightopt.images._atomic import make_folder, remove_file, write_bytes_atomic, write_npz_atomic, write_text_atomic
 from lightopt.images._existing_set import remove_set, resumable_manifest
 from lightopt.images._exr import write_exr
 from lightopt.images._file_names import FileNames, ImageKey, exr_name, geometry_name, inside_problem, png_name
@@ -129,9 +123,7 @@ class ImageSetWriter:
             name = files["exr"] = exr_name(entry.light, entry.posture)
             hashes["exr"] = write_exr(self._place(name), exr, metadata=self._metadata(entry, linear=True))
         self._verified.update({files[kind]: digest for kind, digest in hashes.items()})
-        listed = replace(
-            entry, png=files.get("png"), exr=files.get("exr"), sha256=dict(sorted(hashes.items()))
-        )
+        listed = replace(entry, png=files.get("png"), exr=files.get("exr"), sha256=dict(sorted(hashes.items())))
         with self._lock:
             entries = {e.key: _with_exr(e, listed) for e in self.manifest.images}
             self._save(images=tuple({**entries, listed.key: listed}.values()))
@@ -158,20 +150,14 @@ class ImageSetWriter:
                 )
             )
 
-    def add_levels(
-        self, name: str, levels: UInt8 | NDArray[np.uint16], *, metadata: Mapping[str, Any]
-    ) -> None:
+    def add_levels(self, name: str, levels: UInt8 | NDArray[np.uint16], *, metadata: Mapping[str, Any]) -> None:
         """Write camera levels (H, W) that are no image of a light (a dark frame) as a further file, then list it."""
         path = self._further_file(name)
         facts = {**self._origin(), "bit_depth": self.manifest.bit_depth, **metadata}
         self._list_file(name, write_png(path, levels, metadata=facts))
 
     def add_geometry(
-        self,
-        posture: Posture,
-        channels: Mapping[str, Float32],
-        *,
-        metadata: Mapping[str, Any] | None = None,
+        self, posture: Posture, channels: Mapping[str, Float32], *, metadata: Mapping[str, Any] | None = None
     ) -> GeometryEntry:
         """Write a posture's geometry image, then list it.
 
@@ -198,9 +184,7 @@ class ImageSetWriter:
     def add_file(self, name: str, data: bytes | str) -> None:
         """Write a further file of the set (a report, a contact sheet; text as UTF-8), then list it."""
         path = self._further_file(name)
-        self._list_file(
-            name, write_bytes_atomic(path, data.encode("utf-8") if isinstance(data, str) else data)
-        )
+        self._list_file(name, write_bytes_atomic(path, data.encode("utf-8") if isinstance(data, str) else data))
 
     def drop(
         self,
@@ -296,9 +280,7 @@ class ImageSetWriter:
         facts = {**self._origin(), **replace(entry, png=None, exr=None, sha256={}).as_dict()}
         facts["full_scale"] = self.manifest.full_scale
         if linear:  # the same whatever the exposure
-            return {
-                key: value for key, value in facts.items() if key != "exposure" and key not in entry.extra
-            }
+            return {key: value for key, value in facts.items() if key != "exposure" and key not in entry.extra}
         return facts | {
             "bit_depth": self.manifest.bit_depth,
             "saturation_level": self.manifest.saturated_from,

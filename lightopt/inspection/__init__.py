@@ -21,12 +21,7 @@ from lightopt.inspection._random_defects import (
 )
 from lightopt.inspection._results import BatchRow, InspectedPosture, InspectionResult, Verdict, judge
 from lightopt.inspection.calibration._calibrate import calibrate, calibrate_registered, require_good_sets
-from lightopt.inspection.calibration._calibration import (
-    CalibratedPosture,
-    Calibration,
-    least_rate,
-    sets_needed,
-)
+from lightopt.inspection.calibration._calibration import CalibratedPosture, Calibration, least_rate, sets_needed
 from lightopt.inspection.calibration._calibration_file import CalibrationFolder, read_calibration
 from lightopt.inspection.calibration._systematic import subtract_systematic
 from lightopt.inspection.detection._coverage import (
@@ -59,12 +54,7 @@ from lightopt.inspection.fusion._synthetic_image import SyntheticImage, fuse_ima
 from lightopt.inspection.prediction._posture_view import PostureView, posture_view
 from lightopt.inspection.prediction._predict import predict
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
-from lightopt.inspection.prediction._registered_set import (
-    RegisteredSet,
-    nominal_pixels,
-    nominal_scene,
-    register_part,
-)
+from lightopt.inspection.prediction._registered_set import RegisteredSet, nominal_pixels, nominal_scene, register_part
 
 __all__ = [
     "CONTRASTS",

@@ -53,10 +53,7 @@ def inspection_provenance(
 
     before: The sets of its batch that were inspected before: a part that lies near one of theirs reuses its prediction.
     """
-    inputs: dict[str, Any] = {
-        **input_hashes(rig, part),
-        "image_sets": [image_set.fingerprint for image_set in sets],
-    }
+    inputs: dict[str, Any] = {**input_hashes(rig, part), "image_sets": [image_set.fingerprint for image_set in sets]}
     if before and options.register:
         inputs["after"] = [image_set.fingerprint for image_set in before]
     if calibration is not None:
@@ -73,13 +70,7 @@ class InspectionFolder(ResultFolder):
 
     def __init__(self, folder: Path, made_from: Mapping[str, Any], *, force: bool) -> None:
         super().__init__(
-            folder,
-            made_from,
-            name=DEFECTS_NAME,
-            format=FORMAT,
-            what="an inspection",
-            also=(TRUTH_NAME,),
-            force=force,
+            folder, made_from, name=DEFECTS_NAME, format=FORMAT, what="an inspection", also=(TRUTH_NAME,), force=force
         )
 
     @property
@@ -189,9 +180,7 @@ def _table(result: InspectionResult, verdict: Verdict) -> str:
                 f"{best.score:.2f}",
                 f"{defect.greatest_contrast:.4f}",
                 " ".join(defect.lights),
-                " ".join(
-                    f"{s.posture.elevation_deg:g}/{s.posture.rotation_deg:g}" for s in defect.detections
-                ),
+                " ".join(f"{s.posture.elevation_deg:g}/{s.posture.rotation_deg:g}" for s in defect.detections),
                 *(f"{x:.2f}" for x in best.centre_px),
             ]
         )
@@ -240,9 +229,7 @@ class GreyPicture:
     def legend(self) -> str:
         """What grey stands for."""
         black = f"black: {self.black:.3g}, " if self.black < 0.0 else ""
-        stretched = (
-            "" if self.power == 1.0 else f"; stretched by a power of {self.power:g}, so that dark places show"
-        )
+        stretched = "" if self.power == 1.0 else f"; stretched by a power of {self.power:g}, so that dark places show"
         return f"{black}white: {self.white:.3g} grey levels{stretched}"
 
     def as_dict(self) -> dict[str, Any]:

@@ -32,9 +32,7 @@ def in_row_blocks(work: Callable[[slice], T], height: int, threads: int | None) 
     )
 
 
-def in_image_blocks(
-    work: Callable[[int, slice], None], images: int, height: int, threads: int | None
-) -> None:
+def in_image_blocks(work: Callable[[int, slice], None], images: int, height: int, threads: int | None) -> None:
     """Call `work` with the number of each image and each block of its rows, in threads."""
     blocks = [
         (number, slice(top, min(top + BLOCK_ROWS, height)))

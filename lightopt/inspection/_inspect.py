@@ -122,17 +122,11 @@ def inspect_batch(
         warnings = (*(() if source is None else source.warnings), *result.warnings)
         run.warn(*(f"{name}: {text}" if len(sets) > 1 else text for text in warnings))
         yield InspectedSet(
-            name=name,
-            result=result,
-            verdict=judge(result, part.inspection),
-            evaluation=evaluation,
-            warnings=warnings,
+            name=name, result=result, verdict=judge(result, part.inspection), evaluation=evaluation, warnings=warnings
         )
 
 
-def _require_valid(
-    rig: RigConfig, part: PartConfig, options: InspectOptions, calibration: Calibration | None
-) -> None:
+def _require_valid(rig: RigConfig, part: PartConfig, options: InspectOptions, calibration: Calibration | None) -> None:
     if problems := options.problems():
         raise InputError(*problems)
     if calibration is not None:

@@ -39,9 +39,7 @@ class InspectOptions:
                 f"option 'detector': {self.detector} uses the synthetic image; option 'fusion' must not be none"
             )
         if not 1e-9 <= self.false_alarms <= 1.0:
-            found.append(
-                f"option 'false_alarms': expected a number from 1e-9 to 1, found {self.false_alarms:g}"
-            )
+            found.append(f"option 'false_alarms': expected a number from 1e-9 to 1, found {self.false_alarms:g}")
         if self.min_images < 1:
             found.append(f"option 'min_images': expected 1 or more, found {self.min_images}")
         return found

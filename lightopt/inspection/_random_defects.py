@@ -20,13 +20,7 @@ from lightopt.core.arrays import Bool, Int32
 from lightopt.core.errors import InputError, counted
 from lightopt.core.provenance import differences, provenance
 from lightopt.core.run_context import RunContext
-from lightopt.defects import (
-    CatalogueEntry,
-    PlacedDefect,
-    radial_place,
-    surface_coordinates,
-    tangent_direction,
-)
+from lightopt.defects import CatalogueEntry, PlacedDefect, radial_place, surface_coordinates, tangent_direction
 from lightopt.geometry import SurfaceFinder, face_areas, surface_place
 from lightopt.images import write_text_atomic
 from lightopt.rendering import PosturePixels, cast_rays_at, trace_pixels
@@ -147,9 +141,7 @@ def place_random_defects(
     return tuple(result)
 
 
-def _draw(
-    scene: Scene, kinds: list[CatalogueEntry], slots: list[int], rng: np.random.Generator
-) -> list[_Candidate]:
+def _draw(scene: Scene, kinds: list[CatalogueEntry], slots: list[int], rng: np.random.Generator) -> list[_Candidate]:
     # slot after slot; all random numbers are drawn whatever becomes of them
     total = len(slots) * TRIES
     cumulative = np.cumsum(face_areas(scene.mesh))
@@ -224,9 +216,7 @@ def _is_visible(defect: PlacedDefect, pixels: PosturePixels, index: Int32) -> bo
     margin = 2.0 * MARGIN_PX * footprint
     wider = replace(defect.shape, length=defect.shape.length + margin, width=defect.shape.width + margin)
     own = near[same & (radial_place(wider, x, y) < 1.0)]
-    return bool(
-        len(own) and pixels.clean[own].all() and (surface.normals[own] @ defect.normal >= LEAST_COSINE).all()
-    )
+    return bool(len(own) and pixels.clean[own].all() and (surface.normals[own] @ defect.normal >= LEAST_COSINE).all())
 
 
 def random_defect_provenance(rig: RigConfig, part: PartConfig, *, count: int, seed: int) -> dict[str, Any]:
@@ -235,12 +225,7 @@ def random_defect_provenance(rig: RigConfig, part: PartConfig, *, count: int, se
 
 
 def random_defects_text(
-    part: PartConfig,
-    defects: Sequence[RandomDefect],
-    *,
-    folder: Path,
-    comment: str,
-    made_from: Mapping[str, Any],
+    part: PartConfig, defects: Sequence[RandomDefect], *, folder: Path, comment: str, made_from: Mapping[str, Any]
 ) -> str:
     """Text of a part file with defects: the part's own, comments and all, and the list at its end.
 

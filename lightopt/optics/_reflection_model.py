@@ -31,9 +31,7 @@ class Reflectance:
 
         R_d_factor, sigma_factor: By which R_d and σ are multiplied
         """
-        return replace(
-            self, R_d=self.R_d * R_d_factor, R_s=self.R_s / sigma_factor**2, sigma=self.sigma * sigma_factor
-        )
+        return replace(self, R_d=self.R_d * R_d_factor, R_s=self.R_s / sigma_factor**2, sigma=self.sigma * sigma_factor)
 
 
 MIN_COS_VIEW = 0.01

@@ -38,9 +38,7 @@ class Sensor:
     def __post_init__(self) -> None:
         problems: list[str] = []
         if not 1 <= self.bit_depth <= 16 or self.bit_depth != int(self.bit_depth):
-            raise InputError(
-                f"sensor: bit_depth: expected a whole number from 1 to 16, found {self.bit_depth}"
-            )
+            raise InputError(f"sensor: bit_depth: expected a whole number from 1 to 16, found {self.bit_depth}")
         top = self.max_level
         if self.saturation_level is not None and not 0 < self.saturation_level <= top:
             problems.append(f"saturation_level: expected above 0 up to {top}, found {self.saturation_level}")
@@ -95,12 +93,7 @@ _FEW_ELECTRONS, _MOST_OF_FEW = 20.0, 80
 
 
 def expose(
-    levels: Levels,
-    *,
-    sensor: Sensor,
-    exposure: float,
-    full_scale: float,
-    rng: np.random.Generator | None = None,
+    levels: Levels, *, sensor: Sensor, exposure: float, full_scale: float, rng: np.random.Generator | None = None
 ) -> Quantised:
     """Quantise what the camera sees: scaled, noisy with a generator, rounded half up, clipped to the bit depth.
 

@@ -2,7 +2,4 @@
 
 from lightopt.preflight._check import check_rig, check_scene
 
-__all__ = [
-    "check_rig",
-    "check_scene",
-]
+__all__ = ["check_rig", "check_scene"]

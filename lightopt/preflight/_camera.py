@@ -36,9 +36,7 @@ def check_resolution(checked: CheckedRig) -> Iterator[Finding]:
     """A pixel's footprint at the origin, where the camera looks."""
     footprint = pixel_footprint(checked.camera, checked.rig.camera.distance_mm)
     text = f"a pixel's footprint at the table is {footprint:.3g} mm ({1000 * footprint:.3g} µm)"
-    yield Finding(
-        "ok", "resolution", text, checked.at("camera", "pixel_size_um"), {"footprint_mm": footprint}
-    )
+    yield Finding("ok", "resolution", text, checked.at("camera", "pixel_size_um"), {"footprint_mm": footprint})
 
 
 def check_field_of_view(checked: CheckedRig) -> Iterator[Finding]:
@@ -120,10 +118,7 @@ def check_part_in_view(checked: CheckedScene) -> Iterator[Finding]:
             "margin_px": margins,
             "margin_mm": {side: per_pixel * m for side, m in margins.items()},
         }
-        texts = {
-            side: f"{abs(m):.0f} px ({abs(m) * per_pixel:.3g} mm) at the {side}"
-            for side, m in margins.items()
-        }
+        texts = {side: f"{abs(m):.0f} px ({abs(m) * per_pixel:.3g} mm) at the {side}" for side, m in margins.items()}
         leaves = [texts[side] for side, m in margins.items() if m < 0.0]
         if leaves:
             text = f"the part leaves the view by {', '.join(leaves)}; move it, or let the camera see more"

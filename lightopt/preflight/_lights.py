@@ -11,14 +11,7 @@ import numpy as np
 from lightopt.config import RigConfig
 from lightopt.preflight._findings import CheckedRig, CheckedScene, Finding, percent
 from lightopt.rendering import panels_in_part
-from lightopt.scene import (
-    PanelLight,
-    build_lights,
-    image_area,
-    panel_corners,
-    rectangles_meet,
-    segments_blocked,
-)
+from lightopt.scene import PanelLight, build_lights, image_area, panel_corners, rectangles_meet, segments_blocked
 
 STEP_DEG = 5.0
 """A light's ranges are tried at least this finely where the camera's view is concerned."""
@@ -39,11 +32,7 @@ def check_lights_in_view(checked: CheckedRig) -> Iterator[Finding]:
             values = {"light": light.name, "pixels": area, "share": area / pixels}
             yield Finding("warning", "light in view", text, checked.at("lights", index), values)
             continue
-        moved = [
-            p
-            for p in _moved(checked.rig, index, STEP_DEG)
-            if image_area(checked.camera, panel_corners(p)) > 0.0
-        ]
+        moved = [p for p in _moved(checked.rig, index, STEP_DEG) if image_area(checked.camera, panel_corners(p)) > 0.0]
         if moved:
             clear = False
             yield _at_range(checked, index, "light in view", moved, "comes into the camera's view")
@@ -86,9 +75,7 @@ def check_collisions(checked: CheckedRig) -> Iterator[Finding]:
         if meeting is not None:
             places = " and ".join(f"{p.name} at {_angles(p)}" for p in meeting)
             text = f"within their ranges {a.name} and {b.name} ({sizes}) can cross each other: {places}"
-            yield Finding(
-                "note", "panels collide", text, checked.at("lights", j), {"lights": [a.name, b.name]}
-            )
+            yield Finding("note", "panels collide", text, checked.at("lights", j), {"lights": [a.name, b.name]})
 
 
 def _moved(rig: RigConfig, index: int, step: float) -> list[PanelLight]:
@@ -153,9 +140,7 @@ def _angles(light: PanelLight) -> str:
 
 def check_hidden_part(checked: CheckedScene) -> Iterator[Finding]:
     """How much of the part's image a panel hides, standing between camera and part."""
-    for (index, sample), (at, light) in itertools.product(
-        enumerate(checked.samples), enumerate(checked.scene.lights)
-    ):
+    for (index, sample), (at, light) in itertools.product(enumerate(checked.samples), enumerate(checked.scene.lights)):
         hidden = segments_blocked(sample.view.lights[at], sample.view.camera.position, sample.hits.points)
         count = int(np.count_nonzero(hidden))
         if not count:

@@ -75,9 +75,7 @@ def check_mesh(checked: CheckedScene) -> Iterator[Finding]:
         return
     kinds: list[str] = []
     if open_edges:
-        kinds.append(
-            f"{counted(open_edges, 'edge')} of one triangle only (backs of faces are black where they show)"
-        )
+        kinds.append(f"{counted(open_edges, 'edge')} of one triangle only (backs of faces are black where they show)")
     if tangled:
         kinds.append(f"{counted(tangled, 'edge')} shared by three or more triangles")
     text += f", not a closed surface: {' and '.join(kinds)}. It renders as it is"
@@ -140,10 +138,7 @@ def check_unseen_surface(checked: CheckedScene) -> Iterator[Finding]:
         text = f"the camera sees all of the part's {total:.4g} mm²"
         yield Finding("ok", "unseen surface", text, where, values)
         return
-    text = (
-        f"the camera does not see {unseen:.4g} mm² {in_any}, {percent(unseen / total)} of the part's "
-        f"{total:.4g} mm²"
-    )
+    text = f"the camera does not see {unseen:.4g} mm² {in_any}, {percent(unseen / total)} of the part's {total:.4g} mm²"
     if unseen_top == 0.0:
         yield Finding("ok", "unseen surface", f"{text}, none of it on the upper side", where, values)
         return

@@ -1,18 +1,8 @@
 """From a scene to what the camera would see, linear and exact; and the patches that optimisation works on."""
 
-from lightopt.rendering._converged_panel import (
-    converged_panel,
-    highlight_level,
-    shade_converged,
-    shadow_targets,
-)
+from lightopt.rendering._converged_panel import converged_panel, highlight_level, shade_converged, shadow_targets
 from lightopt.rendering._image_set import RenderOptions, render_image_set, set_manifest
-from lightopt.rendering._images import (
-    PostureImages,
-    cast_rays_at,
-    render,
-    render_posture,
-)
+from lightopt.rendering._images import PostureImages, cast_rays_at, render, render_posture
 from lightopt.rendering._light_layer import LightLayer, light_layer
 from lightopt.rendering._patches import (
     DEFAULT_PATCH_BUDGET,

@@ -55,9 +55,7 @@ class VariantNumbers(NamedTuple):
 def leaning(lean: Float64, t: int, n: Vector, r: Vector, a: Vector) -> Vector:
     """Normal of variant t in the frame of the vectors n (the point's normal), r (its reference) and a = n × r."""
     c0, c1, c2 = lean[t, 0], lean[t, 1], lean[t, 2]
-    return Vector(
-        c0 * n.x + c1 * r.x + c2 * a.x, c0 * n.y + c1 * r.y + c2 * a.y, c0 * n.z + c1 * r.z + c2 * a.z
-    )
+    return Vector(c0 * n.x + c1 * r.x + c2 * a.x, c0 * n.y + c1 * r.y + c2 * a.y, c0 * n.z + c1 * r.z + c2 * a.z)
 
 
 def panel_variants(
@@ -117,12 +115,7 @@ def _levels(
         if number[i] == 0:
             continue
         whole = number[i] == all_probes
-        p, n, v, r = (
-            vector_at(points, i),
-            vector_at(normals, i),
-            vector_at(views, i),
-            vector_at(references, i),
-        )
+        p, n, v, r = (vector_at(points, i), vector_at(normals, i), vector_at(views, i), vector_at(references, i))
         a = cross(n, r)
         towards = _light_vector(p, panel, panel_nodes, cells[i], whole)
         half, spread = half_vector_cone(p, v, panel)
@@ -145,9 +138,7 @@ def _levels(
                 reach = spread + math.sqrt(max(0.0, furthest) / inverse[t])
                 if reach >= math.pi or dot(turned, half) > math.cos(reach):
                     if whole:
-                        s = rectangle_specular(
-                            p, turned, v, n_dot_v, panel, WHOLE_PANEL, inverse[t], panel_nodes
-                        )
+                        s = rectangle_specular(p, turned, v, n_dot_v, panel, WHOLE_PANEL, inverse[t], panel_nodes)
                     else:
                         s = _cells_specular(p, turned, v, n_dot_v, panel, inverse[t], panel_nodes, cells[i])
             levels[i, t] = R_d[t] * d + R_s[t] * s
@@ -195,14 +186,7 @@ def _cells_diffuse(p: Vector, n: Vector, panel: PanelNumbers, count: int, cells:
 
 @kernel
 def _cells_specular(
-    p: Vector,
-    n: Vector,
-    v: Vector,
-    n_dot_v: float,
-    panel: PanelNumbers,
-    inverse: float,
-    panel_nodes: int,
-    cells: Bool,
+    p: Vector, n: Vector, v: Vector, n_dot_v: float, panel: PanelNumbers, inverse: float, panel_nodes: int, cells: Bool
 ) -> float:
     total = 0.0
     for row in range(CELLS):

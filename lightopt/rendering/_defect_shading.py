@@ -67,9 +67,7 @@ class DefectSamples:
             )
         else:
             assert panel.points != "auto"
-            diffuse, specular = shade_points(
-                self.surface, panel, points=panel.points, sigma=r.sigma, caster=caster
-            )
+            diffuse, specular = shade_points(self.surface, panel, points=panel.points, sigma=r.sigma, caster=caster)
         return r.R_d * diffuse, r.R_s * specular
 
 

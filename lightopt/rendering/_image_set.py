@@ -107,12 +107,7 @@ def render_image_set(
     part = part if isinstance(part, PartConfig) else load_part(part)
     _check_options(options)
     scene = build_scene(
-        rig,
-        part,
-        postures=options.postures,
-        lights=options.lights,
-        points=options.points,
-        defects=options.defects,
+        rig, part, postures=options.postures, lights=options.lights, points=options.points, defects=options.defects
     )
     caster = cast_rays_at(scene)
     refuse_unusable_scene(scene, rig, part, caster)

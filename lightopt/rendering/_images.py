@@ -207,9 +207,7 @@ class _PostureJob:
         )
         self.back = np.zeros(shape, np.bool_)
         self.panels: list[PanelLight | ConvergedPanel] = [
-            converged_panel(light, centre=caster.centre, radius=caster.radius)
-            if light.points == "auto"
-            else light
+            converged_panel(light, centre=caster.centre, radius=caster.radius) if light.points == "auto" else light
             for light in view.lights
         ]
         # neighbouring samples show where penumbrae are, so that blocks then overlap by a row
@@ -265,9 +263,7 @@ class _PostureJob:
     ) -> tuple[Float64, Float64, PanelVisibility | None]:
         caster, reflectance = self.shadow_caster, self.scene.reflectance
         if isinstance(panel, ConvergedPanel):
-            return shade_converged(
-                surface, panel, sample=sample, shape=grid, reflectance=reflectance, caster=caster
-            )
+            return shade_converged(surface, panel, sample=sample, shape=grid, reflectance=reflectance, caster=caster)
         assert panel.points != "auto"
         d, s = shade_points(surface, panel, points=panel.points, sigma=reflectance.sigma, caster=caster)
         return d, s, None

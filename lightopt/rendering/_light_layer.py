@@ -54,10 +54,7 @@ class LightLayer:
     def take(self, index: Index) -> LightLayer:
         """The points at `index`, shape (j,)."""
         return replace(
-            self,
-            surface=self.surface.take(index),
-            diffuse=self.diffuse[index],
-            deflection=self.deflection[index],
+            self, surface=self.surface.take(index), diffuse=self.diffuse[index], deflection=self.deflection[index]
         )
 
     def specular(self, sigma: float, *, threads: int | None = None) -> Float64:
@@ -97,15 +94,11 @@ def light_layer(
     def chunk(start: int) -> None:
         end = min(start + _CHUNK, len(surface))
         s = surface
-        _diffuse_and_deflection(
-            s.points, s.normals, s.views, grid, panel, nodes, start, end, diffuse, deflection
-        )
+        _diffuse_and_deflection(s.points, s.normals, s.views, grid, panel, nodes, start, end, diffuse, deflection)
 
     in_threads(chunk, range(0, len(surface), _CHUNK), threads)
     diffuse *= light.total_weight
-    return LightLayer(
-        surface=surface, light=light, diffuse=diffuse, deflection=deflection, grid=grid, nodes=nodes
-    )
+    return LightLayer(surface=surface, light=light, diffuse=diffuse, deflection=deflection, grid=grid, nodes=nodes)
 
 
 @kernel
@@ -127,9 +120,7 @@ def _specular(
             continue
         n_dot_v = dot(n, v)
         if len(grid) == 0:
-            result[i] = rectangle_specular(
-                p, n, v, n_dot_v, panel, WHOLE_PANEL, inverse_two_sigma_squared, panel_nodes
-            )
+            result[i] = rectangle_specular(p, n, v, n_dot_v, panel, WHOLE_PANEL, inverse_two_sigma_squared, panel_nodes)
             continue
         total = 0.0
         for k in range(len(grid)):

@@ -219,9 +219,7 @@ def rectangle_specular(
 
 
 @kernel
-def out_of_reach(
-    p: Vector, n: Vector, v: Vector, panel: PanelNumbers, inverse_two_sigma_squared: float
-) -> bool:
+def out_of_reach(p: Vector, n: Vector, v: Vector, panel: PanelNumbers, inverse_two_sigma_squared: float) -> bool:
     """Whether the lobe is surely negligible all over the panel: a quick test that looks at its centre alone."""
     half, spread = half_vector_cone(p, v, panel)
     if spread >= math.pi:

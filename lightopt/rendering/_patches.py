@@ -62,9 +62,7 @@ class PatchTable:
     @property
     def inspectable_anywhere(self) -> Bool:
         """Whether a patch is inspectable in one posture or more, shape (p,)."""
-        return np.any(
-            [seen & ~grazing for seen, grazing in zip(self.visible, self.grazing, strict=True)], axis=0
-        )
+        return np.any([seen & ~grazing for seen, grazing in zip(self.visible, self.grazing, strict=True)], axis=0)
 
     @property
     def message(self) -> str:
@@ -77,9 +75,7 @@ class PatchTable:
         )
         text = f"{seen:,} visible patches of {len(self.patches):,}; edges up to {self.max_edge:.3g} mm ({reached})"
         if self.seen_faces:
-            text += (
-                f"; {self.seen_faces:,} of the mesh's own triangles may show, however small the patch budget"
-            )
+            text += f"; {self.seen_faces:,} of the mesh's own triangles may show, however small the patch budget"
         if self.exceeded:
             text += (
                 f"; more than the patch budget of {self.exceeded:,}: half of it is for cutting long triangles, and the "
@@ -161,8 +157,7 @@ def build_patches(scene: Scene, *, caster: RayCaster, budget: int = DEFAULT_PATC
     edge = min(edge, max(footprint, _longest_edge(mesh, seen)))
     patches = refine(mesh, max_edge_mm=edge, max_patches=_MOST_PATCHES, select=seen)
     sights = [
-        camera_visibility(patches.centroids, patches.normals, facets[patches.face], view, caster)
-        for view in views
+        camera_visibility(patches.centroids, patches.normals, facets[patches.face], view, caster) for view in views
     ]
     visible = np.stack([seen for seen, _ in sights])
     over = shown < budget < int(visible.any(axis=0).sum()) and most > budget - shown
@@ -273,11 +268,7 @@ def visible_points(points: Float64, normals: Float64, view: PartView, caster: Ra
     )
     index = np.flatnonzero(visible).astype(np.int32)
     blocked = caster.occluded(
-        points,
-        normals,
-        camera.position[None, :],
-        point_index=index,
-        target_index=np.zeros(len(index), np.int32),
+        points, normals, camera.position[None, :], point_index=index, target_index=np.zeros(len(index), np.int32)
     )
     visible[index[blocked]] = False
     return visible

@@ -57,9 +57,7 @@ class _Work:
     tolerance: Float64
 
 
-def shade_penumbra(
-    surface: SurfacePoints, light: ConvergedLight, caster: RayCaster
-) -> tuple[Float64, Float64, Bool]:
+def shade_penumbra(surface: SurfacePoints, light: ConvergedLight, caster: RayCaster) -> tuple[Float64, Float64, Bool]:
     """Diffuse and specular light of the visible area of a panel of weight 1, per unit of R_d and R_s.
 
     Returns diffuse, specular, crossed: Each of shape (k,); `crossed` is whether the edge of a shadow crosses the panel
@@ -84,9 +82,7 @@ def _shade_squares(work: _Work, squares: Squares, *, depth: int) -> Bool:
     across = _edge_crossings(work, squares, state, stake, vertical=False)
     along = _edge_crossings(work, squares, state, stake, vertical=True)
     last = depth + 1 == len(GRIDS)
-    bent = (
-        np.zeros(stake.shape, np.bool_) if last else _bent_edges(work, squares, state, stake, across, along)
-    )
+    bent = np.zeros(stake.shape, np.bool_) if last else _bent_edges(work, squares, state, stake, across, along)
     add_crossed_cells(*given, state, across, along, stake, bent, work.terms)
     if bent.any():
         for finer in _finer_squares(squares, bent, divisions=GRIDS[depth + 1]):
@@ -107,8 +103,7 @@ def _finer_squares(squares: Squares, chosen: Bool, *, divisions: int) -> Iterato
 def _states_at_corners(work: _Work, squares: Squares, n: int) -> UInt8:
     # what is seen at the corners of the cells, (q, n + 1, n + 1)
     square, row, column = (
-        a.ravel()
-        for a in np.meshgrid(np.arange(len(squares.point)), np.arange(n + 1), np.arange(n + 1), indexing="ij")
+        a.ravel() for a in np.meshgrid(np.arange(len(squares.point)), np.arange(n + 1), np.arange(n + 1), indexing="ij")
     )
     state = _states(work, squares, square, column, row)
     return state.reshape(len(squares.point), n + 1, n + 1)
@@ -132,13 +127,7 @@ def _states(work: _Work, squares: Squares, square: Index, x: NDArray[Any], y: ND
 
 @kernel
 def _horizon_state(
-    points: Float64,
-    normals: Float64,
-    facets: Float64,
-    panel: PanelNumbers,
-    point: Int32,
-    s: Float64,
-    t: Float64,
+    points: Float64, normals: Float64, facets: Float64, panel: PanelNumbers, point: Int32, s: Float64, t: Float64
 ) -> tuple[UInt8, Int32, Float64]:
     # what the horizon decides: below the interpolated one there is no light, below the face's own plane the face is in
     # the way; the rest needs a ray
@@ -164,9 +153,7 @@ def _horizon_state(
     return state, undecided[:m].copy(), targets[:m].copy()
 
 
-def _edge_crossings(
-    work: _Work, squares: Squares, state: UInt8, stake: Float64, *, vertical: bool
-) -> Float64:
+def _edge_crossings(work: _Work, squares: Squares, state: UInt8, stake: Float64, *, vertical: bool) -> Float64:
     # where the shadow's edge crosses the sides of the cells that run along t (vertical) or along s: the share of the
     # side from its first corner; ½ where it does not cross
     axis = 2 if vertical else 1
@@ -181,9 +168,7 @@ def _edge_crossings(
     crossing = np.full(first.shape, 0.5)
     where = np.nonzero((first != second) & (beside > 0.0))
     square, row, column = where
-    steps = np.clip(np.ceil(np.log2(SIDE_SHARE * beside[where])), LEAST_BISECTIONS, MOST_BISECTIONS).astype(
-        np.intp
-    )
+    steps = np.clip(np.ceil(np.log2(SIDE_SHARE * beside[where])), LEAST_BISECTIONS, MOST_BISECTIONS).astype(np.intp)
     from_blocked = first[where]
     low, high = np.zeros(len(square)), np.ones(len(square))
     for step in range(int(steps.max(initial=0))):
@@ -198,9 +183,7 @@ def _edge_crossings(
     return crossing
 
 
-def _bent_edges(
-    work: _Work, squares: Squares, state: UInt8, stake: Float64, across: Float64, along: Float64
-) -> Bool:
+def _bent_edges(work: _Work, squares: Squares, state: UInt8, stake: Float64, across: Float64, along: Float64) -> Bool:
     # cells where the edge of the shadow is not the chord between its crossings, as far as that matters
     bent, cell, x, y, expected = places_beside_chords(state, stake, across, along)
     n = stake.shape[1]

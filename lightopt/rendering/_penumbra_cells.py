@@ -23,12 +23,7 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float64, Int32, Int64, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.rendering._panel_light import PanelNumbers
-from lightopt.rendering._panel_quadrature import (
-    Rectangle,
-    out_of_reach,
-    rectangle_diffuse,
-    rectangle_specular,
-)
+from lightopt.rendering._panel_quadrature import Rectangle, out_of_reach, rectangle_diffuse, rectangle_specular
 from lightopt.rendering._vectors import dot, vector_at
 
 BELOW, VISIBLE, BLOCKED = 1, 2, 3
@@ -218,9 +213,7 @@ def add_crossed_cells(
                     area = Rectangle(s0, s1, t0, t1)
                     terms[k, 0] += rectangle_diffuse(p, normal, panel, area, few)
                     if glossy:
-                        terms[k, 1] += rectangle_specular(
-                            p, normal, v, n_dot_v, panel, area, inverse, light.nodes
-                        )
+                        terms[k, 1] += rectangle_specular(p, normal, v, n_dot_v, panel, area, inverse, light.nodes)
 
 
 @kernel

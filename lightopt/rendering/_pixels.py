@@ -54,9 +54,7 @@ class PosturePixels:
     shape: tuple[int, int]
 
 
-def trace_pixels(
-    scene: Scene, posture: Posture, caster: RayCaster, *, threads: int | None = None
-) -> PosturePixels:
+def trace_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: int | None = None) -> PosturePixels:
     """Cast a ray through every pixel centre that can show the part."""
     view = view_from_part(scene, posture)
     left, top, right, bottom = screen_window(view.camera, scene.mesh)
@@ -85,9 +83,7 @@ def trace_pixels(
     edge = _spread(_edges(surface, row, column, shape), row, column)
     cosine: Float64 = np.einsum("ij,ij->i", surface.normals, surface.views)
     clean = surface.front & ~edge & (cosine >= GRAZING_COSINE)
-    return PosturePixels(
-        posture=posture, view=view, row=row, column=column, surface=surface, clean=clean, shape=shape
-    )
+    return PosturePixels(posture=posture, view=view, row=row, column=column, surface=surface, clean=clean, shape=shape)
 
 
 def panel_visibility(

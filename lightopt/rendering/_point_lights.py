@@ -22,13 +22,7 @@ PAIRS_AT_ONCE = 1 << 20
 
 @kernel
 def point_terms(
-    p: Vector,
-    n: Vector,
-    v: Vector,
-    n_dot_v: float,
-    q: Vector,
-    panel: PanelNumbers,
-    inverse_two_sigma_squared: float,
+    p: Vector, n: Vector, v: Vector, n_dot_v: float, q: Vector, panel: PanelNumbers, inverse_two_sigma_squared: float
 ) -> tuple[float, float]:
     """Diffuse and specular terms, per unit of R_d and R_s, of one point light of weight 1 (paper, equations 2 and 3).
 
@@ -52,9 +46,7 @@ def point_terms(
     # far from the lobe, where most pixels of a glossy part are, not even the square root is needed
     n_dot_h = dot(n, half)
     least_cosine = 1.0 - 0.5 * MAX_LOBE_EXPONENT / inverse_two_sigma_squared
-    if least_cosine > 0.0 and (
-        n_dot_h <= 0.0 or n_dot_h * n_dot_h < least_cosine * least_cosine * length_squared
-    ):
+    if least_cosine > 0.0 and (n_dot_h <= 0.0 or n_dot_h * n_dot_h < least_cosine * least_cosine * length_squared):
         return diffuse, 0.0
     chord = minus(n, scaled(half, 1.0 / math.sqrt(length_squared)))
     lobe = specular_lobe(dot(chord, chord), inverse_two_sigma_squared)
@@ -73,9 +65,7 @@ def shade_points(
     # points are independent of each other: chunks bound the memory whatever m is
     step = max(1, PAIRS_AT_ONCE // points)
     chunks = [
-        _shade_chunk(
-            surface.take(np.arange(start, min(start + step, len(surface)))), light, points, sigma, caster
-        )
+        _shade_chunk(surface.take(np.arange(start, min(start + step, len(surface)))), light, points, sigma, caster)
         for start in range(0, len(surface), step)
     ]
     if len(chunks) == 1:
@@ -121,12 +111,7 @@ def clear_pairs(
     if caster is None:
         return point, target
     clear = ~caster.occluded(
-        surface.points,
-        surface.facets,
-        targets,
-        point_index=point,
-        target_index=target,
-        outside=surface.outside,
+        surface.points, surface.facets, targets, point_index=point, target_index=target, outside=surface.outside
     )
     return point[clear], target[clear]
 

@@ -11,15 +11,7 @@ from lightopt.core.errors import InputError, counted
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster, points_inside
 from lightopt.rendering._surface import trace_hits
-from lightopt.scene import (
-    PartView,
-    Scene,
-    panel_grid,
-    pixel_footprint,
-    screen_window,
-    unit_hint,
-    view_from_part,
-)
+from lightopt.scene import PartView, Scene, panel_grid, pixel_footprint, screen_window, unit_hint, view_from_part
 
 PANEL_POINTS = 25
 """Points of a panel that are tried."""
@@ -96,9 +88,7 @@ def refuse_unusable_scene(scene: Scene, rig: RigConfig, part: PartConfig, caster
     Raises InputError: With one message for each thing found, and where it comes from
     """
     index = {light.name: i for i, light in enumerate(rig.lights)}
-    problems = [
-        f"{rig.source.at('lights', index[panel.light])}: {panel.text}" for panel in panels_in_part(scene)
-    ]
+    problems = [f"{rig.source.at('lights', index[panel.light])}: {panel.text}" for panel in panels_in_part(scene)]
     unseen = too_few_pixels(scene, caster)
     if unseen is not None:
         problems += [f"{part.source.at('mesh', 'file')}: {unseen.text}", *unit_hint(part, scene)]

@@ -60,9 +60,7 @@ class SurfacePoints:
         )
 
 
-def trace_hits(
-    caster: RayCaster, mesh: TriangleMesh, camera: PinholeCamera, columns: Float64, rows: Float64
-) -> Hits:
+def trace_hits(caster: RayCaster, mesh: TriangleMesh, camera: PinholeCamera, columns: Float64, rows: Float64) -> Hits:
     """Where camera rays through image points meet the part, without what the surface is like there."""
     directions = pixel_directions(camera, columns, rows)
     return resolve_hits(
@@ -83,15 +81,7 @@ def trace_samples(
     smooth = mesh.normals is not None
     vertex_normals = mesh.normals if mesh.normals is not None else np.zeros((1, 3))
     found = _interpolate(
-        mesh.vertices,
-        mesh.faces,
-        vertex_normals,
-        smooth,
-        hits.face,
-        hits.u,
-        hits.v,
-        hits.points,
-        camera.position,
+        mesh.vertices, mesh.faces, vertex_normals, smooth, hits.face, hits.u, hits.v, hits.points, camera.position
     )
     return hits, SurfacePoints(hits.points, *found, outside=caster.is_outside(camera.position))
 
@@ -123,11 +113,7 @@ def _interpolate(
         normal = facet
         if smooth:
             w = 1.0 - u[i] - v[i]
-            na, nb, nc = (
-                vector_at(vertex_normals, a),
-                vector_at(vertex_normals, b),
-                vector_at(vertex_normals, c),
-            )
+            na, nb, nc = (vector_at(vertex_normals, a), vector_at(vertex_normals, b), vector_at(vertex_normals, c))
             mean = Vector(
                 w * na.x + u[i] * nb.x + v[i] * nc.x,
                 w * na.y + u[i] * nb.y + v[i] * nc.y,

@@ -70,12 +70,7 @@ class VariantLevels:
 
 
 def surface_variants(
-    *,
-    slope: Float64,
-    direction: Float64,
-    R_d_factor: Float64,
-    sigma_factor: Float64,
-    reflectance: Reflectance,
+    *, slope: Float64, direction: Float64, R_d_factor: Float64, sigma_factor: Float64, reflectance: Reflectance
 ) -> SurfaceVariants:
     """Variants of a reflectance by slope and direction of the lean [rad] and factors, each of shape (t,)."""
     changed = [
@@ -241,12 +236,7 @@ def _point_kernel(
         start, end = first[i], first[i + 1]
         if start == end:
             continue
-        p, n, r, v = (
-            vector_at(points, i),
-            vector_at(normals, i),
-            vector_at(references, i),
-            vector_at(views, i),
-        )
+        p, n, r, v = (vector_at(points, i), vector_at(normals, i), vector_at(references, i), vector_at(views, i))
         a = cross(n, r)
         v0, v1, v2 = dot(n, v), dot(r, v), dot(a, v)
         d_sum = s_sum = 0.0

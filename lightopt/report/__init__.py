@@ -6,13 +6,7 @@ Those of ``lightopt inspect`` are in :mod:`lightopt.report.inspection`.
 from lightopt.report._charts import chart
 from lightopt.report._contact_sheet import add_contact_sheets, contact_sheet
 from lightopt.report._design_blind_spots import blind_pictures
-from lightopt.report._design_plan import (
-    exposure_table,
-    posture_table,
-    search_text,
-    sets_text,
-    tolerance_table,
-)
+from lightopt.report._design_plan import exposure_table, posture_table, search_text, sets_text, tolerance_table
 from lightopt.report._design_report import design_report
 from lightopt.report._drawing import figure_image, fixed_style
 from lightopt.report._fit_pictures import fit_chart, residual_picture

@@ -152,9 +152,7 @@ class _Layout:
     height: int
 
     @staticmethod
-    def of(
-        table: _Table, thumbnails: dict[tuple[Posture, str], Thumbnail], heading: str, facts: str
-    ) -> _Layout:
+    def of(table: _Table, thumbnails: dict[tuple[Posture, str], Thumbnail], heading: str, facts: str) -> _Layout:
         rows, columns = np.max([t.picture.shape[:2] for t in thumbnails.values()], axis=0).tolist()
         # narrow images still need room for the caption
         cell = max(columns, text_width("8,888,888 px saturated (88.88 %)", TEXT)), rows
@@ -208,9 +206,7 @@ def saturation_text(thumbnail: Thumbnail) -> str:
 def _exposure(image_set: ImageSet, requested: float | None) -> float:
     known = sorted({entry.exposure for entry in image_set.images})
     if not known:
-        raise InputError(
-            f"{image_set.folder}: the image set lists no images; nothing to put on a contact sheet"
-        )
+        raise InputError(f"{image_set.folder}: the image set lists no images; nothing to put on a contact sheet")
     if requested is None:
         return known[-1]
     # 1/3 typed as 0.3333333333 is the same exposure
@@ -240,10 +236,7 @@ def _facts(manifest: Manifest, table: _Table, exposure: float) -> str:
 
 
 def _posture_lines(posture: Posture) -> tuple[str, str]:
-    return (
-        f"{sub('θ', 'j')} {degrees(posture.elevation_deg)}",
-        f"{sub('φ', 'j')} {degrees(posture.rotation_deg)}",
-    )
+    return (f"{sub('θ', 'j')} {degrees(posture.elevation_deg)}", f"{sub('φ', 'j')} {degrees(posture.rotation_deg)}")
 
 
 def _draw_heads(drawing: Drawing, table: _Table, layout: _Layout) -> None:

@@ -73,9 +73,7 @@ def scores_table(output: DesignOutput) -> Table:
     ]
     header = ["posture", "best for", *output.result.candidates.names, *names, *COUNTS]
     objectives = [answer.objective for answer in output.result.results[0].answers]
-    shares = [
-        f"Shares of {' and '.join(names)}: of {surface}." for surface, names in shares_of(objectives).items()
-    ]
+    shares = [f"Shares of {' and '.join(names)}: of {surface}." for surface, names in shares_of(objectives).items()]
     return Table(
         header=header,
         rows=rows,
@@ -109,9 +107,7 @@ def _answer(result: SetResult) -> Answer:
     score = shown_text(best.found.best.score, best.objective, result)
     if share is None:
         return Answer(figure=score, text=f"by {best.objective.name}, {where}")
-    surface = (
-        "surface × defects (by weight)" if isinstance(best.objective, DetectabilityObjective) else "surface"
-    )
+    surface = "surface × defects (by weight)" if isinstance(best.objective, DetectabilityObjective) else "surface"
     added = ", added up" * (len(result.postures) > 1)
     return Answer(
         figure=share_text(share, result.grain),
@@ -142,9 +138,7 @@ def _plan_proof(chosen: Mapping[str, Any]) -> str:
         return f"Proven of these patches: no {number} of the {chosen['candidates']} show more."
     sets = sets_text(chosen, of=f" of the {chosen['candidates']}")
     more = (
-        ""
-        if chosen["proven_with_these_lights"]
-        else f" than {share_text(chosen['bound'], chosen['patches']['grain'])}"
+        "" if chosen["proven_with_these_lights"] else f" than {share_text(chosen['bound'], chosen['patches']['grain'])}"
     )
     whatever = ", at any of the exposures offered" * (len(chosen["bounds_with_any_of_exposures"]) > 1)
     bound = f"Proven: with these lights {sets} more{more}{whatever}."
@@ -160,11 +154,7 @@ def _plan_proof(chosen: Mapping[str, Any]) -> str:
 
 def _row(output: DesignOutput, result: SetResult) -> list[str]:
     best = result.answers[0]
-    return [
-        postures_text(result),
-        *_angles(output, best),
-        score_text(best.found.best.score, best.objective, result),
-    ]
+    return [postures_text(result), *_angles(output, best), score_text(best.found.best.score, best.objective, result)]
 
 
 def _angles(output: DesignOutput, answer: ObjectiveResult) -> list[str]:

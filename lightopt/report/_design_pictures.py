@@ -29,10 +29,7 @@ MOST_DRAWINGS = 4
 
 def image_blocks(output: DesignOutput) -> list[Block]:
     """The images that the camera would deliver, a row for each posture, and where their highlights overlap."""
-    sets = [
-        read_image_set(output.result.folder / one["folder"], verify=False)
-        for one in output.document["images"]
-    ]
+    sets = [read_image_set(output.result.folder / one["folder"], verify=False) for one in output.document["images"]]
     if not sets:
         return [Note(text="Not rendered: images were switched off.")]
     maps = {

@@ -75,10 +75,7 @@ def posture_blocks(output: DesignOutput) -> list[Block]:
     chosen = output.document.get("chosen_postures")
     if chosen is None:
         return []
-    blocks: list[Block] = [
-        posture_table(chosen),
-        Facts(rows=_posture_facts(chosen, output.document.get("rounds", ()))),
-    ]
+    blocks: list[Block] = [posture_table(chosen), Facts(rows=_posture_facts(chosen, output.document.get("rounds", ())))]
     if chosen["left_out"]:
         left = [[str(Posture.from_dict(one)), one["reason"]] for one in chosen["left_out"]]
         blocks.append(Table(header=["posture", "left out since"], rows=left, numbers_from=2))
@@ -88,9 +85,7 @@ def posture_blocks(output: DesignOutput) -> list[Block]:
 def posture_table(chosen: Mapping[str, Any], *, with_exposures: bool = True) -> Table:
     """The chosen postures in the order of travel, from ``chosen_postures`` of result.json."""
     text = partial(share_text, grain=chosen["patches"]["grain"])
-    numbered = {
-        Posture.from_dict(one): (number, one) for number, one in enumerate(chosen["postures"], start=1)
-    }
+    numbered = {Posture.from_dict(one): (number, one) for number, one in enumerate(chosen["postures"], start=1)}
     rows = [
         [
             str(posture),
@@ -132,14 +127,10 @@ def _posture_facts(chosen: Mapping[str, Any], rounds: Sequence[Mapping[str, Any]
         ("each patch counts as its middle does", _grain(chosen["patches"])),
     ]
     if (initial := chosen["lights_as_they_stand"]) is not None:
-        share = (
-            f"{text(initial['share'])} in {counted(initial['postures'], 'posture')}, of {initial['share_of']}"
-        )
+        share = f"{text(initial['share'])} in {counted(initial['postures'], 'posture')}, of {initial['share_of']}"
         facts.append(("with the lights as they stood", share))
     if sufficient < count:
-        facts.append(
-            (f"the first {sufficient} chosen show", text(chosen["postures"][sufficient - 1]["share"]))
-        )
+        facts.append((f"the first {sufficient} chosen show", text(chosen["postures"][sufficient - 1]["share"])))
     if chosen["asked"] is not None and chosen["target"] is None and count < chosen["asked"]:
         facts.append(("postures that were asked for", str(chosen["asked"])))
     if not chosen["proven_with_these_lights"]:

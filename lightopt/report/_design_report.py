@@ -10,13 +10,7 @@ from lightopt.design import DIRECTIONS, DesignOutput, defect_hypotheses
 from lightopt.rendering import GRAZING_DEG
 from lightopt.report._design_answer import answer_blocks, scores_table
 from lightopt.report._design_pictures import curve_blocks, drawing_blocks, image_blocks
-from lightopt.report._design_plan import (
-    blind_tables,
-    defect_blocks,
-    exposure_blocks,
-    posture_blocks,
-    tolerance_blocks,
-)
+from lightopt.report._design_plan import blind_tables, defect_blocks, exposure_blocks, posture_blocks, tolerance_blocks
 from lightopt.report._design_surface import surface_blocks
 from lightopt.report._page import Block, Facts, Page, Section, Table
 from lightopt.report._page_html import page_html
@@ -73,9 +67,7 @@ def _physics(output: DesignOutput) -> list[tuple[str, str]]:
     scene, thresholds = output.result.scene, output.result.thresholds
     sensor, reflectance = scene.sensor, scene.reflectance
     shot = (
-        "no shot noise"
-        if sensor.electrons_per_level is None
-        else f"{sensor.electrons_per_level:g} electrons per level"
+        "no shot noise" if sensor.electrons_per_level is None else f"{sensor.electrons_per_level:g} electrons per level"
     )
     levels = (
         f"{sensor.bit_depth} bit, black level {sensor.black_level:g}; shaded below {thresholds.shade}, saturated from "
@@ -137,9 +129,7 @@ def _defects(output: DesignOutput) -> list[tuple[str, str]]:
     entries = build_catalogue(output.result.part)
     trials = counted(len(defect_hypotheses(entries)), "trial")
     images = counted(options["min_images"], "image")
-    visible = (
-        f"where the level changes by {options['threshold']:g} times the noise or more, in {images} or more"
-    )
+    visible = f"where the level changes by {options['threshold']:g} times the noise or more, in {images} or more"
     return [
         ("defects looked for", f"{', '.join(entry.name for entry in entries)}: {trials}"),
         ("directions of walls", f"{DIRECTIONS}, evenly around"),

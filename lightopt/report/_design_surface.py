@@ -153,8 +153,7 @@ def _shares(output: DesignOutput, classes: UInt8) -> list[str]:
     areas, grain = np.bincount(classes, weights=own, minlength=len(LEVEL_CLASSES)), grain_of(own)
     counted = max(float(areas.sum() - areas[_LEFT_OUT]), 1e-300)
     return [
-        share_text(float(area / (areas.sum() if k == _LEFT_OUT else counted)), grain)
-        for k, area in enumerate(areas)
+        share_text(float(area / (areas.sum() if k == _LEFT_OUT else counted)), grain) for k, area in enumerate(areas)
     ]
 
 

@@ -148,9 +148,7 @@ class Drawing:
         self._canvas = FigureCanvasAgg(self._figure)
         self._canvas.draw()  # the paper; each artist is then drawn once, when it comes
 
-    def line(
-        self, points: Points, *, colour: str, width: float = 1.5, dash: tuple[float, float] | None = None
-    ) -> None:
+    def line(self, points: Points, *, colour: str, width: float = 1.5, dash: tuple[float, float] | None = None) -> None:
         """Draw a polyline; `width` and the lengths of dash and gap in [px]."""
         from matplotlib.lines import Line2D
 
@@ -163,9 +161,7 @@ class Drawing:
             )
         )  # fmt: skip
 
-    def polygon(
-        self, points: Points, *, fill: str = "none", outline: str = "none", width: float = 1.5
-    ) -> None:
+    def polygon(self, points: Points, *, fill: str = "none", outline: str = "none", width: float = 1.5) -> None:
         """Draw an area; a fill of the form ``#rrggbbaa`` is translucent."""
         from matplotlib.patches import Polygon
 
@@ -182,9 +178,7 @@ class Drawing:
         from matplotlib.patches import Circle
 
         x, y = centre
-        self._add(
-            Circle((float(x), float(y)), radius, facecolor=fill, edgecolor=outline, linewidth=1.5 * POINT)
-        )
+        self._add(Circle((float(x), float(y)), radius, facecolor=fill, edgecolor=outline, linewidth=1.5 * POINT))
 
     def arrow(self, points: Points, *, colour: str, width: float = 2.0, head: float = 13.0) -> None:
         """Draw a polyline that ends in an arrow head of the given length [px]; a short line gets a smaller one."""
@@ -248,9 +242,7 @@ class Drawing:
             if math.dist((x, y), nearest) > _LEADER:
                 self.line(np.array([(x, y), nearest]), colour="#8a919b", width=1.0)
         for label, (left, _, _, bottom) in placed:
-            self.text(
-                left, bottom - DESCENT * size, label.text, size=size, colour=label.colour, halo="#ffffff"
-            )
+            self.text(left, bottom - DESCENT * size, label.text, size=size, colour=label.colour, halo="#ffffff")
         return [box for _, box in placed]
 
     def image(self) -> Image.Image:

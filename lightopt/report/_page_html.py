@@ -84,10 +84,7 @@ def _asset(name: str) -> str:
 
 
 def _contents(sections: Sequence[Section]) -> str:
-    links = [
-        f'<a href="#s{number}">{escape(section.heading)}</a>'
-        for number, section in enumerate(sections, start=1)
-    ]
+    links = [f'<a href="#s{number}">{escape(section.heading)}</a>' for number, section in enumerate(sections, start=1)]
     return f'<nav aria-label="Contents">{" ".join(links)}</nav>'
 
 
@@ -99,16 +96,9 @@ def _block(block: Block) -> str:
             return f"<p>{escape(text)}</p>"
         case Warnings(texts=texts):
             items = "".join(f"<li>{escape(text)}</li>" for text in texts)
-            return (
-                f'<div class="warnings" role="note"><strong>Warnings</strong><ul>{items}</ul></div>'
-                if items
-                else ""
-            )
+            return f'<div class="warnings" role="note"><strong>Warnings</strong><ul>{items}</ul></div>' if items else ""
         case Facts(rows=rows):
-            cells = (
-                f'<tr><th scope="row">{escape(name)}</th><td>{escape(value)}</td></tr>'
-                for name, value in rows
-            )
+            cells = (f'<tr><th scope="row">{escape(name)}</th><td>{escape(value)}</td></tr>' for name, value in rows)
             return f'<table class="facts"><tbody>{"".join(cells)}</tbody></table>'
         case Table():
             return _table(block)
@@ -126,8 +116,7 @@ def _table(table: Table) -> str:
         if href:
             texts[0] = f'<a href="{quote(href)}">{texts[0]}</a>'
         marked = (
-            f"<{tag}{' class=number' if i >= table.numbers_from else ''}>{text}</{tag}>"
-            for i, text in enumerate(texts)
+            f"<{tag}{' class=number' if i >= table.numbers_from else ''}>{text}</{tag}>" for i, text in enumerate(texts)
         )
         return f"<tr>{''.join(marked)}</tr>"
 
@@ -165,8 +154,7 @@ def _image(picture: Picture, *, css: str = "") -> str:
     data = base64.b64encode(picture.png).decode("ascii")
     kind = f' class="{css}"' if css else ""
     return (
-        f'<img{kind} width="{width}" height="{height}" alt="{escape(picture.alt)}" '
-        f'src="data:image/png;base64,{data}">'
+        f'<img{kind} width="{width}" height="{height}" alt="{escape(picture.alt)}" src="data:image/png;base64,{data}">'
     )
 
 

@@ -17,15 +17,7 @@ from lightopt.report._drawing import Drawing, fixed_style
 from lightopt.report._images import check_png_path, write_picture
 from lightopt.report._part_picture import cast_part
 from lightopt.report._rig_elements import Pen, number
-from lightopt.report._rig_shapes import (
-    CameraShape,
-    camera_shape,
-    panel_corners,
-    part_box,
-    rig_size,
-    square,
-    table_grid,
-)
+from lightopt.report._rig_shapes import CameraShape, camera_shape, panel_corners, part_box, rig_size, square, table_grid
 from lightopt.report._rig_stage_and_numbers import SIDE_WIDTH, draw_stage, side_height, write_numbers
 from lightopt.report._view import ParallelView, fit_view
 from lightopt.scene import PanelLight, Scene
@@ -66,11 +58,7 @@ def rig_image(scene: Scene, *, annotate: bool = True) -> Image.Image:
     _draw_rig(scene, caster, shape, posture, pen, annotate=annotate)
     draw_stage(scene, caster, posture, drawing, MAIN_WIDTH, annotate=annotate)
     write_numbers(
-        drawing,
-        scene,
-        MAIN_WIDTH,
-        grid=number(table_grid(scene, posture)[1]),
-        arcs=_arcs(scene) if annotate else None,
+        drawing, scene, MAIN_WIDTH, grid=number(table_grid(scene, posture)[1]), arcs=_arcs(scene) if annotate else None
     )
     drawing.labels(pen.labels, size=19, bounds=(8.0, 8.0, MAIN_WIDTH - 8.0, height - 8.0))
     return drawing.image()
@@ -83,9 +71,7 @@ def _view(scene: Scene, shape: CameraShape, posture: Posture, height: int) -> Pa
     arrows = camera.position + shape.arrow * np.stack([camera.right, camera.up])
     axes = np.diag(_axis_lengths(scene, half))
     panels = [panel_corners(light) for light in scene.lights]
-    points = np.concatenate(
-        [table, shape.body, arrows, axes, part_box(scene, posture), shape.footprint, *panels]
-    )
+    points = np.concatenate([table, shape.body, arrows, axes, part_box(scene, posture), shape.footprint, *panels])
     elevation, azimuth = _best_side(scene, posture)
     # labels stand outside of what they name
     box = (MARGIN + 50.0, MARGIN + 20.0, MAIN_WIDTH - MARGIN - 50.0, height - MARGIN - 20.0)
@@ -95,11 +81,7 @@ def _view(scene: Scene, shape: CameraShape, posture: Posture, height: int) -> Pa
 def _best_side(scene: Scene, posture: Posture) -> tuple[float, float]:
     """From where part, camera and panels stand well apart and no panel edge-on, and X points to the right."""
     things = np.stack(
-        [
-            part_box(scene, posture).mean(axis=0),
-            scene.camera.position,
-            *(light.centre for light in scene.lights),
-        ]
+        [part_box(scene, posture).mean(axis=0), scene.camera.position, *(light.centre for light in scene.lights)]
     )
     size = rig_size(scene)
     best = (-math.inf, 0.0, 0.0)

@@ -85,9 +85,7 @@ class Pen:
         self.line(np.stack([ORIGIN, light.centre]), LIGHT, 1.2)
         if np.hypot(*light.centre[:2]) > 0.02 * light.distance:
             self.line(np.stack([light.centre, light.centre * [1, 1, 0]]), SOFT, 1.0, dash=(3, 5))
-        self.polygon(
-            panel_corners(light), fill="#ffd766e0" if shines_here else "#cfa54de0", outline=LIGHT, width=2.0
-        )
+        self.polygon(panel_corners(light), fill="#ffd766e0" if shines_here else "#cfa54de0", outline=LIGHT, width=2.0)
         if shines_here and light.points != "auto" and light.points <= 64:
             for point in panel_grid(light, light.points):
                 self.drawing.disc(self.view.place(point), 1.7, fill=LIGHT)

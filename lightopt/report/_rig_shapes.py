@@ -50,9 +50,7 @@ def camera_shape(camera: PinholeCamera, size: float) -> CameraShape:
     corners = np.array([sx * half[0] * camera.right + sy * half[1] * camera.up for sx, sy in signs])
     front = camera.position + 0.75 * size * camera.forward + corners
     # the housing is as large as the frustum's opening; it is a sign, the true optics are the pyramid
-    body = np.concatenate(
-        [camera.position + corners * 0.8, camera.position + corners * 0.8 - size * camera.forward]
-    )
+    body = np.concatenate([camera.position + corners * 0.8, camera.position + corners * 0.8 - size * camera.forward])
     return CameraShape(
         aperture=front, body=body, footprint=footprint, corners=footprint[::_BORDER_STEPS], arrow=1.1 * size
     )
@@ -87,9 +85,7 @@ def foot_direction(light: PanelLight) -> Float64:
 def part_box(scene: Scene, posture: Posture) -> Float64:
     """Corners of the part's own bounding box at a posture [mm], shape (8, 3)."""
     low, high = scene.mesh.bounds
-    corners = np.array(
-        [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
-    )
+    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     return rigid_transform(corners, posture.matrix, scene.pivot)
 
 

@@ -58,9 +58,7 @@ def write_numbers(drawing: Drawing, scene: Scene, left: int, *, grid: str, arcs:
         y += LINE
         size = f"{number(light.size[0])} × {number(light.size[1])}"
         drawing.text(x, y, fit_text(light.name, TEXT, _LIGHT_COLUMNS[0] - 70), size=TEXT, colour=SOFT)
-        _write_cells(
-            drawing, x, y, (degrees(light.elevation), degrees(light.azimuth), number(light.distance), size)
-        )
+        _write_cells(drawing, x, y, (degrees(light.elevation), degrees(light.azimuth), number(light.distance), size))
     some = arcs is not None and arcs < len(scene.lights)
     note = f"grid {grid} mm" + (f"; arcs of the first {arcs} lights" if some else "")
     y = _write_lines(drawing, x, y + 4, [note]) - 4 + 2 * LINE
@@ -110,9 +108,7 @@ def _part_lines(scene: Scene) -> list[str]:
     rest = listed[1:]
     if len(scene.postures) > MOST_POSTURES:
         rest.append(f"{len(scene.postures) - MOST_POSTURES} more")
-    return lines + [
-        ("other postures " if i == 0 else "") + ", ".join(rest[i : i + 3]) for i in range(0, len(rest), 3)
-    ]
+    return lines + [("other postures " if i == 0 else "") + ", ".join(rest[i : i + 3]) for i in range(0, len(rest), 3)]
 
 
 def _posture_text(posture: Posture) -> str:
@@ -158,10 +154,7 @@ def _draw_axes(pen: Pen, scene: Scene, posture: Posture, reach: float) -> None:
     x, y, z = tilted.T
     pen.line(np.stack([pivot - 0.8 * reach * X, pivot + reach * X]), STAGE, 1.6, dash=(16, 5))
     pen.line(np.stack([pivot - 0.35 * reach * z, pivot + reach * z]), STAGE, 1.6, dash=(16, 5))
-    for axis, start, towards, letter, name in (
-        (X, -Y, -Z, "θ", "tilt axis"),
-        (z, -x, -y, "φ", "rotary axis"),
-    ):
+    for axis, start, towards, letter, name in ((X, -Y, -Z, "θ", "tilt axis"), (z, -x, -y, "φ", "rotary axis")):
         centre = pivot + 0.86 * reach * axis
         path = arc(centre, start, towards, 1.6 * np.pi, ring)
         pen.arrow(path, STAGE, 2.2, head=12.0)

@@ -59,9 +59,7 @@ class SurfaceLayer:
     group: str = ""
 
     def __post_init__(self) -> None:
-        if self.of_face.dtype != np.uint8 or (
-            self.of_face.size and int(self.of_face.max()) >= len(self.classes)
-        ):
+        if self.of_face.dtype != np.uint8 or (self.of_face.size and int(self.of_face.max()) >= len(self.classes)):
             raise InputError(
                 f"layer {self.name}: expected uint8 below {len(self.classes)}, found {self.of_face.dtype} "
                 f"up to {self.of_face.max() if self.of_face.size else 'nothing'}"
@@ -88,9 +86,7 @@ class ColouredSurface:
     def __post_init__(self) -> None:
         for layer in self.layers:
             if len(layer.of_face) != len(self.triangles):
-                raise InputError(
-                    f"layer {layer.name}: {len(layer.of_face)} classes for {len(self.triangles)} faces"
-                )
+                raise InputError(f"layer {layer.name}: {len(layer.of_face)} classes for {len(self.triangles)} faces")
         for name in ("vertices", "triangles", "up", "toward"):
             object.__setattr__(self, name, _frozen(getattr(self, name)))
 

@@ -78,10 +78,7 @@ def build_scene(
         lights=placed,
         mesh=mesh,
         reflectance=Reflectance(
-            R_d=reflectance.R_d,
-            R_s=reflectance.R_s,
-            sigma=reflectance.sigma_rad,
-            full_scale=reflectance.full_scale,
+            R_d=reflectance.R_d, R_s=reflectance.R_s, sigma=reflectance.sigma_rad, full_scale=reflectance.full_scale
         ),
         sensor=build_sensor(rig.camera),
         pivot=np.array(rig.stage.pivot_mm, dtype=np.float64),
@@ -149,9 +146,7 @@ def _postures(rig: RigConfig, part: PartConfig, chosen: Sequence[Posture] | None
         named = [(posture, part.source.at("postures", i)) for i, posture in enumerate(part_postures(part))]
     else:
         named = [(posture, "posture") for posture in chosen]
-    problems = [
-        problem for posture, where in named for problem in outside_stage_range(rig, posture, where=where)
-    ]
+    problems = [problem for posture, where in named for problem in outside_stage_range(rig, posture, where=where)]
     if problems:
         raise InputError(*problems)
     return tuple(posture for posture, _ in named)
@@ -169,13 +164,9 @@ def build_lights(
     known = [light.name for light in rig.lights]
     unknown = [name for name in names or () if name not in known]
     if unknown:
-        raise InputError(
-            *(f'no light "{name}" in {rig.source.path}; it has {", ".join(known)}' for name in unknown)
-        )
+        raise InputError(*(f'no light "{name}" in {rig.source.path}; it has {", ".join(known)}' for name in unknown))
     return tuple(
-        _light(light, rig.light_source, points)
-        for light in rig.lights
-        if names is None or light.name in names
+        _light(light, rig.light_source, points) for light in rig.lights if names is None or light.name in names
     )
 
 

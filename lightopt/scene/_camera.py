@@ -248,9 +248,7 @@ def screen_window(camera: PinholeCamera, mesh: TriangleMesh) -> tuple[int, int, 
     if not camera.distortion.is_zero:
         return whole
     low, high = mesh.bounds
-    corners = np.array(
-        [[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
-    )
+    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     columns, rows, depth = project(camera, corners)
     if depth.min() <= 0.0:
         return whole

@@ -55,9 +55,7 @@ def place_defects(scene: Scene, rig: RigConfig, part: PartConfig) -> tuple[Place
             y_axis=scene.placement.rotation[:, 1],
         )
         placed.append(
-            PlacedDefect(
-                name=defect.name, shape=defect.shape, position=place.point, normal=place.normal, along=along
-            )
+            PlacedDefect(name=defect.name, shape=defect.shape, position=place.point, normal=place.normal, along=along)
         )
     if problems:
         raise InputError(*problems)
@@ -142,9 +140,7 @@ class _Search:
         if defect.at_pixel is not None:
             return self.seen(self.part.source.at("defects", index, "at_pixel"), defect.at_pixel)
         assert defect.at_mm is not None
-        return self.nearest(
-            self.part.source.at("defects", index, "at_mm"), np.array(defect.at_mm, np.float64)
-        )
+        return self.nearest(self.part.source.at("defects", index, "at_mm"), np.array(defect.at_mm, np.float64))
 
     def nearest(self, where: str, at_mm: Float64) -> SurfacePlace:
         placement, mesh = self.scene.placement, self.scene.mesh
@@ -192,9 +188,7 @@ def _sigma_problems(part: PartConfig, factor: float, where: str) -> list[str]:
     if factor == 1.0 or LEAST_SIGMA <= sigma <= MOST_SIGMA:
         return []
     range_text = f"{LEAST_SIGMA:g} to {MOST_SIGMA:g}"
-    return [
-        f"{where}: makes sigma {sigma:.3g} rad of {part.reflectance.sigma_rad:g}; expected from {range_text}"
-    ]
+    return [f"{where}: makes sigma {sigma:.3g} rad of {part.reflectance.sigma_rad:g}; expected from {range_text}"]
 
 
 def _rounded(vector: Float64) -> list[float]:

@@ -160,9 +160,7 @@ def _half_view(camera: PinholeCamera) -> tuple[float, float]:
 def _bent_area(camera: PinholeCamera, local: Float64) -> float:
     # the outline in short chords through the lens, cut by the image's border
     steps = np.arange(_CHORDS)[:, None] / _CHORDS
-    outline = np.concatenate(
-        [a + steps * (b - a) for a, b in zip(local, np.roll(local, -1, axis=0), strict=True)]
-    )
+    outline = np.concatenate([a + steps * (b - a) for a, b in zip(local, np.roll(local, -1, axis=0), strict=True)])
     world = camera.position + outline @ np.array([camera.right, -camera.up, camera.forward])
     columns, rows, _ = project(camera, world)
     flat = np.stack([columns - 0.5 * camera.width, rows - 0.5 * camera.height, np.ones(len(columns))], axis=1)
@@ -210,9 +208,7 @@ def segments_blocked(light: PanelLight, start: Float64, ends: Float64) -> Bool:
     crosses = height * from_height < 0.0
     share = np.where(crosses, from_height / np.where(crosses, from_height - height, 1.0), 0.0)
     at = start + share[:, None] * (ends - start) - light.centre
-    inside = (np.abs(at @ light.across) <= 0.5 * light.size[0]) & (
-        np.abs(at @ light.along) <= 0.5 * light.size[1]
-    )
+    inside = (np.abs(at @ light.across) <= 0.5 * light.size[0]) & (np.abs(at @ light.along) <= 0.5 * light.size[1])
     return crosses & inside
 
 
@@ -221,9 +217,7 @@ def rectangles_meet(a: PanelLight, b: PanelLight) -> bool:
     between = b.centre - a.centre
     if float(np.linalg.norm(between)) > 0.5 * (float(np.hypot(*a.size)) + float(np.hypot(*b.size))):
         return False
-    sides = [
-        0.5 * light.size[i] * axis for light in (a, b) for i, axis in enumerate((light.across, light.along))
-    ]
+    sides = [0.5 * light.size[i] * axis for light in (a, b) for i, axis in enumerate((light.across, light.along))]
     edges = [light_axis for light in (a, b) for light_axis in (light.across, light.along)]
     axes = [a.outward, b.outward, *edges]
     axes += [np.cross(p, q) for p, q in itertools.product(edges[:2], edges[2:])]

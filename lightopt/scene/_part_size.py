@@ -32,9 +32,7 @@ class UnitGuess:
 def view_size(camera: PinholeCamera) -> tuple[float, float] | None:
     """Width and height of the view along the image's middle lines on the table [mm]; None where a ray misses it."""
     w, h = float(camera.width), float(camera.height)
-    directions = pixel_directions(
-        camera, np.array([0.0, w, 0.5 * w, 0.5 * w]), np.array([0.5 * h, 0.5 * h, 0.0, h])
-    )
+    directions = pixel_directions(camera, np.array([0.0, w, 0.5 * w, 0.5 * w]), np.array([0.5 * h, 0.5 * h, 0.0, h]))
     down = -directions[:, 2]
     if down.min() <= 1e-9:
         return None

@@ -101,8 +101,7 @@ def like_panels(lights: Sequence[PanelLight]) -> tuple[tuple[int, ...], ...]:
 def coarse_warnings(lights: Sequence[PanelLight], sigma: float) -> tuple[str, ...]:
     """:func:`coarse_points` of several panels, those alike in one message."""
     grouped = (
-        replace(lights[indices[0]], name=", ".join(lights[i].name for i in indices))
-        for indices in like_panels(lights)
+        replace(lights[indices[0]], name=", ".join(lights[i].name for i in indices)) for indices in like_panels(lights)
     )
     return tuple(text for light in grouped if (text := coarse_points(light, sigma)) is not None)
 

@@ -66,9 +66,7 @@ def move_part(scene: Scene, rotation: Float64, translation: Float64) -> Scene:
     return replace(
         scene,
         mesh=transformed(scene.mesh, rotation, translation),
-        placement=Placement(
-            rotation=rotation @ place.rotation, translation=rotation @ place.translation + translation
-        ),
+        placement=Placement(rotation=rotation @ place.rotation, translation=rotation @ place.translation + translation),
         defects=tuple(
             replace(
                 one,

@@ -109,9 +109,7 @@ def make_rig(folder: Path, stage: str = "shot") -> tuple[Path, Path]:
     """Write the small rig, its part and the mesh; returns rig and part."""
     folder.mkdir(parents=True, exist_ok=True)
     rig, part = folder / "rig.yaml", folder / "part.yaml"
-    rig.write_text(
-        _RIG.format(stage=STAGES[stage], lights=LIGHTS[BEDS[stage]]), encoding="utf-8", newline="\n"
-    )
+    rig.write_text(_RIG.format(stage=STAGES[stage], lights=LIGHTS[BEDS[stage]]), encoding="utf-8", newline="\n")
     part.write_text(_PART, encoding="utf-8", newline="\n")
     shutil.copyfile(ROOT / "configs" / "parts" / "cover-knob.stl", folder / "knob.stl")
     return rig, part
@@ -176,9 +174,7 @@ def driver_cases(deliveries: dict[str, dict[str, int]]) -> Iterator[Case]:
                 # what is refused are moves, of which there are few
                 count = 2 if fault == "refuse" else deliveries[stage][device]
                 for after in (count // 4, 3 * count // 4):
-                    yield Case(
-                        f"{driver}: {kind}, once", device, fault, {**options, "after": after}, stage=stage
-                    )
+                    yield Case(f"{driver}: {kind}, once", device, fault, {**options, "after": after}, stage=stage)
                 if fault != "vanish":
                     options = {**options, "after": count // 2, "count": None}
                     yield Case(f"{driver}: {kind}, for good", device, fault, options, stage=stage)
@@ -203,14 +199,10 @@ def other_cases() -> Iterator[Case]:
     for move in (2, 3):  # the first two are the search for the origins
         for share in (0.0, 0.3, 0.9):
             yield Case("stage stalls", "stage", "stall", {"after": move, "share": share})
-            yield Case(
-                "stage stalls, busy for ever", "stage", "stall", {"after": move, "share": share, "busy": True}
-            )
+            yield Case("stage stalls, busy for ever", "stage", "stall", {"after": move, "share": share, "busy": True})
     for move in range(4):
         for share in (0.3, 0.9):
             yield Case("stage meets a limit switch", "stage", "limit", {"after": move, "share": share})
-            yield Case(
-                "stage meets a limit switch", "stage", "limit", {"after": move, "share": share}, stage="grbl"
-            )
+            yield Case("stage meets a limit switch", "stage", "limit", {"after": move, "share": share}, stage="grbl")
     for code in (1, 2, 3, 9):
         yield Case("alarm of the stage", "stage", "alarm", {"code": code}, stage="grbl")

@@ -202,9 +202,7 @@ def differences(folder: Path, truth: Path) -> list[str]:
         found += _differing(new, a, old, b)
     dark = (name for name in old.manifest.files if name.endswith(".png"))
     return found + [
-        f"{name} differs"
-        for name in dark
-        if not np.array_equal(read_png(new.path(name)), read_png(old.path(name)))
+        f"{name} differs" for name in dark if not np.array_equal(read_png(new.path(name)), read_png(old.path(name)))
     ]
 
 

@@ -88,9 +88,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--every", type=int, default=1, help="hit every so many-th message only")
     parser.add_argument("--most", type=int, help="so many faults at most, of every kind about as many")
     parser.add_argument("--kills", type=int, default=50, help="runs that are killed")
-    parser.add_argument(
-        "--jobs", type=int, default=1, help="so many captures at a time: most of one is waiting"
-    )
+    parser.add_argument("--jobs", type=int, default=1, help="so many captures at a time: most of one is waiting")
     parser.add_argument("--page", type=Path, default=PAGE, help="Markdown page whose table is renewed")
     options = parser.parse_args(arguments)
     begun = time.monotonic()
@@ -111,9 +109,7 @@ def main(arguments: list[str] | None = None) -> int:
     page = options.page.read_text(encoding="utf-8")
     before, _, rest = page.partition(BEGIN)
     after = rest.partition(END)[2]
-    options.page.write_text(
-        f"{before}{BEGIN}\n{text}\n\n{about}\n{END}{after}", encoding="utf-8", newline="\n"
-    )
+    options.page.write_text(f"{before}{BEGIN}\n{text}\n\n{about}\n{END}{after}", encoding="utf-8", newline="\n")
     return int(any(row.wrong for row in rows.values()))
 
 
@@ -163,19 +159,7 @@ def _one(case: Case, rig: Path, part: Path, out: Path, truth: Path) -> Outcome:
 
 def _kills(folder: Path, count: int) -> Row:
     rig, part = make_rig(folder / "killed")
-    command = [
-        sys.executable,
-        "-m",
-        "lightopt",
-        "capture",
-        rig,
-        part,
-        "-q",
-        "--exposures",
-        "1,1/16",
-        "--dark",
-        "-o",
-    ]
+    command = [sys.executable, "-m", "lightopt", "capture", rig, part, "-q", "--exposures", "1,1/16", "--dark", "-o"]
     subprocess.run([*command, folder / "whole"], check=True)
     moments, row = random.Random(1), Row()
     for number in range(count):

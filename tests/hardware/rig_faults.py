@@ -117,9 +117,7 @@ def rig_cases(moments: int) -> Iterator[RigCase]:
     yield RigCase("plugs of two lamps swapped", "lights", "swapped", {"channel": 1, "other": 2})
     for level in (0.2, 2.0, 20.0):
         yield RigCase(
-            f"ambient light of {level:g} grey levels, without --dark",
-            truth=BenchTruth(ambient_level=level),
-            dark=False,
+            f"ambient light of {level:g} grey levels, without --dark", truth=BenchTruth(ambient_level=level), dark=False
         )
     for come_back in (False, True):
         with_it = ", with --check-repeatability" if come_back else ""
@@ -173,9 +171,7 @@ def undergo(case: RigCase, rig: Path, part: Path, folder: Path, truth: Path) -> 
             message = str(error)
     burning = [channel for channel, level in benches[0].levels("lights").items() if level]
     benches[0].close()
-    if (
-        burning and case.fault != "lit" and "may still" not in message
-    ):  # nobody can switch off a lamp that is stuck
+    if burning and case.fault != "lit" and "may still" not in message:  # nobody can switch off a lamp that is stuck
         wrong.append(f"lights {burning} are on and not reported")
     if not finished and "while " not in message and not message.startswith(str(folder)):
         wrong.append("the message names no step")
@@ -187,13 +183,7 @@ def undergo(case: RigCase, rig: Path, part: Path, folder: Path, truth: Path) -> 
         wrong += [f"resumed, but {difference}" for difference in differences(folder, truth)]
     if finished and retries and differ:
         wrong.append(f"taken again, but {differ}")
-    return Seen(
-        case,
-        _how(finished, message, retries, told, differ),
-        retries,
-        message or "; ".join(told),
-        tuple(wrong),
-    )
+    return Seen(case, _how(finished, message, retries, told, differ), retries, message or "; ".join(told), tuple(wrong))
 
 
 def _how(finished: bool, message: str, retries: int, told: tuple[str, ...], differ: list[str]) -> str:
@@ -236,20 +226,12 @@ def _clock_back(after: int) -> Iterator[None]:
 
 def table(found: list[Seen]) -> str:
     """Counts as Markdown."""
-    lines = [
-        "| fault | runs | " + " | ".join(HOW) + " | asked again | wrong |",
-        "|---|" + "---:|" * (len(HOW) + 3),
-    ]
+    lines = ["| fault | runs | " + " | ".join(HOW) + " | asked again | wrong |", "|---|" + "---:|" * (len(HOW) + 3)]
     kinds = list(dict.fromkeys(seen.case.kind for seen in found))
     for kind in [*kinds, "**all**"]:
         some = [seen for seen in found if kind in ("**all**", seen.case.kind)]
         counts = [sum(seen.how == how for seen in some) for how in HOW]
-        numbers = [
-            len(some),
-            *counts,
-            sum(seen.retries for seen in some),
-            sum(bool(seen.wrong) for seen in some),
-        ]
+        numbers = [len(some), *counts, sum(seen.retries for seen in some), sum(bool(seen.wrong) for seen in some)]
         lines.append(f"| {kind} | " + " | ".join(map(str, numbers)) + " |")
     return "\n".join(lines)
 
@@ -271,12 +253,8 @@ def renewed(old: str, new: str, kinds: list[str]) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Run the campaign and write the table."""
     parser = argparse.ArgumentParser(prog="python tests/hardware/rig_faults.py", description=__doc__)
-    parser.add_argument(
-        "--moments", type=int, default=3, help="how many moments of a run each fault strikes at"
-    )
-    parser.add_argument(
-        "--only", help="regular expression: only faults of which the name has it; other rows stay"
-    )
+    parser.add_argument("--moments", type=int, default=3, help="how many moments of a run each fault strikes at")
+    parser.add_argument("--only", help="regular expression: only faults of which the name has it; other rows stay")
     parser.add_argument("--page", type=Path, default=PAGE, help="Markdown page whose table is renewed")
     chosen = parser.parse_args(arguments)
     begun = time.monotonic()
@@ -309,14 +287,10 @@ def main(arguments: list[str] | None = None) -> int:
     text = table(found)
     if chosen.only is not None:
         text = renewed(there, text, [case.kind for case in every])
-        ran = [
-            line for line in there.splitlines() if line.startswith("`python -m") and f"{only}`" not in line
-        ]
+        ran = [line for line in there.splitlines() if line.startswith("`python -m") and f"{only}`" not in line]
         about = "\n".join([*ran, about])
     print(text)
-    chosen.page.write_text(
-        f"{before}{BEGIN}\n{text}\n\n{about}\n{END}{after}", encoding="utf-8", newline="\n"
-    )
+    chosen.page.write_text(f"{before}{BEGIN}\n{text}\n\n{about}\n{END}{after}", encoding="utf-8", newline="\n")
     return int(any(seen.wrong for seen in found))
 
 

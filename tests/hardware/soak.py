@@ -98,15 +98,7 @@ def soak(folder: Path, *, postures: int, rate: float, seed: int, most_stops: int
     resume = False
     while True:
         try:
-            capture(
-                rig,
-                part,
-                out,
-                options=options,
-                resume=resume,
-                connect=connect,
-                run=RunContext(progress=report),
-            )
+            capture(rig, part, out, options=options, resume=resume, connect=connect, run=RunContext(progress=report))
             break
         except HardwareError:
             counts["stops"] += 1
@@ -127,9 +119,7 @@ def soak(folder: Path, *, postures: int, rate: float, seed: int, most_stops: int
     )
 
 
-def _undisturbed(
-    rig: RigConfig, part: PartConfig, folder: Path, options: CaptureOptions, most_stops: int
-) -> None:
+def _undisturbed(rig: RigConfig, part: PartConfig, folder: Path, options: CaptureOptions, most_stops: int) -> None:
     """What the images are without faults; a busy computer may stop that run, too, by a time-out."""
     resume = (folder / "manifest.json").exists()
     try:
@@ -159,9 +149,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Soak and write down what came of it."""
     parser = argparse.ArgumentParser(prog="python tests/hardware/soak.py", description=__doc__)
     parser.add_argument("--postures", type=int, default=125, help="four images in each")
-    parser.add_argument(
-        "--rate", type=float, default=0.01, help="chance of each fault at each frame or reply"
-    )
+    parser.add_argument("--rate", type=float, default=0.01, help="chance of each fault at each frame or reply")
     parser.add_argument("--seed", type=int, default=2026)
     parser.add_argument("--page", type=Path, default=PAGE, help="Markdown page that is renewed")
     chosen = parser.parse_args(arguments)

@@ -39,22 +39,10 @@ def firmware(kind: str) -> dict[str, Any]:
     """A device that stands off its origin when it is switched on."""
     first, second = DEVICE_AXES[kind]
     if kind == "grbl":
-        settings = {
-            "20": 1,
-            "22": 1,
-            "100": 200,
-            "101": 200,
-            "110": 200_000,
-            "111": 200_000,
-            "130": 120,
-            "131": 400,
-        }
+        settings = {"20": 1, "22": 1, "100": 200, "101": 200, "110": 200_000, "111": 200_000, "130": 120, "131": 400}
         axes = {first: {"stands": -3}, second: {"stands": -7}}
         return {"kind": kind, "options": {"settings": settings, "axes": axes, "home_speed": 2000}}
-    options: dict[str, Any] = {
-        "axes": {first: {"stands": 4000}, second: {"stands": -3000}},
-        "home_speed": 500_000,
-    }
+    options: dict[str, Any] = {"axes": {first: {"stands": 4000}, second: {"stands": -3000}}, "home_speed": 500_000}
     return {"kind": kind, "options": options}
 
 

@@ -71,10 +71,7 @@ def test_a_description_that_cannot_be_served() -> None:
         ({"a": {"kind": "ccs", "options": {"levels": {"9": 3}}}}, "no level 3 on channel 9"),
         ({"a": {"kind": "sa", "options": {"ack": "x"}}}, "ack is one of"),
         ({"a": {}}, "lacks 'kind'"),
-        (
-            {"a": {"kind": "template", "options": {"template": {"set": "{level}", "set_reply": "(?=x)"}}}},
-            "make up",
-        ),
+        ({"a": {"kind": "template", "options": {"template": {"set": "{level}", "set_reply": "(?=x)"}}}}, "make up"),
     ):
         with pytest.raises(InputError, match="virtual bench: cannot be as described; its output: .*" + words):
             BenchProcess(devices)
@@ -182,10 +179,7 @@ def test_ctrl_c_of_a_bench_started_by_hand() -> None:
 def test_usage() -> None:
     for arguments, words in (([], "usage: "), (["{"], "double quotes"), (["{}"], "lacks 'devices'")):
         ran = subprocess.run(
-            [sys.executable, "-m", "lightopt.rig.simulated", *arguments],
-            capture_output=True,
-            text=True,
-            check=False,
+            [sys.executable, "-m", "lightopt.rig.simulated", *arguments], capture_output=True, text=True, check=False
         )
         assert ran.returncode == (2 if arguments else 1)
         assert words in ran.stderr

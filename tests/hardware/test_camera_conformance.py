@@ -154,9 +154,7 @@ def test_no_frame_in_time_is_an_error_that_says_so() -> None:
     from lightopt.rig.simulated._camera_gige import GigeCamera
 
     server = GigeCamera(lambda *_: np.zeros((120, 160), np.uint16), resolution_px=(160, 120), bit_depth=12)
-    settings = CameraSettings(
-        where="rig.yaml:3: camera", resolution_px=(160, 120), bit_depth=12, port=server.serial
-    )
+    settings = CameraSettings(where="rig.yaml:3: camera", resolution_px=(160, 120), bit_depth=12, port=server.serial)
     opened = open_camera("aravis", settings)
     try:
         server.inject("lost", {"count": None})
@@ -169,9 +167,7 @@ def test_no_frame_in_time_is_an_error_that_says_so() -> None:
         server.close()
 
 
-@pytest.mark.parametrize(
-    "pixel_format", ["Mono12", "Mono12p", "Mono12Packed", "Mono10", "Mono10p", "Mono10Packed"]
-)
+@pytest.mark.parametrize("pixel_format", ["Mono12", "Mono12p", "Mono12Packed", "Mono10", "Mono10p", "Mono10Packed"])
 def test_levels_of_every_packing_arrive_over_the_network(pixel_format: str) -> None:
     needs("aravis")
     from lightopt.rig.simulated._camera_gige import GigeCamera
@@ -241,9 +237,7 @@ def test_gain_and_exposure_act_on_the_image(beds: tuple[Path, Path]) -> None:
 
 
 @pytest.mark.slow
-def test_the_sets_of_the_rendered_and_of_the_gige_camera_are_the_same(
-    beds: tuple[Path, Path], tmp_path: Path
-) -> None:
+def test_the_sets_of_the_rendered_and_of_the_gige_camera_are_the_same(beds: tuple[Path, Path], tmp_path: Path) -> None:
     """What goes over the network is what the bench renders, bit for bit."""
     needs("aravis")
     from fault_runs import OPTIONS, differences

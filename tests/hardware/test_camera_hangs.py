@@ -37,16 +37,12 @@ def test_the_time_that_a_frame_may_take_is_kept(tmp_path: Path, monkeypatch: pyt
         bench.prepare()
         with pytest.raises(HardwareError, match=r"did not answer the request frame within 0\.3 s"):
             camera.grab(timeout_s=0.3)
-        with pytest.raises(
-            HardwareError, match="cannot take the request"
-        ):  # the frame that comes late is nobody's
+        with pytest.raises(HardwareError, match="cannot take the request"):  # the frame that comes late is nobody's
             camera.grab(timeout_s=10)
 
 
 @pytest.mark.slow
-def test_a_bench_that_hangs_while_it_renders_is_noticed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bench_that_hangs_while_it_renders_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lightopt.rig.simulated._bench_process._ANSWER_S", 0.3)
     rig_file, part_file = make_rig(tmp_path)
     rig = load_rig(rig_file)
@@ -54,9 +50,7 @@ def test_a_bench_that_hangs_while_it_renders_is_noticed(
         camera = VirtualCamera(bench)
         os.kill(bench.pid, signal.SIGSTOP)
         begun = time.monotonic()
-        with pytest.raises(
-            HardwareError, match=r"did not answer the request prepare within .*: its process hangs"
-        ):
+        with pytest.raises(HardwareError, match=r"did not answer the request prepare within .*: its process hangs"):
             camera.grab(timeout_s=600)
         assert time.monotonic() - begun < 60
 

@@ -186,9 +186,7 @@ def outside(bed, light_ms):
         text = text.replace("driver: ccs, port: virtual", f"driver: ccs, port: {bench.ports['lights']}")
         text = text.replace("port: virtual", f"port: {bench.ports['stage']}")
         camera = f"camera: {{driver: folder, folder: {(folder / 'truth-shot').as_posix()}}}"
-        text = text.replace("camera: {driver: virtual}", camera).replace(
-            "light_ms: 5", f"light_ms: {light_ms}"
-        )
+        text = text.replace("camera: {driver: virtual}", camera).replace("light_ms: 5", f"light_ms: {light_ms}")
         real = rig.with_name("real.yaml")
         real.write_text(text, encoding="utf-8", newline="\n")
         yield bench, real, part

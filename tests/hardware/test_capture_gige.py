@@ -49,12 +49,7 @@ def test_the_manifest_says_what_took_the_frames(bed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "fault",
-    [
-        pytest.param("lost", marks=pytest.mark.slow),
-        pytest.param("incomplete", marks=pytest.mark.slow),
-        "stale",
-    ],
+    "fault", [pytest.param("lost", marks=pytest.mark.slow), pytest.param("incomplete", marks=pytest.mark.slow), "stale"]
 )
 def test_an_unsound_frame_is_taken_again_and_the_manifest_says_at_which_image(bed, tmp_path, fault):
     found = seen(bed, tmp_path, "camera", fault, {"after": 4})

@@ -46,9 +46,7 @@ def test_the_command_says_what_it_did(captured):
 @pytest.mark.parametrize(
     ("guess", "command", "fitted"),
     [
-        pytest.param(
-            "R_d: 30, R_s: 12500, sigma_rad: 0.0475", ("fit-diffuse",), {"R_d"}, marks=pytest.mark.nightly
-        ),
+        pytest.param("R_d: 30, R_s: 12500, sigma_rad: 0.0475", ("fit-diffuse",), {"R_d"}, marks=pytest.mark.nightly),
         pytest.param(
             "R_d: 30, R_s: 4000, sigma_rad: 0.06",
             ("fit-specular", "--joint"),

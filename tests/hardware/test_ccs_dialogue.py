@@ -82,12 +82,7 @@ def test_lan_dialogue(monkeypatch: pytest.MonkeyPatch) -> None:
     assert controller.read_level(2) == 125
     controller.set_level(1, 0)
     assert controller.read_level(1) == 0  # switched off, whatever the intensity
-    assert controller.identify().as_dict() == {
-        "driver": "ccs",
-        "port": "COM7",
-        "status": "00",
-        "read_back": "yes",
-    }
+    assert controller.identify().as_dict() == {"driver": "ccs", "port": "COM7", "status": "00", "read_back": "yes"}
     controller.close()
     assert (port.dialogue, port.closed, controller.events) == ([], True, [])
 
@@ -132,14 +127,10 @@ def test_four_digits_where_the_levels_have_them(monkeypatch: pytest.MonkeyPatch)
     ("code", "words"),
     [(b"01", "does not know the command"), (b"03", "out of its range"), (b"77", r"it refuses \(NG 77\)")],
 )
-def test_refusals_in_words_and_never_sent_again(
-    monkeypatch: pytest.MonkeyPatch, code: bytes, words: str
-) -> None:
+def test_refusals_in_words_and_never_sent_again(monkeypatch: pytest.MonkeyPatch, code: bytes, words: str) -> None:
     link, port = scripted_link(monkeypatch, [STATUS, SETTINGS, (b"@00F25582\r\n", checked(b"@00N" + code))])
     controller = CcsController(link)
-    with pytest.raises(
-        RefusedError, match=f"light controller main on COM7: .*{words}.*@00F25582.*@00N{code.decode()}"
-    ):
+    with pytest.raises(RefusedError, match=f"light controller main on COM7: .*{words}.*@00F25582.*@00N{code.decode()}"):
         controller.set_level(1, 255)
     assert (port.dialogue, link.retries) == ([], 0)
 
@@ -213,8 +204,7 @@ def test_a_dead_device_gets_one_attempt_until_it_answers(monkeypatch: pytest.Mon
 
 def test_a_refused_intensity_does_not_keep_the_light_on(monkeypatch: pytest.MonkeyPatch) -> None:
     link, port = scripted_link(
-        monkeypatch,
-        [STATUS, SETTINGS, (b"@00F00076\r\n", checked(b"@00N01")), (b"@00L01C\r\n", OK1)],
+        monkeypatch, [STATUS, SETTINGS, (b"@00F00076\r\n", checked(b"@00N01")), (b"@00L01C\r\n", OK1)]
     )
     with pytest.raises(RefusedError):
         CcsController(link).set_level(1, 0)
@@ -225,13 +215,7 @@ def test_a_refused_intensity_does_not_keep_the_light_on(monkeypatch: pytest.Monk
 def test_what_it_holds_is_verified(monkeypatch: pytest.MonkeyPatch, held: bytes) -> None:
     link, _ = scripted_link(
         monkeypatch,
-        [
-            STATUS,
-            SETTINGS,
-            (b"@01F1257F\r\n", OK2),
-            (checked(b"@01L1"), OK2),
-            (b"@01MEE\r\n", checked(b"@01O" + held)),
-        ],
+        [STATUS, SETTINGS, (b"@01F1257F\r\n", OK2), (checked(b"@01L1"), OK2), (b"@01MEE\r\n", checked(b"@01O" + held))],
     )
     with pytest.raises(HardwareError, match=r"channel 2 was set to 125 but holds 12[45] and is switched o"):
         CcsController(link).set_level(2, 125)
@@ -252,18 +236,10 @@ def test_a_channel_that_waits_for_triggers(monkeypatch: pytest.MonkeyPatch) -> N
         CcsController(link).set_level(2, 125)
 
 
-def test_where_settings_are_refused_lights_are_set_unverified_and_that_is_told(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_where_settings_are_refused_lights_are_set_unverified_and_that_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     link, port = scripted_link(
         monkeypatch,
-        [
-            STATUS,
-            (b"@00MED\r\n", checked(b"@00N01")),
-            (b"@00F25582\r\n", OK1),
-            (b"@00L11D\r\n", OK1),
-            STATUS,
-        ],
+        [STATUS, (b"@00MED\r\n", checked(b"@00N01")), (b"@00F25582\r\n", OK1), (b"@00L11D\r\n", OK1), STATUS],
     )
     controller = CcsController(link)
     controller.set_level(1, 255)
@@ -312,10 +288,7 @@ def test_baud_rates(monkeypatch: pytest.MonkeyPatch, driver: str, baud: int) -> 
         with pytest.raises(AssertionError, match="after the end"):
             light_drivers()[driver](
                 LightSettings(
-                    "a",
-                    "COM1",
-                    baud=given_,
-                    template={"set": "{level}", "read": "?", "read_reply": "(?P<level>.)"},
+                    "a", "COM1", baud=given_, template={"set": "{level}", "read": "?", "read_reply": "(?P<level>.)"}
                 ),
                 None,
             )

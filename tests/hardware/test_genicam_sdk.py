@@ -51,9 +51,7 @@ def sdk_with(port: Port) -> tuple[GenicamSdk, list[str]]:
 
 def test_a_camera_that_is_gone_is_not_asked_again() -> None:
     sdk, log = sdk_with(port := Port(IoException("no answer")))
-    with pytest.raises(
-        LinkLostError, match=r"rig\.yaml:3: camera: executing TriggerSoftware: the camera does not"
-    ):
+    with pytest.raises(LinkLostError, match=r"rig\.yaml:3: camera: executing TriggerSoftware: the camera does not"):
         sdk.execute("TriggerSoftware")
     for again in (sdk.stop, lambda: sdk.number("ExposureTime"), lambda: sdk.has("Gain")):
         with pytest.raises(LinkLostError):

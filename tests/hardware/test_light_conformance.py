@@ -148,12 +148,7 @@ def test_life_of_a_controller(rig: Rig) -> None:
 def test_range_is_checked_before_the_wire(rig: Rig) -> None:
     before = rig.shines()
     heard = rig.heard()
-    for channel, level in (
-        (0, 1),
-        (rig.controller.channels + 1, 1),
-        (1, -1),
-        (1, rig.controller.top_level + 1),
-    ):
+    for channel, level in ((0, 1), (rig.controller.channels + 1, 1), (1, -1), (1, rig.controller.top_level + 1)):
         with pytest.raises(InputError, match=r"light controller main \("):
             rig.controller.set_level(channel, level)
     with pytest.raises(InputError):
@@ -165,9 +160,7 @@ def test_range_is_checked_before_the_wire(rig: Rig) -> None:
 def test_pulled_cable(rig: Rig) -> None:
     rig.bench.unplug(rig.name)
     with pytest.raises(LinkLostError, match=r"light controller main \(.*the device is gone"):
-        set_until_told(
-            rig.controller, 1 if rig.kind.reads else 50
-        )  # TCP takes what is written before it knows
+        set_until_told(rig.controller, 1 if rig.kind.reads else 50)  # TCP takes what is written before it knows
     with pytest.raises(HardwareError, match=r"controller main, channels 1, 2.*may still be lit"):
         all_off({"main": rig.controller})
     assert rig.bench.levels(rig.name)[1] > 0
@@ -177,8 +170,6 @@ def test_pulled_cable(rig: Rig) -> None:
 def test_shared_by_nobody(rig: Rig) -> None:
     rig.controller.set_level(1, 0)
     assert rig.comes_to(rig.shines() | {1: 0.0})
-    with pytest.raises(
-        (InputError, HardwareError), match=r"in use|no other program holds its one connection"
-    ):
+    with pytest.raises((InputError, HardwareError), match=r"in use|no other program holds its one connection"):
         opened(rig.kind, rig.bench.ports[rig.name])
     rig.controller.identify()

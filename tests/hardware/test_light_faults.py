@@ -72,9 +72,7 @@ def test_a_line_that_stays_bad_is_an_error_in_bounded_time(
     lights: tuple[str, LightController], bench: BenchProcess, fault: str
 ) -> None:
     name, controller = lights
-    bench.set_fault(
-        name, fault, count=None, **(FAULTS[fault] | ({"delay_s": 30} if fault == "delay" else {}))
-    )
+    bench.set_fault(name, fault, count=None, **(FAULTS[fault] | ({"delay_s": 30} if fault == "delay" else {})))
     started = time.monotonic()
     with pytest.raises(ReplyError, match=rf"light controller {name}.*sent 3 times"):
         controller.set_level(2, 40)
@@ -182,9 +180,7 @@ def test_no_level_above_the_channel_s_is_sent(name: str) -> None:
         controller = light_drivers()[name](settings, None)
         controller.set_level(2, 90)
         heard = bench.state()["deliveries"][name]
-        with pytest.raises(
-            InputError, match=r"channel 2 may have an intensity of 90 at most \(max_level\), found 91"
-        ):
+        with pytest.raises(InputError, match=r"channel 2 may have an intensity of 90 at most \(max_level\), found 91"):
             controller.set_level(2, 91)
         assert bench.state()["deliveries"][name] == heard
         controller.set_level(1, 91)

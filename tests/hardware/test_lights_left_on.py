@@ -74,9 +74,7 @@ def test_all_goes_dark_without_stage_and_camera(bench, rig_on):
     assert dark(bench, "left", "right") == [True, True]
 
 
-@pytest.mark.parametrize(
-    ("broken", "whole", "light"), [("left", "right", "light1"), ("right", "left", "light3")]
-)
+@pytest.mark.parametrize(("broken", "whole", "light"), [("left", "right", "light1"), ("right", "left", "light3")])
 @pytest.mark.parametrize("how", ["mute", "no port"])
 def test_one_controller_is_darkened_without_the_other(bench, rig_on, broken, whole, light, how):
     ports = dict(bench.ports)
@@ -202,9 +200,7 @@ def test_status_asks_every_device_although_some_are_silent(bench, rig_on, cli):
     assert rows["light light1"].endswith("its controller does not answer")
     assert rows["light light3"].endswith("right channel 2: on at level 90")
     assert "no reply" in rows["stage"]
-    failed = [
-        line.partition(":")[2].partition(":")[0].strip() for line in ran.err.splitlines() if "error" in line
-    ]
+    failed = [line.partition(":")[2].partition(":")[0].strip() for line in ran.err.splitlines() if "error" in line]
     assert failed == ["controller left", "stage"]
     assert dark(bench, "left", "right") == [False, False]
 

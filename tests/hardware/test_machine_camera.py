@@ -240,11 +240,7 @@ def test_no_frame_waits_for_another_trigger_than_its_own() -> None:
     ("sdk", "changed", "words"),
     [
         (Sdk(), {"resolution_px": (66, 2)}, "larger than the camera's sensor of 64 × 48"),
-        (
-            Sdk(),
-            {"resolution_px": (5, 2)},
-            "5 pixels in Width, and this camera can do 4 and more in steps of 2",
-        ),
+        (Sdk(), {"resolution_px": (5, 2)}, "5 pixels in Width, and this camera can do 4 and more in steps of 2"),
         (Sdk(), {"offset_px": (2, 0)}, "multiples of 4 only"),
         (Sdk(), {"offset_px": (64, 0)}, "more than the sensor's 64"),
         (Sdk(), {"gain": 25.0}, "a gain of 0 to 24"),
@@ -259,9 +255,7 @@ def test_what_the_camera_cannot_be_is_refused_and_it_is_closed(sdk, changed, wor
     assert sdk.log[-1] == "close"
 
 
-@pytest.mark.parametrize(
-    ("feature", "held"), [("Width", 8), ("Gain", 12.0), ("TriggerMode", "Off"), ("OffsetX", 0)]
-)
+@pytest.mark.parametrize(("feature", "held"), [("Width", 8), ("Gain", 12.0), ("TriggerMode", "Off"), ("OffsetX", 0)])
 def test_what_does_not_take_is_refused(feature, held) -> None:
     sdk = Sdk()
     sdk.stuck[feature] = held
@@ -313,11 +307,7 @@ def exposing(feature: str, bounds: tuple[float, float], unit: str = "", **featur
         (exposing("ExposureTime", (20.0, 1e6), "\u03bcs"), "ExposureTime=800", (20.0, 1e6)),
         (exposing("ExposureTimeAbs", (20.0, 1e6)), "ExposureTimeAbs=800", (20.0, 1e6)),
         (exposing("ExposureTimeRaw", (20.0, 1e6), "us"), "ExposureTimeRaw=800", (20.0, 1e6)),
-        (
-            exposing("ExposureTimeRaw", (1.0, 4095.0), ExposureTimeBaseAbs=20.0),
-            "ExposureTimeRaw=40",
-            (20.0, 81_900.0),
-        ),
+        (exposing("ExposureTimeRaw", (1.0, 4095.0), ExposureTimeBaseAbs=20.0), "ExposureTimeRaw=40", (20.0, 81_900.0)),
     ],
 )
 def test_an_exposure_is_microseconds_whatever_the_camera_counts(sdk, written, range_us) -> None:
@@ -330,8 +320,7 @@ def test_an_exposure_is_microseconds_whatever_the_camera_counts(sdk, written, ra
 
 
 @pytest.mark.parametrize(
-    "sdk",
-    [exposing("ExposureTimeRaw", (1.0, 4095.0)), exposing("ExposureTime", (1.0, 4095.0), "lines")],
+    "sdk", [exposing("ExposureTimeRaw", (1.0, 4095.0)), exposing("ExposureTime", (1.0, 4095.0), "lines")]
 )
 def test_an_exposure_in_units_that_nobody_knows_is_not_told(sdk) -> None:
     with pytest.raises(InputError, match="in units of unknown length; write fixed"):
@@ -366,10 +355,7 @@ BAD = {
     "incomplete": (lambda n: [frame(n, problem="missing packets")], "frame 2 is incomplete: missing packets"),
     "again": (lambda n: [frame(1, timestamp_ns=5000)], "frame 1 came a second time"),
     "backwards": (lambda n: [frame(0, timestamp_ns=5000)], "frame 0 came after frame 1"),
-    "stale": (
-        lambda n: [frame(n, timestamp_ns=500)],
-        "frame 2 is stale: it was taken 0.0005 ms before frame 1",
-    ),
+    "stale": (lambda n: [frame(n, timestamp_ns=500)], "frame 2 is stale: it was taken 0.0005 ms before frame 1"),
     "old stamp": (lambda n: [frame(n, timestamp_ns=1000)], "frame 2 is stale"),
 }
 
@@ -394,10 +380,7 @@ def test_attempts_are_bounded_and_so_is_the_time(name: str) -> None:
     step, words = BAD[name]
     camera, sdk, _ = opened()
     camera.grab(timeout_s=1)
-    sdk.script = [
-        step,
-        *[lambda n: [frame(n, problem="missing packets")] if "came within" not in words else []] * 5,
-    ]
+    sdk.script = [step, *[lambda n: [frame(n, problem="missing packets")] if "came within" not in words else []] * 5]
     begun = time.monotonic()
     with pytest.raises(HardwareError, match="taken 3 times"):
         camera.grab(timeout_s=0.6)
@@ -556,11 +539,7 @@ def test_a_camera_is_found_by_any_of_its_names(port: str, found: int) -> None:
 
 @pytest.mark.parametrize(
     ("here", "port", "words"),
-    [
-        (HERE, None, "which of the cameras"),
-        ([], None, "no camera answers"),
-        (HERE, "3", "no camera 3; there is"),
-    ],
+    [(HERE, None, "which of the cameras"), ([], None, "no camera answers"), (HERE, "3", "no camera 3; there is")],
 )
 def test_a_camera_that_is_not_clear_is_refused(here, port, words) -> None:
     with pytest.raises(InputError, match=words):

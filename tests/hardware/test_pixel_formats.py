@@ -94,12 +94,7 @@ def test_the_format_fits_the_sensor(offered, depth, wanted, chosen) -> None:
 @pytest.mark.parametrize(
     ("offered", "depth", "wanted", "words"),
     [
-        (
-            ("Mono8", "Mono16"),
-            12,
-            None,
-            ["no pixel format of 12 bits", "Mono8, Mono16", "bit_depth: 8 or 16"],
-        ),
+        (("Mono8", "Mono16"), 12, None, ["no pixel format of 12 bits", "Mono8, Mono16", "bit_depth: 8 or 16"]),
         (("BayerRG8", "RGB8"), 8, None, ["camera of colour", "BayerRG8, RGB8", "monochrome model"]),
         (("Mono8", "BayerRG8"), 8, "BayerRG8", ["BayerRG8 is no format of grey levels"]),
         (("Mono8",), 8, "Mono12", ["no pixel format Mono12", "it has Mono8"]),

@@ -25,9 +25,7 @@ READ_A = (b"SA#", b"a0000")
 
 
 @pytest.mark.parametrize("ack", [b"A", b"a", b"!", b"B", b"b"], ids=lambda ack: ack.decode())
-def test_sa_takes_every_makers_acknowledgement_and_reads_back(
-    monkeypatch: pytest.MonkeyPatch, ack: bytes
-) -> None:
+def test_sa_takes_every_makers_acknowledgement_and_reads_back(monkeypatch: pytest.MonkeyPatch, ack: bytes) -> None:
     link, port = scripted_link(
         monkeypatch,
         [
@@ -51,12 +49,7 @@ def test_sa_takes_every_makers_acknowledgement_and_reads_back(
 
 @pytest.mark.parametrize(
     ("reply", "words"),
-    [
-        (None, "no reply"),
-        (b"C", "no acknowledgement"),
-        (b"\x80\x81", "incomplete"),
-        (b"\x80B", "no acknowledgement"),
-    ],
+    [(None, "no reply"), (b"C", "no acknowledgement"), (b"\x80\x81", "incomplete"), (b"\x80B", "no acknowledgement")],
 )
 def test_sa_spoilt_acknowledgement(monkeypatch: pytest.MonkeyPatch, reply: bytes | None, words: str) -> None:
     script = [READ_A, (b"SB0255#", reply), (b"SB0255#", b"b"), (b"SB#", b"b0255")]
@@ -123,9 +116,7 @@ def test_sa_firmware_refuses(command: bytes) -> None:
 
 
 @given(st.lists(st.sampled_from([b"SA0255#", b"SA#", b"SD0001#", b"SL#", b"SZ#"]), max_size=6), st.data())
-def test_sa_firmware_answers_the_same_however_the_bytes_come(
-    commands: list[bytes], data: st.DataObject
-) -> None:
+def test_sa_firmware_answers_the_same_however_the_bytes_come(commands: list[bytes], data: st.DataObject) -> None:
     stream = b"".join(commands)
     whole = SaFirmware().feed(stream, 0.0)
     firmware, replies = SaFirmware(), b""
@@ -175,9 +166,7 @@ SILENT = FULL | {"end": None}
 
 
 @pytest.mark.parametrize(("template", "end"), [(FULL, b"\r\n"), (SILENT, b"")], ids=["end", "silence"])
-def test_template_with_everything(
-    monkeypatch: pytest.MonkeyPatch, template: dict[str, str | None], end: bytes
-) -> None:
+def test_template_with_everything(monkeypatch: pytest.MonkeyPatch, template: dict[str, str | None], end: bytes) -> None:
     link, port = scripted_link(
         monkeypatch,
         [
@@ -196,8 +185,7 @@ def test_template_with_everything(
 
 
 @pytest.mark.parametrize(
-    ("reply", "words"),
-    [(None, "no reply"), (b"ERR\r\n", "does not match template.set_reply"), (b"OK", "incomplete")],
+    ("reply", "words"), [(None, "no reply"), (b"ERR\r\n", "does not match template.set_reply"), (b"OK", "incomplete")]
 )
 def test_template_spoilt_reply(monkeypatch: pytest.MonkeyPatch, reply: bytes | None, words: str) -> None:
     script = [(b"?1\r", b"V0\r\n"), *[(b"L2025\r", reply)] * 3]
@@ -230,9 +218,7 @@ def test_template_holds_something_else(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"set": "{level}", "read": "?"}, "no group"),
     ],
 )
-def test_template_that_cannot_be_used(
-    monkeypatch: pytest.MonkeyPatch, template: dict[str, Any], words: str
-) -> None:
+def test_template_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch, template: dict[str, Any], words: str) -> None:
     link, port = scripted_link(monkeypatch, [])
     with pytest.raises(InputError, match=words):
         TemplateController(link, template)
@@ -253,9 +239,7 @@ def test_template_firmware_refuses_patterns_it_cannot_make_a_reply_of() -> None:
 
 _ATOMS = st.one_of(
     st.sampled_from(["a", "Z", "7", "#", r"\.", r"\\", r"\d", r"\w", r"\s", r"\r\n", r"\x06", "."]),
-    st.sampled_from(
-        ["[0-9]", "[^0-9]", "[A-F]", "[]x]", "[^]]", r"[\]\d]", "(?:ab|cd)", "(OK|NG)", "()", "$"]
-    ),
+    st.sampled_from(["[0-9]", "[^0-9]", "[A-F]", "[]x]", "[^]]", r"[\]\d]", "(?:ab|cd)", "(OK|NG)", "()", "$"]),
 )
 _PIECES = st.tuples(_ATOMS, st.sampled_from(["", "", "?", "*", "+", "{2}", "{1,3}", "{0,}", "+?"])).map(
     lambda pair: pair[0] if pair[0] == "$" else "".join(pair)

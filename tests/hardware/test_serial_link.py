@@ -135,9 +135,7 @@ def test_what_lies_in_the_input_is_no_reply(far: Far) -> None:
     link.close()
 
 
-def test_the_reply_to_a_query_that_was_interrupted_answers_no_other(
-    far: Far, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_reply_to_a_query_that_was_interrupted_answers_no_other(far: Far, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C comes between a command and its reply; then the lights are switched off."""
     link = far.link(timeout_s=1)
     first = far.answer(b"", b"OK for the first\r\n", pause_s=0.05)
@@ -185,12 +183,7 @@ def test_a_device_that_vanishes_is_told_whatever_is_done(far: Far) -> None:
     far.vanish()
     with pytest.raises(LinkLostError, match=r"stage on .*: the device is gone .*unknown"):
         link.read(end=b"\n")
-    for action in (
-        link.discard,
-        link.drain,
-        lambda: link.query(b"x", end=b"\n"),
-        lambda: link.read(end=None),
-    ):
+    for action in (link.discard, link.drain, lambda: link.query(b"x", end=b"\n"), lambda: link.read(end=None)):
         with pytest.raises(LinkLostError):
             action()
     assert sum("device lost" in e.what for e in link.events) == 1
@@ -468,18 +461,14 @@ def test_ports_that_are_none(port: str) -> None:
 
 @pytest.mark.parametrize("port", ["socket://", "socket://nowhere", "socket://:4000", "rfc2217://nowhere"])
 def test_addresses_without_host_or_number(port: str) -> None:
-    with pytest.raises(
-        InputError, match=r"names no host and number; expected (socket|rfc2217)://host:number"
-    ):
+    with pytest.raises(InputError, match=r"names no host and number; expected (socket|rfc2217)://host:number"):
         SerialLink(port, device="lamp", baud=9600)
 
 
 def test_nobody_listens() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         number = server.getsockname()[1]
-    with pytest.raises(
-        HardwareError, match=r"cannot be reached.*check address and network, that the device is on"
-    ):
+    with pytest.raises(HardwareError, match=r"cannot be reached.*check address and network, that the device is on"):
         SerialLink(f"socket://127.0.0.1:{number}", device="lamp", baud=9600)
 
 

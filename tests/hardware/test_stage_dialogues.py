@@ -143,14 +143,7 @@ def test_shot_says_no_and_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_shot_never_sends_go_twice(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its reply is lost; whether it was taken shows in the position."""
-    script = play(
-        monkeypatch,
-        [
-            *SHOT_MOVE[:4],
-            (b"G:\r\n", b""),
-            (b"Q:\r\n", b"       1800,      -2000,K,K,R\r\n"),
-        ],
-    )
+    script = play(monkeypatch, [*SHOT_MOVE[:4], (b"G:\r\n", b""), (b"Q:\r\n", b"       1800,      -2000,K,K,R\r\n")])
     shot = stage("shot", pulses())
     assert shot.move_to(Posture(18.0, 40.0)).posture == Posture(18.0, 40.0)
     assert any("not sent again" in event.what for event in shot.events)
@@ -281,12 +274,7 @@ def test_grbl_asks_no_more_after_a_soft_limit_alarm(monkeypatch: pytest.MonkeyPa
 def test_grbl_meets_a_switch_while_it_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     """The alarm has stopped it; it is not reset."""
     script = play(
-        monkeypatch,
-        [
-            (b"?", report("Run", -3, -5)),
-            (b"!", b""),
-            (b"?", b"ALARM:1\r\n[MSG:Reset to continue]\r\n"),
-        ],
+        monkeypatch, [(b"?", report("Run", -3, -5)), (b"!", b""), (b"?", b"ALARM:1\r\n[MSG:Reset to continue]\r\n")]
     )
     grbl = stage("grbl", degrees())
     grbl.stop()
@@ -358,14 +346,7 @@ def test_grbl_does_not_home_where_homing_is_not_enabled(monkeypatch: pytest.Monk
 
 
 def test_grbl_refuses_a_target_outside_its_travel_before_it_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
-    script = play(
-        monkeypatch,
-        [
-            (b"?", report("Idle", -1, -1)),
-            (b"?", report("Idle", -1, -1)),
-            (b"$$\n", SETTINGS),
-        ],
-    )
+    script = play(monkeypatch, [(b"?", report("Idle", -1, -1)), (b"?", report("Idle", -1, -1)), (b"$$\n", SETTINGS)])
     tilt, _ = degrees()
     turn = Axis("rotation", "Y", TURN, zero=0)
     with pytest.raises(InputError, match=r"rotation: Y10\.000 lies outside Grbl's travel -400 … 0 \(\$131"):
@@ -404,8 +385,7 @@ def test_zaber_homes_and_moves(monkeypatch: pytest.MonkeyPatch) -> None:
     dialogue = [numbered(number, *words) for number, words in enumerate(spoken, start=2)]
     dialogue[3] = (dialogue[3][0], b"#01 1 a comment\r\n!01 1 IDLE --\r\n" + dialogue[3][1])
     script = play(
-        monkeypatch,
-        [(b"/1 1 01 get pos:2B\n", b"@" + with_checksum + b":" + lrc(with_checksum) + b"\r\n"), *dialogue],
+        monkeypatch, [(b"/1 1 01 get pos:2B\n", b"@" + with_checksum + b":" + lrc(with_checksum) + b"\r\n"), *dialogue]
     )
     zaber = stage("zaber", microsteps())
     zaber.home()
@@ -430,11 +410,7 @@ def lrc(body: bytes) -> bytes:
 
 @pytest.mark.parametrize(
     ("reason", "words"),
-    [
-        ("BADDATA", "the value is wrong or out of range"),
-        ("PARKED", "the device is parked"),
-        ("NEWER", "unknown"),
-    ],
+    [("BADDATA", "the value is wrong or out of range"), ("PARKED", "the device is parked"), ("NEWER", "unknown")],
 )
 def test_zaber_says_why_it_rejects(monkeypatch: pytest.MonkeyPatch, reason: str, words: str) -> None:
     replies = [b"OK IDLE -- 0", b"OK IDLE -- 0", b"OK IDLE -- 360000", b"OK IDLE -- 163840"]
@@ -470,9 +446,7 @@ def numbered(number: int, command: bytes, reply: bytes) -> tuple[bytes, bytes]:
         ("WV", None, True),
     ],
 )
-def test_zaber_warnings(
-    monkeypatch: pytest.MonkeyPatch, warning: str, alarm: str | None, referenced: bool
-) -> None:
+def test_zaber_warnings(monkeypatch: pytest.MonkeyPatch, warning: str, alarm: str | None, referenced: bool) -> None:
     play(monkeypatch, [numbered(1, b"get pos", b"OK IDLE %s 5" % warning.encode())])
     zaber = stage("zaber", microsteps())
     state = zaber.state()
@@ -481,17 +455,12 @@ def test_zaber_warnings(
     assert ("WV (the supply voltage" in "".join(e.what for e in zaber.events)) is (warning == "WV")
 
 
-def test_zaber_passes_over_a_late_reply_and_asks_again_after_a_wrong_checksum(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_zaber_passes_over_a_late_reply_and_asks_again_after_a_wrong_checksum(monkeypatch: pytest.MonkeyPatch) -> None:
     sent, _ = numbered(1, b"get pos", b"")
     again, _ = numbered(2, b"get pos", b"")
     play(
         monkeypatch,
-        [
-            (sent, b"@01 1 77 OK IDLE -- 999\r\n@01 1 01 OK IDLE -- 5:00\r\n"),
-            (again, b"@01 1 02 OK IDLE -- 5000\r\n"),
-        ],
+        [(sent, b"@01 1 77 OK IDLE -- 999\r\n@01 1 01 OK IDLE -- 5:00\r\n"), (again, b"@01 1 02 OK IDLE -- 5000\r\n")],
     )
     zaber = stage("zaber", microsteps())
     assert zaber.state().posture == Posture(0.0, 5.0)
@@ -516,9 +485,7 @@ def test_out_of_range_sends_nothing(monkeypatch: pytest.MonkeyPatch, driver: str
 
 def test_an_axis_that_the_stage_lacks_stands_at_0(monkeypatch: pytest.MonkeyPatch) -> None:
     play(monkeypatch, [])
-    with pytest.raises(
-        InputError, match=r"elevation: 5° was requested, but hardware\.stage has no elevation axis"
-    ):
+    with pytest.raises(InputError, match=r"elevation: 5° was requested, but hardware\.stage has no elevation axis"):
         stage("zaber", microsteps()).move_to(Posture(5.0, 10.0))
 
 
@@ -540,11 +507,7 @@ def test_an_axis_that_the_stage_lacks_stands_at_0(monkeypatch: pytest.MonkeyPatc
         ("grbl", [Axis("rotation", "A", TURN)], "axes are X, Y and Z"),
         ("zaber", [Axis("rotation", "X", TURN)], r"device/axis \(2/1\), found X"),
         ("zaber", [Axis("elevation", "1", TILT), Axis("rotation", "1/1", TURN)], "same axis"),
-        (
-            "marlin",
-            [Axis("rotation", "X", TURN)],
-            "unknown stage driver marlin; there are: shot, gsc, grbl, zaber",
-        ),
+        ("marlin", [Axis("rotation", "X", TURN)], "unknown stage driver marlin; there are: shot, gsc, grbl, zaber"),
         ("shot", [], "no axis"),
     ],
 )

@@ -97,12 +97,7 @@ def test_an_axis_stalls(pool: Pool, kind: str, busy: bool) -> None:
 def test_an_axis_meets_its_limit_switch(pool: Pool, kind: str) -> None:
     name, stage = at_start(pool, kind)
     pool.of(name).set_fault(name, "limit", axis=DEVICE_AXES[kind][0], share=0.5)
-    words = {
-        "shot": "limit switch",
-        "gsc": "limit switch",
-        "grbl": r"ALARM:1 \(hard limit",
-        "zaber": r"WL \(a limit",
-    }
+    words = {"shot": "limit switch", "gsc": "limit switch", "grbl": r"ALARM:1 \(hard limit", "zaber": r"WL \(a limit"}
     with hurried(), pytest.raises(HardwareError, match=words[kind]) as failed:
         stage.move_to(TARGET)
     assert ("answers nothing until it is reset" in str(failed.value)) is (kind == "grbl")
@@ -159,9 +154,7 @@ def test_an_axis_stalls_on_its_way_home(pool: Pool, kind: str, busy: bool) -> No
     pool.of(name).set_fault(name, "stall", axis=DEVICE_AXES[kind][0], busy=busy)
     with hurried(), pytest.raises(HardwareError) as failed:
         stage.home()
-    assert any(
-        words in str(failed.value) for words in ("has not found its origin", "ALARM:9", "no reply after")
-    )
+    assert any(words in str(failed.value) for words in ("has not found its origin", "ALARM:9", "no reply after"))
     assert "home it first" in str(failed.value)
     assert stands_still(pool, kind, name)
     assert stage.state().referenced is False
@@ -170,9 +163,7 @@ def test_an_axis_stalls_on_its_way_home(pool: Pool, kind: str, busy: bool) -> No
     stage.close()
 
 
-@pytest.mark.parametrize(
-    ("kind", "options"), [("grbl", {"code": 1}), ("grbl", {"code": 3}), ("zaber", {"flag": "FD"})]
-)
+@pytest.mark.parametrize(("kind", "options"), [("grbl", {"code": 1}), ("grbl", {"code": 3}), ("zaber", {"flag": "FD"})])
 def test_an_alarm_in_the_middle_of_a_move(pool: Pool, kind: str, options: dict[str, object]) -> None:
     name, stage = at_start(pool, kind)
     stage._clock.sleep = lambda _: pool.of(name).set_fault(name, "alarm", **options)

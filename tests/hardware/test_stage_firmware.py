@@ -132,8 +132,7 @@ def test_shot_by_its_table() -> None:
 
 
 @pytest.mark.parametrize(
-    "line",
-    [b"G:", b"A:3+P1", b"A:1P1", b"A:W+P1", b"D:1S10F5R0", b"D:1S1F500001R0", b"X:1", b"FOO", b"L:9", b""],
+    "line", [b"G:", b"A:3+P1", b"A:1P1", b"A:W+P1", b"D:1S10F5R0", b"D:1S1F500001R0", b"X:1", b"FOO", b"L:9", b""]
 )
 def test_shot_refuses(line: bytes) -> None:
     assert answers(ShotFirmware(), 0.0, line) == [b"NG\r\n"]
@@ -157,11 +156,7 @@ def test_shot_with_a_detached_sign() -> None:
 def test_gsc_is_silent_but_to_questions() -> None:
     gsc = GscFirmware(speed=1000, axes={"1": {"stands": 700}, "2": {}})
     assert answers(gsc, 0.0, b"M:1+P500", b"G", b"Q:") == [b"", b"", b"         0,         0,K,K,B\r\n"]
-    assert answers(gsc, 1.0, b"Q:", b"!:", b"?:V") == [
-        b"       500,         0,K,K,R\r\n",
-        b"R\r\n",
-        b"V2.00\r\n",
-    ]
+    assert answers(gsc, 1.0, b"Q:", b"!:", b"?:V") == [b"       500,         0,K,K,R\r\n", b"R\r\n", b"V2.00\r\n"]
     for wrong in (b"A:1+P5", b"G:", b"M:1+P16777215", b"H:1", b"D:1S1F201R0S1F1R0", b"D:2S100F1000R200"):
         assert answers(gsc, 1.0, wrong, b"Q:") == [b"", b"       500,         0,X,K,R\r\n"]
     for right in (b"M:W-P16777214+P1", b"D:2S100F1000R200S100F1000R200", b"C:10", b"L:W"):
@@ -183,9 +178,7 @@ def checked(body: bytes) -> bytes:
 
 
 def test_zaber_by_its_table() -> None:
-    zaber = ZaberFirmware(
-        checksums=False, axes={"1": {"stands": 500}}, limits={"1": (0, 9000)}, home_speed=500
-    )
+    zaber = ZaberFirmware(checksums=False, axes={"1": {"stands": 500}}, limits={"1": (0, 9000)}, home_speed=500)
     assert zaber.feed(b"/1 1 get pos\n", 0.0) == b"@01 1 OK IDLE WR 0\r\n"
     assert zaber.feed(b"/1 1 home\n", 0.0) == b"@01 1 OK BUSY WR 0\r\n"
     assert zaber.feed(b"/1 1 01 home:34\n", 0.5) == b"@01 1 01 OK BUSY WR 0\r\n"

@@ -95,10 +95,7 @@ def test_the_report_does_not_depend_on_who_is_first_to_fail():
     right.mute = True
     with pytest.raises(LightsStillOnError) as raised:
         all_off({"left": left, "right": right, "third": Controller()})
-    assert [message.partition(",")[0] for message in raised.value.messages] == [
-        "controller left",
-        "controller right",
-    ]
+    assert [message.partition(",")[0] for message in raised.value.messages] == ["controller left", "controller right"]
 
 
 def test_all_of_it_is_done_although_some_fails_and_no_thread_can_be_started(monkeypatch):

@@ -71,9 +71,7 @@ def panel_coordinates(light, points):
     """u and v (..., 2) of points in the panel's plane."""
     across, along = light.at(1.0, 0.0) - light.at(0.0, 0.0), light.at(0.0, 1.0) - light.at(0.0, 0.0)
     relative = points - light.at(0.0, 0.0)
-    return np.stack(
-        [dot(relative, across) / dot(across, across), dot(relative, along) / dot(along, along)], -1
-    )
+    return np.stack([dot(relative, across) / dot(across, across), dot(relative, along) / dot(along, along)], -1)
 
 
 def convex_hull(points):

@@ -55,7 +55,5 @@ def all_combinations(levels, value, shade, saturation, weights, allowed=None, bl
         if allowed is not None and not allowed(combination):
             continue
         columns = [layer[i] for layer, i in zip(levels, combination, strict=True)]
-        found.append(
-            (-value(columns), -usable_value(columns, shade, saturation, weights, black), combination)
-        )
+        found.append((-value(columns), -usable_value(columns, shade, saturation, weights, black), combination))
     return sorted(found)

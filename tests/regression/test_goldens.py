@@ -120,17 +120,13 @@ def test_geometry_that_moved_by_ten_micrometres_is_noticed(cli, copy):
     assert cli("compare", golden, new).status == 1
 
 
-@pytest.mark.parametrize(
-    "lost", ["manifest.json", "patches.npz", "posture_0_0/light1.png", "posture_0_0/geometry.exr"]
-)
+@pytest.mark.parametrize("lost", ["manifest.json", "patches.npz", "posture_0_0/light1.png", "posture_0_0/geometry.exr"])
 @pytest.mark.parametrize("side", ["golden", "new"])
 def test_a_missing_file_is_a_failure_on_either_side(cli, copy, lost, side):
     golden, new = copy
     (new / lost).unlink()
     ran = cli("compare", golden, new) if side == "new" else cli("compare", new, golden)
-    assert ran.status == (
-        2 if lost == "manifest.json" else 1
-    )  # without a manifest there is no set to compare
+    assert ran.status == (2 if lost == "manifest.json" else 1)  # without a manifest there is no set to compare
     assert side in ran.err
     assert "missing" in ran.err or "no " in ran.err
 

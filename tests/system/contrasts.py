@@ -70,17 +70,13 @@ def off(delivered: Float64, good: Float64, scene: Scene, threshold: float, expos
     scale = exposure * sensor.max_level / scene.reflectance.full_scale
     expected = np.minimum(sensor.black_level + scale * good, sensor.saturated_from)
     photons = (
-        0.0
-        if sensor.electrons_per_level is None
-        else (expected - sensor.black_level) / sensor.electrons_per_level
+        0.0 if sensor.electrons_per_level is None else (expected - sensor.black_level) / sensor.electrons_per_level
     )
     noise = np.sqrt(sensor.read_noise_levels**2 + photons + 1.0 / 12.0)
     return np.abs(np.minimum(delivered, sensor.saturated_from) - expected) >= threshold * noise
 
 
-def predicted(
-    seen: Touched, visibility: Sequence[Visibility], first_trial: NDArray[np.intp], defects: int
-) -> Flags:
+def predicted(seen: Touched, visibility: Sequence[Visibility], first_trial: NDArray[np.intp], defects: int) -> Flags:
     """Which defects the objective's bits say the images show: on the patch of one of their walls; (lights, defects).
 
     Parameters

@@ -86,8 +86,7 @@ class Ball:
         normal, view = (point / RADIUS)[self.hit], -ray[self.hit]
         elevation, azimuth = np.radians(angles).T
         lights = LIGHT_DISTANCE * np.stack(
-            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)],
-            axis=1,
+            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=1
         )
         # geometry of the pixels that show the ball, per light: shape (L, P)
         towards = lights[:, None] - point[self.hit][None]
@@ -111,9 +110,7 @@ class Ball:
         lobe = np.exp(-0.5 * (self.delta[lights] / math.exp(x[2])) ** 2) / self.cos_out
         return x[0] * self.cos_in[lights] + np.where(self.cos_in[lights] > 0.0, math.exp(x[1]) * lobe, 0.0)
 
-    def shoot(
-        self, surface: Surface, *, bits: int, noise: float, seed: int, exposure: float = 1.0
-    ) -> np.ndarray:
+    def shoot(self, surface: Surface, *, bits: int, noise: float, seed: int, exposure: float = 1.0) -> np.ndarray:
         """What a camera delivers, shape (L, P)."""
         top = 2**bits - 1
         level = exposure * self.light(surface) * top / 255.0
@@ -152,12 +149,7 @@ class Ball:
             lines.append(f"f {count + 1} {at(0, column)} {at(0, column + 1)}")
             lines.append(f"f {count + 2} {at(rows - 2, column + 1)} {at(rows - 2, column)}")
             for row in range(rows - 2):
-                a, b, c, d = (
-                    at(row, column),
-                    at(row + 1, column),
-                    at(row + 1, column + 1),
-                    at(row, column + 1),
-                )
+                a, b, c, d = (at(row, column), at(row + 1, column), at(row + 1, column + 1), at(row, column + 1))
                 lines += [f"f {a} {b} {c}", f"f {a} {c} {d}"]
         (folder / "ball.obj").write_text("\n".join(lines) + "\n", encoding="utf-8")
 

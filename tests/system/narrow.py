@@ -28,14 +28,7 @@ from lightopt import build_scene, load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
 from lightopt.config._defects import CatalogueEntryConfig
 from lightopt.defects import CatalogueEntry, DefectShape, PlacedDefect
-from lightopt.design import (
-    DIRECTIONS,
-    Contrast,
-    DetectionModel,
-    defect_hypotheses,
-    luminance_matrix,
-    unpack_flags,
-)
+from lightopt.design import DIRECTIONS, Contrast, DetectionModel, defect_hypotheses, luminance_matrix, unpack_flags
 from lightopt.geometry import RayCaster
 from lightopt.rendering import PatchTable, build_patches, cast_rays_at, trace_samples
 from lightopt.scene import Scene, pixel_footprint, project, view_from_part
@@ -212,9 +205,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python tests/system/narrow.py", description=__doc__)
     parser.add_argument("parts", nargs="*", type=Path, metavar="PART", default=list(PARTS), help="part files")
     parser.add_argument("--rig", type=Path, default=RIG, help="rig file")
-    parser.add_argument(
-        "--matt", action="store_true", help="a surface without highlights, instead of both finishes"
-    )
+    parser.add_argument("--matt", action="store_true", help="a surface without highlights, instead of both finishes")
     parser.add_argument("--patches", type=int, default=50_000, help="about how many patches are visible")
     parser.add_argument("--count", type=int, default=COUNT, help="how many defects are strewn")
     parser.add_argument("--out", type=Path, default=Path("out/truth"), help="folder of narrow.csv")
@@ -243,9 +234,7 @@ def main(arguments: list[str] | None = None) -> None:
     path = options.out / "narrow.csv"
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(
-            ["part", "finish", "kind", "slope_deg", "width_px", "min_images", "predicted", "measured"]
-        )
+        writer.writerow(["part", "finish", "kind", "slope_deg", "width_px", "min_images", "predicted", "measured"])
         for r in rows:
             writer.writerow([r.part, r.finish, r.kind, r.slope_deg, r.width_px, r.min_images, *shares(r)])
     print(path)

@@ -76,11 +76,7 @@ def piece_of(
     inner = (np.arange(samples) + 0.5) / samples
     right, down = (a.ravel() for a in np.meshgrid(inner, inner))
     hits, surface = trace_samples(
-        caster,
-        scene.mesh,
-        camera,
-        (pixels[:, :1] + right).ravel(),
-        (pixels[:, 1:] + down).ravel(),
+        caster, scene.mesh, camera, (pixels[:, :1] + right).ravel(), (pixels[:, 1:] + down).ravel()
     )
     pixel = (hits.ray // each).astype(np.intp)
     inside, whole = np.zeros(len(pixels), np.bool_), np.zeros(len(pixels), np.int64)
@@ -157,11 +153,7 @@ def _changed(
 
 
 def _walls(
-    scene: Scene,
-    defects: Sequence[PlacedDefect],
-    surface: SurfacePoints,
-    marks: Marks | None,
-    own: Flags,
+    scene: Scene, defects: Sequence[PlacedDefect], surface: SurfacePoints, marks: Marks | None, own: Flags
 ) -> NDArray[np.int32]:
     wall = np.full(len(surface), -1, np.int32)
     if marks is None:

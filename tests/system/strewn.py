@@ -66,12 +66,6 @@ def strew(
         turn = math.radians(one.direction_deg) if turns is None else 2.0 * math.pi * (index % turns) / turns
         along = tangent_direction(place.normal, turn, x_axis=axes[:, 0], y_axis=axes[:, 1])
         placed.append(
-            PlacedDefect(
-                name=one.name,
-                shape=one.entry.shape,
-                position=place.point,
-                normal=place.normal,
-                along=along,
-            )
+            PlacedDefect(name=one.name, shape=one.entry.shape, position=place.point, normal=place.normal, along=along)
         )
     return tuple(placed)

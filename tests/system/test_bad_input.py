@@ -61,22 +61,8 @@ WORDS = {
         "camera",
         '"pixel_sise_um"; did you mean "pixel_size_um"?',
     ),
-    "misspelt key of a light": (
-        RIG,
-        "gain: 0.8",
-        "gian: 0.8",
-        13,
-        "lights[1]",
-        '"gian"; did you mean "gain"?',
-    ),
-    "misspelt key of the part": (
-        PART,
-        "R_s: 12500",
-        "Rs: 12500",
-        6,
-        "reflectance",
-        '"Rs"; did you mean "R_s"?',
-    ),
+    "misspelt key of a light": (RIG, "gain: 0.8", "gian: 0.8", 13, "lights[1]", '"gian"; did you mean "gain"?'),
+    "misspelt key of the part": (PART, "R_s: 12500", "Rs: 12500", 6, "reflectance", '"Rs"; did you mean "R_s"?'),
     "unknown key": (
         RIG,
         "name: small",
@@ -102,14 +88,7 @@ WORDS = {
         "camera.distance_mm",
         'found "550" in quotes',
     ),
-    "a unit in the value": (
-        RIG,
-        "distance_mm: 550",
-        "distance_mm: 550 mm",
-        4,
-        "camera.distance_mm",
-        'found "550 mm"',
-    ),
+    "a unit in the value": (RIG, "distance_mm: 550", "distance_mm: 550 mm", 4, "camera.distance_mm", 'found "550 mm"'),
     "list for a number": (
         RIG,
         "distance_mm: 550",
@@ -126,14 +105,7 @@ WORDS = {
         "camera.resolution_px",
         "[width, height]",
     ),
-    "fraction of a pixel": (
-        RIG,
-        "[160, 120]",
-        "[160.5, 120]",
-        6,
-        "camera.resolution_px",
-        "found [160.5, 120]",
-    ),
+    "fraction of a pixel": (RIG, "[160, 120]", "[160.5, 120]", 6, "camera.resolution_px", "found [160.5, 120]"),
     "text for keys": (
         PART,
         "{file: knob.stl, units: mm}",
@@ -142,14 +114,7 @@ WORDS = {
         "mesh",
         'expected keys and values ("key: value"), found "knob.stl"',
     ),
-    "nothing for a number": (
-        RIG,
-        "distance_mm: 550",
-        "distance_mm:",
-        4,
-        "camera.distance_mm",
-        "found nothing",
-    ),
+    "nothing for a number": (RIG, "distance_mm: 550", "distance_mm:", 4, "camera.distance_mm", "found nothing"),
     "yes is not a boolean or number": (RIG, "gain: 0.8", "gain: yes", 13, "lights[1].gain", 'found "yes"'),
     "NaN": (
         RIG,
@@ -159,64 +124,15 @@ WORDS = {
         "camera.distance_mm",
         "expected a finite number, found .nan",
     ),
-    "infinity": (
-        PART,
-        "R_s: 12500",
-        "R_s: .inf",
-        6,
-        "reflectance.R_s",
-        "expected a finite number, found .inf",
-    ),
-    "infinity by overflow": (
-        PART,
-        "R_s: 12500",
-        "R_s: 1e999",
-        6,
-        "reflectance.R_s",
-        "found 1e999, which is too large",
-    ),
-    "negative size": (
-        RIG,
-        "size_mm: [60, 60]",
-        "size_mm: [60, -60]",
-        10,
-        "light_source.size_mm",
-        "found [60, -60]",
-    ),
-    "size of zero": (
-        RIG,
-        "size_mm: [60, 60]",
-        "size_mm: [0, 60]",
-        10,
-        "light_source.size_mm",
-        "found [0, 60]",
-    ),
-    "negative pixels": (
-        RIG,
-        "pixel_size_um: 44",
-        "pixel_size_um: -44",
-        7,
-        "camera.pixel_size_um",
-        "found -44",
-    ),
+    "infinity": (PART, "R_s: 12500", "R_s: .inf", 6, "reflectance.R_s", "expected a finite number, found .inf"),
+    "infinity by overflow": (PART, "R_s: 12500", "R_s: 1e999", 6, "reflectance.R_s", "found 1e999, which is too large"),
+    "negative size": (RIG, "size_mm: [60, 60]", "size_mm: [60, -60]", 10, "light_source.size_mm", "found [60, -60]"),
+    "size of zero": (RIG, "size_mm: [60, 60]", "size_mm: [0, 60]", 10, "light_source.size_mm", "found [0, 60]"),
+    "negative pixels": (RIG, "pixel_size_um: 44", "pixel_size_um: -44", 7, "camera.pixel_size_um", "found -44"),
     "negative resolution": (RIG, "[160, 120]", "[160, -120]", 6, "camera.resolution_px", "found [160, -120]"),
     "negative reflectance": (PART, "R_d: 45.0", "R_d: -45.0", 6, "reflectance.R_d", "found -45.0"),
-    "sigma in degrees": (
-        PART,
-        "sigma_rad: 0.0475",
-        "sigma_rad: 2.7",
-        6,
-        "reflectance.sigma_rad",
-        "found 2.7",
-    ),
-    "m is not a square": (
-        RIG,
-        "points: 4",
-        "points: 5",
-        10,
-        "light_source.points",
-        "found 5; the nearest are 4 and 9",
-    ),
+    "sigma in degrees": (PART, "sigma_rad: 0.0475", "sigma_rad: 2.7", 6, "reflectance.sigma_rad", "found 2.7"),
+    "m is not a square": (RIG, "points: 4", "points: 5", 10, "light_source.points", "found 5; the nearest are 4 and 9"),
     "m is not a number": (
         RIG,
         "points: 4",
@@ -289,14 +205,7 @@ WORDS = {
         "postures[1]",
         "the same posture as postures[0]",
     ),
-    "no lights": (
-        RIG,
-        "stage:",
-        "lights_: []\nstage:",
-        14,
-        "",
-        'unknown key "lights_"; did you mean "lights"?',
-    ),
+    "no lights": (RIG, "stage:", "lights_: []\nstage:", 14, "", 'unknown key "lights_"; did you mean "lights"?'),
     "a key twice": (
         RIG,
         "elevation_deg: 90\n",
@@ -354,14 +263,7 @@ WORDS = {
         "camera.distance_mm",
         "tag !!float is not allowed",
     ),
-    "no units for STL": (
-        PART,
-        ", units: mm}",
-        "}",
-        3,
-        "mesh",
-        'missing key "units": .stl files carry no unit',
-    ),
+    "no units for STL": (PART, ", units: mm}", "}", 3, "mesh", 'missing key "units": .stl files carry no unit'),
     "unknown units": (
         PART,
         "units: mm",
@@ -467,10 +369,7 @@ OPTIONS = {
     "points not a square": (("--points", "5"), "points: expected a square (1, 4, 9, 16, …) or auto, found 5"),
     "points zero": (("--points", "0"), "found 0"),
     "points too many": (("--points", "9" * 500), "expected a square"),
-    "points a word": (
-        ("--points", "many"),
-        '--points: expected a square (1, 4, 9, 16, …) or auto, found "many"',
-    ),
+    "points a word": (("--points", "many"), '--points: expected a square (1, 4, 9, 16, …) or auto, found "many"'),
     "exposure zero": (
         ("--exposures", "0"),
         '--exposures: expected a number from 1e-09 to 1e+09 or a fraction such as 1/16, found "0"',
@@ -508,9 +407,7 @@ def test_a_posture_the_stage_cannot_take_names_both_places(cli, bench, snapshot)
     assert f"{bench.rig}:14: stage.elevation_range_deg" in message
     bench.edit(PART, "rotation_deg: 170", "rotation_deg: -20")
     (message,) = refuse(cli, bench, snapshot)
-    assert message.startswith(
-        f"{bench.part}:5: postures[1]: rotation -20° is outside the stage's range 0° to 360°"
-    )
+    assert message.startswith(f"{bench.part}:5: postures[1]: rotation -20° is outside the stage's range 0° to 360°")
     assert f"{bench.rig}:14: stage.rotation_range_deg" in message
 
 
@@ -547,11 +444,7 @@ BAD_MESHES = {
     "ASCII without triangles": ("part.stl", lambda: b"solid a\nendsolid a\n", "has no triangles"),
     "OBJ without triangles": ("part.obj", lambda: b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "has no triangles"),
     "truncated binary": ("part.stl", lambda: binary_stl()[:-70], "its header says 12 triangles"),
-    "truncated ASCII": (
-        "part.stl",
-        lambda: ascii_stl(box().vertices, box().faces)[:-200],
-        "cut off or damaged",
-    ),
+    "truncated ASCII": ("part.stl", lambda: ascii_stl(box().vertices, box().faces)[:-200], "cut off or damaged"),
     "truncated PLY": ("part.ply", lambda: box().export(file_type="ply")[:-30], "part.ply"),
     "truncated GLB": ("part.glb", lambda: box().export(file_type="glb")[:-30], "part.glb"),
     "not a mesh": ("part.stl", lambda: b"hello, this is a letter to you " * 10, "part.stl"),
@@ -560,11 +453,7 @@ BAD_MESHES = {
         lambda: ascii_stl([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]]),
         "triangles of the ASCII STL file has an area",
     ),
-    "NaN": (
-        "part.stl",
-        lambda: ascii_stl([[0.0, 0, float("nan")], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]),
-        "not finite",
-    ),
+    "NaN": ("part.stl", lambda: ascii_stl([[0.0, 0, float("nan")], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]), "not finite"),
     "index out of range": ("part.obj", lambda: b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "part.obj"),
 }
 
@@ -614,9 +503,7 @@ def test_a_part_outside_the_view_in_one_posture(cli, bench, snapshot):
 def test_a_camera_inside_the_part(cli, bench, snapshot):
     bench.edit(PART, "units: mm", "units: m")
     message, hint = refuse(cli, bench, snapshot)
-    assert message.startswith(
-        f"{bench.part}:3: mesh.file: the camera, 550 mm from the origin, is inside the part"
-    )
+    assert message.startswith(f"{bench.part}:3: mesh.file: the camera, 550 mm from the origin, is inside the part")
     assert "units" in message
     assert hint.startswith(f"{bench.part}:3: mesh.units: a wrong unit? Read as m, ")
 
@@ -632,11 +519,7 @@ def test_a_lens_that_folds_the_image_over(cli, bench, snapshot):
 
 def sheet_of_three() -> tuple[np.ndarray, list[list[int]]]:
     """Three triangles on one edge: open and not a manifold."""
-    return np.array([[0.0, 0, 0], [0, 20, 0], [20, 0, 5], [-20, 0, 5], [0, 0, 20]]), [
-        [0, 2, 1],
-        [0, 1, 3],
-        [0, 1, 4],
-    ]
+    return np.array([[0.0, 0, 0], [0, 20, 0], [20, 0, 5], [-20, 0, 5], [0, 0, 20]]), [[0, 2, 1], [0, 1, 3], [0, 1, 4]]
 
 
 def test_open_and_non_manifold_meshes_are_fine(cli, bench):
@@ -669,9 +552,7 @@ def test_a_part_that_leaves_the_view_is_a_warning(cli, bench):
 def test_duplicate_vertices_are_a_warning(cli, bench):
     mesh = box()
     lines = [f"v {x} {y} {z}" for x, y, z in [*mesh.vertices, *mesh.vertices[:3]]]
-    lines += [
-        "f " + " ".join(str(k + 1 + 8 * (k < 3 and i % 2)) for k in face) for i, face in enumerate(mesh.faces)
-    ]
+    lines += ["f " + " ".join(str(k + 1 + 8 * (k < 3 and i % 2)) for k in face) for i, face in enumerate(mesh.faces)]
     use_mesh(bench, "part.obj", "\n".join([*lines, ""]).encode())
     (warning,) = accept(cli, bench)
     assert re.search(r"\d of \d+ vertices repeat another one: merged", warning)

@@ -14,18 +14,7 @@ import numpy as np
 import pytest
 import reference as ref
 import trimesh
-from worlds import (
-    BOX_CORNERS,
-    PARTS,
-    box,
-    cap,
-    corners,
-    levels,
-    merged,
-    plane,
-    scene_from_files,
-    scene_from_mesh,
-)
+from worlds import BOX_CORNERS, PARTS, box, cap, corners, levels, merged, plane, scene_from_files, scene_from_mesh
 
 import lightopt.rendering._images as blocks
 from lightopt.geometry import TriangleMesh
@@ -132,10 +121,7 @@ VIEWS = {
     # light and box are in line: the shadow's edges are along the panel's sides
     "aligned": (ref.Camera(width=80, height=60, pixel_um=66), ref.Light(elevation=60, azimuth=0)),
     # the camera sees the panel mirrored in the plane, and the box's shadow across it
-    "mirror": (
-        ref.Camera(width=80, height=60, pixel_um=66, elevation=62),
-        ref.Light(elevation=62, azimuth=90),
-    ),
+    "mirror": (ref.Camera(width=80, height=60, pixel_um=66, elevation=62), ref.Light(elevation=62, azimuth=90)),
 }
 
 
@@ -213,9 +199,7 @@ def test_ball_over_a_plane(view, pixels):
     unit = np.array(expected).T
     for R_s in (DIM[sigma], BRIGHT[sigma]):
         shine = {"R_d": 45.0, "R_s": R_s, "sigma": sigma}
-        image = levels(scene_from_mesh(camera, [light], mesh, points="auto", reflectance=shine)).ravel()[
-            chosen
-        ]
+        image = levels(scene_from_mesh(camera, [light], mesh, points="auto", reflectance=shine)).ravel()[chosen]
         summed = 45.0 * unit[0] + R_s * unit[1]
         off = np.abs(image - summed) / (0.1 + 0.001 * summed)
         print(f"at most {off.max():.2f} of 0.1 level + 0.1 %")
@@ -224,8 +208,7 @@ def test_ball_over_a_plane(view, pixels):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("sigma", "pixels"),
-    [(0.0475, 12), *(pytest.param(sigma, 300, marks=pytest.mark.nightly) for sigma in SIGMAS)],
+    ("sigma", "pixels"), [(0.0475, 12), *(pytest.param(sigma, 300, marks=pytest.mark.nightly) for sigma in SIGMAS)]
 )
 def test_spout(tmp_path, sigma, pixels):
     """A part that shades itself, at some of its pixels; 128 × 128 nodes, each with a shadow ray."""
@@ -235,27 +218,17 @@ def test_spout(tmp_path, sigma, pixels):
     hits = lit = unit = None
     for R_s in (DIM[sigma], BRIGHT[sigma]):
         shine = {"R_d": 45.0, "R_s": R_s, "sigma": sigma}
-        scene = scene_from_files(
-            tmp_path, camera, [light], PARTS / "spout.stl", points="auto", reflectance=shine
-        )
+        scene = scene_from_files(tmp_path, camera, [light], PARTS / "spout.stl", points="auto", reflectance=shine)
         if unit is None:
             triangles, normals = corners(scene.mesh)
             hits = ref.trace(camera, triangles, normals)
             # half of them where some, but not all, of nine points of the panel are hidden
             nine = ref.render(
-                camera,
-                ref.Light(elevation=45, azimuth=80, k=3),
-                triangles,
-                normals,
-                hits=hits,
-                **UNIT,
-                sigma=sigma,
+                camera, ref.Light(elevation=45, azimuth=80, k=3), triangles, normals, hits=hits, **UNIT, sigma=sigma
             ).shadow.reshape(-1, 9)
             partly = np.flatnonzero(hits.front & nine.any(axis=1) & ~nine.all(axis=1))
             rng = np.random.default_rng(1)
-            lit = np.union1d(
-                rng.choice(np.flatnonzero(hits.front), pixels // 2), rng.choice(partly, pixels // 2)
-            )
+            lit = np.union1d(rng.choice(np.flatnonzero(hits.front), pixels // 2), rng.choice(partly, pixels // 2))
             unit = ref.panel_radiance(
                 hits[lit], light, **UNIT, sigma=sigma, triangles=triangles, rule=ref.product_rule(16, 8)
             )

@@ -153,9 +153,7 @@ def test_the_label_is_exactly_where_the_outline_is(kind):
 def test_a_defect_narrower_than_a_pixel_shows_with_its_fill_factor():
     """The light that a stain 0.3 pixel wide takes away is its area's, with 8 × 8 rays a pixel; with one it is not."""
     stain = defect("stain", (6.0, 0.03), at=(0.05, 0.05, 0.0), angle=90, R_d_factor=0.2)
-    scene = scene_from_mesh(
-        CAMERA, [ref.Light(k=1, elevation=80)], plane(), reflectance={**COEFFICIENTS, "R_s": 0.0}
-    )
+    scene = scene_from_mesh(CAMERA, [ref.Light(k=1, elevation=80)], plane(), reflectance={**COEFFICIENTS, "R_s": 0.0})
     lost = {}
     for n in (1, 8):
         good, bad = both(scene, stain, supersample=n)

@@ -35,9 +35,7 @@ def small_rig(tmp_path):
         pytest.param("spout", ("glossy", "satin"), 4_000, 24, marks=pytest.mark.nightly),
     ],
 )
-def test_predicted_shares_are_the_counted_ones(
-    small_rig, part, finishes, patches, pits, tmp_path, monkeypatch
-):
+def test_predicted_shares_are_the_counted_ones(small_rig, part, finishes, patches, pits, tmp_path, monkeypatch):
     monkeypatch.setattr(truth, "FINISHES", {name: truth.FINISHES[name] for name in finishes})
     # as many pixels wide as pits of 1.5 mm under the whole camera
     monkeypatch.setattr("truth_pits.WIDTH_MM", 6.0)
@@ -75,7 +73,5 @@ def test_a_wrong_prediction_is_found_out(small_rig, monkeypatch):
     monkeypatch.setattr(Case, "predict", too_sure)
     monkeypatch.setattr(truth, "FINISHES", {"glossy": {}})
     monkeypatch.setattr("truth_walls.EVERY", 5)
-    points = list(
-        truth.compare(small_rig, load_part(CONFIGS / "parts" / "cover-knob.yaml"), patches=2000, pits=0)
-    )
+    points = list(truth.compare(small_rig, load_part(CONFIGS / "parts" / "cover-knob.yaml"), patches=2000, pits=0))
     assert max(p.predicted - p.measured for p in points) > 0.05

@@ -80,9 +80,7 @@ def errors_by_hand(samples, found):
     [
         pytest.param(SENSORS["0.8 levels"], (1.0,), 1, id="0.8 levels, one, 1 seeds"),
         *(
-            pytest.param(
-                SENSORS[name], exposures, 2, id=f"{name}, {count}, 2 seeds", marks=pytest.mark.nightly
-            )
+            pytest.param(SENSORS[name], exposures, 2, id=f"{name}, {count}, 2 seeds", marks=pytest.mark.nightly)
             for name in SENSORS
             for count, exposures in (("one", (1.0,)), ("two", (1.0, 1 / 16)))
         ),
@@ -112,9 +110,7 @@ def test_errors_are_those_of_the_noise(tmp_path, sensor, exposures, seeds):
     [
         pytest.param(FreeParameters(), SENSOR, (1.0,), 10, id="8 bit, 10 seeds"),
         pytest.param(FreeParameters(), SENSOR, (1.0,), 100, id="8 bit, 100 seeds", marks=pytest.mark.nightly),
-        pytest.param(
-            FreeParameters(), SENSOR, (1.0, 1 / 16), 40, id="two exposures", marks=pytest.mark.nightly
-        ),
+        pytest.param(FreeParameters(), SENSOR, (1.0, 1 / 16), 40, id="two exposures", marks=pytest.mark.nightly),
         pytest.param(FreeParameters(), SENSORS["12 bit"], (1.0,), 40, id="12 bit", marks=pytest.mark.nightly),
         pytest.param(
             FreeParameters(gain=True, dark=True),

@@ -114,15 +114,8 @@ def test_one_pixel_in_a_hundred_may_be_garbage(world):
     [
         *(
             pytest.param(*case, marks=pytest.mark.nightly)
-            for case in (
-                (0.003, 3e6),
-                (0.15, 12500.0),
-                (0.01, 280e3),
-                (0.0475, 300.0),
-                (0.0475, 3e4),
-                (0.0475, 3e6),
-            )
-        ),
+            for case in ((0.003, 3e6), (0.15, 12500.0), (0.01, 280e3), (0.0475, 300.0), (0.0475, 3e4), (0.0475, 3e6))
+        )
     ],
 )
 def test_lobes_of_any_width_and_strength(world, sigma, R_s):

@@ -135,9 +135,7 @@ def test_subsets_of_lights_agree(tmp_path):
 def test_subsets_of_96_lights_agree(tmp_path, name, bits, exposure):
     surface = SURFACES[name]
     if exposure < 1.0:
-        surface = Surface(
-            surface.diffuse, surface.exponent, tuple((min(r, 600.0), a) for r, a in surface.lobes)
-        )
+        surface = Surface(surface.diffuse, surface.exponent, tuple((min(r, 600.0), a) for r, a in surface.lobes))
     bench = Bench(tmp_path, surface, lights=96, size=80, bits=bits, exposure=exposure)
     # SciPy's own σ differ: 0.050 to 0.056 by how the few pixels of the core fall on the camera's grid; and 0.017 or
     # 0.146, two optima that are all but equally good, where 6 lights show a peak of 6 levels in a haze of 75

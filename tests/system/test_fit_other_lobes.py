@@ -73,10 +73,7 @@ def test_a_lobe_with_heavy_tails(tmp_path, R_s, width):
     assert quality.epsilon > 0.02
     left_out = leave_lights_out(scene, samples, found, caster=caster)
     shown = [image for left in left_out for image in left.images]
-    print(
-        "unseen lights:",
-        *(f"{i.image} {i.rms_sensor:.2f} sensor levels, {i.rms:.2f} grey levels;" for i in shown),
-    )
+    print("unseen lights:", *(f"{i.image} {i.rms_sensor:.2f} sensor levels, {i.rms:.2f} grey levels;" for i in shown))
     assert len(left_out) == len(scene.lights)
     assert len(shown) == len(images)
     for image in shown:

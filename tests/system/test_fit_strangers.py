@@ -78,7 +78,7 @@ def refused_shift(scene, images, told="Fit the shift"):
         *(
             pytest.param(*case, marks=pytest.mark.nightly)
             for case in ((3, 1, (1.0,)), (1, 1, TWO), (-3, 0, TWO), (12, 1, (1.0,)))
-        ),
+        )
     ],
 )
 def test_a_camera_that_is_off_is_refused(scene, pixels, axis, exposures):

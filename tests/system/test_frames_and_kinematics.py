@@ -90,17 +90,15 @@ def test_elevation_past_the_zenith_leans_to_the_other_side():
 def test_elevation_is_continuous_through_the_zenith():
     # seen from 0.01° before and after 90° the same point moves by 2·0.01° of 550 mm at most, and nothing flips
     seen = [
-        geometry(
-            scene_from_mesh(ref.Camera(80, 60, pixel_um=80, elevation=e), [LIGHT], plane(200))
-        ).points.astype(float)
+        geometry(scene_from_mesh(ref.Camera(80, 60, pixel_um=80, elevation=e), [LIGHT], plane(200))).points.astype(
+            float
+        )
         for e in (89.99, 90.0, 90.01)
     ]
     for one, two in itertools.pairwise(seen):
         assert 0 < np.abs(one - two).max() < 0.01
     # 100° at azimuth 270 is where 80° at azimuth 90 is, but with the image the right way up: turned by a half turn
-    past = geometry(
-        scene_from_mesh(ref.Camera(80, 60, pixel_um=80, elevation=100), [LIGHT], plane(200))
-    ).points
+    past = geometry(scene_from_mesh(ref.Camera(80, 60, pixel_um=80, elevation=100), [LIGHT], plane(200))).points
     across = geometry(
         scene_from_mesh(ref.Camera(80, 60, pixel_um=80, elevation=80, azimuth=90), [LIGHT], plane(200))
     ).points

@@ -55,9 +55,7 @@ def trial(shared_bench, tmp_path_factory):
     nominal = "translate_mm: [0, 0, 0]"
     assert nominal in text
     path = shared_bench.part.with_name("off.yaml")
-    path.write_text(
-        text.replace(nominal, "translate_mm: [0.4, -0.3, 0], rotate_deg: [0, 0, 0.5]"), encoding="utf-8"
-    )
+    path.write_text(text.replace(nominal, "translate_mm: [0.4, -0.3, 0], rotate_deg: [0, 0, 0.5]"), encoding="utf-8")
     four = shared_bench.rig.with_name("four.yaml")
     four.write_text(four_lights(shared_bench), encoding="utf-8")
     rig = load_rig(four)
@@ -96,8 +94,7 @@ def test_the_default_beats_every_image_alone_and_the_pixelwise_minimum(trial, fo
     seen = np.minimum(view.level, view.limit)
     none = np.zeros(view.clean.shape, bool)
     baselines = [
-        area(score_templates(SyntheticImage(level, 0 * level, none, view.clean)))
-        for level in (*seen, seen.min(axis=0))
+        area(score_templates(SyntheticImage(level, 0 * level, none, view.clean))) for level in (*seen, seen.min(axis=0))
     ]
     assert area(posture.score) > max(baselines)
 
@@ -109,17 +106,13 @@ PARTS = Path(__file__).parents[2] / "configs" / "parts"
 def good_part_seen(request, shared_bench, tmp_path_factory):
     """A good sample part under four lights, and the diffuse light of its images."""
     text = four_lights(shared_bench)
-    text = text.replace("[160, 120]", "[240, 180]").replace(
-        "pixel_size_um: 44", f"pixel_size_um: {44 * 2 / 3}"
-    )
+    text = text.replace("[160, 120]", "[240, 180]").replace("pixel_size_um: 44", f"pixel_size_um: {44 * 2 / 3}")
     finer = shared_bench.rig.with_name("finer.yaml")
     finer.write_text(text, encoding="utf-8")
     rig = load_rig(finer)
     text = (PARTS / f"{request.param}.yaml").read_text(encoding="utf-8")
     text = re.sub(r"file: \S+", f"file: '{(PARTS / f'{request.param}.step').as_posix()}'", text)
-    text = re.sub(
-        r"postures:.*?\nreflectance:", f"postures: [{{{FIRST}}}]\n\nreflectance:", text, flags=re.DOTALL
-    )
+    text = re.sub(r"postures:.*?\nreflectance:", f"postures: [{{{FIRST}}}]\n\nreflectance:", text, flags=re.DOTALL)
     folder = tmp_path_factory.mktemp(request.param)
     path = folder / "part.yaml"
     path.write_text(text, encoding="utf-8")

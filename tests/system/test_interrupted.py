@@ -17,10 +17,7 @@ from lightopt.core.interrupts import interrupt
 from lightopt.images import read_image_set
 
 # about a second of rendering, 8 images of 3 × 3 rays a pixel
-OPTIONS = (
-    *("--exposures", "1,1/16", "--layers", "--noise", "1"),
-    *("--patches", "1000", "--supersample", "3"),
-)
+OPTIONS = (*("--exposures", "1,1/16", "--layers", "--noise", "1"), *("--patches", "1000", "--supersample", "3"))
 IMAGES = 8
 INTERRUPTED = "interrupted; files that were finished are complete"
 
@@ -62,9 +59,7 @@ def start(bench, out: Path) -> subprocess.Popen[str]:
 def wait_for(process: subprocess.Popen[str], path: Path) -> None:
     end = time.monotonic() + 120
     while not path.exists():
-        assert process.poll() is None, (
-            f"the command ended before {path.name} was there: {process.communicate()}"
-        )
+        assert process.poll() is None, f"the command ended before {path.name} was there: {process.communicate()}"
         assert time.monotonic() < end, f"no {path.name} after two minutes"
         time.sleep(0.001)
 
@@ -225,9 +220,7 @@ def test_ctrl_c_while_rays_are_cast(cli, shared_bench, tmp_path, quick, snapshot
     assert calls >= 4
     assert (ran.status, ran.err) == (130, INTERRUPTED + "\n")
     check_interrupted(tmp_path / "out")
-    assert (
-        cli("render", shared_bench.rig, shared_bench.part, "-o", tmp_path / "out", "-q", *QUICK).status == 0
-    )
+    assert cli("render", shared_bench.rig, shared_bench.part, "-o", tmp_path / "out", "-q", *QUICK).status == 0
     assert snapshot(tmp_path / "out") == quick
 
 
@@ -253,8 +246,7 @@ def test_ctrl_c_is_answered_soon_while_panels_of_very_many_points_are_cast(share
     caster = RayCaster(scene.mesh.vertices, scene.mesh.faces, recorder=tell)
     table = build_patches(scene, caster=caster, budget=8000)
     inspection = DetectionModel(
-        hypotheses=defect_hypotheses(BUILT_IN_CATALOGUE),
-        contrast=Contrast(sensor=scene.sensor, full_scale=255),
+        hypotheses=defect_hypotheses(BUILT_IN_CATALOGUE), contrast=Contrast(sensor=scene.sensor, full_scale=255)
     )
 
     def cast(points: int) -> None:

@@ -31,9 +31,7 @@ def small(tmp_path):
 @pytest.mark.slow
 def test_a_long_exposure_is_planned_and_its_commands_make_its_images(small, monkeypatch):
     monkeypatch.chdir(small)
-    plan = (
-        "optimize rig.yaml part.yaml -o plan --objective detectability --posture 0,0 --posture 0,82 --step 30"
-    )
+    plan = "optimize rig.yaml part.yaml -o plan --objective detectability --posture 0,0 --posture 0,82 --step 30"
     words = [*plan.split(), "--exposures", "1,16", "--patches", "1000", "--no-images", "--quiet"]
     assert run(words) == 0
     result = json.loads(Path("plan/result.json").read_text(encoding="utf-8"))

@@ -31,8 +31,7 @@ def small_scene(folder, part, *, points=None, postures=((0, 0), (-10, 170))):
     scene = scene_from_files(folder, camera, LIGHTS, PARTS / f"{part}.stl", points=points, postures=postures)
     rig = load_rig(folder / "rig.yaml")
     lights = tuple(
-        light.model_copy(update={"elevation_range_deg": ends})
-        for light, ends in zip(rig.lights, RANGES, strict=True)
+        light.model_copy(update={"elevation_range_deg": ends}) for light, ends in zip(rig.lights, RANGES, strict=True)
     )
     return scene, rig.model_copy(update={"lights": lights})
 
@@ -41,9 +40,7 @@ def matrix_of(scene, rig, posture, *, budget, step=5.0, shadows=True, threads=2)
     caster = cast_rays_at(scene)
     table = build_patches(scene, caster=caster, budget=budget)
     found = find_candidates(rig, step_deg=step)
-    matrix = luminance_matrix(
-        scene, table, posture, found.panels, caster=caster, shadows=shadows, threads=threads
-    )
+    matrix = luminance_matrix(scene, table, posture, found.panels, caster=caster, shadows=shadows, threads=threads)
     return matrix, found, table
 
 
@@ -53,10 +50,7 @@ def matrix_of(scene, rig, posture, *, budget, step=5.0, shadows=True, threads=2)
     [
         ("spout", True),
         ("cover-knob", False),
-        *(
-            pytest.param(*case, marks=pytest.mark.nightly)
-            for case in (("cover-knob", True), ("spout", False))
-        ),
+        *(pytest.param(*case, marks=pytest.mark.nightly) for case in (("cover-knob", True), ("spout", False))),
     ],
 )
 def test_levels_are_those_of_the_equations_at_the_centroids(tmp_path, part, shadows):

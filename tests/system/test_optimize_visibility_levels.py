@@ -29,9 +29,7 @@ from lightopt.rendering._converged_panel import panel_probes, probe_targets
 from lightopt.scene import pixel_footprint, view_from_part
 
 TRIALS = defect_hypotheses(BUILT_IN_CATALOGUE)
-SENSOR = Sensor(
-    bit_depth=8, saturation_level=240, black_level=6, read_noise_levels=0.8, electrons_per_level=60
-)
+SENSOR = Sensor(bit_depth=8, saturation_level=240, black_level=6, read_noise_levels=0.8, electrons_per_level=60)
 
 
 def flags(words, count):
@@ -51,22 +49,13 @@ def test_bits_are_the_definition_in_plain_numpy(tmp_path, shadows):
     scene, rig = small_scene(tmp_path, "spout")
     scene = replace(scene, sensor=SENSOR)
     posture = scene.postures[1]
-    inspection = DetectionModel(
-        hypotheses=TRIALS, contrast=Contrast(sensor=SENSOR, full_scale=255.0, threshold=5.0)
-    )
+    inspection = DetectionModel(hypotheses=TRIALS, contrast=Contrast(sensor=SENSOR, full_scale=255.0, threshold=5.0))
     caster = cast_rays_at(scene)
     table = build_patches(scene, caster=caster, budget=60)
     panels = find_candidates(rig, step_deg=10.0).panels
     exposures = (1.0, 0.25)
     found = luminance_matrices(
-        scene,
-        table,
-        posture,
-        panels,
-        exposures=exposures,
-        caster=caster,
-        detection=inspection,
-        shadows=shadows,
+        scene, table, posture, panels, exposures=exposures, caster=caster, detection=inspection, shadows=shadows
     )
     surface, seen = patch_points(scene, table, posture)
     visibility = found[0].visibility
@@ -137,9 +126,7 @@ def test_bits_are_the_definition_in_plain_numpy(tmp_path, shadows):
                         "R_s": PAPER["R_s"] / trial.sigma_factor**2,
                         "sigma": PAPER["sigma"] * trial.sigma_factor,
                     }
-                    filled[trial] = (
-                        level(LIGHTS[light], at, leaning_by(trial.slope, trial.direction), changed) - good
-                    )
+                    filled[trial] = level(LIGHTS[light], at, leaning_by(trial.slope, trial.direction), changed) - good
                 return filled[trial]
 
             for t in (*range(0, len(TRIALS), 5), len(TRIALS) - 1):
@@ -167,9 +154,7 @@ def test_levels_are_the_same_with_and_without_defects_and_threads(tmp_path, poin
     inspection = DetectionModel(hypotheses=TRIALS, contrast=Contrast(sensor=scene.sensor, full_scale=255.0))
     caster = cast_rays_at(scene)
     looked = [
-        luminance_matrix(
-            scene, table, posture, found.panels, caster=caster, detection=inspection, threads=threads
-        )
+        luminance_matrix(scene, table, posture, found.panels, caster=caster, detection=inspection, threads=threads)
         for threads in (1, 3)
     ]
     for one, other in zip(plain.levels, looked[0].levels, strict=True):
@@ -187,9 +172,7 @@ def test_converged_panels_on_leaning_patches(tmp_path):
     table = build_patches(scene, caster=caster, budget=60)
     surface, _ = patch_points(scene, table, posture)
     axes = scene.placement.rotation
-    references = np.array(
-        [tangent_direction(n, 0.0, x_axis=axes[:, 0], y_axis=axes[:, 1]) for n in surface.normals]
-    )
+    references = np.array([tangent_direction(n, 0.0, x_axis=axes[:, 0], y_axis=axes[:, 1]) for n in surface.normals])
     few = [TRIALS[k] for k in (3, 12, 25, -2, -1)]
     variants = surface_variants(
         slope=np.array([trial.slope for trial in few]),
@@ -202,9 +185,7 @@ def test_converged_panels_on_leaning_patches(tmp_path):
         probes = panel_probes(surface, probe_targets(light), caster).sum(axis=1)
         whole = (probes == 0) | (probes == 5)
         panel = converged_panel(light, centre=caster.centre, radius=caster.radius)
-        found = shade_variants(
-            surface, references, panel, variants, reflectance=scene.reflectance, caster=caster
-        )
+        found = shade_variants(surface, references, panel, variants, reflectance=scene.reflectance, caster=caster)
         for t, trial in enumerate(few):
             changed = scene.reflectance.changed(R_d_factor=trial.R_d_factor, sigma_factor=trial.sigma_factor)
             turned = replace(surface, normals=leaning(surface.normals, axes, trial.slope, trial.direction))

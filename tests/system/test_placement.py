@@ -89,18 +89,11 @@ def test_a_part_file_can_say_where_the_part_lies(scene: Scene, shared_bench, anc
 
     nominal = built(there[1], there[0])
     found = part_file_placement(
-        nominal.mesh.vertices,
-        TRUTH,
-        anchor=anchor,
-        rotate_deg=there[1],
-        translate_mm=there[0],
-        pivot=PIVOT,
+        nominal.mesh.vertices, TRUTH, anchor=anchor, rotate_deg=there[1], translate_mm=there[0], pivot=PIVOT
     )
     said = built(found.rotate_deg, found.translate_mm)
     path.unlink()
-    np.testing.assert_allclose(
-        said.mesh.vertices, place_part(nominal, TRUTH).mesh.vertices, atol=1e-3, rtol=0.0
-    )
+    np.testing.assert_allclose(said.mesh.vertices, place_part(nominal, TRUTH).mesh.vertices, atol=1e-3, rtol=0.0)
 
 
 @pytest.mark.slow
@@ -125,9 +118,7 @@ def test_a_part_off_by_a_millimetre_is_found_and_the_errors_are_errors(scene: Sc
 @pytest.mark.parametrize(
     ("draws", "low", "high"), [(4, 0.2, 2.0), pytest.param(20, 0.65, 1.45, marks=pytest.mark.nightly)]
 )
-def test_errors_of_a_placement_are_those_of_its_scatter(
-    scene: Scene, draws: int, low: float, high: float
-) -> None:
+def test_errors_of_a_placement_are_those_of_its_scatter(scene: Scene, draws: int, low: float, high: float) -> None:
     """Two exposures, whose bright and dark pixels have very different noise: z of many draws scatters by about 1."""
     rendered = list(render(place_part(scene, TRUTH)))
     caster = cast_rays_at(scene)
@@ -164,6 +155,4 @@ def test_a_body_of_revolution_is_taken_to_lie_as_its_file_has_it(tmp_path, share
     assert found.turn == 0.0
     assert found.observable == (True, True, False)
     (told,) = registration.warnings
-    assert told.startswith(
-        "the turn about the rotary axis cannot be determined from these images; assumed as in"
-    )
+    assert told.startswith("the turn about the rotary axis cannot be determined from these images; assumed as in")

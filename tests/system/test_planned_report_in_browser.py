@@ -61,9 +61,7 @@ def shown_colours(seen: Opened, png: bytes) -> set[str]:
 
 def table_under(seen: Opened, heading: str, number: int = 0) -> list[list[str]]:
     """Header and rows of a table in the section of a heading."""
-    section = seen.page.locator("section").filter(
-        has=seen.page.get_by_role("heading", name=heading, exact=True)
-    )
+    section = seen.page.locator("section").filter(has=seen.page.get_by_role("heading", name=heading, exact=True))
     rows = section.locator("table").nth(number).locator("tr").all()
     return [row.locator("th, td").all_inner_texts() for row in rows]
 
@@ -166,10 +164,7 @@ def test_the_scores_of_several_objectives_are_no_wider_than_the_page(tmp_path):
     other = ["1,157\u00a0mm² (57.3\u00a0%)", "5,994,229", "23.1 %", "−166,197", "0 / 2,299", "2,401"]
     table = Table(
         header=["posture", "best for", *names, "left out", "runner-up", "ties / near best", "combinations"],
-        rows=[
-            ["all 3 postures", "detectability", *lights, *first],
-            ["all 3 postures", "paper", *lights, *other],
-        ],
+        rows=[["all 3 postures", "detectability", *lights, *first], ["all 3 postures", "paper", *lights, *other]],
         numbers_from=2,
     )
     page = Page(title="Scores", subtitle="", lead=[table], sections=[])
@@ -194,12 +189,7 @@ def test_the_report_of_a_plan(planned):
         # postures, what each adds
         _, *rows = table_under(seen, "Postures")
         assert sorted(row[1:] for row in rows) == [
-            [
-                f"{number}",
-                ", ".join(f"{x:.9g}" for x in one["exposures"]),
-                text(one["gain"]),
-                text(one["share"]),
-            ]
+            [f"{number}", ", ".join(f"{x:.9g}" for x in one["exposures"]), text(one["gain"]), text(one["share"])]
             for number, one in enumerate(chosen["postures"], start=1)
         ]
         # one order everywhere: that of the capture
@@ -215,9 +205,7 @@ def test_the_report_of_a_plan(planned):
         # tolerances, of each posture and of all
         header, worst, *_ = table_under(seen, "How exact the angles must be")
         assert header[-1] == "all 2 postures"
-        assert worst[1:] == [
-            share_text(one["worst_corner"]["share_of_score"], one["grain"]) for one in result["trust"]
-        ]
+        assert worst[1:] == [share_text(one["worst_corner"]["share_of_score"], one["grain"]) for one in result["trust"]]
         # the commands that carry it out
         for command in result["commands"]:
             assert seen.page.get_by_text(command, exact=True).first.is_visible()

@@ -42,37 +42,16 @@ def test_a_plate_is_inspected_and_fitted_where_it_lies(seen, cli):
 
     # nothing is unexplained where there is no variance to explain
     fixed = bench.folder / "fixed"
-    ran = cli(
-        "inspect",
-        bench.rig,
-        bench.part,
-        images,
-        "-o",
-        fixed,
-        "--fail-on-defect",
-        "--no-register",
-        "--no-report",
-    )
+    ran = cli("inspect", bench.rig, bench.part, images, "-o", fixed, "--fail-on-defect", "--no-register", "--no-report")
     assert (ran.status, figures(fixed, "defects.json")["defects"]) == (0, []), ran.err
 
-    ran = cli(
-        "fit-diffuse", bench.rig, bench.part, images, "-o", bench.folder / "diffuse", "--register", "-q"
-    )
+    ran = cli("fit-diffuse", bench.rig, bench.part, images, "-o", bench.folder / "diffuse", "--register", "-q")
     assert ran.status == 0, ran.err
     fitted = figures(bench.folder / "diffuse", "fit.json")
     lies_in_place(fitted["placement"])
     assert fitted["values"]["R_d"]["value"] == pytest.approx(45.0, rel=0.01)
 
-    ran = cli(
-        "fit-specular",
-        bench.rig,
-        bench.part,
-        images,
-        "-o",
-        bench.folder / "specular",
-        "--no-validate",
-        "-q",
-    )
+    ran = cli("fit-specular", bench.rig, bench.part, images, "-o", bench.folder / "specular", "--no-validate", "-q")
     if glossy:
         # so little of a highlight is on the plate that R_s is known within a factor; that is what the interval says
         assert ran.status == 0, ran.err

@@ -45,9 +45,7 @@ def compare(camera, lights, scene, mesh, posture, pivot, reflectance, *, least_s
     for light, image in zip(lights, images.lights, strict=True):
         expected = ref.render(camera, light, triangles, normals, hits=hits, shadows=shadows, **reflectance)
         level = image.level.astype(float)
-        assert np.array_equal(
-            level[~seen & ~images.geometry.hit], np.zeros(np.sum(~seen & ~images.geometry.hit))
-        )
+        assert np.array_equal(level[~seen & ~images.geometry.hit], np.zeros(np.sum(~seen & ~images.geometry.hit)))
         error = np.abs(level - expected.level) / np.maximum(np.abs(expected.level), 1e-6)
         compared = seen & ~edge_pixels(expected)
         assert np.count_nonzero(compared) >= least_share * pixels

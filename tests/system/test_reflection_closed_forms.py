@@ -21,11 +21,7 @@ def tilted_level(camera, light, normal, *, R_d, R_s, sigma):
     # plan view at `distance`: pixel (column, row) looks along (x, y, -1) in units of the image distance
     scale = camera.pixel_um * 1e-3 / camera.image_distance
     rays = np.stack(
-        [
-            (columns + 0.5 - camera.width / 2) * scale,
-            -(rows + 0.5 - camera.height / 2) * scale,
-            -np.ones(rows.shape),
-        ],
+        [(columns + 0.5 - camera.width / 2) * scale, -(rows + 0.5 - camera.height / 2) * scale, -np.ones(rows.shape)],
         axis=2,
     )
     eye = np.array([0, 0, camera.distance])
@@ -69,9 +65,7 @@ def test_a_plane_that_mirrors_the_light_into_the_camera_is_at_its_brightest():
     camera = ref.Camera(width=1, height=1, pixel_um=10)
     light = ref.Light(distance=1e7, elevation=50, azimuth=90, k=1)
     mesh = plane(100, tilt=-20, azimuth=0)
-    image = levels(
-        scene_from_mesh(camera, [light], mesh, reflectance={"R_d": 0.0, "R_s": 500.0, "sigma": 0.003})
-    )
+    image = levels(scene_from_mesh(camera, [light], mesh, reflectance={"R_d": 0.0, "R_s": 500.0, "sigma": 0.003}))
     assert image[0, 0] == pytest.approx(500 / math.cos(math.radians(20)), rel=1e-6)
 
 
@@ -81,9 +75,7 @@ def test_a_lobe_of_half_its_peak():
     delta = sigma * math.sqrt(2 * math.log(2))
     camera = ref.Camera(width=1, height=1, pixel_um=1, distance=1000)
     light = ref.Light(distance=1e8, elevation=90 - math.degrees(2 * delta), azimuth=0, k=1)
-    image = levels(
-        scene_from_mesh(camera, [light], plane(10), reflectance={"R_d": 0.0, "R_s": 800.0, "sigma": sigma})
-    )
+    image = levels(scene_from_mesh(camera, [light], plane(10), reflectance={"R_d": 0.0, "R_s": 800.0, "sigma": sigma}))
     assert image[0, 0] == pytest.approx(400, rel=1e-5)
 
 
@@ -93,9 +85,7 @@ def test_grazing_view_is_clamped():
     # light and camera from the same place, so that δ = θ_o; a lobe so wide that its fall-off is a number to compute
     light = ref.Light(distance=550, elevation=90, azimuth=270, k=1)
     image = levels(
-        scene_from_mesh(
-            camera, [light], plane(100, tilt=89.9), reflectance={"R_d": 0.0, "R_s": 1.0, "sigma": 0.2}
-        ),
+        scene_from_mesh(camera, [light], plane(100, tilt=89.9), reflectance={"R_d": 0.0, "R_s": 1.0, "sigma": 0.2}),
         shadows=False,
     )
     theta = math.radians(89.9)
@@ -195,8 +185,7 @@ def sphere_highlight(radius, light, camera, *, R_s, sigma):
     mirror = np.array([camera.width / 2 + spot[0], camera.height / 2 - spot[1]])
     reach = 90
     columns, rows = (
-        c.ravel()
-        for c in np.meshgrid(*[np.arange(int(middle) - reach, int(middle) + reach) for middle in mirror])
+        c.ravel() for c in np.meshgrid(*[np.arange(int(middle) - reach, int(middle) + reach) for middle in mirror])
     )
     x = (columns + 0.5 - camera.width / 2) / camera.focal_px
     y = -(rows + 0.5 - camera.height / 2) / camera.focal_px

@@ -41,9 +41,7 @@ MESHES = {
 def towers():
     """Leaning towers of plane faces on a plate: most of it lies beside a shadow."""
     parts = [trimesh.creation.box(extents=(44, 30, 3))]
-    for number, (x, y, height) in enumerate(
-        [(-14, -7, 12), (-2, 8, 9), (9, -6, 14), (15, 8, 7), (-13, 8, 6)]
-    ):
+    for number, (x, y, height) in enumerate([(-14, -7, 12), (-2, 8, 9), (9, -6, 14), (15, 8, 7), (-13, 8, 6)]):
         tower = trimesh.creation.cylinder(radius=5, height=2 * height, sections=5 + number)
         tower.apply_transform(trimesh.transformations.rotation_matrix(0.15 * number - 0.3, (1, 1, 0)))
         parts.append(tower.apply_translation((x, y, 0)))
@@ -104,11 +102,7 @@ def test_a_plate_is_found_by_its_outline(plate):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "place",
-    [
-        pytest.param(Placement(), marks=pytest.mark.nightly),
-        Placement(x=0.9, y=-0.7, turn=math.radians(0.8)),
-    ],
+    "place", [pytest.param(Placement(), marks=pytest.mark.nightly), Placement(x=0.9, y=-0.7, turn=math.radians(0.8))]
 )
 def test_a_part_of_plane_faces_beside_shadows_is_found(scene_of, place):
     """Pixels beside shadows have a prediction at one place and none at the next: the search must not stop there."""
@@ -130,14 +124,11 @@ def test_of_even_grey_images_nothing_is_concluded(plate):
     assert (place.x, place.y, place.turn) == (0.0, 0.0, 0.0)
     assert place.observable == (False, False, False)
     (told,) = found.warnings
-    assert told.startswith(
-        "where the part lies cannot be determined from these images; assumed as in the part"
-    )
+    assert told.startswith("where the part lies cannot be determined from these images; assumed as in the part")
 
 
 @pytest.mark.parametrize(
-    ("level", "told"),
-    [(255.0, "every pixel of the part is saturated"), (0.0, "black where the part is expected")],
+    ("level", "told"), [(255.0, "every pixel of the part is saturated"), (0.0, "black where the part is expected")]
 )
 def test_images_that_show_nothing_are_refused(plate, level, told):
     scene, images = plate

@@ -32,12 +32,8 @@ def octahedron() -> ColouredSurface:
         vertices=corners + np.array([100.0, 0.0, 5.0]),
         triangles=np.array(faces, np.int32),
         layers=(
-            SurfaceLayer(
-                name="all postures", classes=kinds, of_face=np.array([0, 1, 0, 1, 2, 2, 2, 2], np.uint8)
-            ),
-            SurfaceLayer(
-                name="(0°, 82°)", classes=kinds, of_face=np.array([1, 1, 1, 1, 2, 2, 2, 2], np.uint8)
-            ),
+            SurfaceLayer(name="all postures", classes=kinds, of_face=np.array([0, 1, 0, 1, 2, 2, 2, 2], np.uint8)),
+            SurfaceLayer(name="(0°, 82°)", classes=kinds, of_face=np.array([1, 1, 1, 1, 2, 2, 2, 2], np.uint8)),
         ),
         up=np.array([0.0, 0.0, 1.0]),
         toward=np.array([0.6, 0.0, 0.8]),
@@ -110,9 +106,7 @@ def test_it_turns_and_changes_colours_and_asks_for_nothing(report):
         turned = colours(canvas.screenshot())
         assert all(abs(turned[name] - found[name]) < 200 for name in found)
         assert seen.said == []
-        assert [url for url in seen.asked if not url.startswith(("data:", "blob:"))] == [
-            report.resolve().as_uri()
-        ]
+        assert [url for url in seen.asked if not url.startswith(("data:", "blob:"))] == [report.resolve().as_uri()]
 
 
 @pytest.mark.slow
@@ -189,14 +183,10 @@ def test_the_report_of_an_optimisation(bench, cli, images):
         assert all(item.is_visible() for item in legend.all())
         pictures = page.locator("img").all()
         assert len(pictures) >= (1 + 2 * 3 + 1 + 2 if images else 3)
-        assert all(
-            picture.evaluate("image => image.complete && image.naturalWidth > 1") for picture in pictures
-        )
+        assert all(picture.evaluate("image => image.complete && image.naturalWidth > 1") for picture in pictures)
         assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
         page.set_viewport_size({"width": 420, "height": 800})
-        assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), (
-            "nor on a telephone"
-        )
+        assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), "nor on a telephone"
         assert seen.said == []
         assert [url for url in seen.asked if not url.startswith(("data:", "blob:"))] == [
             (bench.out / "report.html").resolve().as_uri()
@@ -230,15 +220,7 @@ def test_the_reports_of_inspected_parts(bench, cli):
     ran = cli("inspect", bench.rig, bench.part, *sets, "-o", bench.out, "--no-register", "--evaluate", "-q")
     assert ran.status == 0, ran.err
     ran = cli(
-        "inspect",
-        bench.rig,
-        bench.part,
-        sets[0],
-        "-o",
-        bench.folder / "one",
-        "--no-register",
-        "--evaluate",
-        "-q",
+        "inspect", bench.rig, bench.part, sets[0], "-o", bench.folder / "one", "--no-register", "--evaluate", "-q"
     )
     assert ran.status == 0, ran.err
     one = json.loads((bench.folder / "one" / "defects.json").read_text(encoding="utf-8"))
@@ -256,9 +238,7 @@ def test_the_reports_of_inspected_parts(bench, cli):
         assert first[4] == ", ".join(f"{x:.2f}" for x in one["defects"][0]["position_mm"])
         legend = page.locator(".legend:not([hidden]) li .amount").all_inner_texts()
         assert sum(map(int, filter(None, legend))) == 2
-        pixels = np.asarray(
-            Image.open(io.BytesIO(page.locator("canvas").screenshot())).convert("RGB"), np.int32
-        )
+        pixels = np.asarray(Image.open(io.BytesIO(page.locator("canvas").screenshot())).convert("RGB"), np.int32)
         assert np.count_nonzero(np.ptp(pixels, axis=2) > 80) > 50, "the balls are coloured, the part is grey"
         pictures = page.locator("img").all()
         assert len(pictures) == 4  # still, overlay, without highlights, its uncertainty

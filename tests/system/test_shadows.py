@@ -36,9 +36,7 @@ def test_shadow_of_a_box_on_a_plane(bottom, k, elevation, azimuth, camera_elevat
     image = levels(scene)
     rays = camera.directions(camera.pixel_centres())
     points = camera.position - rays * (camera.position[2] / rays[:, 2])[:, None]
-    on_plane = ~passes_through_box(
-        np.broadcast_to(camera.position, points.shape), points, low - 1e-3, high + 1e-3
-    )
+    on_plane = ~passes_through_box(np.broadcast_to(camera.position, points.shape), points, low - 1e-3, high + 1e-3)
     expected, certain = np.zeros(len(points)), on_plane.copy()
     shaded = np.zeros(len(points), dtype=bool)
     for source in light.points()[0]:
@@ -80,9 +78,7 @@ def test_a_convex_smooth_part_has_no_speckle_of_shadows():
     to_light = light.points()[0][:, None, None] - images.geometry.points
     to_light /= np.linalg.norm(to_light, axis=3, keepdims=True)
     # facets of 3° have the sun set up to 3° early
-    lit = images.geometry.hit & (np.einsum("ijk,pijk->pij", normals, to_light) > np.sin(np.deg2rad(4))).all(
-        axis=0
-    )
+    lit = images.geometry.hit & (np.einsum("ijk,pijk->pij", normals, to_light) > np.sin(np.deg2rad(4))).all(axis=0)
     assert np.count_nonzero(lit) > 5000
     assert np.array_equal(images.lights[0].level[lit], clear[lit].astype(np.float32))
 
@@ -103,9 +99,7 @@ def test_back_faces_are_black_and_counted():
     camera = ref.Camera(width=40, height=30, pixel_um=100)
     up = plane(10)
     down = TriangleMesh(up.vertices, up.faces[:, ::-1], None)
-    lit, unlit = (
-        next(iter(render(scene_from_mesh(camera, [ref.Light()], mesh), threads=1))) for mesh in (up, down)
-    )
+    lit, unlit = (next(iter(render(scene_from_mesh(camera, [ref.Light()], mesh), threads=1))) for mesh in (up, down))
     assert lit.back_faces == 0
     assert lit.lights[0].level.max() > 0
     assert unlit.back_faces == np.count_nonzero(unlit.geometry.hit) == np.count_nonzero(lit.geometry.hit) > 0
@@ -118,8 +112,7 @@ def test_a_back_face_casts_a_shadow_like_a_front_face():
     roof = TriangleMesh(plane(6).vertices + np.array([0, 0, 12.0]), plane(6).faces, None)
     turned = TriangleMesh(roof.vertices, roof.faces[:, ::-1], None)
     one, two = (
-        levels(scene_from_mesh(camera, [light], merged(plane(25), lid), reflectance=MATTE))
-        for lid in (roof, turned)
+        levels(scene_from_mesh(camera, [light], merged(plane(25), lid), reflectance=MATTE)) for lid in (roof, turned)
     )
     seen = next(iter(render(scene_from_mesh(camera, [light], merged(plane(25), roof)), threads=1))).geometry
     ground = seen.hit & (np.abs(seen.points[..., 2]) < 1e-3)
@@ -137,6 +130,4 @@ def test_the_table_and_the_panels_cast_no_shadow():
     assert np.array_equal(levels(scene_from_mesh(camera, [far, near], mesh)), alone)
     below = ref.Light(distance=400, elevation=-10, azimuth=180, k=1)
     camera = ref.Camera(width=40, height=30, pixel_um=100, elevation=20, azimuth=180)
-    assert levels(scene_from_mesh(camera, [below], mesh)).max() > 1, (
-        "the side of the box, from under the table"
-    )
+    assert levels(scene_from_mesh(camera, [below], mesh)).max() > 1, "the side of the box, from under the table"

@@ -73,9 +73,7 @@ def test_plans_are_counted_with_shorter_and_longer_exposures(small_rig, knob, mo
     for name, value in {"STEP": 30.0, "POSTURES": 1, "POSTURE_STEP": 180.0, "SEEN_IN": (1,)}.items():
         monkeypatch.setattr(f"worth_plans.{name}", value)
     monkeypatch.setattr("worth_plans.OFFERED", {1.0: "1", 16.0: "16"})
-    own, own_more, chosen, chosen_more = worth.plans(
-        small_rig, knob, finish="glossy", patches=2000, defects=28
-    )
+    own, own_more, chosen, chosen_more = worth.plans(small_rig, knob, finish="glossy", patches=2000, defects=28)
     assert (own.what, chosen.what) == ("the part's own 1", "1 chosen")
     assert own_more.what == "the part's own 1, 1 further exposure (1 × 16)"
     # postures are chosen from more, and exposures come on top

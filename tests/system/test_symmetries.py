@@ -22,9 +22,7 @@ LIGHTS = [
 
 
 def all_images(scene, **options):
-    return [
-        image.level.astype(float) for images in render(scene, threads=2, **options) for image in images.lights
-    ]
+    return [image.level.astype(float) for images in render(scene, threads=2, **options) for image in images.lights]
 
 
 def off(one, two, relative):
@@ -53,10 +51,7 @@ def test_turning_rig_and_part_together_changes_nothing(tmp_path, turn, by):
 
 def test_pivot_on_the_axis_of_a_rotation_does_not_matter():
     mesh = bumps(5)
-    one, two = (
-        levels(scene_from_mesh(CAMERA, LIGHTS[:1], mesh, pivot=(0, 0, z), postures=[(0, 75)]))
-        for z in (0, 40)
-    )
+    one, two = (levels(scene_from_mesh(CAMERA, LIGHTS[:1], mesh, pivot=(0, 0, z), postures=[(0, 75)])) for z in (0, 40))
     assert off(one, two, 1e-6) <= 1e-3
 
 
@@ -122,9 +117,7 @@ def test_components_add_and_are_linear_in_the_coefficients(points, close):
 @pytest.mark.parametrize(("points", "supersample"), [(None, 3), ("auto", 1)])
 def test_threads_give_identical_bytes(tmp_path, monkeypatch, points, supersample):
     monkeypatch.setattr(blocks, "BLOCK_SAMPLES", 3000)  # many blocks to get out of step with
-    scene = scene_from_files(
-        tmp_path, CAMERA, LIGHTS, PARTS / "spout.stl", points=points, postures=[(10, 200)]
-    )
+    scene = scene_from_files(tmp_path, CAMERA, LIGHTS, PARTS / "spout.stl", points=points, postures=[(10, 200)])
     wanted = None
     for threads in (1, 2, 5):
         images = next(iter(render(scene, threads=threads, supersample=supersample, layers=True)))

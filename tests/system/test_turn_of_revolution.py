@@ -59,15 +59,10 @@ def with_dimple(sections, depth):
 
 def torus_of_unequal_facets(seed=0):
     # as tessellators may leave it: corners anywhere near their places, always on the surface
-    mesh, rng = (
-        trimesh.creation.torus(9.0, 4.0, major_sections=120, minor_sections=60),
-        np.random.default_rng(seed),
-    )
+    mesh, rng = (trimesh.creation.torus(9.0, 4.0, major_sections=120, minor_sections=60), np.random.default_rng(seed))
     x, y, z = mesh.vertices.T
     about, across = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y) - 9.0)
-    about, across = (
-        a + rng.uniform(-0.1, 0.1, len(a)) * 2.0 * math.pi / n for a, n in ((about, 120), (across, 60))
-    )
+    about, across = (a + rng.uniform(-0.1, 0.1, len(a)) * 2.0 * math.pi / n for a, n in ((about, 120), (across, 60)))
     radius = 9.0 + 4.0 * np.cos(across)
     mesh.vertices = np.stack([radius * np.cos(about), radius * np.sin(about), 4.0 * np.sin(across)], axis=1)
     return mesh

@@ -50,9 +50,7 @@ class Touched:
         """Levels without and with the defects under each light of a scene [grey level], shape (lights, n) each."""
         lights = view_from_part(scene, self.posture).lights
         both = [[piece.levels(scene, panel, caster) for piece in self.pieces] for panel in lights]
-        good, bad = (
-            np.stack([np.concatenate([one[which] for one in light]) for light in both]) for which in (0, 1)
-        )
+        good, bad = (np.stack([np.concatenate([one[which] for one in light]) for light in both]) for which in (0, 1))
         return good, bad
 
 

@@ -106,9 +106,7 @@ def plot(points: list[Point], path: Path) -> None:
         )
         for panel, which in zip(panels, shown, strict=True):
             own = [p for p in points if (p.finish, p.pixels) == which]
-            panel.plot(
-                [100.0 * p.predicted for p in own], [100.0 * p.measured for p in own], ".", color="#5c636e"
-            )
+            panel.plot([100.0 * p.predicted for p in own], [100.0 * p.measured for p in own], ".", color="#5c636e")
             panel.plot([0.0, 100.0], [0.0, 100.0])
         figure_image(figure).save(path)
 

@@ -67,9 +67,7 @@ class Case:
         inspection = DetectionModel(hypotheses=trials, contrast=self.contrast)
         panels = [(light,) for light in self.scene.lights]
         posture = self.scene.postures[0]
-        return luminance_matrix(
-            self.scene, self.table, posture, panels, caster=self.caster, detection=inspection
-        )
+        return luminance_matrix(self.scene, self.table, posture, panels, caster=self.caster, detection=inspection)
 
 
 def trace(case: Case) -> tuple[NDArray[np.intp], SurfacePoints]:

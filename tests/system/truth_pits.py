@@ -60,9 +60,7 @@ def pits_of(case: Case, rig: RigConfig, part: PartConfig, finish: str, count: in
         visibility = case.predict(trials).visibility
         assert visibility is not None
         placed = strew(rig, part, case.scene, count=count, seed=SEED, catalogue=[entry])
-        bad = render_posture(
-            replace(case.scene, defects=placed), posture, caster=case.caster, patches=patches
-        )
+        bad = render_posture(replace(case.scene, defects=placed), posture, caster=case.caster, patches=patches)
         row_of = np.full(len(patches), -1)
         row_of[visibility.patch] = np.arange(len(visibility.patch))
         pixels, toward = _on_walls(placed, case)
@@ -71,16 +69,12 @@ def pits_of(case: Case, rig: RigConfig, part: PartConfig, finish: str, count: in
         rows = row_of[shown[pixels]]
         counts = {mean: np.zeros(len(pixels), np.int64) for mean in MEANS}
         for k, (one, other) in enumerate(zip(good.lights, bad.lights, strict=True)):
-            plain, level = (
-                x.level.ravel()[pixels + around[:, None]].astype(np.float64) for x in (one, other)
-            )
+            plain, level = (x.level.ravel()[pixels + around[:, None]].astype(np.float64) for x in (one, other))
             noisy = noisy_levels(case, level, light=k, trial=1000 + int(slope))
             # a mean of pixels of which some are saturated is one of clipped levels
             plain = np.minimum(plain, case.saturated_from)
             for mean, own in counts.items():
-                own += off(
-                    noisy[:mean].mean(axis=0), plain[:mean].mean(axis=0), case.scene, case.contrast.threshold
-                )
+                own += off(noisy[:mean].mean(axis=0), plain[:mean].mean(axis=0), case.scene, case.contrast.threshold)
         for min_images, mean in itertools.product(SEEN_IN, MEANS):
             flags = unpack_flags(visibility.seen((0,) * len(good.lights), min_images), len(trials))
             yield Point(

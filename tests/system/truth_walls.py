@@ -51,9 +51,7 @@ def walls(case: Case, part: PartConfig, finish: str) -> Iterator[Point]:
     for t, trial in enumerate(trials):
         lean = math.cos(trial.direction) * references
         lean += math.sin(trial.direction) * np.cross(surface.normals, references)
-        turned = replace(
-            surface, normals=math.cos(trial.slope) * surface.normals + math.sin(trial.slope) * lean
-        )
+        turned = replace(surface, normals=math.cos(trial.slope) * surface.normals + math.sin(trial.slope) * lean)
         for k, light in enumerate(lights):
             level = _level(case, turned, light, trial)
             noisy = noisy_levels(case, np.tile(level, (max(MEANS), 1)), light=k, trial=t)

@@ -74,9 +74,7 @@ def scene_from_files(folder, camera, lights, mesh_file, *, points=None, pivot=(0
     return build_scene(folder / "rig.yaml", folder / "part.yaml")
 
 
-def scene_from_mesh(
-    camera, lights, mesh, *, points=None, pivot=(0, 0, 0), postures=((0, 0),), reflectance=PAPER
-):
+def scene_from_mesh(camera, lights, mesh, *, points=None, pivot=(0, 0, 0), postures=((0, 0),), reflectance=PAPER):
     """A scene of a mesh made here, which no loader repairs and whose normals are what the test gave it."""
     return Scene(
         camera=place_camera(
@@ -148,9 +146,7 @@ def plane(half=30.0, *, tilt=0.0, azimuth=0.0, z=0.0):
     square = half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=float)
     a, t = np.deg2rad(azimuth), np.deg2rad(tilt)
     k = np.array([np.cos(a), np.sin(a), 0.0])
-    square = np.array(
-        [p * np.cos(t) + np.cross(k, p) * np.sin(t) + k * (k @ p) * (1 - np.cos(t)) for p in square]
-    )
+    square = np.array([p * np.cos(t) + np.cross(k, p) * np.sin(t) + k * (k @ p) * (1 - np.cos(t)) for p in square])
     return TriangleMesh(square + np.array([0, 0, z]), np.array([[0, 1, 2], [0, 2, 3]]), None)
 
 
@@ -194,9 +190,7 @@ def bumps(seed, *, cells=24, half=22.0, height=5.0):
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     i, j = (g.ravel() for g in np.meshgrid(np.arange(cells), np.arange(cells), indexing="ij"))
     a = i * (cells + 1) + j
-    faces = np.concatenate(
-        [np.stack([a, a + 1, a + cells + 2], 1), np.stack([a, a + cells + 2, a + cells + 1], 1)]
-    )
+    faces = np.concatenate([np.stack([a, a + 1, a + cells + 2], 1), np.stack([a, a + cells + 2, a + cells + 1], 1)])
     z = np.sin(arguments).sum(axis=1) * height / 4
     return TriangleMesh(np.stack([x, y, z], axis=1), faces, normals)
 
@@ -230,9 +224,7 @@ def edge_pixels(image, *, crease_deg=15.0):
     """
     shape = image.shadow.shape[:2]
     hits = image.hits
-    mask = differ_from_neighbours((hits.front * 2 + hits.back).reshape(shape)) | differ_from_neighbours(
-        image.shadow
-    )
+    mask = differ_from_neighbours((hits.front * 2 + hits.back).reshape(shape)) | differ_from_neighbours(image.shadow)
     face = hits.face.reshape(shape)
     normal, point = hits.normal.reshape(*shape, 3), hits.point.reshape(*shape, 3)
     geometric = hits.geometric.reshape(*shape, 3)
@@ -241,9 +233,7 @@ def edge_pixels(image, *, crease_deg=15.0):
         two = tuple(slice(1, None) if a == axis else slice(None) for a in (0, 1))
         turned = np.einsum("ijk,ijk->ij", normal[one], normal[two]) < np.cos(np.deg2rad(crease_deg))
         step = point[two] - point[one]
-        rise = np.abs(np.einsum("ijk,ijk->ij", step, geometric[one])) / (
-            np.linalg.norm(step, axis=2) + 1e-300
-        )
+        rise = np.abs(np.einsum("ijk,ijk->ij", step, geometric[one])) / (np.linalg.norm(step, axis=2) + 1e-300)
         jump = (face[one] != face[two]) & (turned | (rise > np.sin(np.deg2rad(2 * crease_deg))))
         mask[one] |= jump
         mask[two] |= jump
@@ -256,7 +246,5 @@ def cap(radius=120.0, *, half=25.0, cells=40):
     normals = np.stack([x, y, np.sqrt(radius**2 - x**2 - y**2)], axis=1) / radius
     i, j = (g.ravel() for g in np.meshgrid(np.arange(cells), np.arange(cells), indexing="ij"))
     a = i * (cells + 1) + j
-    faces = np.concatenate(
-        [np.stack([a, a + 1, a + cells + 2], 1), np.stack([a, a + cells + 2, a + cells + 1], 1)]
-    )
+    faces = np.concatenate([np.stack([a, a + 1, a + cells + 2], 1), np.stack([a, a + cells + 2, a + cells + 1], 1)])
     return TriangleMesh(radius * normals - np.array([0, 0, radius]), faces, normals)

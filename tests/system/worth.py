@@ -69,9 +69,7 @@ def main(arguments: list[str] | None = None) -> None:
     path = options.out / ("plan.csv" if options.plan else "worth.csv")
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(
-            ["part", "surface", "min_images", "set", "lights", "share", "defects", "predicted", "counted"]
-        )
+        writer.writerow(["part", "surface", "min_images", "set", "lights", "share", "defects", "predicted", "counted"])
         for r in rows:
             numbers = (f"{r.share:.6f}", r.defects, r.predicted, r.counted)
             writer.writerow([r.part, r.finish, r.min_images, r.what, r.lights, *numbers])

@@ -14,13 +14,7 @@ from lightopt import build_scene
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import counted as counted_text
 from lightopt.core.transforms import Posture
-from lightopt.design import (
-    DEFAULT_EXPOSURE_GAIN,
-    DRAWN_PATCHES,
-    PostureRequest,
-    drawn_patches,
-    find_candidates,
-)
+from lightopt.design import DEFAULT_EXPOSURE_GAIN, DRAWN_PATCHES, PostureRequest, drawn_patches, find_candidates
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.exposures._joint_choice import choose_with_exposures
 from lightopt.design.postures._posture_grid import posture_grid, usable_postures
@@ -34,9 +28,7 @@ OFFERED = {1.0 / 16.0: "1/16", 1.0 / 4.0: "1/4", 1.0: "1", 4.0: "4", 16.0: "16"}
 """Exposures, and how they are written: shorter ones for highlights, longer ones for what is dark."""
 
 
-def plans(
-    rig: RigConfig, part: PartConfig, *, finish: str, patches: int, defects: int = DEFECTS
-) -> Iterator[Row]:
+def plans(rig: RigConfig, part: PartConfig, *, finish: str, patches: int, defects: int = DEFECTS) -> Iterator[Row]:
     """Plan a part's own postures and chosen ones, at exposure 1 and with all that are offered, as the command does."""
     candidates = find_candidates(rig, step_deg=STEP)
     scene = build_scene(rig, part, defects=False)

@@ -49,10 +49,7 @@ def sets(
                 "lights": tuple(
                     light.model_copy(
                         update={
-                            "azimuth_range_deg": (
-                                light.azimuth_deg - FREE_AZIMUTH,
-                                light.azimuth_deg + FREE_AZIMUTH,
-                            )
+                            "azimuth_range_deg": (light.azimuth_deg - FREE_AZIMUTH, light.azimuth_deg + FREE_AZIMUTH)
                         }
                     )
                     for light in rig.lights

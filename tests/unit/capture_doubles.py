@@ -124,9 +124,7 @@ class Camera:
             plug = self.world.plugs.get(plug, plug)
             shares[name] = self.world.levels.get(plug, 0) / channel.level
         stands, slipped = self.world.posture, self.world.slipped
-        return shares, Posture(
-            stands.elevation_deg + slipped.elevation_deg, stands.rotation_deg + slipped.rotation_deg
-        )
+        return shares, Posture(stands.elevation_deg + slipped.elevation_deg, stands.rotation_deg + slipped.rotation_deg)
 
     def close(self):
         self.world.log.append(("close", "camera"))

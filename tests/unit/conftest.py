@@ -60,12 +60,7 @@ def take(bench, world, monkeypatch):
     def run(folder=bench.out, truth=None, rig=rig, part=part, **options):
         control = {key: options.pop(key) for key in ("resume", "force", "run") if key in options}
         return capture(
-            rig,
-            part,
-            folder,
-            options=CaptureOptions(**options),
-            connect=connecting(world, scene, truth),
-            **control,
+            rig, part, folder, options=CaptureOptions(**options), connect=connecting(world, scene, truth), **control
         )
 
     return run

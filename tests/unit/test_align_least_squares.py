@@ -100,9 +100,7 @@ def test_what_nothing_determines_stays_nominal():
     a = rng.normal(size=(300, 3)) * 20.0
     a[:, 1] = a[:, 0]
     nominal = np.array([0.3, 0.3, 0.0])
-    limits = Limits(
-        nominal=nominal, reach=FREE.reach, step=FREE.step, prior=FREE.prior, resolution=FREE.resolution
-    )
+    limits = Limits(nominal=nominal, reach=FREE.reach, step=FREE.step, prior=FREE.prior, resolution=FREE.resolution)
     problem = linear_problem(a, a @ np.array([0.9, 0.1, -0.2]) + rng.normal(size=300))
     found = solve(problem, np.array([1.0, -1.0, 0.0]), limits)
     sound(found, limits)
@@ -148,9 +146,7 @@ def test_what_scatters_too_much_in_the_end_stays_nominal():
         a[400:, 2] = 1.4
         noise = rng.normal(size=410)
         noise[400:] = 3.0 * rng.permutation(np.tile([-1.0, 1.0], 5))
-        found = solve(
-            linear_problem(a, a @ np.array([0.4, -0.7, 0.9]) + noise), np.zeros(3), FREE, loss="huber"
-        )
+        found = solve(linear_problem(a, a @ np.array([0.4, -0.7, 0.9]) + noise), np.zeros(3), FREE, loss="huber")
         sound(found, FREE)
         assert found.converged
         assert len(found.undetermined) == 1
@@ -175,11 +171,7 @@ def test_what_is_said_to_be_undetermined_stays_nominal():
 
 def test_an_optimum_out_of_reach_is_the_limit():
     limits = Limits(
-        nominal=np.zeros(3),
-        reach=np.full(3, 0.5),
-        step=FREE.step,
-        prior=FREE.prior,
-        resolution=FREE.resolution,
+        nominal=np.zeros(3), reach=np.full(3, 0.5), step=FREE.step, prior=FREE.prior, resolution=FREE.resolution
     )
     problem = curved(np.random.default_rng(3))
     found = solve(problem, np.zeros(3), limits, loss="huber")
@@ -190,11 +182,7 @@ def test_an_optimum_out_of_reach_is_the_limit():
 
 def test_steps_are_no_longer_than_allowed():
     limits = Limits(
-        nominal=np.zeros(3),
-        reach=FREE.reach,
-        step=np.full(3, 0.05),
-        prior=FREE.prior,
-        resolution=FREE.resolution,
+        nominal=np.zeros(3), reach=FREE.reach, step=np.full(3, 0.05), prior=FREE.prior, resolution=FREE.resolution
     )
     problem = curved(np.random.default_rng(4))
     found = solve(problem, np.zeros(3), limits)

@@ -74,10 +74,7 @@ def test_the_merge_is_that_of_the_plain_reference(seed, exposures, with_dark):
     stack = [rng.integers(0, 256, (5, 6)).astype(np.uint8) for _ in exposures]
     dark = [rng.uniform(3, 6, (5, 6)).astype(np.float32) for _ in exposures] if with_dark else None
     merged = merge_exposures(
-        [image(s, e) for s, e in zip(stack, exposures, strict=True)],
-        sensor=EIGHT,
-        full_scale=1000.0,
-        dark=dark,
+        [image(s, e) for s, e in zip(stack, exposures, strict=True)], sensor=EIGHT, full_scale=1000.0, dark=dark
     )
     black = dark or [np.full((5, 6), 4.0)] * len(stack)
     level, valid, came_from = plain_merge(stack, exposures, 250, black, 1000.0 / 255)

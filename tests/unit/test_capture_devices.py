@@ -36,9 +36,7 @@ def opened(bench, rig, world):
         scene = build_scene(rig, load_part(bench.part))
         return Devices(
             wiring=wiring,
-            controllers={
-                name: Lights(world, name, c.channels) for name, c in wiring.hardware.controllers.items()
-            },
+            controllers={name: Lights(world, name, c.channels) for name, c in wiring.hardware.controllers.items()},
             stage=Stage(world),
             camera=Camera(world, wiring, scene, BenchTruth()),
             **options,
@@ -142,9 +140,7 @@ def test_each_lighting_has_its_own_time(opened, world):
 def test_no_level_above_the_channel_s(opened, world):
     with opened({"max_level": 220}) as devices:
         devices.light_on("light1", 220)
-        with pytest.raises(
-            InputError, match="light1: level 221 is above its max_level 220; nothing was sent"
-        ):
+        with pytest.raises(InputError, match="light1: level 221 is above its max_level 220; nothing was sent"):
             devices.light_on("light1", 221)
     assert ("level", "bench1", 1, 221) not in world.log
 
@@ -234,10 +230,7 @@ def test_a_frame_that_hangs_under_a_lamp_at_the_bench(opened, world, bench):
 
     world.trouble = hang
     path = bench.folder / "frame.png"
-    with (
-        pytest.raises(HardwareError, match="light1 was on for its max_on_s of"),
-        opened({"max_on_s": 0.3}) as devices,
-    ):
+    with pytest.raises(HardwareError, match="light1 was on for its max_on_s of"), opened({"max_on_s": 0.3}) as devices:
         snap(devices, path, light="light1", exposure=1.0)
     assert not path.exists()
 
@@ -251,9 +244,7 @@ def test_an_exposure_that_the_camera_cannot_have(opened, world, rig, bench):
     sensor = build_scene(rig, part).sensor
     with opened() as devices:
         devices.camera.exposure_range_us = (10.0, 9000.0)
-        with pytest.raises(
-            InputError, match=r"an exposure of 10000 µs is outside the camera's 10 to 9000 µs"
-        ):
+        with pytest.raises(InputError, match=r"an exposure of 10000 µs is outside the camera's 10 to 9000 µs"):
             AcquisitionEngine(devices, plan, sensor=sensor, identities={}, timing=Timing())
 
 
@@ -273,11 +264,7 @@ def test_exposures_between_the_steps_of_the_camera_are_refused_in_the_dark(opene
         with pytest.raises(InputError) as raised:
             shooter(devices, 1.0, 1 / 16, 1 / 64)
         assert len(raised.value.messages) == 2
-        assert "exposure 0.0625 (625 µs): the camera holds 620 µs instead, which is exposure 0.062" in str(
-            raised.value
-        )
+        assert "exposure 0.0625 (625 µs): the camera holds 620 µs instead, which is exposure 0.062" in str(raised.value)
         assert not world.lit
-        assert not any(
-            event[0] in ("grab", "move") or (event[0] == "level" and event[3]) for event in world.log
-        )
+        assert not any(event[0] in ("grab", "move") or (event[0] == "level" and event[3]) for event in world.log)
         shooter(devices, 1.0, 0.062, 0.016)  # what the message names

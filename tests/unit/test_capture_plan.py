@@ -34,9 +34,7 @@ def wired(bench):
     text = bench.rig.read_text(encoding="utf-8")
     bench.rig.write_text(text + HARDWARE, encoding="utf-8", newline="\n")
     bench.edit("rig.yaml", "  pixel_size_um: 44\n", "  pixel_size_um: 44\n  exposure_us: 8000\n")
-    bench.edit(
-        "part.yaml", "{elevation_deg: -10, rotation_deg: 170}", "{elevation_deg: 0, rotation_deg: 170}"
-    )
+    bench.edit("part.yaml", "{elevation_deg: -10, rotation_deg: 170}", "{elevation_deg: 0, rotation_deg: 170}")
     return bench
 
 
@@ -74,9 +72,7 @@ def test_frames_without_light_come_before_the_lights_of_a_posture(wired):
     plan = plan_of(wired, exposures=(1.0, 0.5), dark=True)
     exposed = [(light, exposure) for kind, light, exposure in kinds(plan) if kind == "expose"]
     assert exposed[:4] == [(None, 1.0), (None, 0.5), ("light1", 1.0), ("light1", 0.5)]
-    assert len(exposed) == 2 * (
-        2 + 2 * 2 + 1
-    )  # at the end of each posture, one that shows that no light burns on
+    assert len(exposed) == 2 * (2 + 2 * 2 + 1)  # at the end of each posture, one that shows that no light burns on
     assert not plan.needs_dark_reference
 
 
@@ -112,10 +108,7 @@ def test_a_real_stage_is_homed_when_asked_only(wired):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (
-            {"postures": (Posture(0.0, 400.0),)},
-            r"posture: rotation 400° is outside .* 0° to 360° \(.*rig.yaml:\d+",
-        ),
+        ({"postures": (Posture(0.0, 400.0),)}, r"posture: rotation 400° is outside .* 0° to 360° \(.*rig.yaml:\d+"),
         ({"postures": (Posture(5.0, 0.0),)}, "elevation 5°, but the stage has no elevation axis"),
         ({"lights": ("light2",)}, 'no light "light2" in .*; it has light1, light3'),
         ({"exposures": (1e-4,)}, r"exposure 0.0001 is 0.8 µs .* outside the camera's 10 to 1e\+07 µs"),

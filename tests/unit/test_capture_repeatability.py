@@ -29,10 +29,7 @@ def scene_of(part: str, shrunk: int = 4) -> Scene:
     scene = build_scene(rig, load_part(CONFIGS / "parts" / part), postures=[POSTURE])
     camera = scene.camera
     camera = replace(
-        camera,
-        width=camera.width // shrunk,
-        height=camera.height // shrunk,
-        pixel_size=shrunk * camera.pixel_size,
+        camera, width=camera.width // shrunk, height=camera.height // shrunk, pixel_size=shrunk * camera.pixel_size
     )
     return replace(scene, camera=camera, lights=scene.lights[:1])
 
@@ -42,9 +39,7 @@ def taken(scene: Scene, posture: Posture, seed: int, gain: float = 1.0) -> np.nd
     placed = place_part(scene, FIXTURE)
     (image,) = render_posture(placed, posture, caster=cast_rays_at(placed)).lights
     rng = np.random.default_rng(seed)
-    return expose(
-        np.float32(gain) * image.level, sensor=scene.sensor, exposure=1.0, full_scale=255.0, rng=rng
-    )
+    return expose(np.float32(gain) * image.level, sensor=scene.sensor, exposure=1.0, full_scale=255.0, rng=rng)
 
 
 def looked_again(
@@ -72,9 +67,7 @@ METAL = {"R_d": 12.0, "R_s": 30_000.0, "sigma": 0.03}
         pytest.param("spout.yaml", METAL, marks=pytest.mark.nightly),
     ],
 )
-def test_a_degree_is_told_and_nothing_is_told_of_what_came_back(
-    part: str, reflectance: dict[str, float]
-) -> None:
+def test_a_degree_is_told_and_nothing_is_told_of_what_came_back(part: str, reflectance: dict[str, float]) -> None:
     """Whatever the part is really like, wherever it lies, and with a lamp that has lost 5 %."""
     scene = scene_of(part)
     world = replace(scene, reflectance=replace(scene.reflectance, **reflectance))

@@ -69,15 +69,11 @@ def test_images_before_a_frame_that_was_not_dark_are_not_kept_and_taken_anew(tak
 
 def test_images_that_no_dark_frame_followed_are_taken_anew(take, world, bench):
     def trouble(event):
-        if (
-            event[0] == "grab" and len(world.did("grab")) == 7
-        ):  # the last of the second posture, without light
+        if event[0] == "grab" and len(world.did("grab")) == 7:  # the last of the second posture, without light
             raise KeyboardInterrupt
 
     world.trouble = trouble
-    with pytest.raises(
-        Interrupted, match="4 of 4 images are on disk; go on with --resume, which takes 2 of them"
-    ):
+    with pytest.raises(Interrupted, match="4 of 4 images are on disk; go on with --resume, which takes 2 of them"):
         take()
     assert len(manifest(bench)["ended_dark"]) == 1
     undisturbed(world)
@@ -257,14 +253,10 @@ def test_a_disk_that_hangs_is_waited_for_and_the_folder_stays_locked(take, world
     monkeypatch.setattr(_writer, "write_png", hang)
     at_the_keys = threading.Thread(target=person)
     at_the_keys.start()
-    with pytest.raises(
-        Interrupted, match="all lights are off; 1 of 4 images are on disk; go on with --resume"
-    ):
+    with pytest.raises(Interrupted, match="all lights are off; 1 of 4 images are on disk; go on with --resume"):
         take(run=RunContext(warn=said.append))
     at_the_keys.join()
-    assert said == [
-        "all lights are off; waiting for the disk to take what was exposed; Ctrl-C waits for it, too"
-    ]
+    assert said == ["all lights are off; waiting for the disk to take what was exposed; Ctrl-C waits for it, too"]
     assert seen == [set(), True]
     assert not (bench.out / LOCK_NAME).exists()
     assert not [t.name for t in threading.enumerate() if t.name.startswith(("disk", "linear"))]
@@ -290,15 +282,11 @@ def test_linear_images_that_nobody_has_begun_with_are_left_to_resuming(take, wor
 @pytest.mark.skipif(os.name == "nt", reason="os.kill ends a Windows process at once")
 def test_ctrl_c_at_the_very_end_says_that_the_set_is_complete(take, world, bench):
     def trouble(event):
-        if (
-            event[0] == "level" and len(world.did("grab")) == 7 and event[2] == 4
-        ):  # switching all off at the end
+        if event[0] == "level" and len(world.did("grab")) == 7 and event[2] == 4:  # switching all off at the end
             os.kill(os.getpid(), signal.SIGINT)
 
     world.trouble = trouble
-    with pytest.raises(
-        Interrupted, match="all lights are off; 4 of 4 images are on disk; the set is complete"
-    ):
+    with pytest.raises(Interrupted, match="all lights are off; 4 of 4 images are on disk; the set is complete"):
         take()
 
 

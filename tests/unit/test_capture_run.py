@@ -196,10 +196,7 @@ def test_the_light_is_out_before_anything_is_made_of_its_frames(take, world, mon
 
 def test_what_may_not_burn_long_waits_less():
     plan = SimpleNamespace(
-        exposures=(),
-        exposure_us={}.get,
-        relighting_s=0.16,
-        frames_s={1.0: 0.02, 0.5: 0.01}.__getitem__,
+        exposures=(), exposure_us={}.get, relighting_s=0.16, frames_s={1.0: 0.02, 0.5: 0.01}.__getitem__
     )
     for left, expected in ((None, 0.16), (5.0, 0.16), (0.1, 0.07), (0.02, 0.0)):
         camera = SimpleNamespace(exposure_range_us=(1.0, 1e7))
@@ -336,8 +333,7 @@ def test_every_channel_is_tried_even_if_one_fails(take, world):
 def test_a_channel_that_cannot_be_switched_off_at_the_start_ends_the_run(take, world):
     world.trouble = broken("level")
     with pytest.raises(
-        HardwareError,
-        match=r"while switching all lights off: controller bench1, channel 1: .* may still be lit",
+        HardwareError, match=r"while switching all lights off: controller bench1, channel 1: .* may still be lit"
     ):
         take()
     assert not world.did("home")
@@ -350,9 +346,7 @@ def test_a_disk_that_refuses_ends_with_lights_off(take, world, monkeypatch):
         raise InputError("disk full")
 
     monkeypatch.setattr(_writer, "write_png", full)
-    with pytest.raises(
-        HardwareError, match="while checking and writing the image before: disk full"
-    ) as raised:
+    with pytest.raises(HardwareError, match="while checking and writing the image before: disk full") as raised:
         take()
     assert "all lights are off" in str(raised.value)
     assert not world.lit
@@ -404,9 +398,7 @@ def test_a_lamp_that_dies_between_exposures_is_named(take, world, bench):
 
 def test_a_lamp_that_weakens_between_exposures_is_named(take, world):
     world.trouble = changing_at(world, 6, lambda world: world.levels.update({("bench1", 1): 120}))
-    with pytest.raises(
-        HardwareError, match=r"light1 is \d+% as bright as at exposure 1: it went out, changed"
-    ):
+    with pytest.raises(HardwareError, match=r"light1 is \d+% as bright as at exposure 1: it went out, changed"):
         take(exposures=(1.0, 1 / 4, 1 / 16))
 
 
@@ -487,9 +479,7 @@ def test_without_the_check_is_another_plan(take, world):
 
 def test_an_interrupted_run_says_where_it_stands(take, world, bench):
     world.trouble = broken("grab", number=4, error=KeyboardInterrupt())
-    with pytest.raises(
-        Interrupted, match="all lights are off; 2 of 4 images are on disk; go on with --resume"
-    ):
+    with pytest.raises(Interrupted, match="all lights are off; 2 of 4 images are on disk; go on with --resume"):
         take()
     assert len(read_image_set(bench.out).images) == 2
 

@@ -178,10 +178,7 @@ def test_the_way_out_ends_dark_whatever_the_driver_raised(opened, world, error):
 
 @of(UNFORESEEN)
 def test_a_driver_that_never_darkens_is_told_and_all_is_closed(opened, world, error):
-    with (
-        pytest.raises(HardwareError, match=r"lights that may still be on: .*light3") as raised,
-        opened as devices,
-    ):
+    with pytest.raises(HardwareError, match=r"lights that may still be on: .*light3") as raised, opened as devices:
         devices.light_on("light3")
         world.trouble = failing(error, 10_000)
     assert any(error_text(error) in message for message in raised.value.messages)
@@ -232,9 +229,7 @@ def test_controllers_that_open_go_dark_and_the_others_are_named(bench, world, mo
         return Lights(world, which, 4)
 
     monkeypatch.setattr(_lights_off, "open_controller", open_controller)
-    found = open_lights(
-        wiring, wiring.hardware.controllers, ports={}, log=None, darken=True, opened=lambda _: None
-    )
+    found = open_lights(wiring, wiring.hardware.controllers, ports={}, log=None, darken=True, opened=lambda _: None)
     assert not world.lit
     assert set(found.controllers) == {"other"}
     assert set(found.may_be_on) == {"light1", "light3"}

@@ -50,12 +50,7 @@ def sealed(monkeypatch):
 
 BAD = [
     ("driver: ccs", "driver: cs", [], 'makers, found "cs"; did you mean "ccs"?'),
-    (
-        "port: virtual, channels",
-        "port: /dev/nowhere, channels",
-        [],
-        "no port /dev/nowhere on this computer; there",
-    ),
+    ("port: virtual, channels", "port: /dev/nowhere, channels", [], "no port /dev/nowhere on this computer; there"),
     ("    light3: {controller: main, channel: 3, level: 150}\n", "", [], "light3"),
     ("channel: 3", "channel: 1", [], "channel"),
     ("level: 200, max_level: 220", "level: 230, max_level: 220", [], "220"),
@@ -63,12 +58,7 @@ BAD = [
     ("", "", ["--posture", "50,0"], "elevation 50° is outside the stage's range -45° to 45°"),
     ("", "", ["--light", "lamp"], 'no light "lamp"'),
     ("", "", ["--exposures", "1,zero"], '--exposures: expected a number .* found "zero"'),
-    (
-        "",
-        "",
-        ["--exposures", "1/100000"],
-        r"exposure 1e-05 is 0.08 µs .* outside the camera's 10 to 1e\+07 µs",
-    ),
+    ("", "", ["--exposures", "1/100000"], r"exposure 1e-05 is 0.08 µs .* outside the camera's 10 to 1e\+07 µs"),
     ("", "", ["--exposures", "1,1"], "exposures: the same one was given twice"),
     ("", "", ["--exposures", "700"], "light1: would be on for .* longer than max_on_s 5"),
     ("", "", ["--average", "0"], "average: expected 1 to 1000 frames, found 0"),
@@ -157,24 +147,10 @@ def test_what_is_taken_of_a_light_is_counted_in_words_that_agree(cli, wired, sea
 
 @pytest.mark.slow
 def test_the_contact_sheets_of_a_capture(cli, wired):
-    ran = cli(
-        "capture",
-        wired.rig,
-        wired.part,
-        "-o",
-        wired.out,
-        "--exposures",
-        "1,1/16",
-        "--sheet",
-        "--posture",
-        "0,0",
-    )
+    ran = cli("capture", wired.rig, wired.part, "-o", wired.out, "--exposures", "1,1/16", "--sheet", "--posture", "0,0")
     assert (ran.status, ran.err) == (0, "")
     sheets = [line.partition(": ") for line in ran.out.splitlines()[-2:]]
-    assert [words for words, _, _ in sheets] == [
-        "contact sheet, exposure 1",
-        "contact sheet, exposure 0.0625",
-    ]
+    assert [words for words, _, _ in sheets] == ["contact sheet, exposure 1", "contact sheet, exposure 0.0625"]
     whole, dim = (read_png(path, colour=True) for _, _, path in sheets)
     assert whole.shape == dim.shape
     assert whole.mean() > dim.mean() + 1.0  # a sixteenth of the light
@@ -238,10 +214,7 @@ def test_a_light_burns_for_the_time_given(cli, wired):
         (("move", "RIG"), "expected --elevation, --rotation or both"),
         (("move", "RIG", "--rotation", "400"), "rotation 400° is outside the stage's range"),
         (("snap", "RIG", "frame.png"), "--part: the virtual camera needs to know"),
-        (
-            ("light", "RIG", "light1", "--seconds", "6"),
-            "light1 would be on for 6 s, longer than its max_on_s of 5 s (",
-        ),
+        (("light", "RIG", "light1", "--seconds", "6"), "light1 would be on for 6 s, longer than its max_on_s of 5 s ("),
         (
             ("snap", "RIG", "frame.png", "--part", "PART", "--light", "light1", "--exposure", "700"),
             "longer than its max_on_s of 5 s (",

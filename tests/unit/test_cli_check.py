@@ -13,9 +13,7 @@ def test_a_sound_rig_and_part(cli, bench, snapshot):
     assert ran.status == 0, ran.err
     assert ran.err == ""
     summary, *findings = ran.out.splitlines()
-    assert summary.endswith(
-        f"of {len(cli('check', bench.rig, bench.part, '-v').out.splitlines()) - 1} findings are ok"
-    )
+    assert summary.endswith(f"of {len(cli('check', bench.rig, bench.part, '-v').out.splitlines()) - 1} findings are ok")
     assert len(findings) <= 14
     levels = {line.split(":")[0] for line in findings}
     assert levels <= {"ok", "note", "warning"}
@@ -87,9 +85,7 @@ def test_drawing_is_written_and_named(cli, bench):
 
 def test_a_drawing_needs_a_part_and_nothing_is_written_without(cli, bench, snapshot):
     before = snapshot(bench.folder)
-    ran = cli(
-        "check", bench.rig, "--drawing", bench.folder / "rig.png", "--json", bench.folder / "findings.json"
-    )
+    ran = cli("check", bench.rig, "--drawing", bench.folder / "rig.png", "--json", bench.folder / "findings.json")
     assert ran.status == 2
     assert ran.err == "error: --drawing: needs a part file, too\n"
     assert ran.out == ""
@@ -108,8 +104,7 @@ def test_an_output_that_cannot_be_written(cli, bench, option):
 
 
 @pytest.mark.parametrize(
-    ("unit", "status", "factor"),
-    [("inch", 1, "a factor of 1/25.4"), ("m", 2, "a factor of 1/1000"), ("um", 1, "1000")],
+    ("unit", "status", "factor"), [("inch", 1, "a factor of 1/25.4"), ("m", 2, "a factor of 1/1000"), ("um", 1, "1000")]
 )
 def test_a_unit_mistake_is_named(cli, bench, unit, status, factor):
     bench.edit("part.yaml", "units: mm", f"units: {unit}")

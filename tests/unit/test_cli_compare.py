@@ -19,16 +19,7 @@ def golden(shared_bench, tmp_path_factory):
     from lightopt.cli._main import run
 
     out = tmp_path_factory.mktemp("compare") / "golden"
-    arguments = [
-        "render",
-        str(shared_bench.rig),
-        str(shared_bench.part),
-        "-o",
-        str(out),
-        "-q",
-        "--patches",
-        "500",
-    ]
+    arguments = ["render", str(shared_bench.rig), str(shared_bench.part), "-o", str(out), "-q", "--patches", "500"]
     assert run(arguments) == 0
     return out
 
@@ -172,9 +163,7 @@ def test_a_path_that_is_no_image_and_no_set_is_wrong_input(cli, golden, new, tmp
     ran = cli("compare", golden / LIGHT, text)
     assert ran.status == 2
     assert "expected an EXR or PNG image" in ran.err
-    (new / LIGHT).write_bytes(
-        (golden / LIGHT).read_bytes()[:2000]
-    )  # damaged: wrong alone, a failure in a set
+    (new / LIGHT).write_bytes((golden / LIGHT).read_bytes()[:2000])  # damaged: wrong alone, a failure in a set
     assert cli("compare", golden / LIGHT, new / LIGHT).status == 2
     assert cli("compare", golden, new).status == 1
 
@@ -200,11 +189,7 @@ def test_json_holds_all_figures(cli, golden, new, tmp_path):
     assert figures["reasons"]
     assert len(figures["files"]) == 4 + 4 + 2 + 1
     channel = next(
-        c
-        for f in figures["files"]
-        if f["b"].endswith("light1.exr")
-        for c in f["channels"]
-        if c["name"] == "Y"
+        c for f in figures["files"] if f["b"].endswith("light1.exr") for c in f["channels"] if c["name"] == "Y"
     )
     assert channel["max"] == pytest.approx(0.3, rel=1e-3)
     assert channel["rms"] == pytest.approx(0.3, rel=1e-3)
@@ -233,13 +218,7 @@ def test_comparing_leaves_both_as_they_are(cli, golden, new, snapshot):
 
 @pytest.mark.parametrize(
     ("option", "value"),
-    [
-        ("--absolute", "-1"),
-        ("--relative", "nan"),
-        ("--max-share", "1.5"),
-        ("--min-iou", "2"),
-        ("--saturation", "inf"),
-    ],
+    [("--absolute", "-1"), ("--relative", "nan"), ("--max-share", "1.5"), ("--min-iou", "2"), ("--saturation", "inf")],
 )
 def test_thresholds_without_sense_are_errors(cli, golden, new, option, value):
     ran = cli("compare", golden, new, option, value)

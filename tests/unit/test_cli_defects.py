@@ -30,18 +30,7 @@ def catalogue(bench):
 
 
 def scatter(cli, bench, name="bad.yaml", *options, seed=3, count=6):
-    return cli(
-        "defects",
-        bench.rig,
-        bench.part,
-        "--seed",
-        seed,
-        "--count",
-        count,
-        "-o",
-        bench.folder / name,
-        *options,
-    )
+    return cli("defects", bench.rig, bench.part, "--seed", seed, "--count", count, "-o", bench.folder / name, *options)
 
 
 def test_a_catalogue_is_strewn_over_what_the_camera_sees(cli, catalogue):
@@ -49,9 +38,7 @@ def test_a_catalogue_is_strewn_over_what_the_camera_sees(cli, catalogue):
     assert (ran.status, ran.err) == (0, "")
     assert ran.out == f"6 defects: 2 × knock, 2 × line, 2 × a spot: dark\n{catalogue.folder / 'bad.yaml'}\n"
     text = (catalogue.folder / "bad.yaml").read_text(encoding="utf-8")
-    assert text.startswith(
-        catalogue.part.read_text(encoding="utf-8") + "\n# 6 defects, scattered by: lightopt defects"
-    )
+    assert text.startswith(catalogue.part.read_text(encoding="utf-8") + "\n# 6 defects, scattered by: lightopt defects")
     (line,) = (line for line in text.splitlines() if line.startswith("# provenance: "))
     found = json.loads(line.partition(": ")[2])
     assert found["options"] == {"seed": 3, "count": 6}
@@ -128,10 +115,7 @@ def test_another_result_is_not_overwritten(cli, catalogue):
     assert scatter(cli, catalogue).status == 0
     ran = scatter(cli, catalogue, seed=9)
     assert ran.status == 2
-    assert (
-        "bad.yaml: already there and different (options.seed: there 3, now 9); use --force to replace it"
-        in ran.err
-    )
+    assert "bad.yaml: already there and different (options.seed: there 3, now 9); use --force to replace it" in ran.err
     assert scatter(cli, catalogue, "bad.yaml", "--force", seed=9).status == 0
 
 
@@ -149,15 +133,7 @@ def test_too_many_too_few_and_those_already_there_are_refused(cli, catalogue):
     assert not (catalogue.folder / "bad.yaml").exists()
     scatter(cli, catalogue, count=1)
     ran = cli(
-        "defects",
-        catalogue.rig,
-        catalogue.folder / "bad.yaml",
-        "--seed",
-        1,
-        "--count",
-        1,
-        "-o",
-        catalogue.folder / "x",
+        "defects", catalogue.rig, catalogue.folder / "bad.yaml", "--seed", 1, "--count", 1, "-o", catalogue.folder / "x"
     )
     assert ran.status == 2
     assert "defects: this part names defects already" in ran.err
@@ -168,11 +144,7 @@ def test_too_many_too_few_and_those_already_there_are_refused(cli, catalogue):
 def test_without_defects_the_images_are_those_of_the_good_part(cli, catalogue, snapshot):
     scatter(cli, catalogue)
     bad = catalogue.folder / "bad.yaml"
-    sets = {
-        "good": (catalogue.part,),
-        "shown": (bad,),
-        "hidden": (bad, "--no-defects"),
-    }
+    sets = {"good": (catalogue.part,), "shown": (bad,), "hidden": (bad, "--no-defects")}
     for name, (part, *options) in sets.items():
         assert cli("render", catalogue.rig, part, "-o", catalogue.folder / name, *FEW, *options).status == 0
     good, shown, hidden = (snapshot(catalogue.folder / name) for name in sets)
@@ -184,9 +156,7 @@ def test_without_defects_the_images_are_those_of_the_good_part(cli, catalogue, s
         one, other = (read_exr(catalogue.folder / folder / name) for folder in ("good", "hidden"))
         assert one.keys() == other.keys()
         assert all(np.array_equal(one[channel], other[channel]) for channel in one)
-    manifests = [
-        json.loads((catalogue.folder / name / "manifest.json").read_text(encoding="utf-8")) for name in sets
-    ]
+    manifests = [json.loads((catalogue.folder / name / "manifest.json").read_text(encoding="utf-8")) for name in sets]
     assert ["defects" in m for m in manifests] == [False, True, False]
     assert ["defects" in m["provenance"]["options"] for m in manifests] == [False, False, True]
     geometry = "posture_0_0/geometry.exr"
@@ -212,9 +182,7 @@ def test_a_set_with_defects_is_resumed_and_not_mixed_with_the_good_one(cli, cata
 def test_a_defect_that_rays_may_miss_is_warned_of(cli, catalogue):
     hair = "{name: hair, kind: scratch, at_pixel: {posture: {elevation_deg: 0, rotation_deg: 0}, pixel: [80, 50]}, "
     text = catalogue.part.read_text(encoding="utf-8")
-    catalogue.part.write_text(
-        text + f"defects: [{hair}size_mm: [5, 0.1], slope_deg: 5}}]\n", encoding="utf-8"
-    )
+    catalogue.part.write_text(text + f"defects: [{hair}size_mm: [5, 0.1], slope_deg: 5}}]\n", encoding="utf-8")
     command = ("render", catalogue.rig, catalogue.part, *FEW, "--posture", "0,0", "--light", "light1")
     ran = cli(*command, "-o", catalogue.out)
     assert ran.status == 0

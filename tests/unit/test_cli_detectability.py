@@ -27,17 +27,7 @@ def three(bench):
 @pytest.fixture(scope="module")
 def planned(shared_bench, tmp_path_factory):
     bench = with_lights(type(shared_bench).make(tmp_path_factory.mktemp("planned") / "bench"))
-    command = [
-        "optimize",
-        bench.rig,
-        bench.part,
-        "-o",
-        bench.out,
-        *FEW,
-        *DEFECTS,
-        "--no-images",
-        "--keep-matrix",
-    ]
+    command = ["optimize", bench.rig, bench.part, "-o", bench.out, *FEW, *DEFECTS, "--no-images", "--keep-matrix"]
     assert run([str(part) for part in command]) == 0
     return bench
 
@@ -102,9 +92,7 @@ def test_table_and_surface_say_the_same_in_the_part_files_coordinates(planned):
     assert sum(float(r["area_mm2"]) for r in own) == pytest.approx(spots["surface_mm2"], rel=1e-4)
     lines, vertices, faces = ply_of(planned.out / "blind.ply")
     assert any("lengths in mm, coordinates of the part's own file" in line for line in lines)
-    assert [line for line in lines if line.startswith("comment code 6")] == [
-        "comment code 6: saturated by light2"
-    ]
+    assert [line for line in lines if line.startswith("comment code 6")] == ["comment code 6: saturated by light2"]
     scene = build_scene(planned.rig, planned.part)
     low, high = scene.mesh.bounds
     own = np.array([scene.placement.to_file(np.array(corner)) for corner in (low, high)])
@@ -144,9 +132,7 @@ def test_pictures_show_each_posture(planned):
     assert off.min(axis=1).max() <= 1.5
     # and those of the surface are the same
     _, _, faces = ply_of(planned.out / "blind.ply")
-    assert {tuple(colour) for colour in faces["colour"].tolist()} <= {
-        tuple(c) for c in colours.astype(int).tolist()
-    }
+    assert {tuple(colour) for colour in faces["colour"].tolist()} <= {tuple(c) for c in colours.astype(int).tolist()}
     # below it the legend has the colours as they are
     legend = {tuple(colour) for colour in picture[height:].reshape(-1, 3).tolist()}
     here = {row for row in told if blind_row(planned, row) > 0.0}
@@ -199,14 +185,8 @@ def test_other_thresholds_and_other_noise_are_other_matrices_and_other_results(t
     [
         (("--min-images", "2"), "--min-images is of --objective detectability, which was not given"),
         (("--threshold", "2"), "--threshold is of --objective detectability, which was not given"),
-        (
-            ("--objective", "detectability", "--min-images", "0"),
-            "--min-images: expected the number of images",
-        ),
-        (
-            ("--objective", "detectability", "--min-images", "4"),
-            "seen in 4 images, and the rig has 3 lights only",
-        ),
+        (("--objective", "detectability", "--min-images", "0"), "--min-images: expected the number of images"),
+        (("--objective", "detectability", "--min-images", "4"), "seen in 4 images, and the rig has 3 lights only"),
         (("--objective", "detectability", "--threshold", "0"), "--threshold: expected a number above 0"),
         (("--objective", "detectability", "--threshold", "nan"), "--threshold: expected a number above 0"),
     ],
@@ -230,6 +210,4 @@ def test_part_with_a_catalogue_of_its_own(three, cli):
     assert cli(*command, "--objective", "detectability").status == 0
     found = result_of(three.out)["results"][0]["objectives"][0]
     assert list(found["defects"]) == ["<knock>", "spot"]
-    assert (
-        json.loads((three.out / "result.json").read_text(encoding="utf-8"))["blind_spots"]["min_images"] == 1
-    )
+    assert json.loads((three.out / "result.json").read_text(encoding="utf-8"))["blind_spots"]["min_images"] == 1

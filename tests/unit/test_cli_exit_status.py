@@ -19,9 +19,7 @@ from lightopt.cli import _unexpected
 from lightopt.core.errors import CheckFailed, HardwareError, InputError
 from lightopt.images import write_png
 
-closes_pipes = pytest.mark.skipif(
-    sys.platform == "win32", reason="pipes of Windows do not say that nobody reads"
-)
+closes_pipes = pytest.mark.skipif(sys.platform == "win32", reason="pipes of Windows do not say that nobody reads")
 
 
 @pytest.fixture
@@ -85,9 +83,7 @@ def test_debug_shows_the_traceback(schema, cli, temporary, monkeypatch, where):
         ran = cli("schema", "rig", "--debug")
     assert ran.status == 70
     assert "Traceback (most recent call last)" in ran.err
-    assert ran.err.endswith(
-        "error: unexpected ValueError: oh (a defect of lightopt); its traceback is above\n"
-    )
+    assert ran.err.endswith("error: unexpected ValueError: oh (a defect of lightopt); its traceback is above\n")
     assert os.environ.get("LIGHTOPT_DEBUG") == ("1" if where == "environment" else None)
     assert len(list(temporary.iterdir())) == (where == "after")
 
@@ -98,9 +94,7 @@ def test_a_traceback_that_cannot_be_written_is_printed(schema, temporary, monkey
     assert ran.status == 70
     assert ran.err.startswith("Traceback (most recent call last)")
     last = ran.err.splitlines()[-1]
-    assert last.startswith(
-        "error: unexpected ValueError: oh (a defect of lightopt); its traceback is above, because "
-    )
+    assert last.startswith("error: unexpected ValueError: oh (a defect of lightopt); its traceback is above, because ")
     assert "No such file" in last
 
 
@@ -186,9 +180,7 @@ c.json_schema = json_schema""",
 
 @pytest.mark.parametrize("where", CRASHES)
 def test_a_crash_of_the_process_has_the_status_of_a_defect(tmp_path, where):
-    status, said = left(
-        lightopt("schema", "rig", before=CRASHES[where], temporary=tmp_path, stdout=subprocess.DEVNULL)
-    )
+    status, said = left(lightopt("schema", "rig", before=CRASHES[where], temporary=tmp_path, stdout=subprocess.DEVNULL))
     assert status == 70
     assert said.startswith("error: unexpected ")
     assert len(said.splitlines()) == 1
@@ -208,9 +200,7 @@ def pictures(tmp_path_factory):
 @pytest.mark.parametrize(("other", "status"), [("b.png", 1), ("a.png", 0)])
 def test_compare_judges_though_nobody_reads(pictures, tmp_path, other, status):
     figures = tmp_path / "figures.json"
-    process = lightopt(
-        "compare", pictures / "a.png", pictures / other, "--json", figures, stdout=subprocess.PIPE
-    )
+    process = lightopt("compare", pictures / "a.png", pictures / other, "--json", figures, stdout=subprocess.PIPE)
     found, said = left(process)
     assert found == status
     assert "Exception ignored" not in said
@@ -272,16 +262,7 @@ def test_inspect_judges_though_nobody_reads(bench, cli, tmp_path):
     (bench.folder / "bad.yaml").write_text(good + dent, encoding="utf-8")
     sets = bench.folder / "set"
     assert cli("render", bench.rig, bench.folder / "bad.yaml", "-o", sets, "--patches", 500, "-q").status == 0
-    arguments = (
-        "inspect",
-        bench.rig,
-        bench.part,
-        sets,
-        "--no-register",
-        "--fail-on-defect",
-        "--min-images",
-        1,
-    )
+    arguments = ("inspect", bench.rig, bench.part, sets, "--no-register", "--fail-on-defect", "--min-images", 1)
     status, said = left(lightopt(*arguments, "-o", tmp_path / "out", stdout=subprocess.PIPE))
     assert status == 1, said
     assert "NG" in said

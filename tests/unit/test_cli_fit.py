@@ -33,18 +33,7 @@ def measured(shared_bench, tmp_path_factory):
     from lightopt.cli._main import run
 
     out = tmp_path_factory.mktemp("measured") / "set"
-    command = [
-        "render",
-        shared_bench.rig,
-        shared_bench.part,
-        "-o",
-        out,
-        "-q",
-        "--patches",
-        "500",
-        "--noise",
-        "5",
-    ]
+    command = ["render", shared_bench.rig, shared_bench.part, "-o", out, "-q", "--patches", "500", "--noise", "5"]
     assert run([str(word) for word in (*command, "--exposures", "1,1/16")]) == 0
     return out
 
@@ -296,9 +285,7 @@ def test_a_black_level_below_zero_is_not_hidden(cli, bench, images):
     assert ran.status == 0
     assert "the black level that fits is -" in ran.err
     assert load_rig(bench.out / "rig.fitted.yaml").camera.sensor.black_level == 0.0
-    assert json.loads((bench.out / "fit.json").read_text())["black_level"]["value"] == pytest.approx(
-        -2, abs=0.1
-    )
+    assert json.loads((bench.out / "fit.json").read_text())["black_level"]["value"] == pytest.approx(-2, abs=0.1)
 
 
 @pytest.mark.nightly
@@ -397,9 +384,7 @@ def test_lights_that_were_exchanged_are_told(cli, bench, images):
 
     edit_manifest(images, exchange)
     # one posture is enough
-    edit_manifest(
-        images, lambda m: m.update(images=[e for e in m["images"] if e["posture"]["rotation_deg"] == 0])
-    )
+    edit_manifest(images, lambda m: m.update(images=[e for e in m["images"] if e["posture"]["rotation_deg"] == 0]))
     refused(cli, bench, images, "with light1 and light3 exchanged: check which", options=("--joint",))
 
 
@@ -436,15 +421,10 @@ def test_options_of_the_paper_without_its_method(cli, bench, images):
 def test_shifted_images_are_told(cli, bench, images):
     # where the stage has turned the part, no place of the part shifts all images alike
     edit_manifest(
-        images,
-        lambda m: m.update(images=[e for e in m["images"] if e["exposure"] == 1 and e["light"] == "light1"]),
+        images, lambda m: m.update(images=[e for e in m["images"] if e["exposure"] == 1 and e["light"] == "light1"])
     )
     spoil(images, lambda levels: np.roll(levels, 4, axis=1))
-    told = (
-        "do not look like this part",
-        "in posture (0°, 0°), with the part shifted by",
-        "correct the camera",
-    )
+    told = ("do not look like this part", "in posture (0°, 0°), with the part shifted by", "correct the camera")
     refused(cli, bench, images, *told, options=("--joint",))
 
 

@@ -134,9 +134,7 @@ def test_wrong_command_lines(cli, tmp_path, monkeypatch, arguments, said):
 
 
 def lightopt(*arguments, **options):
-    return subprocess.run(
-        [sys.executable, "-m", "lightopt", *arguments], capture_output=True, text=True, **options
-    )
+    return subprocess.run([sys.executable, "-m", "lightopt", *arguments], capture_output=True, text=True, **options)
 
 
 def test_the_module_leaves_with_the_exit_status():
@@ -196,9 +194,7 @@ def test_defaults_in_the_help_are_those_of_the_library():
 
     commands = typer.main.get_command(app).commands
     shown = {
-        (name, parameter.name): parameter.show_default
-        if isinstance(parameter.show_default, str)
-        else parameter.default
+        (name, parameter.name): parameter.show_default if isinstance(parameter.show_default, str) else parameter.default
         for name, command in commands.items()
         if not hasattr(command, "commands")
         for parameter in command.params
@@ -241,7 +237,5 @@ def test_defaults_in_the_help_are_those_of_the_library():
         ("fit-specular", "sigma_step"): paper.sigma_step,
     }  # fmt: skip
     for key, value in expected.items():
-        same = shown[key] == value or (
-            isinstance(shown[key], str) and shown[key] == f"{value}".removesuffix(".0")
-        )
+        same = shown[key] == value or (isinstance(shown[key], str) and shown[key] == f"{value}".removesuffix(".0"))
         assert same, f"{key}: the help has {shown[key]}, the library {value}"

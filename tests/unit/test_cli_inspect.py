@@ -180,9 +180,7 @@ def test_a_result_names_the_sets_before_it_whose_predictions_it_may_have(bench, 
     assert made_from(good, bad, register=False) == made_from(good, register=False)
     # the same images, said to be of another exposure
     manifest = images / "manifest.json"
-    manifest.write_text(
-        manifest.read_text(encoding="utf-8").replace('"exposure": 1', '"exposure": 2'), "utf-8"
-    )
+    manifest.write_text(manifest.read_text(encoding="utf-8").replace('"exposure": 1', '"exposure": 2'), "utf-8")
     assert read_image_set(images).images[0].exposure == 2
     assert made_from(read_image_set(images)) != made_from(good)
 
@@ -258,9 +256,7 @@ def test_a_set_that_is_refused_is_told_and_the_others_go_on(cli, bench, parts, d
         ("dazzled", "not inspected"),
         ("bad", "NG"),
     ]
-    assert batch["sets"][1]["reasons"][0].startswith(
-        "dazzled, posture (0°, 0°): all"
-    )  # no folders of this machine
+    assert batch["sets"][1]["reasons"][0].startswith("dazzled, posture (0°, 0°): all")  # no folders of this machine
     assert {p.name for p in bench.out.iterdir()} == {"good", "bad", "batch.json", "report.html"}
     page = (bench.out / "report.html").read_text(encoding="utf-8")
     for name in ("good", "bad"):

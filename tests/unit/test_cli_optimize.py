@@ -52,9 +52,7 @@ def three(bench):
 def optimized(shared_bench, tmp_path_factory):
     """A result with images for both postures, that the tests of its content share."""
     bench = with_lights(type(shared_bench).make(tmp_path_factory.mktemp("optimized") / "bench"))
-    assert (
-        run(["optimize", str(bench.rig), str(bench.part), "-o", str(bench.out), *FEW, "--keep-matrix"]) == 0
-    )
+    assert run(["optimize", str(bench.rig), str(bench.part), "-o", str(bench.out), *FEW, "--keep-matrix"]) == 0
     return bench
 
 
@@ -152,9 +150,7 @@ def images_of(bench, result, index):
 
 @pytest.mark.slow
 def test_the_same_command_gives_the_same_bytes_on_any_threads(optimized, cli, snapshot, tmp_path):
-    ran = cli(
-        "optimize", optimized.rig, optimized.part, "-o", tmp_path, *FEW, "--keep-matrix", "--threads", 1
-    )
+    ran = cli("optimize", optimized.rig, optimized.part, "-o", tmp_path, *FEW, "--keep-matrix", "--threads", 1)
     assert (ran.status, ran.err) == (0, "")
     assert snapshot(tmp_path) == snapshot(optimized.out)
     again = cli("optimize", optimized.rig, optimized.part, "-o", tmp_path, *FEW, "--keep-matrix")
@@ -341,10 +337,7 @@ def test_an_interrupted_run_leaves_whole_matrices_that_are_reused(three):
     ("arguments", "message"),
     [
         (("--step", "0"), "--step: expected degrees above 0, found 0"),
-        (
-            ("--shade-below", "10"),
-            "--shade-below: expected a share of full scale from 0 to 1, such as 10/255",
-        ),
+        (("--shade-below", "10"), "--shade-below: expected a share of full scale from 0 to 1, such as 10/255"),
         (("--shade-below", "1"), "leaves none usable"),
         (("--objective", "paint"), '--objective: expected coverage or paper or detectability, found "paint"'),
         (("--ranking-rows", "0"), "ranking rows: expected at least 1, found 0"),
@@ -402,9 +395,7 @@ def test_one_light_is_placed_for_defects_and_refused_by_objectives_that_compare_
     with_lights(bench, ONE_LIGHT)
     refused = cli("optimize", bench.rig, bench.part, "-o", bench.out)
     assert refused.status == 2
-    assert (
-        "objective coverage wants each patch usable in 2 images, and there is one light only" in refused.err
-    )
+    assert "objective coverage wants each patch usable in 2 images, and there is one light only" in refused.err
     assert "use the objective detectability" in refused.err
     arguments = ("--step", "30", "--patches", "500", *BARE, "--posture", "0,0")
     ran = cli("optimize", bench.rig, bench.part, "-o", bench.out, "--objective", "detectability", *arguments)
@@ -414,17 +405,7 @@ def test_one_light_is_placed_for_defects_and_refused_by_objectives_that_compare_
     assert answer["min_images"] == 1
     assert answer["combinations"]["total"] == 2
     assert 0.0 < answer["share_of_inspectable_area"] < 1.0
-    twice = cli(
-        "optimize",
-        bench.rig,
-        bench.part,
-        "-o",
-        bench.out,
-        "--objective",
-        "detectability",
-        "--min-images",
-        "2",
-    )
+    twice = cli("optimize", bench.rig, bench.part, "-o", bench.out, "--objective", "detectability", "--min-images", "2")
     assert twice.status == 2
     assert "2 images, and the rig has 1 light only; lower --min-images" in twice.err
 
@@ -446,9 +427,7 @@ def test_with_two_lights_paper_is_left_out_unless_asked_for(bench, cli):
 @pytest.mark.parametrize(("R_d", "said"), [("0.5", "100 % are shaded"), ("1e7", "% saturated (from 255 on)")])
 def test_nothing_usable_gives_no_optimum(three, cli, R_d, said):
     three.edit("part.yaml", "R_d: 45.0, R_s: 12500", f"R_d: {R_d}, R_s: 0")
-    ran = cli(
-        "optimize", three.rig, three.part, "-o", three.out, *FEW, "--posture", "0,0", "--objective", "paper"
-    )
+    ran = cli("optimize", three.rig, three.part, "-o", three.out, *FEW, "--posture", "0,0", "--objective", "paper")
     assert ran.status == 1
     assert said in ran.err
     assert "all 0" in ran.out
@@ -479,9 +458,7 @@ def test_a_light_that_stands_in_the_part_and_can_leave_it(three, cli):
     three.edit("rig.yaml", "azimuth_deg: 0@", "azimuth_deg: 0, azimuth_range_deg: [0, 40]")
     command = ("optimize", three.rig, three.part, "-o", three.out, *FEW[:2], *BARE)
     ran = cli(*command, "--step", "20", "--posture", "0,0")
-    assert (
-        "left out: light1 at elevation 30°, azimuth 0°: it is inside the part in posture (0°, 0°)" in ran.out
-    )
+    assert "left out: light1 at elevation 30°, azimuth 0°: it is inside the part in posture (0°, 0°)" in ran.out
     assert ran.status == 0
     three.edit("rig.yaml", ", azimuth_range_deg: [0, 40]", "")
     ran = cli(*command, "--step", "20", "--posture", "0,0", "--force")
@@ -491,10 +468,7 @@ def test_a_light_that_stands_in_the_part_and_can_leave_it(three, cli):
 
 def test_overlap_wants_two_images_of_one_size(bench, cli):
     assert (
-        cli(
-            "render", bench.rig, bench.part, "-o", bench.out, "--patches", "500", "--light", "light1", "-q"
-        ).status
-        == 0
+        cli("render", bench.rig, bench.part, "-o", bench.out, "--patches", "500", "--light", "light1", "-q").status == 0
     )
     ran = cli("overlap", bench.out)
     assert ran.status == 2

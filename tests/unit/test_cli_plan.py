@@ -103,9 +103,7 @@ def test_exposures_say_what_they_add(planned):
     chosen = result_of(planned.out)["chosen_postures"]
     # bounds are of what any of the exposures shows, the share of what is planned and of nothing else
     assert chosen["bounds_with_any_of_exposures"] == [1.0, 0.0625]
-    assert (
-        exposures["share_without"] <= exposures["share"] == chosen["share"] == chosen["postures"][-1]["share"]
-    )
+    assert exposures["share_without"] <= exposures["share"] == chosen["share"] == chosen["postures"][-1]["share"]
     for one in chosen["postures"]:
         posture = {axis: one[axis] for axis in ("elevation_deg", "rotation_deg")}
         planned_ones = [s["exposure"] for s in exposures["shots"] if s["planned"] and s["posture"] == posture]
@@ -163,9 +161,7 @@ def test_blind_spots_are_those_of_the_whole_plan(planned):
     # the same pairs of the same patches, as a share of the whole surface
     seen = exposures["share"] * chosen["inspectable_share_of_surface"]
     # but for what the camera sees at a grazing angle only
-    assert spots["chosen"]["seen"] * (1.0 - spots["chosen"]["left_out_of_surface"]) == pytest.approx(
-        seen, abs=3e-6
-    )
+    assert spots["chosen"]["seen"] * (1.0 - spots["chosen"]["left_out_of_surface"]) == pytest.approx(seen, abs=3e-6)
     # the lights stand where they were chosen to, and what other positions could show is still told
     assert spots["any_position"]["seen"] > spots["chosen"]["seen"]
     for part in (spots, *spots["postures"]):
@@ -204,9 +200,7 @@ def test_the_commands_run_as_they_are(planned, monkeypatch):
 @pytest.mark.nightly
 def test_the_same_command_again_gives_the_same_bytes_and_another_is_refused(planned, snapshot, cli):
     before = snapshot(planned.out)
-    assert (
-        run(["optimize", str(planned.rig), str(planned.part), "-o", str(planned.out), *PLAN, "--quiet"]) == 0
-    )
+    assert run(["optimize", str(planned.rig), str(planned.part), "-o", str(planned.out), *PLAN, "--quiet"]) == 0
     assert {name: before[name] for name in before} == {name: snapshot(planned.out)[name] for name in before}
     other = [text if text != "2" else "3" for text in PLAN]
     ran = cli("optimize", planned.rig, planned.part, "-o", planned.out, *other)
@@ -231,26 +225,20 @@ def test_lights_that_do_not_move_are_taken_as_they_stand(two, cli):
     for ends in (", elevation_range_deg: [50, 60]", ", elevation_range_deg: [40, 50]"):
         text = text.replace(ends, "")
     two.rig.write_text(text, encoding="utf-8", newline="\n")
-    ran = cli(
-        "optimize", two.rig, two.part, "-o", two.out, *FEW, "--choose-postures", "1", "--posture-step", "90"
-    )
+    ran = cli("optimize", two.rig, two.part, "-o", two.out, *FEW, "--choose-postures", "1", "--posture-step", "90")
     assert ran.status == 0, ran.err
     assert "1 posture of 13" in ran.out
     assert [light.elevation_deg for light in load_rig(two.out / "rig.optimized.yaml").lights] == [60, 50]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "reach", [pytest.param("", marks=pytest.mark.nightly), ", elevation_range_deg: [50, 60]"]
-)
+@pytest.mark.parametrize("reach", [pytest.param("", marks=pytest.mark.nightly), ", elevation_range_deg: [50, 60]"])
 def test_one_light_is_enough_where_postures_are_chosen(two, cli, reach):
     first, *_, last = LIGHTS.splitlines(keepends=True)
     alone = first + last.replace("light2", "light1").replace(", elevation_range_deg: [40, 50]", reach)
     two.edit("rig.yaml", LIGHTS, alone)
     asked = ("--patches", "200", "--step", "10", "--choose-postures", "2", "--posture-step", "90")
-    ran = cli(
-        "optimize", two.rig, two.part, "-o", two.out, *asked, "--min-images", "2", "--light-tolerance", "1"
-    )
+    ran = cli("optimize", two.rig, two.part, "-o", two.out, *asked, "--min-images", "2", "--light-tolerance", "1")
     assert ran.status == 0, ran.err
     assert "2 postures of 13 show" in ran.out
     result = result_of(two.out)
@@ -277,8 +265,7 @@ def test_a_target_beyond_reach_says_what_can_be_and_why(two, cli):
     ran = plan(cli, two, "--target", "0.999", "--posture-step", "90")
     assert ran.status == 1
     assert (
-        "99.9 % of the surface × defects is not reached: with the best lights found (others may show more)"
-        in ran.err
+        "99.9 % of the surface × defects is not reached: with the best lights found (others may show more)" in ran.err
     )
     assert "postures together show" in ran.err
     assert "contrast under noise" in ran.err
@@ -412,9 +399,7 @@ def test_nothing_to_see_is_said(two, cli):
 
 @pytest.mark.slow
 def test_an_objective_that_is_only_scored_is_not_said_to_be_proven_among_all(two, cli, monkeypatch):
-    monkeypatch.setattr(
-        "lightopt.design.responses._posture_matrices.PostureMatrices.fits_memory", lambda *_: False
-    )
+    monkeypatch.setattr("lightopt.design.responses._posture_matrices.PostureMatrices.fits_memory", lambda *_: False)
     asked = ("--choose-postures", "1", "--posture-step", "90", "--objective", "detectability")
     ran = plan(cli, two, *asked, "--objective", "coverage")
     assert ran.status == 0, ran.err
@@ -473,20 +458,14 @@ def test_tolerances_of_another_objective(two, cli):
     ("arguments", "expected"),
     [
         (("--choose-postures", "0"), "--choose-postures: expected 1 posture or more, found 0"),
-        (
-            ("--target", "0"),
-            "--target: expected a share of the surface above 0 and up to 1, such as 0.95, found 0",
-        ),
+        (("--target", "0"), "--target: expected a share of the surface above 0 and up to 1, such as 0.95, found 0"),
         (
             ("--target", "95 of"),
             '--target: expected a share of the surface above 0 and up to 1, such as 0.95, found "95 of"',
         ),
         (("--target", "95"), "such as 0.95, found 95; 95 % is --target 0.95"),
         (("--target", "950"), "such as 0.95, found 950\n"),
-        (
-            ("--choose-postures", "1", "--posture-step", "0"),
-            "--posture-step: expected degrees above 0, found 0",
-        ),
+        (("--choose-postures", "1", "--posture-step", "0"), "--posture-step: expected degrees above 0, found 0"),
         (("--choose-postures", "1", "--posture-step", "0.1"), "take a larger step"),
         (("--posture-step", "30"), "--posture-step: does nothing without --choose-postures or --target"),
         (("--allow-outside", "3"), "--allow-outside: does nothing without --choose-postures or --target"),
@@ -499,21 +478,12 @@ def test_tolerances_of_another_objective(two, cli):
         (("--exposures", "1,0"), "--exposures: expected a number from 1e-09 to 1e+09 or a fraction"),
         (("--exposures", "1,-1/4"), 'found "-1/4"'),
         (("--exposures", "1/4,1/4"), "--exposures: the same exposure was given twice"),
-        (
-            ("--exposures", "1/4", "--exposure-gain", "-1"),
-            "--exposure-gain: expected points from 0 to 100, found -1",
-        ),
+        (("--exposures", "1/4", "--exposure-gain", "-1"), "--exposure-gain: expected points from 0 to 100, found -1"),
         (("--light-tolerance", "-2"), "--light-tolerance: expected degrees from 0 to 16, found -2"),
         (("--pose-tolerance", "nan"), "--pose-tolerance: expected degrees from 0 to 16, found nan"),
-        (
-            ("--light-tolerance", "2", "--tolerance-target", "1"),
-            "--tolerance-target: expected a share of the score",
-        ),
+        (("--light-tolerance", "2", "--tolerance-target", "1"), "--tolerance-target: expected a share of the score"),
         (("--choose-postures", "1", "--posture", "0,0"), "leave --posture out, or --choose-postures"),
-        (
-            ("--target", "0.5", "--posture", "0,0"),
-            "--posture: given together with --target, by which postures",
-        ),
+        (("--target", "0.5", "--posture", "0,0"), "--posture: given together with --target, by which postures"),
         (("--choose-postures", "1", "--objective", "coverage"), "expected detectability first"),
         (("--choose-postures", "2", "--min-images", "0"), "--min-images: expected the number of images"),
         (("--exposures", "1/4", "--min-images", "0"), "--min-images: expected the number of images"),
@@ -529,10 +499,7 @@ def test_tolerances_of_another_objective(two, cli):
             ("--choose-postures", "1", "--objective", "detectability", "--objective", "paper"),
             "objective paper drops each patch's highest and lowest level, and with 2 lights nothing is left",
         ),
-        (
-            ("--exposures", "1,1/4", "--min-images", "9"),
-            "2 lights × 2 postures, further exposures of the same light",
-        ),
+        (("--exposures", "1,1/4", "--min-images", "9"), "2 lights × 2 postures, further exposures of the same light"),
         (("--choose-postures", "1", "--threshold", "-1"), "--threshold: expected a number above 0"),
         (("--exposures", "1/4", "--threshold", "nan"), "--threshold: expected a number above 0"),
         (("--choose-postures", "1", "--ranking-rows", "0"), "ranking rows: expected at least 1, found 0"),
@@ -553,8 +520,7 @@ def test_bad_questions_are_refused_before_any_work(two, cli, arguments, expected
 def test_tolerances_of_many_lights_are_refused_before_any_work(two, cli, monkeypatch):
     monkeypatch.setattr("lightopt.design._optimize.cast_rays_at", work)
     more = "".join(
-        f"  - {{name: more{i}, distance_mm: 330, elevation_deg: 30, azimuth_deg: {30 * i}}}\n"
-        for i in range(10)
+        f"  - {{name: more{i}, distance_mm: 330, elevation_deg: 30, azimuth_deg: {30 * i}}}\n" for i in range(10)
     )
     two.edit("rig.yaml", LIGHTS, LIGHTS + more)
     ran = cli("optimize", two.rig, two.part, "-o", two.out, "--light-tolerance", "2")

@@ -52,10 +52,7 @@ def test_all_lights_and_postures_are_rendered_and_listed(cli, bench):
         ("light1", 170.0, 1.0),
         ("light3", 170.0, 1.0),
     ]
-    assert [(e.light_elevation_deg, e.light_azimuth_deg) for e in image_set.images[:2]] == [
-        (60, 45),
-        (45, 225),
-    ]
+    assert [(e.light_elevation_deg, e.light_azimuth_deg) for e in image_set.images[:2]] == [(60, 45), (45, 225)]
     written = {p.relative_to(bench.out).as_posix() for p in bench.out.rglob("*") if p.is_file()}
     folders = ("posture_0_0", "posture_-10_170")
     assert written == {"manifest.json", "patches.npz"} | {
@@ -84,9 +81,7 @@ def test_light_selects_and_repeats(cli, bench):
     assert cli("render", bench.rig, bench.part, "-o", bench.out, *FEW, "-q", "--light", "light3").status == 0
     assert lights_of(bench.out) == [("light3", "(0°, 0°)"), ("light3", "(-10°, 170°)")]
     both = bench.folder / "both"
-    ran = cli(
-        "render", bench.rig, bench.part, "-o", both, *FEW, "-q", "--light", "light3", "--light", "light1"
-    )
+    ran = cli("render", bench.rig, bench.part, "-o", both, *FEW, "-q", "--light", "light3", "--light", "light1")
     assert ran.status == 0
     assert len(lights_of(both)) == 4
 
@@ -103,17 +98,7 @@ def test_a_light_left_out_at_first_is_added_to_the_same_set(cli, bench):
 
 def test_posture_replaces_those_of_the_part_and_repeats(cli, bench):
     ran = cli(
-        "render",
-        bench.rig,
-        bench.part,
-        "-o",
-        bench.out,
-        *FEW,
-        "-q",
-        "--posture",
-        "-12.5,30",
-        "--posture",
-        "0, 278",
+        "render", bench.rig, bench.part, "-o", bench.out, *FEW, "-q", "--posture", "-12.5,30", "--posture", "0, 278"
     )
     assert ran.status == 0, ran.err
     postures = [(g.posture.elevation_deg, g.posture.rotation_deg) for g in read_image_set(bench.out).geometry]
@@ -172,9 +157,7 @@ def test_supersample_smooths_the_silhouette_and_keeps_the_geometry(cli, bench):
         assert np.array_equal(values, sets["3"]["geometry"][name]), name
     missed = sets["1"]["geometry"]["Z"] == 0
     assert (sets["1"]["light1"]["Y"][missed] == 0).all()
-    assert (
-        sets["3"]["light1"]["Y"][missed] > 0
-    ).any()  # a pixel whose centre misses still sees some of the part
+    assert (sets["3"]["light1"]["Y"][missed] > 0).any()  # a pixel whose centre misses still sees some of the part
 
 
 def test_patches_bounds_the_table(cli, bench):
@@ -211,9 +194,7 @@ def test_every_exposure_gets_a_sheet(cli, bench):
     ran = cli("render", bench.rig, bench.part, "-o", bench.out, *FEW, "--sheet", *exposures)
     assert ran.status == 0
     names = ["contact-sheet_x0.0625.png", "contact-sheet.png"]
-    told = [
-        f"contact sheet, exposure {e}: {bench.out / n}" for e, n in zip(("0.0625", "1"), names, strict=True)
-    ]
+    told = [f"contact sheet, exposure {e}: {bench.out / n}" for e, n in zip(("0.0625", "1"), names, strict=True)]
     assert ran.out.splitlines()[-2:] == told
     assert set(read_image_set(bench.out).manifest.files) == {"patches.npz", *names}
     short, long = (bench.out / name for name in names)
@@ -300,9 +281,7 @@ def test_twelve_bits_come_in_a_sixteen_bit_container(cli, bench):
         assert levels.dtype == np.uint16
         assert levels.min() == 64  # where rays miss
         assert levels.max() <= 4095
-        assert np.array_equal(
-            levels, expose(linear, sensor=sensor, exposure=entry.exposure, full_scale=255.0)
-        )
+        assert np.array_equal(levels, expose(linear, sensor=sensor, exposure=entry.exposure, full_scale=255.0))
         # right-aligned: 45 levels of 255 in 4095ths, not shifted up by 4 bits
         flat = (linear > 20) & (linear < 30) & (entry.exposure == 1.0)
         assert np.allclose(levels[flat], 64 + linear[flat] * 4095 / 255, atol=0.51)
@@ -376,19 +355,13 @@ def noisy(cli, bench, name, *options, seed="7"):
 
 
 def test_noise_is_that_of_its_seed(cli, bench):
-    once, again, other = (
-        noisy(cli, bench, name, seed=seed) for name, seed in (("a", "7"), ("b", "7"), ("c", "8"))
-    )
+    once, again, other = (noisy(cli, bench, name, seed=seed) for name, seed in (("a", "7"), ("b", "7"), ("c", "8")))
     assert once == again
     assert all(once[key] != other[key] for key in once)
     plain = bench.folder / "plain"
     assert cli("render", bench.rig, bench.part, "-o", plain, *FEW, "-q").status == 0
-    assert (plain / "posture_0_0/light1.exr").read_bytes() == (
-        bench.folder / "a/posture_0_0/light1.exr"
-    ).read_bytes()
-    images = [
-        read_png(folder / "posture_0_0/light1.png").astype(float) for folder in (plain, bench.folder / "a")
-    ]
+    assert (plain / "posture_0_0/light1.exr").read_bytes() == (bench.folder / "a/posture_0_0/light1.exr").read_bytes()
+    images = [read_png(folder / "posture_0_0/light1.png").astype(float) for folder in (plain, bench.folder / "a")]
     dark = read_exr(plain / "posture_0_0/light1.exr")["Y"] == 0
     assert 0.3 < (images[1] - images[0])[dark].std() < 0.8  # 0.8 levels, the lower half clipped at 0
 
@@ -416,9 +389,7 @@ def test_noise_of_an_image_does_not_depend_on_what_else_is_asked_for(cli, bench,
 
 
 def test_noise_differs_from_image_to_image(cli, bench):
-    bench.edit(
-        "rig.yaml", "elevation_deg: 45, azimuth_deg: 225, gain: 0.8", "elevation_deg: 60, azimuth_deg: 45"
-    )
+    bench.edit("rig.yaml", "elevation_deg: 45, azimuth_deg: 225, gain: 0.8", "elevation_deg: 60, azimuth_deg: 45")
     noisy(cli, bench, "out")
     # now both lights stand at the same place: only the noise tells their images apart
     levels = [read_png(bench.folder / "out/posture_0_0" / f"{light}.png") for light in ("light1", "light3")]
@@ -451,12 +422,7 @@ def test_threads_do_not_show_in_any_file(cli, shared_bench, snapshot, tmp_path, 
     monkeypatch.setattr(_images, "BLOCK_SAMPLES", 1000)  # many blocks, even of a small image
     for threads in ("1", "3"):
         options = ("--threads", threads, "--points", points, "--layers", "--noise", "3", "-q")
-        assert (
-            cli(
-                "render", shared_bench.rig, shared_bench.part, "-o", tmp_path / threads, *FEW, *options
-            ).status
-            == 0
-        )
+        assert cli("render", shared_bench.rig, shared_bench.part, "-o", tmp_path / threads, *FEW, *options).status == 0
     assert snapshot(tmp_path / "1") == snapshot(tmp_path / "3")
 
 
@@ -471,9 +437,7 @@ DIFFERENT = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("options", "named"), DIFFERENT, ids=lambda x: " ".join(x) if isinstance(x, tuple) else x
-)
+@pytest.mark.parametrize(("options", "named"), DIFFERENT, ids=lambda x: " ".join(x) if isinstance(x, tuple) else x)
 def test_other_options_are_refused_without_force(cli, bench, snapshot, options, named):
     assert cli("render", bench.rig, bench.part, "-o", bench.out, *FEW, "-q").status == 0
     before = snapshot(bench.out)
@@ -504,13 +468,7 @@ def test_other_inputs_are_refused_without_force(cli, bench, snapshot, name):
 
 
 @pytest.mark.parametrize(
-    "lost",
-    [
-        "patches.npz",
-        "posture_0_0/geometry.exr",
-        "posture_0_0/light1.exr",
-        "posture_-10_170/light3_x0.0625.png",
-    ],
+    "lost", ["patches.npz", "posture_0_0/geometry.exr", "posture_0_0/light1.exr", "posture_-10_170/light3_x0.0625.png"]
 )
 @pytest.mark.parametrize("how", ["deleted", "damaged"])
 def test_what_was_lost_is_made_again(cli, bench, snapshot, lost, how):

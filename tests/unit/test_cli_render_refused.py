@@ -7,9 +7,7 @@ import pytest
 
 def errors_of(ran):
     """The findings that are errors: text, and where they come from."""
-    found = [
-        line.removeprefix("error:").strip() for line in ran.out.splitlines() if line.startswith("error:")
-    ]
+    found = [line.removeprefix("error:").strip() for line in ran.out.splitlines() if line.startswith("error:")]
     return [line.partition(": ")[2].rpartition(" (")[::2] for line in found]
 
 
@@ -39,9 +37,7 @@ def test_a_panel_that_is_not_asked_for_does_not_matter(cli, bench):
     assert cli("render", bench.rig, bench.part, "-o", bench.out, *options).status == 0
 
 
-@pytest.mark.parametrize(
-    ("unit", "told"), [("um", "no pixel on the part at best"), ("m", "is inside the part")]
-)
+@pytest.mark.parametrize(("unit", "told"), [("um", "no pixel on the part at best"), ("m", "is inside the part")])
 def test_a_part_a_thousand_times_too_small_or_large(cli, bench, unit, told):
     bench.edit("part.yaml", "units: mm", f"units: {unit}")
     checked, ran = refuse(cli, bench)

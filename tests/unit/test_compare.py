@@ -46,10 +46,7 @@ def test_statistics_against_a_plain_computation():
     result = compare_arrays("Y", a, b, absolute=0.05, relative=0.001, max_share=0.5, saturation=(255, 255))
     distance = [abs(x - y) for x, y in zip(a.ravel().tolist(), b.ravel().tolist(), strict=True)]
     differing = sum(d > 0.05 + 0.001 * abs(x) for d, x in zip(distance, a.ravel().tolist(), strict=True))
-    full_a, full_b = (
-        {i for i, x in enumerate(a.flat) if x >= 255},
-        {i for i, x in enumerate(b.flat) if x >= 255},
-    )
+    full_a, full_b = ({i for i, x in enumerate(a.flat) if x >= 255}, {i for i, x in enumerate(b.flat) if x >= 255})
     assert result.max == pytest.approx(max(distance))
     assert result.rms == pytest.approx((sum(d * d for d in distance) / len(distance)) ** 0.5)
     assert result.percentiles == pytest.approx(
@@ -119,13 +116,7 @@ def test_least_overlap_of_saturated_areas_when_asked():
 
 @pytest.mark.parametrize(
     "values",
-    [
-        {"absolute": -1},
-        {"relative": float("nan")},
-        {"max_share": 1.1},
-        {"min_iou": 2},
-        {"saturation": float("inf")},
-    ],
+    [{"absolute": -1}, {"relative": float("nan")}, {"max_share": 1.1}, {"min_iou": 2}, {"saturation": float("inf")}],
 )
 def test_impossible_thresholds_are_refused(values: dict):
     with pytest.raises(InputError, match=next(iter(values))):
@@ -304,15 +295,11 @@ HEADER = Manifest(kind="simulated", bit_depth=12, saturation_level=4080, lightop
 PLACES = [("light1", Posture(0, 0)), ("light2", Posture(0, 0)), ("light1", Posture(0, 82))]
 
 
-def image_set(
-    folder: Path, *, header: Manifest = HEADER, places=PLACES, offset: float = 0.0, azimuth: float = 45.0
-):
+def image_set(folder: Path, *, header: Manifest = HEADER, places=PLACES, offset: float = 0.0, azimuth: float = 45.0):
     writer = ImageSetWriter(folder, header)
     writer.add_patches({"area": np.arange(5.0), "vertex": np.arange(3), "unit": np.array("mm")})
     for posture in dict.fromkeys(posture for _, posture in places):
-        writer.add_geometry(
-            posture, {"Z": np.full((40, 50), 500, np.float32), "N.X": np.ones((40, 50), np.float32)}
-        )
+        writer.add_geometry(posture, {"Z": np.full((40, 50), 500, np.float32), "N.X": np.ones((40, 50), np.float32)})
     for i, (light, posture) in enumerate(places):
         for exposure in (1.0, 0.25):
             sensor = np.minimum(LEVELS * exposure * 4095 / 255, 4095).astype(np.uint16)
@@ -376,9 +363,7 @@ def test_deleted_and_changed_files_fail(golden: Path, tmp_path: Path):
     shutil.copytree(golden, new)
     (new / "posture_0_0/light2.png").unlink()
     (golden / "posture_0_82/geometry.exr").unlink()
-    write_npz_atomic(
-        new / "patches.npz", {"area": np.arange(5.0), "vertex": np.arange(3), "unit": np.array("m")}
-    )
+    write_npz_atomic(new / "patches.npz", {"area": np.arange(5.0), "vertex": np.arange(3), "unit": np.array("m")})
     reasons = "\n".join(compare_sets(golden, new).reasons)
     assert "light2 at posture (0°, 0°), exposure 1, PNG: new file is missing" in reasons
     assert "geometry at posture (0°, 82°): golden file is missing" in reasons
@@ -394,15 +379,9 @@ def test_empty_golden_fails(tmp_path: Path):
 @pytest.mark.parametrize(
     ("arrays", "reason"),
     [
-        (
-            {"area": np.arange(5.0) + 0.01, "vertex": np.arange(3), "unit": np.array("mm")},
-            "area: 100.000% of values",
-        ),
+        ({"area": np.arange(5.0) + 0.01, "vertex": np.arange(3), "unit": np.array("mm")}, "area: 100.000% of values"),
         ({"area": np.arange(5.0), "vertex": np.arange(3) + 1, "unit": np.array("mm")}, "vertex: 100.000%"),
-        (
-            {"area": np.arange(4.0), "vertex": np.arange(3), "unit": np.array("mm")},
-            "area: golden float64 (5,), new",
-        ),
+        ({"area": np.arange(4.0), "vertex": np.arange(3), "unit": np.array("mm")}, "area: golden float64 (5,), new"),
         ({"area": np.arange(5.0)}, "different arrays"),
         (None, "no readable .npz"),
     ],
@@ -416,12 +395,8 @@ def test_patch_tables_are_compared(golden: Path, tmp_path: Path, arrays: dict | 
     assert any(text.startswith("patch table: ") and reason in text for text in reasons), reasons
 
 
-def test_other_bit_depth_full_scale_or_light_position_fail_and_other_inputs_are_noted(
-    golden: Path, tmp_path: Path
-):
-    other = image_set(
-        tmp_path / "new", header=replace(HEADER, full_scale=100, saturation_level=4000), azimuth=46
-    )
+def test_other_bit_depth_full_scale_or_light_position_fail_and_other_inputs_are_noted(golden: Path, tmp_path: Path):
+    other = image_set(tmp_path / "new", header=replace(HEADER, full_scale=100, saturation_level=4000), azimuth=46)
     result = compare_sets(golden, other)
     reasons = "\n".join(result.reasons)
     assert "different full_scale: golden 255, new 100" in reasons
@@ -446,9 +421,7 @@ def test_difference_picture_shows_sign_scale_and_saturation(tmp_path: Path):
     assert weak.min() > 220
     assert weak[0] > weak[2]
     assert black.tolist() == [0, 0, 0]
-    assert (
-        len({tuple(picture[1, 0]), tuple(picture[1, 1]), tuple(picture[5, 5]), tuple(red), tuple(blue)}) == 5
-    )
+    assert len({tuple(picture[1, 0]), tuple(picture[1, 1]), tuple(picture[5, 5]), tuple(red), tuple(blue)}) == 5
     metadata = read_png_metadata(tmp_path / "d.png")
     assert (metadata["scale"], metadata["channel"]) == (10, "Y")
     assert (metadata["beyond_scale"], metadata["only_golden"], metadata["only_new"]) == (2, 1, 1)

@@ -17,14 +17,7 @@ from lightopt.defects import BUILT_IN_CATALOGUE, depth_of_slope
 from lightopt.defects._shape import DEFECT_KINDS
 
 GOOD = [
-    {
-        "name": "a",
-        "kind": "scratch",
-        "at_mm": [1, 2, 3],
-        "size_mm": [5, 0.2],
-        "slope_deg": 4,
-        "direction_deg": 30,
-    },
+    {"name": "a", "kind": "scratch", "at_mm": [1, 2, 3], "size_mm": [5, 0.2], "slope_deg": 4, "direction_deg": 30},
     {"name": "b", "kind": "dent", "at_mm": [1, 2, 3], "size_mm": 2, "depth_mm": 0.02},
     {
         "name": "c",
@@ -39,9 +32,7 @@ GOOD = [
 
 def part_with(bench, **lists):
     text = bench.part.read_text(encoding="utf-8")
-    bench.part.write_text(
-        text + "".join(f"{k}: {json.dumps(v)}\n" for k, v in lists.items()), encoding="utf-8"
-    )
+    bench.part.write_text(text + "".join(f"{k}: {json.dumps(v)}\n" for k, v in lists.items()), encoding="utf-8")
     return load_part(bench.part)
 
 
@@ -95,21 +86,12 @@ CASES = [
     (changed(0, depth_mm=0.01), "depth_mm: given together with slope_deg"),
     (changed(0, size_mm=2), "size_mm: expected [length, width] of a scratch"),
     (changed(0, size_mm=[0.2, 5]), "expected [length, width] with the length at least the width"),
-    (
-        changed(0, size_mm=[5, 0]),
-        "expected a diameter, or [length, width], in mm from 0.001 to 1000, found [5, 0]",
-    ),
+    (changed(0, size_mm=[5, 0]), "expected a diameter, or [length, width], in mm from 0.001 to 1000, found [5, 0]"),
     (changed(1, size_mm=0), "expected a diameter, or [length, width], in mm from 0.001 to 1000, found 0"),
     (changed(1, depth_mm=0), "depth_mm: expected a number above 0, up to 1000 (mm), found 0"),
-    (
-        changed(1, depth_mm=2),
-        "a dent 2 mm wide and 2 mm deep has walls of 72 degrees; expected at most 1.1 mm",
-    ),
+    (changed(1, depth_mm=2), "a dent 2 mm wide and 2 mm deep has walls of 72 degrees; expected at most 1.1 mm"),
     (changed(1, R_d_factor=0.5), "R_d_factor: a dent has none; it belongs to stain; remove this key"),
-    (
-        changed(1, kind="hole"),
-        'kind: expected scratch, dent, bump, pit, blister, stain or haze, found "hole"',
-    ),
+    (changed(1, kind="hole"), 'kind: expected scratch, dent, bump, pit, blister, stain or haze, found "hole"'),
     (changed(1, at_mm=None), 'missing key "at_mm" or "at_pixel": say where the defect is'),
     (changed(2, at_mm=[0, 0, 0]), "at_pixel: given together with at_mm"),
     (changed(2, R_d_factor=None), 'missing key "R_d_factor": a stain is nothing without it'),
@@ -145,14 +127,9 @@ def test_all_mistakes_come_at_once(bench):
 def test_a_catalogue_names_kinds_and_no_places(bench):
     entry = {k: v for k, v in GOOD[0].items() if k not in ("at_mm", "direction_deg")}
     assert part_with(bench, defect_catalogue=[entry]).defect_catalogue[0].shape.kind == "scratch"
-    bench.part.write_text(
-        bench.part.read_text(encoding="utf-8").rpartition("defect_cat")[0], encoding="utf-8"
-    )
+    bench.part.write_text(bench.part.read_text(encoding="utf-8").rpartition("defect_cat")[0], encoding="utf-8")
     said = refused(bench, defect_catalogue=[GOOD[0]])
-    assert (
-        'unknown key "at_mm"; it belongs to the entries of defects: remove it, or move the entry there'
-        in said
-    )
+    assert 'unknown key "at_mm"; it belongs to the entries of defects: remove it, or move the entry there' in said
     assert "depth_mm" not in said
 
 
@@ -178,9 +155,7 @@ def test_a_list_is_added_at_the_end_and_nothing_else_changes():
     assert longer == "# top\na: 1  # one\n\n# two\ndefects:\n  - {name: x}\n  - {name: y}\n"
 
 
-@pytest.mark.parametrize(
-    "text", ["{a: 1}\n", "a: 1\n...\n", "defects: []\n", "a: |\n  text\n \n  more: [\n..."]
-)
+@pytest.mark.parametrize("text", ["{a: 1}\n", "a: 1\n...\n", "defects: []\n", "a: |\n  text\n \n  more: [\n..."])
 def test_a_file_that_nothing_can_be_added_to_is_refused(text):
     with pytest.raises(InputError, match="defects cannot be added at the end"):
         with_list(text, "defects", ["{name: x}"], comment="c")
@@ -194,9 +169,7 @@ def test_what_the_documentation_shows_is_read(bench):
     assert [d.shape.kind for d in part.defects] == ["scratch", "dent", "stain"]
     assert [one.shape.kind for one in part.defect_catalogue or ()] == ["scratch", "dent", "stain"]
     for entry in BUILT_IN_CATALOGUE:
-        row = next(
-            line for line in page.splitlines() if line.startswith(f"| {entry.name} |") and "why" not in line
-        )
+        row = next(line for line in page.splitlines() if line.startswith(f"| {entry.name} |") and "why" not in line)
         assert row
         depth = f"{entry.shape.depth * 1000:.2g} µm"
         assert not entry.shape.slope or depth in page

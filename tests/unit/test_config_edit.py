@@ -30,9 +30,7 @@ def test_only_the_values_change():
 
 
 def test_a_key_is_added_to_a_mapping_of_either_style():
-    done = with_values(
-        TEXT, {("lights", 1, "gain"): "1.02", ("lights", 2, "gain"): "0.9", ("lights", 0, "gain"): "2"}
-    )
+    done = with_values(TEXT, {("lights", 1, "gain"): "1.02", ("lights", 2, "gain"): "0.9", ("lights", 0, "gain"): "2"})
     assert "- {name: one, gain: 2}   # the first" in done
     assert "- {gain: 1.02, name: two}" in done
     assert "  - gain: 0.9\n    name: three\n    distance_mm: 330\n" in done
@@ -84,12 +82,7 @@ def test_a_list_takes_the_place_of_another_and_only_its_own_comment_stays(there,
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        "{format: x, postures: [{a: 1}]}\n",
-        "x: &p [{a: 1}]\npostures: *p\n",
-        "x: &p {a: 1}\npostures:\n  - *p\n",
-    ],
+    "text", ["{format: x, postures: [{a: 1}]}\n", "x: &p [{a: 1}]\npostures: *p\n", "x: &p {a: 1}\npostures:\n  - *p\n"]
 )
 def test_a_list_in_braces_or_behind_an_alias_is_refused(text):
     with pytest.raises(InputError, match="postures cannot be"):

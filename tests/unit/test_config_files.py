@@ -76,12 +76,7 @@ def errors(load, path: Path) -> list[str]:
 def test_four_panel_has_the_numbers_of_the_contract() -> None:
     rig = load_rig(CONFIGS / "rigs" / "four-panel.yaml")
     camera = rig.camera
-    assert (camera.distance_mm, camera.elevation_deg, camera.azimuth_deg, camera.roll_deg) == (
-        550,
-        90,
-        270,
-        0,
-    )
+    assert (camera.distance_mm, camera.elevation_deg, camera.azimuth_deg, camera.roll_deg) == (550, 90, 270, 0)
     assert (camera.resolution_px, camera.pixel_size_um, camera.image_distance_mm) == ((1600, 1200), 4.4, 55)
     sensor = camera.sensor
     assert (sensor.bit_depth, sensor.saturation_level, sensor.black_level) == (8, 255, 0)
@@ -116,11 +111,7 @@ def test_sample_parts() -> None:
 def test_defaults(folder: Path) -> None:
     text = PART[: PART.index("postures")] + PART[PART.index("reflectance") :]
     part = load_part(write(folder, text))
-    assert (part.mesh.normals, part.mesh.crease_angle_deg, part.mesh.max_triangles) == (
-        "smooth",
-        30,
-        20_000_000,
-    )
+    assert (part.mesh.normals, part.mesh.crease_angle_deg, part.mesh.max_triangles) == ("smooth", 30, 20_000_000)
     assert (part.placement.anchor, part.placement.translate_mm) == ("rest_on_table", (0, 0, 0))
     assert [(p.elevation_deg, p.rotation_deg) for p in part.postures] == [(0, 0)]
     assert part.reflectance.full_scale == 255
@@ -161,19 +152,11 @@ def test_frozen_and_picklable(folder: Path) -> None:
 
 
 def test_optional_keys_of_the_rig(tmp_path: Path) -> None:
-    text = RIG.replace("image_distance_mm: 55 ", "focal_length_mm: 50 ").replace(
-        "points: 4 ", "points: auto "
-    )
-    text = text.replace(
-        "azimuth_deg: 45,", "azimuth_deg: 45, gain: 1.2, size_mm: [20, 30], falloff: inverse_square,"
-    )
+    text = RIG.replace("image_distance_mm: 55 ", "focal_length_mm: 50 ").replace("points: 4 ", "points: auto ")
+    text = text.replace("azimuth_deg: 45,", "azimuth_deg: 45, gain: 1.2, size_mm: [20, 30], falloff: inverse_square,")
     text = text.replace("  sensor:", "  exposure_us: 5e3\n  sensor:")
     rig = load_rig(write(tmp_path, text))
-    assert (rig.camera.focal_length_mm, rig.camera.image_distance_mm, rig.camera.exposure_us) == (
-        50,
-        None,
-        5000,
-    )
+    assert (rig.camera.focal_length_mm, rig.camera.image_distance_mm, rig.camera.exposure_us) == (50, None, 5000)
     assert rig.light_source.points == "auto"
     light = rig.lights[0]
     assert (light.gain, light.size_mm, light.falloff, light.points) == (1.2, (20, 30), "inverse_square", None)
@@ -191,9 +174,7 @@ def test_step_may_repeat_its_own_unit(folder: Path) -> None:
 
 # ---- one thing wrong with a rig
 
-LIGHT2 = (
-    "{name: light2, distance_mm: 330, elevation_deg: 60, azimuth_deg: 135, elevation_range_deg: [30, 60]}"
-)
+LIGHT2 = "{name: light2, distance_mm: 330, elevation_deg: 60, azimuth_deg: 135, elevation_range_deg: [30, 60]}"
 
 
 def light(**changes: str | None) -> str:
@@ -210,12 +191,7 @@ def light(**changes: str | None) -> str:
 
 BAD_RIGS = [
     # (old, new, keys, words)
-    (
-        "lightopt-rig/1",
-        "lightopt-rig/2",
-        "format",
-        ["expected lightopt-rig/1", '"lightopt-rig/2"', "version 1"],
-    ),
+    ("lightopt-rig/1", "lightopt-rig/2", "format", ["expected lightopt-rig/1", '"lightopt-rig/2"', "version 1"]),
     ("lightopt-rig/1", "lightopt-part/1", "format", ["this is a part", "expected a rig"]),
     ("lightopt-rig/1", "other", "format", ["expected lightopt-rig/1", 'found "other"']),
     ("lightopt-rig/1", "1", "format", ["expected lightopt-rig/1", "found 1"]),
@@ -233,12 +209,7 @@ BAD_RIGS = [
     ("distance_mm: 550", "distance_mm: " + "9" * 5000, "camera.distance_mm", ["finite", "5000 digits"]),
     ("distance_mm: 550", "distance: 550", "camera", ['unknown key "distance"', '"distance_mm"']),
     ("distance_mm: 550", "roll_degrees: 550\n  distance_mm: 550", "camera", ['"roll_degrees"', '"roll_deg"']),
-    (
-        "distance_mm: 550",
-        "colour: 1\n  distance_mm: 550",
-        "camera",
-        ['unknown key "colour"', "the keys here are dist"],
-    ),
+    ("distance_mm: 550", "colour: 1\n  distance_mm: 550", "camera", ['unknown key "colour"', "the keys here are dist"]),
     ("elevation_deg: 90", "elevation_deg: 180", "camera.elevation_deg", ["between 0 and 180", "found 180"]),
     ("elevation_deg: 90", "elevation_deg: abc", "camera.elevation_deg", ["between 0 and 180", '"abc"']),
     ("azimuth_deg: 270", "azimuth_deg: 400", "camera.azimuth_deg", ["-360 to 360", "found 400"]),
@@ -250,28 +221,13 @@ BAD_RIGS = [
     ("pixel_size_um: 4.4", "pixel_size_um: 0", "camera.pixel_size_um", ["0.01 to 1000", "found 0"]),
     ("image_distance_mm: 55 ", "", "camera", ['missing key "image_distance_mm"', '"focal_length_mm"']),
     ("image_distance_mm: 55 ", "focal_lenght_mm: 50 ", "camera", ["unknown key", '"focal_length_mm"']),
-    (
-        "image_distance_mm: 55 ",
-        "focal_length_mm: 550 ",
-        "camera.focal_length_mm",
-        ["less than distance_mm, 550"],
-    ),
+    ("image_distance_mm: 55 ", "focal_length_mm: 550 ", "camera.focal_length_mm", ["less than distance_mm, 550"]),
     ("k1: 0", "k1: x", "camera.distortion.k1", ["expected a number", '"x"']),
     ("k1: 0", "k4: 0", "camera.distortion", ['unknown key "k4"', "the keys here are k1, k2"]),
     ("bit_depth: 8 ", "bit_depth: 9 ", "camera.sensor.bit_depth", ["8, 10, 12, 14 or 16", "found 9"]),
     ("bit_depth: 8 ", "bit_depth: 8.0 ", "camera.sensor.bit_depth", ["8, 10, 12, 14 or 16", "found 8.0"]),
-    (
-        "saturation_level: 255",
-        "saturation_level: 256",
-        "camera.sensor.saturation_level",
-        ["255", "found 256"],
-    ),
-    (
-        "saturation_level: 255",
-        "saturation_level: 0",
-        "camera.sensor.saturation_level",
-        ["above 0", "found 0"],
-    ),
+    ("saturation_level: 255", "saturation_level: 256", "camera.sensor.saturation_level", ["255", "found 256"]),
+    ("saturation_level: 255", "saturation_level: 0", "camera.sensor.saturation_level", ["above 0", "found 0"]),
     ("black_level: 0", "black_level: 255", "camera.sensor.black_level", ["less than", "255", "found 255"]),
     ("black_level: 0", "black_level: -1", "camera.sensor.black_level", ["from 0 up", "found -1"]),
     ("electrons_per_level: 60", "electrons_per_level: 0", "camera.sensor.electrons_per_level", ["above 0"]),
@@ -283,20 +239,10 @@ BAD_RIGS = [
     ("points: 4 ", "points: 4.0 ", "light_source.points", ["square", "found 4.0"]),
     ("points: 4 ", "points: true ", "light_source.points", ["square", "found true"]),
     ("points: 4 ", "points: Auto ", "light_source.points", ["or auto", '"Auto"']),
-    (
-        "normalisation: mean",
-        "normalisation: median",
-        "light_source.normalisation",
-        ["mean or sum", '"median"'],
-    ),
+    ("normalisation: mean", "normalisation: median", "light_source.normalisation", ["mean or sum", '"median"']),
     ("falloff: none", "falloff: linear", "light_source.falloff", ["none or inverse_square", '"linear"']),
     ("falloff: none", "falloff:", "light_source.falloff", ["none or inverse_square", "found nothing"]),
-    (
-        "emission_exponent: 0",
-        "emission_exponent: -1",
-        "light_source.emission_exponent",
-        ["from 0", "found -1"],
-    ),
+    ("emission_exponent: 0", "emission_exponent: -1", "light_source.emission_exponent", ["from 0", "found -1"]),
     (LIGHT2, light(name="light1"), "lights[1].name", ['"light1" is already that of lights[0]']),
     (LIGHT2, light(name="LIGHT1"), "lights[1].name", ['"LIGHT1"', "lights[0]", "lower case"]),
     (LIGHT2, light(name="nul"), "lights[1].name", ['"nul"', "Windows reserves"]),
@@ -309,33 +255,13 @@ BAD_RIGS = [
     (LIGHT2, light(name=None), "lights[1]", ['missing key "name"']),
     (LIGHT2, light(elevation_deg="0"), "lights[1].elevation_deg", ["between 0 and 180", "found 0"]),
     (LIGHT2, light(elevation_deg="75"), "lights[1].elevation_range_deg", ["elevation_deg 75", "[30, 60]"]),
-    (
-        LIGHT2,
-        light(elevation_range_deg="[60, 30]"),
-        "lights[1].elevation_range_deg",
-        ["[low, high]", "60 above"],
-    ),
+    (LIGHT2, light(elevation_range_deg="[60, 30]"), "lights[1].elevation_range_deg", ["[low, high]", "60 above"]),
     (LIGHT2, light(elevation_range_deg="60"), "lights[1].elevation_range_deg", ["[low, high]", "found 60"]),
-    (
-        LIGHT2,
-        light(azimuth_range_deg="[0, 90]"),
-        "lights[1].azimuth_range_deg",
-        ["azimuth_deg 135", "[0, 90]"],
-    ),
+    (LIGHT2, light(azimuth_range_deg="[0, 90]"), "lights[1].azimuth_range_deg", ["azimuth_deg 135", "[0, 90]"]),
     (LIGHT2, light(gain="-1"), "lights[1].gain", ["from 0", "found -1"]),
     (LIGHT2, light(points="6"), "lights[1].points", ["square", "4 and 9"]),
-    (
-        LIGHT2,
-        light(points="auto", normalisation="sum"),
-        "lights[1].normalisation",
-        ["points: auto", "use mean"],
-    ),
-    (
-        LIGHT2,
-        light().replace("elevation_deg", "elevaton_deg", 1),
-        "lights[1]",
-        ['did you mean "elevation_deg"?'],
-    ),
+    (LIGHT2, light(points="auto", normalisation="sum"), "lights[1].normalisation", ["points: auto", "use mean"]),
+    (LIGHT2, light().replace("elevation_deg", "elevaton_deg", 1), "lights[1]", ['did you mean "elevation_deg"?']),
     (
         LIGHT2,
         light().replace("elevation_deg", "elevation", 1),
@@ -390,17 +316,13 @@ def test_lights_must_be_a_list_with_something_in_it(tmp_path: Path) -> None:
 
 
 def test_a_light_inherits_what_makes_it_impossible(tmp_path: Path) -> None:
-    text, line = changed(
-        RIG.replace("normalisation: mean", "normalisation: sum"), LIGHT2, light(points="auto")
-    )
+    text, line = changed(RIG.replace("normalisation: mean", "normalisation: sum"), LIGHT2, light(points="auto"))
     (found,) = errors(load_rig, write(tmp_path, text))
     assert found.startswith(f"{line}: lights[1].points: ")
 
 
 def test_shared_sum_of_auto_points(tmp_path: Path) -> None:
-    text, line = changed(
-        RIG.replace("points: 4 ", "points: auto "), "normalisation: mean", "normalisation: sum"
-    )
+    text, line = changed(RIG.replace("points: 4 ", "points: auto "), "normalisation: mean", "normalisation: sum")
     (found,) = errors(load_rig, write(tmp_path, text))
     assert found.startswith(f"{line}: light_source.normalisation: sum cannot be used with points: auto")
 
@@ -471,12 +393,7 @@ BAD_PARTS = [
     ("units: mm", "normals: flat\n  units: mm", "mesh.normals", ["smooth or facet", '"flat"']),
     ("units: mm", "units: mm\n  crease_angle_deg: 0", "+mesh.crease_angle_deg", ["above 0, up to 180"]),
     ("units: mm", "units: mm\n  chord_tolerance_mm: 0.1", "+mesh.chord_tolerance_mm", ["belongs to STEP"]),
-    (
-        "knob.stl\n  units: mm",
-        "knob.step\n  chord_tolerance_mm: 0",
-        "+mesh.chord_tolerance_mm",
-        ["0.0001 to 10"],
-    ),
+    ("knob.stl\n  units: mm", "knob.step\n  chord_tolerance_mm: 0", "+mesh.chord_tolerance_mm", ["0.0001 to 10"]),
     ("units: mm", "units: mm\n  max_triangles: 1.5", "+mesh.max_triangles", ["whole number", "1.5"]),
     ("knob.stl\n  units: mm", "knob.glb\n  units: mm", "+mesh.units", [".glb is in metres", "found mm"]),
     ("knob.stl\n  units: mm", "knob.step\n  units: m", "+mesh.units", ["found m", "is in mm", "remove"]),
@@ -496,12 +413,7 @@ BAD_PARTS = [
     ("sigma_rad: 0.0475", "sigma_rad: 2.7", "reflectance.sigma_rad", ["to 0.5 (radians)", "found 2.7"]),
     ("sigma_rad: 0.0475", "sigma_rad: 0.1\n  full_scale: 0", "+reflectance.full_scale", ["above 0"]),
     ("postures:", "placement: {anchor: left}\npostures:", "placement.anchor", ["rest_on_table", '"left"']),
-    (
-        "postures:",
-        "placement: {rotate_deg: 90}\npostures:",
-        "placement.rotate_deg",
-        ["[x, y, z]", "found 90"],
-    ),
+    ("postures:", "placement: {rotate_deg: 90}\npostures:", "placement.rotate_deg", ["[x, y, z]", "found 90"]),
     ("postures:", "placement:\npostures:", "placement", ["found nothing"]),
 ]
 

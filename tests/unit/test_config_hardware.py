@@ -94,29 +94,16 @@ def test_everything_that_it_can_say(tmp_path: Path) -> None:
         ("ccs", "COM3", 2, "serial", 9600, 255)
     )
     assert extra.template is not None
-    assert (extra.template.set, extra.template.off) == (
-        "L{channel}{level:04d}\r\n",
-        "O{channel0}{letter}\x03",
-    )
+    assert (extra.template.set, extra.template.off) == ("L{channel}{level:04d}\r\n", "O{channel0}{letter}\x03")
     assert extra.template.read_reply == r"(?P<level>\d+)"
     left = hardware.lights["left"]
-    assert (left.controller, left.channel, left.level, left.max_level, left.max_on_s) == (
-        "main",
-        1,
-        200,
-        220,
-        5,
-    )
+    assert (left.controller, left.channel, left.level, left.max_level, left.max_on_s) == ("main", 1, 200, 220, 5)
     assert hardware.stage is not None
     assert hardware.stage.elevation is not None
     assert (hardware.stage.elevation.steps_per_deg, hardware.stage.elevation.zero) == (-1.5, -90)
     assert (hardware.stage.home_timeout_s, hardware.stage.elevation.home_sense) == (180, -1)
     assert hardware.camera.folder == "frames"
-    assert (hardware.timing.light_ms, hardware.timing.stage_ms, hardware.timing.discard_frames) == (
-        50,
-        200,
-        2,
-    )
+    assert (hardware.timing.light_ms, hardware.timing.stage_ms, hardware.timing.discard_frames) == (50, 200, 2)
 
 
 def test_without_the_section_there_is_none(tmp_path: Path) -> None:
@@ -125,9 +112,7 @@ def test_without_the_section_there_is_none(tmp_path: Path) -> None:
 
 def test_the_sample_says_the_same_rig_as_the_plain_one() -> None:
     """The sample with devices is the sample without, so that images of one are images of the other."""
-    plain, wired = (
-        load_rig(CONFIGS / "rigs" / f"{name}.yaml") for name in ("four-panel", "four-panel-serial")
-    )
+    plain, wired = (load_rig(CONFIGS / "rigs" / f"{name}.yaml") for name in ("four-panel", "four-panel-serial"))
     assert wired.hardware is not None
     ports = [c.port for c in wired.hardware.controllers.values()]
     assert {*ports, wired.hardware.stage.port if wired.hardware.stage else ""} == {"virtual"}
@@ -155,19 +140,9 @@ BAD = [
     (MAIN, "main: {driver: ccs, prot: COM3}", "controllers.main", ['did you mean "port"?']),
     (MAIN, "main: {driver: ccs}", "controllers.main", ['missing key "port"', "/dev/serial/by-id"]),
     (MAIN, "main: 3", "controllers.main", ['"key: value"', "found 3"]),
-    (
-        MAIN,
-        "main: {driver: sa, port: COM3, channels: 7}",
-        "controllers.main.channels",
-        ["at most 6", "sa", "7"],
-    ),
+    (MAIN, "main: {driver: sa, port: COM3, channels: 7}", "controllers.main.channels", ["at most 6", "sa", "7"]),
     (MAIN, "main: {driver: sa, port: COM3, dialect: serial}", "controllers.main.dialect", ["only ccs", "sa"]),
-    (
-        MAIN,
-        "main: {driver: ccs, port: COM3, baud: 1}",
-        "controllers.main.baud",
-        ["300 to 4000000", "found 1"],
-    ),
+    (MAIN, "main: {driver: ccs, port: COM3, baud: 1}", "controllers.main.baud", ["300 to 4000000", "found 1"]),
     (MAIN, "main: {driver: template, port: COM3}", "controllers.main", ['missing key "template"']),
     (
         MAIN,
@@ -175,56 +150,16 @@ BAD = [
         "controllers.main.template",
         ["only driver: template", "ccs", "leave this out"],
     ),
-    (
-        MAIN,
-        MAIN + "\n    bad name: {driver: sa, port: COM9}",
-        "controllers.bad name",
-        ["a name of letters", '"bad'],
-    ),
+    (MAIN, MAIN + "\n    bad name: {driver: sa, port: COM9}", "controllers.bad name", ["a name of letters", '"bad']),
     (LEFT, "", "lights", ['light "left"', "no channel", "left: {controller"]),
-    (
-        RIGHT,
-        RIGHT + "\n    rihgt: {controller: main, channel: 2, level: 9}",
-        "lights.rihgt",
-        ['mean "right"?'],
-    ),
-    (
-        RIGHT,
-        "right: {controller: main, channel: 1, level: 9}",
-        "lights.right.channel",
-        ['of light "left"', "main"],
-    ),
-    (
-        RIGHT,
-        "right: {controller: exra, channel: 1, level: 9}",
-        "lights.right.controller",
-        ["main, extra", '"exra"'],
-    ),
-    (
-        RIGHT,
-        "right: {controller: extra, channel: 5, level: 9}",
-        "lights.right.channel",
-        ["1 to 4", "extra", "5"],
-    ),
-    (
-        RIGHT,
-        "right: {controller: extra, channel: 0, level: 9}",
-        "lights.right.channel",
-        ["from 1", "found 0"],
-    ),
+    (RIGHT, RIGHT + "\n    rihgt: {controller: main, channel: 2, level: 9}", "lights.rihgt", ['mean "right"?']),
+    (RIGHT, "right: {controller: main, channel: 1, level: 9}", "lights.right.channel", ['of light "left"', "main"]),
+    (RIGHT, "right: {controller: exra, channel: 1, level: 9}", "lights.right.controller", ["main, extra", '"exra"']),
+    (RIGHT, "right: {controller: extra, channel: 5, level: 9}", "lights.right.channel", ["1 to 4", "extra", "5"]),
+    (RIGHT, "right: {controller: extra, channel: 0, level: 9}", "lights.right.channel", ["from 1", "found 0"]),
     (RIGHT, "right: {controller: extra, channel: 1, level: 0}", "lights.right.level", ["from 1", "found 0"]),
-    (
-        RIGHT,
-        "right: {controller: extra, channel: 4, level: 1024}",
-        "lights.right.level",
-        ["1023", "extra", "1024"],
-    ),
-    (
-        LEFT,
-        "left: {controller: main, channel: 1, level: 256}",
-        "lights.left.level",
-        ["at most 255", "found 256"],
-    ),
+    (RIGHT, "right: {controller: extra, channel: 4, level: 1024}", "lights.right.level", ["1023", "extra", "1024"]),
+    (LEFT, "left: {controller: main, channel: 1, level: 256}", "lights.left.level", ["at most 255", "found 256"]),
     (
         LEFT,
         "left: {controller: main, channel: 1, level: 200, max_level: 199}",
@@ -238,12 +173,7 @@ BAD = [
         ["at most 255", "found 300"],
     ),
     ('        set: "L{channel}{level:04d}\\r\\n"\n', "", "controllers.extra.template", ['missing key "set"']),
-    (
-        "{level:04d}",
-        "{levl}",
-        "controllers.extra.template.set",
-        ["no field {levl}", "{channel}, {channel0}, {letter}"],
-    ),
+    ("{level:04d}", "{levl}", "controllers.extra.template.set", ["no field {levl}", "{channel}, {channel0}, {letter}"]),
     ("{level:04d}", "7", "controllers.extra.template.set", ["{level} is missing"]),
     ("{level:04d}", "{level:04x}", "controllers.extra.template.set", ["{level:04x}", "{level:03d}"]),
     ("{level:04d}", "{level!r}", "controllers.extra.template.set", ["no field"]),
@@ -252,12 +182,7 @@ BAD = [
     ('"?{channel}"', '"?…"', "controllers.extra.template.read", ['"…" is no single byte']),
     ("'OK|A'", "'OK('", "controllers.extra.template.set_reply", ["not a regular expression"]),
     ("(?P<level>\\d+)", "\\d+", "controllers.extra.template.read_reply", ["(?P<level>...)"]),
-    (
-        "        read_reply: '(?P<level>\\d+)'\n",
-        "",
-        "controllers.extra.template.read_reply",
-        ["(?P<level>...)"],
-    ),
+    ("        read_reply: '(?P<level>\\d+)'\n", "", "controllers.extra.template.read_reply", ["(?P<level>...)"]),
     ('        read: "?{channel}"\n', "", "controllers.extra.template.read_reply", ["no `read`"]),
     ('        off: "O{channel0}{letter}\\x03"\n', "", "controllers.extra.template.off_reply", ["no `off`"]),
     ("steps_per_deg: -1.5", "steps_per_deg: 0", "stage.elevation.steps_per_deg", ["other than 0"]),
@@ -295,11 +220,7 @@ def test_the_line_is_the_one_of_the_key(tmp_path: Path) -> None:
 
 
 def test_all_at_once(tmp_path: Path) -> None:
-    text = (
-        RIG.replace("driver: ccs", "driver: css")
-        .replace("level: 1000", "level: 5000")
-        .replace("COM4", "COM3")
-    )
+    text = RIG.replace("driver: ccs", "driver: css").replace("level: 1000", "level: 5000").replace("COM4", "COM3")
     assert [m.split(": ")[1] for m in problems(tmp_path, text)] == [
         "hardware.controllers.main.driver",
         "hardware.controllers.extra.port",
@@ -315,9 +236,7 @@ def test_stage_without_an_axis(tmp_path: Path) -> None:
 
 
 def test_exposure_time_is_not_needed_where_the_camera_is_virtual(tmp_path: Path) -> None:
-    text = RIG.replace("  exposure_us: 8000\n", "").replace(
-        "driver: folder\n    folder: frames", "driver: virtual"
-    )
+    text = RIG.replace("  exposure_us: 8000\n", "").replace("driver: folder\n    folder: frames", "driver: virtual")
     assert load_rig(write(tmp_path, text)).camera.exposure_us is None
 
 
@@ -354,9 +273,7 @@ def test_a_copy_elsewhere_still_finds_the_folder_to_replay(tmp_path: Path, where
     copy.write_text(text, encoding="utf-8")
     again = load_rig(copy)
     assert again.hardware is not None
-    assert (
-        again.source.resolve(str(again.hardware.camera.folder)).resolve() == (tmp_path / "frames").resolve()
-    )
+    assert again.source.resolve(str(again.hardware.camera.folder)).resolve() == (tmp_path / "frames").resolve()
 
 
 def test_a_rig_that_names_no_files_is_copied_as_it_is(tmp_path: Path) -> None:
@@ -396,8 +313,7 @@ _SCALARS = st.one_of(
 _ANYTHING = st.recursive(
     _SCALARS,
     lambda inner: st.one_of(
-        st.lists(inner, max_size=2),
-        st.dictionaries(st.sampled_from(["main", "port", "set", "bad name"]), inner),
+        st.lists(inner, max_size=2), st.dictionaries(st.sampled_from(["main", "port", "set", "bad name"]), inner)
     ),
     max_leaves=6,
 )

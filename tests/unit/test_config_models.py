@@ -146,37 +146,14 @@ TOKENS = [
     "&a ",
     "*a",
 ]
-TOKENS += [
-    "!!x ",
-    "'",
-    '"',
-    "#",
-    "|",
-    ">",
-    "?",
-    "%",
-    "---",
-    "...",
-    "1e5",
-    "~",
-    ".nan",
-    "\t",
-    "<<: ",
-    "\\",
-    "\x85",
-    "é",
-]
+TOKENS += ["!!x ", "'", '"', "#", "|", ">", "?", "%", "---", "...", "1e5", "~", ".nan", "\t", "<<: ", "\\", "\x85", "é"]
 SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
 VALUES = st.recursive(
     SCALARS,
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
     max_leaves=8,
 )
-QUICK = settings(
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-    database=None,
-)
+QUICK = settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], database=None)
 
 
 def check(data: bytes, folder: Path) -> None:

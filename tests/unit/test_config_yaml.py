@@ -86,9 +86,7 @@ def test_aliases_are_written_out() -> None:
         ('"\\ud800": 1\n', 1, (), "surrogate"),
     ],
 )
-def test_problems_that_do_not_stop_the_reading(
-    text: str, line: int, keys: tuple[object, ...], words: str
-) -> None:
+def test_problems_that_do_not_stop_the_reading(text: str, line: int, keys: tuple[object, ...], words: str) -> None:
     (problem,) = parse(text).problems
     assert (problem.line, problem.keys) == (line, keys)
     assert words in problem.message

@@ -30,9 +30,7 @@ def shape(kind="dent", size=(2.0, 2.0), slope=10.0, **factors):
 
 
 def placed(some, *, position=(0, 0, 0), normal=Z, along=X):
-    return PlacedDefect(
-        name="one", shape=some, position=np.array(position, float), normal=normal, along=along
-    )
+    return PlacedDefect(name="one", shape=some, position=np.array(position, float), normal=normal, along=along)
 
 
 def height(shape, x, y):

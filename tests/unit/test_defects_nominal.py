@@ -30,26 +30,11 @@ def shop(shared_bench, tmp_path_factory):
     (bench.folder / "moving.yaml").write_text(moving, encoding="utf-8")
     part = bench.part.read_text(encoding="utf-8")
     (bench.folder / "bad").mkdir()
-    (bench.folder / "bad" / "part.yaml").write_text(
-        part.replace("knob.stl", "../knob.stl") + DEFECTS, encoding="utf-8"
-    )
+    (bench.folder / "bad" / "part.yaml").write_text(part.replace("knob.stl", "../knob.stl") + DEFECTS, encoding="utf-8")
     (bench.folder / "good").mkdir()
-    (bench.folder / "good" / "part.yaml").write_text(
-        part.replace("knob.stl", "../knob.stl"), encoding="utf-8"
-    )
+    (bench.folder / "good" / "part.yaml").write_text(part.replace("knob.stl", "../knob.stl"), encoding="utf-8")
     bad = bench.folder / "bad" / "part.yaml"
-    command = [
-        "render",
-        bench.rig,
-        bad,
-        "-o",
-        bench.folder / "images",
-        "--posture",
-        "0,0",
-        "--noise",
-        "3",
-        *FEW,
-    ]
+    command = ["render", bench.rig, bad, "-o", bench.folder / "images", "--posture", "0,0", "--noise", "3", *FEW]
     assert run([str(word) for word in command]) == 0
     return bench
 
@@ -65,10 +50,7 @@ def without_provenance(path):
 
 
 def test_the_images_show_the_defects(shop):
-    assert [d["name"] for d in read_image_set(shop.folder / "images").manifest.extra["defects"]] == [
-        "stain",
-        "dent",
-    ]
+    assert [d["name"] for d in read_image_set(shop.folder / "images").manifest.extra["defects"]] == ["stain", "dent"]
 
 
 @pytest.mark.slow
@@ -98,16 +80,7 @@ def compared(cli, shop, tmp_path, *options):
     for k, part in enumerate(parts(shop)):
         out = tmp_path / str(k)
         ran = cli(
-            "optimize",
-            shop.folder / "moving.yaml",
-            part,
-            "-o",
-            out,
-            "--step",
-            "20",
-            "--no-report",
-            *FEW,
-            *options,
+            "optimize", shop.folder / "moving.yaml", part, "-o", out, "--step", "20", "--no-report", *FEW, *options
         )
         assert ran.status == 0, ran.err
         found.append(without_provenance(out / "result.json"))

@@ -64,8 +64,7 @@ def test_the_grid_stands_for_all_places_and_turns_of_a_defect(kind):
     table = pixel_shares(own)
     for ratio in (0.17, 0.3, 0.5, 0.7, 1.0, 2.0, 3.0):
         drawn = [
-            grid_shares(own, ratio, turn=rng.uniform(0, 2 * math.pi), offset=tuple(rng.random(2)))
-            for _ in range(150)
+            grid_shares(own, ratio, turn=rng.uniform(0, 2 * math.pi), offset=tuple(rng.random(2))) for _ in range(150)
         ]
         one, _, _, most = np.median(drawn, axis=0)
         expected = at(table, ratio)

@@ -17,9 +17,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").r
 SNIPPETS = [
     pytest.param(text, id=f"{page.name}-{i}")
     for page in PAGES
-    for i, text in enumerate(
-        re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
-    )
+    for i, text in enumerate(re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S))
 ]
 
 
@@ -40,16 +38,7 @@ def clone(shared_bench, tmp_path_factory) -> Path:
     for name in (rig, part):
         assert (ROOT / name).is_file()
     for out in ("demo", "mine"):
-        arguments = [
-            "render",
-            folder / rig,
-            folder / part,
-            "-o",
-            folder / "out" / out,
-            "-q",
-            "--patches",
-            "500",
-        ]
+        arguments = ["render", folder / rig, folder / part, "-o", folder / "out" / out, "-q", "--patches", "500"]
         assert run(list(map(str, arguments))) == 0
     return folder
 

@@ -13,21 +13,10 @@ import pytest
 from lightopt import load_rig
 from lightopt.core.errors import InputError
 from lightopt.estimate.reflectance import FitResult, FittedValue, _fit, _likelihood_fit, format_interval
-from lightopt.estimate.reflectance._criterion import (
-    DARK,
-    FIRST_GAIN,
-    LOG_SIGMA,
-    R_D,
-    Evaluation,
-    parameter_name,
-)
+from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_SIGMA, R_D, Evaluation, parameter_name
 from lightopt.estimate.reflectance._estimate import Estimate, Optimum, ScanPoint
 from lightopt.estimate.reflectance._newton import has_settled, maximise
-from lightopt.estimate.reflectance._quality import (
-    convergence_warnings,
-    poor_fit_warnings,
-    refuse_out_of_range,
-)
+from lightopt.estimate.reflectance._quality import convergence_warnings, poor_fit_warnings, refuse_out_of_range
 from lightopt.estimate.reflectance._result import bounded, separate_region_warnings
 from lightopt.estimate.reflectance._sigma_scan import peaks, profile_over_sigma
 from lightopt.estimate.reflectance._uncertainty import profile_interval, profile_regions
@@ -75,9 +64,7 @@ def test_a_climb_that_stalls_where_the_criterion_still_rises_has_not_converged()
     """Each step promises 6 nat and none of them keeps it, however much it is damped."""
     slope = np.zeros(Landscape.size)
     slope[LOG_SIGMA] = 5.0
-    found = maximise(
-        Landscape(lambda x: -abs(x[LOG_SIGMA] + 2.0), gradient=slope), at(1.0, -2.0), [R_D, LOG_SIGMA]
-    )
+    found = maximise(Landscape(lambda x: -abs(x[LOG_SIGMA] + 2.0), gradient=slope), at(1.0, -2.0), [R_D, LOG_SIGMA])
     assert not found.converged
     assert found.unsettled == (LOG_SIGMA,)
     assert parameter_name(found.unsettled[0], ("one",)) == "σ"
@@ -98,9 +85,7 @@ def test_a_step_that_is_short_beside_the_standard_error_is_none():
 
 def test_fits_without_a_light_that_did_not_converge_are_counted_and_named():
     """Those that intervals come from, and those of validation."""
-    found = SimpleNamespace(
-        maximum=SimpleNamespace(converged=True), unsettled_refits=3, scatter="12 lights", optima=()
-    )
+    found = SimpleNamespace(maximum=SimpleNamespace(converged=True), unsettled_refits=3, scatter="12 lights", optima=())
     (said,) = convergence_warnings(found)
     assert said.startswith("3 of the fits without one of the 12 lights each did not converge")
     image = Comparison(image="a", rms=1.0, rms_sensor=1.0, iou=None, border=None, area=0, predicted_area=0)
@@ -111,9 +96,7 @@ def test_fits_without_a_light_that_did_not_converge_are_counted_and_named():
     (said,) = validation_warnings(left_out, SimpleNamespace(max_level=255))
     assert "1 of the 2 fits without one light each did not converge (without two)" in said
     assert left_out[1].as_dict()["converged"] is False
-    result = FitResult(
-        kind="specular", method="likelihood", points=4, values=(), fitted=(), left_out=left_out
-    )
+    result = FitResult(kind="specular", method="likelihood", points=4, values=(), fitted=(), left_out=left_out)
     assert not result.converged
     assert replace(result, left_out=left_out[:1]).converged
 
@@ -139,10 +122,7 @@ def test_a_profile_over_sigma_finds_every_peak_and_the_best_first():
 
     row = [float(ln) for ln in np.linspace(-6.0, 0.0, 25)]
     profile = profile_over_sigma(
-        lambda _: Landscape(value, bend=2000.0),
-        lambda number: [at(0.0, row[number])],
-        row,
-        [R_D, LOG_SIGMA],
+        lambda _: Landscape(value, bend=2000.0), lambda number: [at(0.0, row[number])], row, [R_D, LOG_SIGMA]
     )
     tops = peaks(profile)
     assert [round(float(top.x[LOG_SIGMA]), 2) for top in tops] == [-1.0, -4.0]
@@ -224,9 +204,7 @@ def two_optima(drop):
     criterion = Landscape(value, bend=400.0)
     tops = [maximise(criterion, at(0.0, start), [LOG_SIGMA]) for start in (FIRST - 0.05, SECOND + 0.05)]
     optima = tuple(
-        Optimum(
-            start_sigma=0.1, x=top.x, value=top.evaluation.value, converged=top.converged, criterion=criterion
-        )
+        Optimum(start_sigma=0.1, x=top.x, value=top.evaluation.value, converged=top.converged, criterion=criterion)
         for top in tops
     )
     return Estimate(
@@ -252,10 +230,7 @@ def test_an_interval_reaches_over_an_optimum_that_the_images_do_not_exclude():
     found = two_optima(1.0)
     critical = found.critical
     first, second = profile_regions(found, LOG_SIGMA)
-    assert first == (
-        pytest.approx(FIRST - half(critical), abs=2e-3),
-        pytest.approx(FIRST + half(critical), abs=2e-3),
-    )
+    assert first == (pytest.approx(FIRST - half(critical), abs=2e-3), pytest.approx(FIRST + half(critical), abs=2e-3))
     assert second == (
         pytest.approx(SECOND - half(critical - 1.0), abs=2e-3),
         pytest.approx(SECOND + half(critical - 1.0), abs=2e-3),
@@ -329,10 +304,7 @@ def test_the_noise_of_the_images_is_written_into_the_rig(cli, bench, noisy):
     assert written.read_noise_levels == pytest.approx(2.0, rel=0.1)
     assert written.electrons_per_level == pytest.approx(30.0, rel=0.25)
     assert abs(figures["read_noise_levels"] - 2.0) < 4.0 * figures["read_noise_standard_error"]
-    before, after = (
-        bench.rig.read_text().splitlines(),
-        (bench.out / "rig.fitted.yaml").read_text().splitlines(),
-    )
+    before, after = (bench.rig.read_text().splitlines(), (bench.out / "rig.fitted.yaml").read_text().splitlines())
     assert [a for a, b in zip(after, before, strict=True) if a != b] == [
         line for line in after if "read_noise_levels" in line
     ]

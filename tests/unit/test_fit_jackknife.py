@@ -116,6 +116,4 @@ def test_a_covariance_at_least_as_large_keeps_no_correlation_that_only_one_has()
     assert both[0, 1] / np.sqrt(both[0, 0] * both[1, 1]) > -0.5
     assert np.sqrt(np.diag(both)) == pytest.approx([3e-2, 5e-3], rel=0.1)
     # nothing is added where the other is smaller in every direction
-    assert upper_covariance(ridge + 1e-6 * np.eye(2), ridge) == pytest.approx(
-        ridge + 1e-6 * np.eye(2), rel=1e-9
-    )
+    assert upper_covariance(ridge + 1e-6 * np.eye(2), ridge) == pytest.approx(ridge + 1e-6 * np.eye(2), rel=1e-9)

@@ -31,9 +31,7 @@ def samples(shared_bench):
         for k, image in enumerate(images.lights):
             for exposure in (1.0, 0.25):
                 rng = image_rng(3, light=k, posture=p, exposure=int(4 * exposure))
-                levels = expose(
-                    image.level, sensor=scene.sensor, exposure=exposure, full_scale=255.0, rng=rng
-                )
+                levels = expose(image.level, sensor=scene.sensor, exposure=exposure, full_scale=255.0, rng=rng)
                 observations.append(
                     Observation(
                         light=image.light,
@@ -136,8 +134,7 @@ def test_thinning_keeps_only_what_was_kept(samples):
 
 def test_pixels_are_chosen_without_looking_at_the_images(samples):
     other = samples.with_levels(
-        [np.zeros_like(o.levels) for o in samples.images],
-        [np.zeros_like(o.saturated) for o in samples.images],
+        [np.zeros_like(o.levels) for o in samples.images], [np.zeros_like(o.saturated) for o in samples.images]
     )
     np.testing.assert_array_equal(subsample(samples, 50).diffuse, subsample(other, 50).diffuse)
     assert not other.level.any()
@@ -162,9 +159,7 @@ def test_both_units_of_a_residual(samples):
     """At exposure 1/4, a level of the sensor is four grey levels."""
     seen = next(image for image in samples.images if image.exposure == 0.25)
     flat = replace(seen, levels=np.full((120, 160), 30.0, np.float32), saturated=np.zeros((120, 160), bool))
-    found = compare_image(
-        flat, np.full((120, 160), 33.0, np.float32), np.ones((120, 160), bool), samples.sensor, 255.0
-    )
+    found = compare_image(flat, np.full((120, 160), 33.0, np.float32), np.ones((120, 160), bool), samples.sensor, 255.0)
     assert (found.rms_sensor, found.rms) == (3.0, 12.0)
 
 
@@ -185,18 +180,9 @@ def test_no_saturation_has_no_overlap(samples):
 )
 def test_what_separates_r_s_from_sigma_depends_on_what_is_saturated(saturated, shorter, asked):
     quality = Quality(
-        rms=1.0,
-        typical=1.0,
-        noise=1.0,
-        image_noise=1.0,
-        explained=1.0,
-        epsilon=0.0,
-        tau=0.0,
-        saturated=saturated,
+        rms=1.0, typical=1.0, noise=1.0, image_noise=1.0, explained=1.0, epsilon=0.0, tau=0.0, saturated=saturated
     )
-    found = SimpleNamespace(
-        free=(LOG_R_S, LOG_SIGMA), R_s=12_500.0, correlation=lambda *_: -0.99, describes=True
-    )
+    found = SimpleNamespace(free=(LOG_R_S, LOG_SIGMA), R_s=12_500.0, correlation=lambda *_: -0.99, describes=True)
     said = fit_warnings(found, quality, (12_281.0, 13_141.0), shorter=shorter, placed=True)
     assert f"(correlation -0.990, R_s between 1.228e+04 and 1.314e+04): {asked}" in said[0]
     assert any("no pixel is saturated" in text for text in said) is (saturated == 0.0)

@@ -26,9 +26,7 @@ def test_angle_to_units_and_back(steps_per_deg: float, zero: float, angle: float
     assert (axis.units_of(angle + 1) > units) is (steps_per_deg > 0)
 
 
-@given(
-    steps_per_deg=steps, zero=st.floats(-1e6, 1e6), angle=angles, step=st.sampled_from([1.0, 0.004, 0.001])
-)
+@given(steps_per_deg=steps, zero=st.floats(-1e6, 1e6), angle=angles, step=st.sampled_from([1.0, 0.004, 0.001]))
 def test_a_target_is_a_whole_number_of_steps_within_half_of_one(
     steps_per_deg: float, zero: float, angle: float, step: float
 ) -> None:
@@ -75,9 +73,7 @@ def test_axes_that_cannot_be(options: dict[str, object], words: str) -> None:
     ack2=st.sampled_from("KLMW"),
     ack3=st.sampled_from("BR"),
 )
-def test_status_lines(
-    positions: list[int], detached: bool, width: int, ack1: str, ack2: str, ack3: str
-) -> None:
+def test_status_lines(positions: list[int], detached: bool, width: int, ack1: str, ack2: str, ack3: str) -> None:
     fields = [f"{'-' if p < 0 else ' '}{abs(p):{width}d}" if detached else f"{p:{width}d}" for p in positions]
     status = parse_status(",".join([*fields, ack1, ack2, ack3]).encode() + b"\r\n")
     assert status.positions == tuple(positions)
@@ -132,9 +128,7 @@ def test_zaber_replies_with_and_without_checksum(device: int, axis: int, number:
     wrong = b"%02X" % ((int(checksum(body), 16) + 1) % 256)
     with pytest.raises(ValueError, match="checksum"):
         parse_reply(b"@" + body + b":" + wrong + b"\r\n")
-    assert (
-        sum(frame(device, axis, number, "x")[1:-4]) + int(frame(device, axis, number, "x")[-3:-1], 16)
-    ) % 256 == 0
+    assert (sum(frame(device, axis, number, "x")[1:-4]) + int(frame(device, axis, number, "x")[-3:-1], 16)) % 256 == 0
 
 
 @given(st.binary(max_size=40))
@@ -143,10 +137,7 @@ def test_noise_is_no_reply(noise: bytes) -> None:
         parse_reply(noise)
 
 
-@given(
-    place=st.tuples(*[st.floats(-999, 999)] * 3),
-    state=st.sampled_from(["Idle", "Run", "Hold:1", "Door:0", "Jog"]),
-)
+@given(place=st.tuples(*[st.floats(-999, 999)] * 3), state=st.sampled_from(["Idle", "Run", "Hold:1", "Door:0", "Jog"]))
 def test_grbl_reports(place: tuple[float, float, float], state: str) -> None:
     text = ",".join(f"{value:.3f}" for value in place)
     report = parse_report(f"<{state}|MPos:{text}|FS:0,0|Pn:XYZ|Ov:100,100,100>\r\n".encode())

@@ -92,12 +92,7 @@ def test_files_carry_no_date(folder: Path):
 
 
 @settings(max_examples=25)
-@given(
-    hnp.arrays(
-        st.sampled_from([np.uint8, np.uint16]),
-        hnp.array_shapes(min_dims=2, max_dims=2, max_side=9),
-    )
-)
+@given(hnp.arrays(st.sampled_from([np.uint8, np.uint16]), hnp.array_shapes(min_dims=2, max_dims=2, max_side=9)))
 def test_png_keeps_every_level_of_8_and_16_bits(tmp_path_factory, levels: np.ndarray):
     path = tmp_path_factory.mktemp("png") / "a.png"
     write_png(path, levels, metadata={})
@@ -223,14 +218,7 @@ def test_damaged_metadata_are_an_error(folder: Path):
 
 @pytest.mark.parametrize(
     "channels",
-    [
-        {},
-        {"Y": NOISE.astype(np.float64)},
-        {"Y": NOISE[0]},
-        {"Y": NOISE[:0]},
-        {"Y": NOISE, "Z": NOISE[1:]},
-        {"": NOISE},
-    ],
+    [{}, {"Y": NOISE.astype(np.float64)}, {"Y": NOISE[0]}, {"Y": NOISE[:0]}, {"Y": NOISE, "Z": NOISE[1:]}, {"": NOISE}],
 )
 def test_channels_that_are_no_image_are_refused(folder: Path, channels: dict):
     with pytest.raises(InputError, match=r"a\.exr"):
@@ -246,12 +234,7 @@ def test_levels_that_are_no_png_are_refused(folder: Path, levels: np.ndarray):
 
 
 def test_npz_keeps_arrays_and_refuses_objects(folder: Path):
-    arrays = {
-        "points": NOISE.T,
-        "index": np.arange(5),
-        "name": np.array(["a", "bc"]),
-        "scalar": np.array(3.5),
-    }
+    arrays = {"points": NOISE.T, "index": np.arange(5), "name": np.array(["a", "bc"]), "scalar": np.array(3.5)}
     digest = write_npz_atomic(folder / "a.npz", arrays)
     assert digest == file_sha256(folder / "a.npz")
     with np.load(folder / "a.npz") as read:
@@ -285,9 +268,7 @@ def writer(request):
 
 @pytest.mark.parametrize("step", ["fsync", "replace"])
 @pytest.mark.parametrize("failure", [OSError, KeyboardInterrupt])
-def test_failure_at_the_end_keeps_the_old_file_and_leaves_no_other(
-    folder, writer, monkeypatch, step, failure
-):
+def test_failure_at_the_end_keeps_the_old_file_and_leaves_no_other(folder, writer, monkeypatch, step, failure):
     path = folder / "result"
     path.write_text("old")
 

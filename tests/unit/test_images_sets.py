@@ -105,9 +105,7 @@ def run(folder: Path, *, header: Manifest = HEADER, force: bool = False) -> int:
 
 
 def content(folder: Path) -> dict[str, bytes]:
-    return {
-        p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()
-    }
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
 @pytest.fixture(scope="module")
@@ -150,18 +148,9 @@ def test_set_has_the_files_and_the_manifest_of_the_contract(whole: Path):
 
 def test_files_say_what_they_are(whole: Path):
     png = read_png_metadata(whole / "posture_0_0/light1_x0.0625.png")
-    assert (png["light"], png["exposure"], png["saturation_level"], png["bit_depth"]) == (
-        "light1",
-        0.0625,
-        250,
-        8,
-    )
+    assert (png["light"], png["exposure"], png["saturation_level"], png["bit_depth"]) == ("light1", 0.0625, 250, 8)
     exr = read_exr_metadata(whole / "posture_0_0/light1.exr")
-    assert (exr["light"], exr["full_scale"], exr["posture"]) == (
-        "light1",
-        255,
-        {"elevation_deg": 0, "rotation_deg": 0},
-    )
+    assert (exr["light"], exr["full_scale"], exr["posture"]) == ("light1", 255, {"elevation_deg": 0, "rotation_deg": 0})
     assert "exposure" not in exr
 
 
@@ -216,13 +205,9 @@ class Killed(BaseException):
 
 
 @pytest.mark.slow
-def test_run_killed_at_any_write_leaves_a_valid_set_and_resumes_to_the_same_bytes(
-    whole, tmp_path, monkeypatch
-):
+def test_run_killed_at_any_write_leaves_a_valid_set_and_resumes_to_the_same_bytes(whole, tmp_path, monkeypatch):
     replace_file, unlink = os.replace, Path.unlink
-    writes = (
-        1 + 2 * 11 + 8 // 2 + 1
-    )  # manifest; file and manifest each; an EXR for every second image; warnings
+    writes = 1 + 2 * 11 + 8 // 2 + 1  # manifest; file and manifest each; an EXR for every second image; warnings
     for kill_at in range(writes):
         for before in (True, False):
             folder = tmp_path / f"{kill_at}{before}"
@@ -347,9 +332,7 @@ def test_read_only_folder_is_told_before_any_work(read_only_folder: Path):
         ([(".a", POSTURES[0], 1.0)], "cannot be part of a file name"),
     ],
 )
-def test_names_that_clash_or_cannot_be_files_are_refused_before_any_work(
-    tmp_path: Path, keys: list, told: str
-):
+def test_names_that_clash_or_cannot_be_files_are_refused_before_any_work(tmp_path: Path, keys: list, told: str):
     with pytest.raises(InputError, match=told):
         ImageSetWriter(tmp_path, HEADER, plan=keys)
     assert content(tmp_path) == {}
@@ -366,9 +349,7 @@ def test_an_exr_written_last_belongs_to_all_exposures(tmp_path: Path):
     """A captured set: exposures one after the other, the linear image made of them at the end."""
     writer = ImageSetWriter(tmp_path, replace(HEADER, kind="captured"))
     for exposure in EXPOSURES:
-        writer.add_image(
-            entry_of("light1", POSTURES[0], exposure), png=sensor_of("light1", POSTURES[0], exposure)
-        )
+        writer.add_image(entry_of("light1", POSTURES[0], exposure), png=sensor_of("light1", POSTURES[0], exposure))
     linear = {"Y": linear_of("light1", POSTURES[0]), "valid": np.ones((6, 5), np.float32)}
     last = entry_of("light1", POSTURES[0], 1.0)
     listed = writer.add_image(last, png=sensor_of("light1", POSTURES[0], 1.0), exr=linear)
@@ -482,9 +463,7 @@ def test_foreign_set_with_only_what_is_required_is_read_from_folder_or_manifest(
 def test_left_aligned_levels_are_told(tmp_path: Path):
     foreign(tmp_path, np.array([[0, 65520]], np.uint16))
     images = read_image_set(tmp_path)
-    with pytest.raises(
-        InputError, match=r"expected right-aligned levels of 12 bits .*found uint16 up to 65520"
-    ):
+    with pytest.raises(InputError, match=r"expected right-aligned levels of 12 bits .*found uint16 up to 65520"):
         images.load(images.images[0])
 
 
@@ -512,11 +491,7 @@ def test_eight_bit_container_of_twelve_bits_is_told(tmp_path: Path):
         (["images"], {}, "images: expected a list"),
         (["images", 0], 5, "images[0]: expected an object, found 5"),
         (["images", 0, "light"], None, "images[0].light: expected text, found nothing"),
-        (
-            ["images", 0, "light_elevation_deg"],
-            "60",
-            'images[0].light_elevation_deg: expected a number, found "60"',
-        ),
+        (["images", 0, "light_elevation_deg"], "60", 'images[0].light_elevation_deg: expected a number, found "60"'),
         (["images", 0, "light_azimuth_deg"], None, "images[0].light_azimuth_deg: expected a number"),
         (["images", 0, "posture"], None, "images[0].posture: expected an object, found nothing"),
         (["images", 0, "posture"], {}, "images[0].posture.elevation_deg: expected a number, found nothing"),
@@ -525,28 +500,12 @@ def test_eight_bit_container_of_twelve_bits_is_told(tmp_path: Path):
         (["images", 0, "exposure"], 0, "images[0].exposure: expected a number above 0, found 0"),
         (["images", 0, "png"], None, "images[0]: expected png or exr"),
         (["images", 0, "png"], "../ring.png", "images[0].png: expected a file inside the manifest's folder"),
-        (
-            ["images", 0, "png"],
-            "/ring.png",
-            "images[0].png: expected a path relative to the manifest's folder",
-        ),
-        (
-            ["images", 0, "png"],
-            "C:/ring.png",
-            "images[0].png: expected a path relative to the manifest's folder",
-        ),
+        (["images", 0, "png"], "/ring.png", "images[0].png: expected a path relative to the manifest's folder"),
+        (["images", 0, "png"], "C:/ring.png", "images[0].png: expected a path relative to the manifest's folder"),
         (["images", 0, "png"], "a\\b.png", "images[0].png: expected forward slashes"),
-        (
-            ["images", 0, "png"],
-            "a/../../b.png",
-            "images[0].png: expected a file inside the manifest's folder",
-        ),
+        (["images", 0, "png"], "a/../../b.png", "images[0].png: expected a file inside the manifest's folder"),
         (["images", 0, "sha256"], ["x"], "images[0].sha256: expected an object"),
-        (
-            ["geometry"],
-            [{"posture": {"elevation_deg": 0, "rotation_deg": 0}}],
-            "geometry[0].exr: expected a file",
-        ),
+        (["geometry"], [{"posture": {"elevation_deg": 0, "rotation_deg": 0}}], "geometry[0].exr: expected a file"),
         (["patches"], "../p.npz", "patches: expected a file inside"),
         (["files"], {"../p.npz": "0"}, "files: expected a file inside"),
         (["rig"], {"file": "rig.yaml"}, "rig.sha256: expected text, found nothing"),
@@ -565,9 +524,7 @@ def test_wrong_manifests_are_refused_by_file_and_key(keys: list, value: object, 
         place[keys[-1]] = value
     with pytest.raises(InputError) as caught:
         parse_manifest(data, path="set/manifest.json")
-    assert any(f"set/manifest.json: {told}" in message for message in caught.value.messages), (
-        caught.value.messages
-    )
+    assert any(f"set/manifest.json: {told}" in message for message in caught.value.messages), caught.value.messages
 
 
 def test_all_problems_of_a_manifest_are_told_at_once_and_duplicates_among_them():
@@ -577,9 +534,7 @@ def test_all_problems_of_a_manifest_are_told_at_once_and_duplicates_among_them()
     with pytest.raises(InputError) as caught:
         parse_manifest(data, path="m.json")
     assert len(caught.value.messages) == 3
-    assert any(
-        "images[1]: expected each light, posture and exposure once" in m for m in caught.value.messages
-    )
+    assert any("images[1]: expected each light, posture and exposure once" in m for m in caught.value.messages)
 
 
 @pytest.mark.parametrize(

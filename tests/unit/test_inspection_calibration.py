@@ -133,20 +133,7 @@ FIRST = ("--posture", "0,0")
 
 
 def render(bench, part, out, seed, *options):
-    command = [
-        "render",
-        bench.rig,
-        part,
-        "-o",
-        out,
-        "-q",
-        "--patches",
-        "300",
-        "--noise",
-        seed,
-        *FIRST,
-        *options,
-    ]
+    command = ["render", bench.rig, part, "-o", out, "-q", "--patches", "300", "--noise", seed, *FIRST, *options]
     assert run([str(word) for word in command]) == 0
     return out
 
@@ -171,16 +158,7 @@ def good(shared_bench, tmp_path_factory):
 
 def inspect(cli, bench, sets, *options, out="out"):
     return cli(
-        "inspect",
-        bench.rig,
-        bench.part,
-        *sets,
-        "-o",
-        bench.folder / out,
-        "--no-register",
-        "--fusion",
-        "none",
-        *options,
+        "inspect", bench.rig, bench.part, *sets, "-o", bench.folder / out, "--no-register", "--fusion", "none", *options
     )
 
 
@@ -196,16 +174,7 @@ def learned(cli, bench, sets, *options, out="cal"):
 def taught(shared_bench, good, tmp_path_factory):
     """What the first half of the good sets taught."""
     out = tmp_path_factory.mktemp("taught")
-    command = [
-        "inspect",
-        shared_bench.rig,
-        shared_bench.part,
-        *good[0][:SETS],
-        "-o",
-        out,
-        "--no-register",
-        "-q",
-    ]
+    command = ["inspect", shared_bench.rig, shared_bench.part, *good[0][:SETS], "-o", out, "--no-register", "-q"]
     options = ["--fusion", "none", "--calibrate", "--false-alarms", RATE]
     assert run([str(word) for word in (*command, *options)]) == 0
     return out / "calibration.json"
@@ -227,9 +196,7 @@ def test_a_calibration_holds_its_rate_on_other_good_sets_and_finds_defects(cli, 
         for name in ("plain", "held")
     }
     assert alarms["plain"] == SETS  # the model is wrong, and every good part looks bad
-    assert (
-        alarms["held"] <= 3
-    )  # more than the rate allows with a probability of 0.3 at most, and a fixed seed
+    assert alarms["held"] <= 3  # more than the rate allows with a probability of 0.3 at most, and a fixed seed
     ran = inspect(cli, bench, [bad], "--calibration", path, out="bad")
     assert ran.status == 0
     result = found(bench.folder / "bad")
@@ -265,9 +232,7 @@ def test_the_template_detector_is_calibrated_by_its_scores(cli, bench, good):
 def test_a_rate_that_the_good_sets_do_not_bear_is_refused(cli, bench, good, taught):
     ran = inspect(cli, bench, good[0][:8], "--calibrate")
     assert ran.status == 2
-    assert (
-        "8 good sets bear a rate of false alarms of 0.312 per posture or more with 95 % confidence" in ran.err
-    )
+    assert "8 good sets bear a rate of false alarms of 0.312 per posture or more with 95 % confidence" in ran.err
     assert "0.05 takes 59" in ran.err
     assert "a rate of 0.313" in ran.err
     assert not bench.out.exists()
@@ -303,10 +268,7 @@ def test_images_that_were_taken_in_another_way_are_refused(cli, bench, good, tau
     few = render(bench, bench.part, tmp_path / "few", 1, "--light", "light1")
     ran = inspect(cli, bench, [few], "--calibration", path)
     assert ran.status == 2
-    assert (
-        "expected the images that calibration.json was made for, light1 ×1; light3 ×1, found light1 ×1"
-        in ran.err
-    )
+    assert "expected the images that calibration.json was made for, light1 ×1; light3 ×1, found light1 ×1" in ran.err
     ran = inspect(cli, bench, [*good[0][:SETS], few], "--calibrate", "--false-alarms", RATE, out="mixed")
     assert ran.status == 2
     assert "under other lights or exposures" in ran.err

@@ -109,7 +109,5 @@ def test_each_pixel_is_in_the_class_of_what_it_can_show():
 
 
 def test_nothing_seen_has_no_share():
-    none = SurfaceCoverage(
-        area=1.0, seen=0.0, inspected=0.0, saturated=0.0, shadow=0.0, edge=0.0, sensitivity={}
-    )
+    none = SurfaceCoverage(area=1.0, seen=0.0, inspected=0.0, saturated=0.0, shadow=0.0, edge=0.0, sensitivity={})
     assert (none.share, none.finds, sum(none.classes)) == (0.0, 0.0, 0.0)

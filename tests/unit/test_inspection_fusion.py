@@ -212,9 +212,7 @@ def test_what_noise_makes_of_a_rule_that_chooses_is_taken_off(fusion, monkeypatc
             noisy = predicted + deviations * noise
             good = {"predicted": predicted, "specular": none}
             images.append(
-                fuse_images(
-                    noisy, deviations, weights, MASK, fusion=fusion, seed=seed, probes=0, **good
-                ).level
+                fuse_images(noisy, deviations, weights, MASK, fusion=fusion, seed=seed, probes=0, **good).level
             )
         return float(np.std((np.mean(images, axis=0) - plain)[MASK]))
 

@@ -37,9 +37,7 @@ def kind(*lights):
         specular=predicted * highlight[:, None, None],
         saturated=predicted < 0.0,
     )
-    contrast = {
-        f"light{i}": float(share[i]) for i, (up, down, _) in enumerate(lights) if max(up, down) >= 4.0
-    }
+    contrast = {f"light{i}": float(share[i]) for i, (up, down, _) in enumerate(lights) if max(up, down) >= 4.0}
     return _kind(z, row, column, view, contrast)
 
 

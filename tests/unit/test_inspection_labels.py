@@ -36,9 +36,7 @@ def both(bench, folder, *, rendered, register):
     rig, part = load_rig(bench.rig), load_part(bench.part)
     render_image_set(rig, load_part(rendered), folder, options=RenderOptions(noise=3, patch_budget=500))
     image_set = read_image_set(folder)
-    result = inspect_set(
-        rig, part, image_set, options=replace(QUICK, register=register), run=RunContext(threads=2)
-    )
+    result = inspect_set(rig, part, image_set, options=replace(QUICK, register=register), run=RunContext(threads=2))
     known = place_defects(result.nominal, rig, part)
     stored = true_labels(image_set, result, known=known)
     cast = true_labels(unlabelled(image_set), result, known=known)
@@ -91,9 +89,7 @@ def test_a_captured_set_is_held_against_the_defects_of_its_part(cli, bench, requ
     bench.part.write_text(good + DEFECTS, encoding="utf-8")
     request.getfixturevalue("take")(bench.folder / "captured")
     options = ("--no-register", "--fusion", "none", "--evaluate")
-    ran = cli(
-        "inspect", bench.rig, bench.part, bench.folder / "captured", "-o", bench.folder / "found", *options
-    )
+    ran = cli("inspect", bench.rig, bench.part, bench.folder / "captured", "-o", bench.folder / "found", *options)
     assert ran.status == 0, ran.err
     assert "2 of 2 defects found" in ran.out
     told = json.loads((bench.folder / "found" / "truth.json").read_text(encoding="utf-8"))
@@ -102,9 +98,7 @@ def test_a_captured_set_is_held_against_the_defects_of_its_part(cli, bench, requ
 
     # edited since: nothing is known of what is not named
     bench.part.write_text(good, encoding="utf-8")
-    ran = cli(
-        "inspect", bench.rig, bench.part, bench.folder / "captured", "-o", bench.folder / "none", *options
-    )
+    ran = cli("inspect", bench.rig, bench.part, bench.folder / "captured", "-o", bench.folder / "none", *options)
     assert ran.status == 2
     assert "nothing is known of defects on this part" in ran.err
     assert not (bench.folder / "none").exists()
@@ -126,9 +120,7 @@ def test_what_is_on_a_captured_part_is_told_by_the_file_that_it_was_taken_by(ben
     assert [d.name for d in source.part.defects] == ["stain", "dent"]
     # not as it was then
     named.write_text(named.read_text(encoding="utf-8") + "# edited\n", encoding="utf-8")
-    with pytest.raises(
-        InputError, match=r"taken by named\.yaml, which does not lie beside .* as it was then"
-    ):
+    with pytest.raises(InputError, match=r"taken by named\.yaml, which does not lie beside .* as it was then"):
         truth_source(ImageSet(image_set.folder, by_named), good)
     # edited, and it is the one that is given
     assert len(truth_source(ImageSet(image_set.folder, by_named), load_part(named)).part.defects) == 2

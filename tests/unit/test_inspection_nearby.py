@@ -67,13 +67,9 @@ def test_a_prediction_moved_is_the_one_rendered_there(nominal, known, off):
     placed = place_part(nominal, further(mm))
     theirs = predict(placed, FLAT, cast_rays_at(placed), lights=LIGHTS)
     clean = prediction.clean & theirs.clean
-    for one, other, before in zip(
-        ours.images.lights, theirs.images.lights, prediction.images.lights, strict=True
-    ):
+    for one, other, before in zip(ours.images.lights, theirs.images.lights, prediction.images.lights, strict=True):
         seen = clean & (other.level < 250)  # beyond, the camera sees no difference
-        error, change = (
-            np.abs(level[seen] - other.level[seen]).astype(float) for level in (one.level, before.level)
-        )
+        error, change = (np.abs(level[seen] - other.level[seen]).astype(float) for level in (one.level, before.level))
         assert np.mean(error) < 0.25 * np.mean(change)
         assert np.percentile(error, 99) < 1.0
 
@@ -85,9 +81,7 @@ def images_of(bench, folder, shift, *, seed):
     nominal = "translate_mm: [0, 0, 0]"
     assert nominal in text
     path = bench.part.with_name(f"moved-{folder.name}.yaml")
-    path.write_text(
-        text.replace(nominal, f"translate_mm: [{x}, {y}, 0], rotate_deg: [0, 0, {turn}]"), encoding="utf-8"
-    )
+    path.write_text(text.replace(nominal, f"translate_mm: [{x}, {y}, 0], rotate_deg: [0, 0, {turn}]"), encoding="utf-8")
     rig = load_rig(bench.rig)
     options = RenderOptions(noise=seed, patch_budget=500, postures=(FLAT,))
     render_image_set(rig, load_part(path), folder, options=options)

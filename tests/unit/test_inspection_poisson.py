@@ -13,11 +13,7 @@ from lightopt.inspection import poisson_grid
 
 def picture(rows, columns, seed=0):
     y, x = np.mgrid[:rows, :columns]
-    return (
-        100 * np.sin(x / 9) * np.cos(y / 7)
-        + 0.3 * x
-        + np.random.default_rng(seed).normal(0, 3, (rows, columns))
-    )
+    return 100 * np.sin(x / 9) * np.cos(y / 7) + 0.3 * x + np.random.default_rng(seed).normal(0, 3, (rows, columns))
 
 
 def masks():
@@ -76,10 +72,7 @@ def test_any_field_gives_the_least_squares_image_of_a_direct_solver():
     start, end, w, g = start[inside], end[inside], w[inside], g[inside]
     edges, n = np.arange(len(w)), int(mask.sum())
     d = sparse.csr_matrix(
-        (
-            np.concatenate([-np.ones(len(w)), np.ones(len(w))]),
-            (np.tile(edges, 2), np.concatenate([start, end])),
-        ),
+        (np.concatenate([-np.ones(len(w)), np.ones(len(w))]), (np.tile(edges, 2), np.concatenate([start, end]))),
         (len(w), n),
     )
     laplace = (d.T @ sparse.diags(w) @ d + 1e-12 * sparse.identity(n)).tocsc()

@@ -26,12 +26,7 @@ from lightopt.inspection import (
 from lightopt.inspection.detection._defects import Detection, merge_detections
 from lightopt.inspection.detection._matched_filter import templates
 from lightopt.inspection.detection._regions import box_sums, core_pixels
-from lightopt.inspection.detection._residual_score import (
-    STRONGEST_Z,
-    noise_gain,
-    rank_probability,
-    smoothed_deviations,
-)
+from lightopt.inspection.detection._residual_score import STRONGEST_Z, noise_gain, rank_probability, smoothed_deviations
 
 
 def noise(lights, rows=200, columns=240, *, seed=0, holes=False):
@@ -83,9 +78,9 @@ def test_a_strong_defect_has_a_score_however_many_images_must_show_it(min_images
         np.sort(np.abs(smoothed_deviations(one, s)[0][:, 103, 103]))[-min_images]
         for s, one in zip(SCALES_PX, (found, held, held), strict=True)
     ]
-    expected = -(
-        np.log(math.comb(4, min_images)) + min_images * (np.log(2) + special.log_ndtr(-max(sums)))
-    ) / np.log(10)
+    expected = -(np.log(math.comb(4, min_images)) + min_images * (np.log(2) + special.log_ndtr(-max(sums)))) / np.log(
+        10
+    )
     assert score[103, 103] == pytest.approx(expected, rel=1e-3)
 
 
@@ -218,9 +213,7 @@ def test_a_defect_is_as_large_and_as_strong_as_any_posture_shows_it():
     assert (defect.size, defect.area, defect.greatest_contrast) == ((3.0, 1.0), 3.0, 0.4)
     told = defect.as_dict()
     assert (told["size_mm"], told["area_mm2"], told["greatest_contrast"]) == ([3.0, 1.0], 3.0, 0.4)
-    surface = SurfaceCoverage(
-        area=9.0, seen=5.0, inspected=4.0, saturated=0.0, shadow=0.0, edge=1.0, sensitivity={}
-    )
+    surface = SurfaceCoverage(area=9.0, seen=5.0, inspected=4.0, saturated=0.0, shadow=0.0, edge=1.0, sensitivity={})
     result = InspectionResult(
         defects=(defect,), postures=(), placement=None, warnings=(), nominal=None, surface=surface
     )
@@ -257,9 +250,7 @@ def test_places_go_back_to_the_file_through_posture_placement_and_anchor(shared_
     assert scene.mesh.normals is not None
     turned = placed.normals[::50] @ view.rotation.T
     expected = scene.mesh.normals[::50] @ scene.placement.rotation
-    assert np.allclose(
-        world_to_mesh_file(turned, scene, placement, posture, direction=True), expected, atol=1e-4
-    )
+    assert np.allclose(world_to_mesh_file(turned, scene, placement, posture, direction=True), expected, atol=1e-4)
 
 
 def test_the_pixels_of_regions_are_those_of_their_numbers():

@@ -122,18 +122,7 @@ def test_what_a_posture_without_images_shows_is_missing(scene):
 
 def test_a_single_posture_tells_by_its_own_pixels(scene):
     own = replace(
-        coverage(scene, SurfaceState.EDGE, np.inf),
-        seen=8.0,
-        inspected=5.0,
-        saturated=1.0,
-        shadow=1.5,
-        edge=0.5,
+        coverage(scene, SurfaceState.EDGE, np.inf), seen=8.0, inspected=5.0, saturated=1.0, shadow=1.5, edge=0.5
     )
     found = surface_coverage(scene, [(FLAT, own)], None)
-    assert (found.seen, found.inspected, found.saturated, found.shadow, found.edge) == (
-        8.0,
-        5.0,
-        1.0,
-        1.5,
-        0.5,
-    )
+    assert (found.seen, found.inspected, found.saturated, found.shadow, found.edge) == (8.0, 5.0, 1.0, 1.5, 0.5)

@@ -85,10 +85,7 @@ def test_the_likelihood_is_greatest_there():
         (list(range(1, 12)), [True] * 11),
         (list(range(1, 12)), [False] * 11),
         ([1.0] * 12, [True, False] * 6),
-        (
-            list(range(1, 13)),
-            [True] * 6 + [False] * 6,
-        ),  # the small ones found: no size is found 90 % of the time
+        (list(range(1, 13)), [True] * 6 + [False] * 6),  # the small ones found: no size is found 90 % of the time
     ],
 )
 def test_what_cannot_be_told_is_not(sizes, found):

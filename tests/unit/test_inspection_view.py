@@ -96,10 +96,7 @@ def test_mirrored_images_of_a_nearly_symmetric_part_are_refused(good):
 @pytest.mark.parametrize(
     ("spoilt", "told"),
     [
-        (
-            lambda level, top: level[:, ::-1, ::-1],
-            "far better turned by 180°.*turn them, or correct the camera's roll",
-        ),
+        (lambda level, top: level[:, ::-1, ::-1], "far better turned by 180°.*turn them, or correct the camera's roll"),
         (lambda level, top: level[:, :, ::-1], "far better mirrored left to right.*flip the images; turning"),
         (lambda level, top: 0.0 * level, "they are black: 0 grey levels on the mean, predicted "),
         (
@@ -145,9 +142,7 @@ def test_a_sensor_without_noise_is_warned_of(bench, noise, told):
 
 
 def test_warnings_of_the_registration_are_said(bench):
-    words = inspection_warnings(
-        load_rig(bench.rig), [], InspectOptions(), registration=("the turn is unknown",)
-    )
+    words = inspection_warnings(load_rig(bench.rig), [], InspectOptions(), registration=("the turn is unknown",))
     assert words == ("the turn is unknown",)
 
 
@@ -165,9 +160,7 @@ def test_on_a_dark_field_a_glint_deviates_and_rounding_does_not(good):
     shadow = dark & (np.arange(len(dark)) > np.quantile(np.nonzero(dark)[0], 0.9))[:, None]
     dark &= ~shadow
     glint = np.zeros(dark.shape, np.float32)
-    glint[row - 1 : row + 2, column - 1 : column + 2] = (
-        30.0 / scene.sensor.max_level * scene.reflectance.full_scale
-    )
+    glint[row - 1 : row + 2, column - 1 : column + 2] = 30.0 / scene.sensor.max_level * scene.reflectance.full_scale
 
     def with_level(level):
         images = replace(rendered.images, lights=(replace(light, level=level),))

@@ -51,8 +51,7 @@ HANDLERS = {
         pytest.param(
             "import threading; threading.Event().wait(10)",
             marks=pytest.mark.skipif(
-                not hasattr(signal, "pthread_kill"),
-                reason="Windows cannot wake a thread that waits for a lock",
+                not hasattr(signal, "pthread_kill"), reason="Windows cannot wake a thread that waits for a lock"
             ),
         ),
     ],

@@ -100,10 +100,7 @@ def test_what_is_not_compiled_changes_nothing(folder, old, new):
     assert module().outer(1.0) == 17.0
     again = module(SOURCE.replace(old, new))
     assert again.outer(1.0) == 17.0
-    assert (sum(again.outer.stats.cache_hits.values()), sum(again.outer.stats.cache_misses.values())) == (
-        1,
-        0,
-    )
+    assert (sum(again.outer.stats.cache_hits.values()), sum(again.outer.stats.cache_misses.values())) == (1, 0)
 
 
 def test_fields_of_named_tuples_that_change_places_are_compiled_anew(folder):
@@ -176,9 +173,7 @@ def test_of_two_processes_one_compiles(folder, tmp_path):
     )
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     start = [
-        subprocess.Popen(
-            [sys.executable, "-c", script], env=environment, stdin=-1, stdout=subprocess.PIPE, text=True
-        )
+        subprocess.Popen([sys.executable, "-c", script], env=environment, stdin=-1, stdout=subprocess.PIPE, text=True)
         for _ in range(2)
     ]
     for process in start:

@@ -63,9 +63,7 @@ def test_a_lock_is_within_the_ranges_of_every_direct_dependency(name, environmen
     for requirement in asked(EXTRAS[name]):
         version = versions.get(canonicalize_name(requirement.name))
         assert version is not None, f"make lock: {requirement.name} is not in requirements/{name}.lock"
-        assert requirement.specifier.contains(version, prereleases=True), (
-            f"make lock: {requirement}, not {version}"
-        )
+        assert requirement.specifier.contains(version, prereleases=True), f"make lock: {requirement}, not {version}"
 
 
 def test_a_lock_has_what_its_packages_need():

@@ -32,13 +32,8 @@ def exported(suffix: str, **options) -> bytes:
 
 
 def ascii_ply(vertices: str, faces: str, count: tuple[int, int]) -> str:
-    head = f"ply\nformat ascii 1.0\nelement vertex {count[0]}\n" + "".join(
-        f"property float {c}\n" for c in "xyz"
-    )
-    return (
-        head
-        + f"element face {count[1]}\nproperty list uchar int vertex_indices\nend_header\n{vertices}{faces}"
-    )
+    head = f"ply\nformat ascii 1.0\nelement vertex {count[0]}\n" + "".join(f"property float {c}\n" for c in "xyz")
+    return head + f"element face {count[1]}\nproperty list uchar int vertex_indices\nend_header\n{vertices}{faces}"
 
 
 TRIANGLE = "0 0 0\n1 0 0\n0 1 0\n"
@@ -63,10 +58,7 @@ def test_files_of_another_kind(tmp_path, suffix):
 
 def test_binary_stl_whose_size_disagrees_with_its_count(tmp_path):
     data = exported("stl")
-    refused(
-        written(tmp_path, "part.stl", data[:-10]),
-        r"says 80 triangles \(4,084 bytes\), but the file has 4,074",
-    )
+    refused(written(tmp_path, "part.stl", data[:-10]), r"says 80 triangles \(4,084 bytes\), but the file has 4,074")
     refused(written(tmp_path, "part.stl", data + b"x"), "has 4,085 bytes")
     refused(written(tmp_path, "part.stl", data[:60]), "60 bytes, a binary STL has a header of 84")
     refused(written(tmp_path, "part.stl", bytes(84)), "no triangles")
@@ -85,24 +77,15 @@ def test_ascii_stl_cut_off(tmp_path):
     for end in (len(data) // 2, len(data) - 12):
         refused(written(tmp_path, "part.stl", data[:end]), "cut off or damaged")
     refused(written(tmp_path, "part.stl", b"solid nothing\nendsolid nothing\n"), "no triangles")
-    refused(
-        written(tmp_path, "part.stl", data.replace(b"vertex ", b"vertex x", 1)), "could not be read as STL"
-    )
+    refused(written(tmp_path, "part.stl", data.replace(b"vertex ", b"vertex x", 1)), "could not be read as STL")
 
 
 def test_ply_cut_off_or_damaged(tmp_path):
     binary = exported("ply")
-    refused(
-        written(tmp_path, "part.ply", binary[:-5]), r"could not be read as binary PLY \(vertex 42, face 80\)"
-    )
+    refused(written(tmp_path, "part.ply", binary[:-5]), r"could not be read as binary PLY \(vertex 42, face 80\)")
     refused(written(tmp_path, "part.ply", binary[:40]), "cut off in its header")
-    refused(
-        written(tmp_path, "part.ply", exported("ply", encoding="ascii")[:-30]),
-        "cut off|could not be read|found",
-    )
-    refused(
-        written(tmp_path, "part.ply", ascii_ply(TRIANGLE, "", (3, 1))), "announces 4 lines .* has 3: cut off"
-    )
+    refused(written(tmp_path, "part.ply", exported("ply", encoding="ascii")[:-30]), "cut off|could not be read|found")
+    refused(written(tmp_path, "part.ply", ascii_ply(TRIANGLE, "", (3, 1))), "announces 4 lines .* has 3: cut off")
     refused(written(tmp_path, "part.ply", ascii_ply(TRIANGLE, "", (3, 0))), "no triangles")
 
 
@@ -110,12 +93,8 @@ def test_glb_cut_off_or_damaged(tmp_path):
     data = trimesh.Scene(trimesh.creation.box()).export(file_type="glb")
     refused(written(tmp_path, "part.glb", data[:-40]), r"says [\d,]+ bytes, but the file has")
     refused(written(tmp_path, "part.glb", data[:4] + b"\x01" + data[5:]), "version 1, expected 2")
-    refused(
-        written(tmp_path, "part.glb", data[:20] + b"[" + data[21:]), "JSON part of the GLB file is damaged"
-    )
-    refused(
-        written(tmp_path, "part.glb", data.replace(b'"count":36', b'"count":96')), "could not be read as GLB"
-    )
+    refused(written(tmp_path, "part.glb", data[:20] + b"[" + data[21:]), "JSON part of the GLB file is damaged")
+    refused(written(tmp_path, "part.glb", data.replace(b'"count":36', b'"count":96')), "could not be read as GLB")
     refused(written(tmp_path, "part.glb", data.replace(b'"POSITION"', b'"POSITIOM"')), "does not have")
     json = b'{"asset":{"version":"2.0"}}  '[:28]
     empty = b"glTF" + struct.pack("<III4s", 2, 20 + len(json), len(json), b"JSON") + json
@@ -126,10 +105,7 @@ def test_obj_damaged(tmp_path):
     good = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
     refused(written(tmp_path, "part.obj", good + "f 1 2 4\n"), "part.obj")
     refused(written(tmp_path, "part.obj", good + "f 1 2 3\nf 0 1 2\n"), "line 5: a face that uses vertex 0")
-    refused(
-        written(tmp_path, "part.obj", good + "f 1 2 3\nf 1 2"),
-        "line 5: a face with fewer than three vertices",
-    )
+    refused(written(tmp_path, "part.obj", good + "f 1 2 3\nf 1 2"), "line 5: a face with fewer than three vertices")
     refused(written(tmp_path, "part.obj", "v 0 0 0\nv 1 0\nv 0 1 0\nf 1 2 3\n"), "part.obj")
     refused(written(tmp_path, "part.obj", good), "no triangles")
 
@@ -141,10 +117,7 @@ def test_coordinates_that_are_not_finite(tmp_path, bad):
     triangles["v"][1, 2, 0] = bad
     data = bytes(80) + struct.pack("<I", 2) + triangles.tobytes()
     refused(written(tmp_path, "part.stl", data), "1 vertices have coordinates that are not finite.* vertex 5")
-    refused(
-        written(tmp_path, "part.ply", ascii_ply(f"0 0 0\n1 {bad} 0\n0 1 0\n", "3 0 1 2\n", (3, 1))),
-        "not finite",
-    )
+    refused(written(tmp_path, "part.ply", ascii_ply(f"0 0 0\n1 {bad} 0\n0 1 0\n", "3 0 1 2\n", (3, 1))), "not finite")
 
 
 def test_indices_out_of_range(tmp_path):
@@ -159,9 +132,7 @@ def test_only_triangles_without_area(tmp_path):
     refused(path, "none of the 1 triangles")
 
 
-@pytest.mark.parametrize(
-    ("suffix", "options"), [("stl", {}), ("stl_ascii", {}), ("ply", {}), ("obj", {}), ("glb", {})]
-)
+@pytest.mark.parametrize(("suffix", "options"), [("stl", {}), ("stl_ascii", {}), ("ply", {}), ("obj", {}), ("glb", {})])
 def test_budget_of_triangles_is_checked_before_loading(tmp_path, monkeypatch, suffix, options):
     def never(*_, **__):
         raise AssertionError("loaded all the same")
@@ -170,9 +141,7 @@ def test_budget_of_triangles_is_checked_before_loading(tmp_path, monkeypatch, su
         monkeypatch.setattr(getattr(trimesh.exchange, module), name, never)
     path = written(tmp_path, f"part.{suffix.split('_')[0]}", exported(suffix, **options))
     monkeypatch.setattr(trimesh, "load_scene", never)
-    refused(
-        path, r"80 triangles, at most 79 are accepted; loading them would take about .* GB", max_triangles=79
-    )
+    refused(path, r"80 triangles, at most 79 are accepted; loading them would take about .* GB", max_triangles=79)
 
 
 def test_huge_file_is_refused_by_its_size(tmp_path):

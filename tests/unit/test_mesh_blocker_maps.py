@@ -18,9 +18,7 @@ def star(points: int) -> trimesh.Trimesh:
     radius = np.where(np.arange(2 * points) % 2 == 0, 1.0, 0.25)
     rim = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
     n = len(rim)
-    vertices = np.concatenate(
-        [np.c_[rim, np.full(n, -0.3)], np.c_[rim, np.full(n, 0.3)], [[0, 0, -0.3], [0, 0, 0.3]]]
-    )
+    vertices = np.concatenate([np.c_[rim, np.full(n, -0.3)], np.c_[rim, np.full(n, 0.3)], [[0, 0, -0.3], [0, 0, 0.3]]])
     i, j = np.arange(n), (np.arange(n) + 1) % n
     sides = np.concatenate([np.stack([i, j, n + j], axis=1), np.stack([i, n + j, n + i], axis=1)])
     ends = np.concatenate(
@@ -52,12 +50,8 @@ CLOSED = {
     "star": star(7),
     "hollow": joined(BALL, SMALL.copy()),
     "ball in a box": joined(BOX, turned(SMALL, LOW)),
-    "ring through a box": joined(
-        BOX, turned(RING, trimesh.transformations.rotation_matrix(1.2, [1, 0.3, 0]))
-    ),
-    "ball touching a box": joined(
-        BOX, turned(SMALL, trimesh.transformations.translation_matrix([0, 0, 0.75]))
-    ),
+    "ring through a box": joined(BOX, turned(RING, trimesh.transformations.rotation_matrix(1.2, [1, 0.3, 0]))),
+    "ball touching a box": joined(BOX, turned(SMALL, trimesh.transformations.translation_matrix([0, 0, 0.75]))),
 }
 CLOSED["hollow"].faces[len(BALL.faces) :] = CLOSED["hollow"].faces[len(BALL.faces) :, ::-1]
 
@@ -65,9 +59,7 @@ CLOSED["hollow"].faces[len(BALL.faces) :] = CLOSED["hollow"].faces[len(BALL.face
 def shadow_rays(mesh, seed, *, rays=3000, near=2.0, far=8.0):
     """A caster, and points of its mesh that a camera sees with targets that they face."""
     rng = np.random.default_rng(seed)
-    vertices = (
-        np.asarray(mesh.vertices) @ trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3].T
-    )
+    vertices = np.asarray(mesh.vertices) @ trimesh.transformations.random_rotation_matrix(rng.random(3))[:3, :3].T
     faces = np.asarray(mesh.faces, np.int32)
     caster = RayCaster(vertices, faces)
     eye = caster.centre + 6.0 * caster.radius * direction(rng)
@@ -75,8 +67,7 @@ def shadow_rays(mesh, seed, *, rays=3000, near=2.0, far=8.0):
     aim = np.concatenate(
         [
             caster.centre + caster.radius * rng.uniform(-1.0, 1.0, (rays, 3)),
-            vertices[rng.integers(len(vertices), size=rays)]
-            + 1e-5 * caster.radius * rng.standard_normal((rays, 3)),
+            vertices[rng.integers(len(vertices), size=rays)] + 1e-5 * caster.radius * rng.standard_normal((rays, 3)),
         ]
     )
     way = aim - eye
@@ -87,9 +78,7 @@ def shadow_rays(mesh, seed, *, rays=3000, near=2.0, far=8.0):
     normals /= np.where(length > 0.0, length, 1.0)[:, None]
     front = np.einsum("ij,ij->i", normals, eye - hits.points) > 0.0
     points, normals = hits.points[front], normals[front]
-    targets = np.stack(
-        [caster.centre + caster.radius * rng.uniform(near, far) * direction(rng) for _ in range(4)]
-    )
+    targets = np.stack([caster.centre + caster.radius * rng.uniform(near, far) * direction(rng) for _ in range(4)])
     facing = np.einsum("ij,itj->it", normals, targets[None] - points[:, None]) > 0.0
     point, target = (index.astype(np.int32) for index in np.nonzero(facing))
     return caster, (points, normals, targets), {"point_index": point, "target_index": target}
@@ -169,9 +158,7 @@ def test_few_rays_make_no_map():
 
 
 def test_vertices_that_are_split_at_creases_count_as_one():
-    split = trimesh.Trimesh(
-        np.asarray(BOX.triangles).reshape(-1, 3), np.arange(36).reshape(-1, 3), process=False
-    )
+    split = trimesh.Trimesh(np.asarray(BOX.triangles).reshape(-1, 3), np.arange(36).reshape(-1, 3), process=False)
     assert RayCaster(np.asarray(split.vertices), np.asarray(split.faces, np.int32)).has_blocker_maps
 
 

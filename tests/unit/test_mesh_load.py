@@ -132,9 +132,7 @@ def test_same_file_same_bytes(tmp_path):
 
 def test_coinciding_vertices_are_merged_and_reported_except_in_stl(tmp_path):
     box = trimesh.creation.box()
-    loose = trimesh.Trimesh(
-        box.vertices[box.faces].reshape(-1, 3), np.arange(36).reshape(-1, 3), process=False
-    )
+    loose = trimesh.Trimesh(box.vertices[box.faces].reshape(-1, 3), np.arange(36).reshape(-1, 3), process=False)
     loaded = load(export(tmp_path, loose, "ply"), crease_angle=math.pi)
     assert loaded.warnings == ("28 of 36 vertices repeat another one: merged",)
     assert len(loaded.mesh.vertices) == 8

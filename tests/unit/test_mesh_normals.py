@@ -146,9 +146,7 @@ def test_normals_of_the_file_are_kept(tmp_path):
 
 def test_normals_of_an_obj_file_are_kept_and_split_the_vertices(tmp_path):
     path = tmp_path / "part.obj"
-    path.write_text(
-        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvn 0 0 1\nvn 0 0.6 0.8\nf 1//1 2//1 3//1\nf 2//2 4//2 3//2\n"
-    )
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvn 0 0 1\nvn 0 0.6 0.8\nf 1//1 2//1 3//1\nf 2//2 4//2 3//2\n")
     mesh = load(path).mesh
     assert len(mesh.vertices) == 6
     assert {tuple(n) for n in mesh.normals.round(6).tolist()} == {(0, 0, 1), (0, 0.6, 0.8)}

@@ -80,9 +80,7 @@ def test_centroid_of_each_patch_finds_the_patch():
     patches = refine(mesh, max_edge_mm=0.4, max_patches=100_000)
     a, b, c = (mesh.vertices[mesh.faces[patches.face, k]] for k in range(3))
     system = np.stack([b - a, c - a], axis=2)
-    uv = np.stack(
-        [np.linalg.lstsq(m, p, rcond=None)[0] for m, p in zip(system, patches.centroids - a, strict=True)]
-    )
+    uv = np.stack([np.linalg.lstsq(m, p, rcond=None)[0] for m, p in zip(system, patches.centroids - a, strict=True)])
     assert (patches.patch_at(patches.face, uv[:, 0], uv[:, 1]) == np.arange(len(patches))).all()
 
 
@@ -99,9 +97,7 @@ def test_normals_at_the_centroids():
 
 def test_normals_on_a_fine_ball_are_radial():
     ball = trimesh.creation.icosphere(subdivisions=3)
-    mesh = TriangleMesh(
-        ball.vertices, ball.faces, ball.vertices / np.linalg.norm(ball.vertices, axis=1)[:, None]
-    )
+    mesh = TriangleMesh(ball.vertices, ball.faces, ball.vertices / np.linalg.norm(ball.vertices, axis=1)[:, None])
     patches = refine(mesh, max_edge_mm=0.05, max_patches=100_000)
     assert patches.areas.sum() == pytest.approx(ball.area, rel=1e-12)
     radial = patches.centroids / np.linalg.norm(patches.centroids, axis=1)[:, None]
@@ -188,9 +184,7 @@ def test_needles_do_not_escape_the_limit():
 
 def test_large_mesh_of_one_patch_each_is_lean():
     ball = trimesh.creation.icosphere(subdivisions=6)
-    mesh = TriangleMesh(
-        ball.vertices, ball.faces, ball.vertices / np.linalg.norm(ball.vertices, axis=1)[:, None]
-    )
+    mesh = TriangleMesh(ball.vertices, ball.faces, ball.vertices / np.linalg.norm(ball.vertices, axis=1)[:, None])
     patches = refine(mesh, max_edge_mm=1.0, max_patches=len(ball.faces))
     assert (patches.face == np.arange(len(ball.faces))).all()
     assert len(patches.children) == 0

@@ -152,9 +152,7 @@ def test_unit_that_contradicts_the_file_is_refused(tmp_path):
 
 
 def test_size_that_looks_like_a_unit_mistake_is_refused_quickly(tmp_path):
-    refused(
-        tmp_path, ball(unit=si("$")), r"2e\+04 mm \(the file declares m\).* 20 mm with a unit mistake of 1000"
-    )
+    refused(tmp_path, ball(unit=si("$")), r"2e\+04 mm \(the file declares m\).* 20 mm with a unit mistake of 1000")
     refused(tmp_path, ball(radius=0.01), "declares mm.* 20 mm with a unit mistake of 1000")
 
 
@@ -184,14 +182,7 @@ def test_stp_and_names_that_need_care(tmp_path):
 @pytest.mark.slow
 def test_sample_part_same_bytes_twice():
     first, second = (
-        load_mesh(
-            KNOB,
-            unit_mm=1.0,
-            normals="smooth",
-            crease_angle=0.5,
-            chord_tolerance_mm=0.1,
-            angular_tolerance=0.3,
-        )
+        load_mesh(KNOB, unit_mm=1.0, normals="smooth", crease_angle=0.5, chord_tolerance_mm=0.1, angular_tolerance=0.3)
         for _ in range(2)
     )
     assert first.mesh.vertices.tobytes() == second.mesh.vertices.tobytes()
@@ -205,9 +196,7 @@ def test_cut_off_damaged_and_empty_files(tmp_path):
     text = ball()
     refused(tmp_path, text[: len(text) // 2], "cut off: .* bytes without END-ISO-10303-21")
     refused(tmp_path, "solid x\nendsolid x\n", "not a STEP file: expected it to begin with ISO-10303-21")
-    refused(
-        tmp_path, "ISO-10303-21;\nHEADER;\nENDSEC;\nDATA;\nENDSEC;\nEND-ISO-10303-21;\n", "could not be read"
-    )
+    refused(tmp_path, "ISO-10303-21;\nHEADER;\nENDSEC;\nDATA;\nENDSEC;\nEND-ISO-10303-21;\n", "could not be read")
     refused(tmp_path, text.replace("SPHERICAL_SURFACE", "NO_SUCH_SURFACE"), "no surfaces or solids")
 
 

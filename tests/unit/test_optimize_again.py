@@ -92,10 +92,7 @@ def test_refused_under_force_all_is_as_before(three, snapshot):
     [
         {"rigs": 5, "images": "x", "overlaps": None},
         {"rigs": [5, None, {"file": 5}, {"file": "a\0b"}, {}], "images": [{"folder": "."}], "overlaps": [[]]},
-        {
-            "rigs": [{"file": "../rig.optimized.yaml"}, {"file": "keep.txt"}],
-            "overlaps": [{"map": "keep.png"}],
-        },
+        {"rigs": [{"file": "../rig.optimized.yaml"}, {"file": "keep.txt"}], "overlaps": [{"map": "keep.png"}]},
         {"images": [{"folder": "../captured"}, {"folder": "captured"}], "rigs": [{"file": "."}]},
     ],
 )

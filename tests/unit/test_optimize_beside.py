@@ -18,11 +18,7 @@ lights:
 """
 PLACES = ((40.0, 45.0), (50.0, 165.0), (50.0, 285.0))
 OPTIONS = OptimizeOptions(
-    step_deg=10.0,
-    common_lights=True,
-    patch_budget=400,
-    images=False,
-    objectives=("coverage", "paper"),
+    step_deg=10.0, common_lights=True, patch_budget=400, images=False, objectives=("coverage", "paper")
 )
 
 
@@ -48,9 +44,7 @@ def test_the_others_are_found_as_without_it(three):
     assert (angles, first.found.scored) == (PLACES, 1)
     assert first.scores["coverage"] <= others[0].found.best.score
     assert first.scores["paper"] <= others[1].found.best.score
-    lone = design(
-        three.rig, three.part, three.folder / "lone", options=replace(chosen, objectives=("detectability",))
-    )
+    lone = design(three.rig, three.part, three.folder / "lone", options=replace(chosen, objectives=("detectability",)))
     assert lone.results[0].answers[0].found.best.score == best.score == first.scores["detectability"]
     assert not beside.warnings
 
@@ -62,9 +56,7 @@ def test_the_others_are_found_as_without_it(three):
         (PLACES, False, "they are too many for memory"),
     ],
 )
-def test_where_they_cannot_be_searched_it_is_said_that_they_are_only_scored(
-    three, places, room, why, monkeypatch
-):
+def test_where_they_cannot_be_searched_it_is_said_that_they_are_only_scored(three, places, room, why, monkeypatch):
     real = matrices.PostureMatrices.fits_memory
 
     def holds(self, candidates):

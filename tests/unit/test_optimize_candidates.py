@@ -46,9 +46,7 @@ def test_ranges_at_a_step_include_both_ends(tmp_path):
     found = find_candidates(rig, step_deg=5.0)
     assert found.angles[0] == ((30.0, 0.0), (35.0, 0.0), (40.0, 0.0), (42.0, 0.0))
     assert found.angles[1] == tuple((50.0, a) for a in (80.0, 85.0, 90.0, 95.0, 100.0))
-    assert found.angles[2] == tuple(
-        (e, a) for e in (40.0, 45.0, 50.0) for a in (170.0, 175.0, 180.0, 185.0, 190.0)
-    )
+    assert found.angles[2] == tuple((e, a) for e in (40.0, 45.0, 50.0) for a in (170.0, 175.0, 180.0, 185.0, 190.0))
     assert found.angles[3] == ((50.0, 270.0),)
     assert found.space.sizes == (4, 5, 15, 1)
     assert found.left_out == ()
@@ -59,9 +57,7 @@ def test_ranges_at_a_step_include_both_ends(tmp_path):
 
 
 def test_a_full_turn_has_no_position_twice(tmp_path):
-    rig = rig_of(
-        tmp_path, light("a", 40, 0, ", azimuth_range_deg: [0, 360]"), light("b", 40, 0, distance=500)
-    )
+    rig = rig_of(tmp_path, light("a", 40, 0, ", azimuth_range_deg: [0, 360]"), light("b", 40, 0, distance=500))
     assert len(light_angles(rig, 0, step_deg=90.0)) == 4
 
 
@@ -114,15 +110,10 @@ def test_what_a_lens_bends_into_view_is_left_out(tmp_path):
 def test_panels_that_meet_are_kept_apart(tmp_path):
     # 60 mm panels at 330 mm meet when less than about 10 degrees apart
     rig = rig_of(
-        tmp_path,
-        light("a", 45, 0, ", azimuth_range_deg: [0, 40]"),
-        light("b", 45, 60, ", azimuth_range_deg: [20, 60]"),
+        tmp_path, light("a", 45, 0, ", azimuth_range_deg: [0, 40]"), light("b", 45, 60, ", azimuth_range_deg: [20, 60]")
     )
     found = find_candidates(rig, step_deg=20.0)
-    assert found.angles == (
-        tuple((45.0, a) for a in (0.0, 20.0, 40.0)),
-        tuple((45.0, a) for a in (20.0, 40.0, 60.0)),
-    )
+    assert found.angles == (tuple((45.0, a) for a in (0.0, 20.0, 40.0)), tuple((45.0, a) for a in (20.0, 40.0, 60.0)))
     np.testing.assert_array_equal(
         found.space.clashes[0, 1], [[False, False, False], [True, False, False], [False, True, False]]
     )
@@ -139,9 +130,7 @@ def test_bad_input_says_where_and_what_to_do(tmp_path):
     with pytest.raises(InputError, match="no light can be moved; give one"):
         find_candidates(rig_of(tmp_path, light("a", 40, 0), light("b", 40, 90)), step_deg=5.0)
     rig = rig_of(tmp_path, light("a", 40, 0, movable), light("b", 90, 90))
-    with pytest.raises(
-        InputError, match=r"rig.yaml:7: .*no position of light b is left: it stands in the camera"
-    ):
+    with pytest.raises(InputError, match=r"rig.yaml:7: .*no position of light b is left: it stands in the camera"):
         find_candidates(rig, step_deg=5.0)
     rig = rig_of(tmp_path, light("a", 40, 0, movable), light("b", 70, 90, ", elevation_range_deg: [65, 70]"))
     with pytest.raises(InputError, match="b stays at 65° or above and a at 60° or below"):
@@ -188,11 +177,7 @@ def test_thousands_of_positions_a_light_need_no_memory_for_their_pairs(tmp_path)
 
 def test_a_panel_inside_the_part_is_left_out_and_the_posture_named(tmp_path):
     small = ", size_mm: [10, 10]"
-    rig = rig_of(
-        tmp_path,
-        light("a", 30, 45, ", azimuth_range_deg: [0, 90]" + small, distance=80),
-        light("b", 50, 270),
-    )
+    rig = rig_of(tmp_path, light("a", 30, 45, ", azimuth_range_deg: [0, 90]" + small, distance=80), light("b", 50, 270))
     trimesh.creation.box((200, 20, 60)).export(tmp_path / "bar.stl")
     (tmp_path / "part.yaml").write_text(
         "format: lightopt-part/1\nname: bar\nmesh: {file: bar.stl, units: mm}\n"

@@ -92,8 +92,7 @@ def test_plain_reading_of_any_small_matrix(data):
     trials = trials_of(weights)
     rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
     flags = [
-        rng.random((size, patches, len(trials))) < data.draw(st.sampled_from([0.0, 0.3, 0.8, 1.0]))
-        for size in sizes
+        rng.random((size, patches, len(trials))) < data.draw(st.sampled_from([0.0, 0.3, 0.8, 1.0])) for size in sizes
     ]
     areas = rng.integers(0, 4, patches) * 1e-6
     levels = tuple(rng.choice([0, 30, 255], (size, patches)).astype(np.uint8) for size in sizes)

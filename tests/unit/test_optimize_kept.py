@@ -21,8 +21,7 @@ def kept(tmp_path):
 
 def same(found, matrix):
     return all(
-        np.array_equal(a, b)
-        for a, b in zip((*found.levels, found.areas), (*matrix.levels, matrix.areas), strict=True)
+        np.array_equal(a, b) for a, b in zip((*found.levels, found.areas), (*matrix.levels, matrix.areas), strict=True)
     )
 
 

@@ -112,9 +112,7 @@ def test_proven_and_complete_are_two_things():
     assert found.proven
     assert not found.complete
     assert found.ties < 63
-    answer = ObjectiveResult(
-        objective=OBJECTIVES["coverage"], found=found, scores={"coverage": found.best.score}
-    )
+    answer = ObjectiveResult(objective=OBJECTIVES["coverage"], found=found, scores={"coverage": found.best.score})
     said = cut_off(answer, [Posture(0.0, 0.0)])
     assert f"with {found.left} left" in said
     assert "none scores more, but one of those left may score the same and win the tie" in said
@@ -126,28 +124,14 @@ def test_proven_and_complete_are_two_things():
 
 def test_a_limit_under_which_nothing_scores_names_no_optimum():
     """The one combination that was looked at scores 0, and better ones are left."""
-    levels = (
-        [[0, 255], [100, 5], [5, 255]],
-        [[0, 100], [0, 0], [100, 255]],
-        [[100, 255], [100, 255], [100, 0]],
-    )
+    levels = ([[0, 255], [100, 5], [5, 255]], [[0, 100], [0, 0], [100, 255]], [[100, 255], [100, 255], [100, 0]])
     matrix = LuminanceMatrix(levels=tuple(np.array(one, np.uint8) for one in levels), areas=np.ones(2))
     places = tuple(tuple((30.0, float(k)) for k in range(3)) for _ in range(3))
     candidates = Candidates(
-        names=("a", "b", "c"),
-        angles=places,
-        panels=((),) * 3,
-        left_out=(),
-        space=CombinationSpace.of((3, 3, 3)),
+        names=("a", "b", "c"), angles=places, panels=((),) * 3, left_out=(), space=CombinationSpace.of((3, 3, 3))
     )
     result = answer_set(
-        *(
-            [matrix],
-            [Posture(0.0, 0.0)],
-            candidates,
-            [OBJECTIVES["paper"]],
-            LevelThresholds(shade=10, saturation=255),
-        ),
+        *([matrix], [Posture(0.0, 0.0)], candidates, [OBJECTIVES["paper"]], LevelThresholds(shade=10, saturation=255)),
         rows=2,
         limit=1,
         run=RunContext(threads=1),
@@ -278,9 +262,7 @@ print(before, held - before, peak() - held)
 def test_a_search_holds_no_second_copy_of_the_levels(name, change):
     """150 MB of levels, whole and in boxes: all else is less than that, so that 1 GB, the most, stays below 2 GB."""
     code = MEMORY.format(name=name, change=change)
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=600
-    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=600)
     base, levels, more = map(int, done.stdout.split())
     assert levels > 145e6
     assert more < 140e6
@@ -289,10 +271,7 @@ def test_a_search_holds_no_second_copy_of_the_levels(name, change):
 
 def test_scores_do_not_depend_on_how_the_work_is_cut(monkeypatch):
     matrix = random_matrix((5, 1, 4, 3), 700)
-    whole = {
-        name: o.scores(matrix, o.weights(matrix.areas), THRESHOLDS, threads=2)
-        for name, o in OBJECTIVES.items()
-    }
+    whole = {name: o.scores(matrix, o.weights(matrix.areas), THRESHOLDS, threads=2) for name, o in OBJECTIVES.items()}
     for module, names in {
         "_paper": ("BLOCK_LEVELS", "LEAST_PATCHES"),
         "_scores_by_extreme_levels": ("TASK_LEVELS", "WALK_LEVELS"),

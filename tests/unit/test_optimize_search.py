@@ -26,11 +26,7 @@ def random_levels(rng, sizes, patches, kind=EIGHT_BITS, *, few=False):
     dtype, top = kind
     levels = []
     for size in sizes:
-        layer = (
-            rng.choice([0, 9, 10, 100, top], (size, patches))
-            if few
-            else rng.integers(0, top, (size, patches))
-        )
+        layer = rng.choice([0, 9, 10, 100, top], (size, patches)) if few else rng.integers(0, top, (size, patches))
         layer = np.where(rng.random((size, patches)) < 0.2, top, layer)
         levels.append(layer.astype(dtype))
     return tuple(levels)
@@ -98,9 +94,7 @@ def test_plain_reading_of_any_small_matrix(data):
     black = data.draw(st.integers(0, shade))
     level = st.sampled_from(sorted({0, max(0, shade - 1), shade, saturation - 1, saturation, 255}))
     levels = tuple(
-        np.array(data.draw(st.lists(level, min_size=n * patches, max_size=n * patches)), np.uint8).reshape(
-            n, -1
-        )
+        np.array(data.draw(st.lists(level, min_size=n * patches, max_size=n * patches)), np.uint8).reshape(n, -1)
         for n in sizes
     )
     areas = np.array(data.draw(st.lists(st.integers(0, 5), min_size=patches, max_size=patches))) * 1e-6
@@ -207,9 +201,7 @@ def test_colliding_panels_and_common_angles_restrict_the_space():
     thresholds = LevelThresholds(shade=10, saturation=255)
     clash = np.zeros((3, 3), np.bool_)
     clash[2, :2] = True
-    space = CombinationSpace(
-        sizes=(3, 3, 3), groups=(tuple(np.arange(3) for _ in range(3)),), clashes={(0, 2): clash}
-    )
+    space = CombinationSpace(sizes=(3, 3, 3), groups=(tuple(np.arange(3) for _ in range(3)),), clashes={(0, 2): clash})
     found = search([matrix], OBJECTIVES["paper"], thresholds, space=space, keep=50)
     agree(found, plain(matrix, "paper", thresholds, lambda c: not clash[c[0], c[2]]), 50)
     assert (found.scored, found.clashing) == (21, 6)
@@ -309,12 +301,12 @@ def test_refusals_say_what_to_do():
 
 
 def test_thresholds_of_sensors():
-    assert LevelThresholds.of_sensor(
-        shade_share=10 / 255, max_level=255, saturated_from=255
-    ) == LevelThresholds(shade=10, saturation=255)
-    assert LevelThresholds.of_sensor(
-        shade_share=10 / 255, max_level=4095, saturated_from=4080
-    ) == LevelThresholds(shade=161, saturation=4080)
+    assert LevelThresholds.of_sensor(shade_share=10 / 255, max_level=255, saturated_from=255) == LevelThresholds(
+        shade=10, saturation=255
+    )
+    assert LevelThresholds.of_sensor(shade_share=10 / 255, max_level=4095, saturated_from=4080) == LevelThresholds(
+        shade=161, saturation=4080
+    )
 
 
 def test_thresholds_are_of_light_above_black():

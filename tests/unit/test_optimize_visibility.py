@@ -9,23 +9,14 @@ import pytest
 
 from lightopt.core.errors import InputError
 from lightopt.defects import BUILT_IN_CATALOGUE, CatalogueEntry, DefectShape
-from lightopt.design import (
-    BlindReason,
-    LevelThresholds,
-    LuminanceMatrix,
-    Visibility,
-    blind_text,
-    defect_hypotheses,
-)
+from lightopt.design import BlindReason, LevelThresholds, LuminanceMatrix, Visibility, blind_text, defect_hypotheses
 from lightopt.design.blind_spots._blind_spots import blind_spots, combined_visibility, defect_visibility
 
 THRESHOLDS = LevelThresholds(shade=10, saturation=255, black=2)
 
 
 def dent(slope_deg, name="dent"):
-    return CatalogueEntry(
-        name, DefectShape(kind="dent", length=2.0, width=2.0, slope=math.radians(slope_deg))
-    )
+    return CatalogueEntry(name, DefectShape(kind="dent", length=2.0, width=2.0, slope=math.radians(slope_deg)))
 
 
 def pack(flags):
@@ -112,10 +103,7 @@ def test_visibility_of_other_images_is_refused():
 def test_reasons_are_those_that_stand_in_between():
     trials = defect_hypotheses([dent(2.0)])
     # patches: seen in both; two images, no contrast; one dark; one saturated; one dark and one saturated
-    levels = (
-        np.array([[90, 90, 2, 255, 255]], np.uint8),
-        np.array([[90, 90, 90, 90, 2]], np.uint8),
-    )
+    levels = (np.array([[90, 90, 2, 255, 255]], np.uint8), np.array([[90, 90, 90, 90, 2]], np.uint8))
     flags = [np.zeros((1, 5, 8), bool) for _ in levels]
     for layer in flags:
         layer[0, 0] = True
@@ -146,15 +134,12 @@ def test_reasons_are_those_that_stand_in_between():
         LuminanceMatrix(
             levels=levels[k : k + 1],
             areas=some.areas,
-            visibility=visibility_of(
-                flags[k : k + 1], trials, some.areas, patch=some.patch, grazing=some.grazing
-            ),
+            visibility=visibility_of(flags[k : k + 1], trials, some.areas, patch=some.patch, grazing=some.grazing),
         )
         for k in (0, 1)
     ]
     halves = [
-        defect_visibility([half], THRESHOLDS, least=2, candidates=(0,), first_light=k)
-        for k, half in enumerate(parts)
+        defect_visibility([half], THRESHOLDS, least=2, candidates=(0,), first_light=k) for k, half in enumerate(parts)
     ]
     again = blind_spots(areas, [combined_visibility(*halves)])
     assert again.codes.tolist() == found.codes.tolist()
@@ -163,9 +148,7 @@ def test_reasons_are_those_that_stand_in_between():
 
 def matrix_with(flags, levels, trials):
     """A matrix of one patch."""
-    return LuminanceMatrix(
-        levels=levels, areas=np.ones(1), visibility=visibility_of(flags, trials, np.ones(1))
-    )
+    return LuminanceMatrix(levels=levels, areas=np.ones(1), visibility=visibility_of(flags, trials, np.ones(1)))
 
 
 def test_all_positions_count_each_for_itself_and_postures_complete_each_other():

@@ -56,9 +56,7 @@ def imports() -> list[tuple[Path, str, str]]:
 @pytest.mark.parametrize("face", FACES, ids=map(name_of, FACES))
 def test_what_is_exported_is_used_outside(face):
     name = name_of(face)
-    used = {
-        imported for path, module, imported in imports() if module == name and package_of(path) != face.parent
-    }
+    used = {imported for path, module, imported in imports() if module == name and package_of(path) != face.parent}
     assert exports(face) - used == set()
 
 

@@ -17,9 +17,7 @@ def declared() -> set[str]:
 
 
 def test_every_room_is_installed_and_nothing_else(declared):
-    rooms = {
-        ".".join(folder.parent.relative_to(ROOT).parts) for folder in (ROOT / "lightopt").rglob("__init__.py")
-    }
+    rooms = {".".join(folder.parent.relative_to(ROOT).parts) for folder in (ROOT / "lightopt").rglob("__init__.py")}
     assert {name for name in declared if not name.startswith("lightopt.samples")} == rooms
 
 

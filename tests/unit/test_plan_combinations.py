@@ -23,8 +23,7 @@ def case(seed, sizes, *, patches=6, k=2):
     rng = np.random.default_rng(seed)
     flags = [
         (
-            rng.integers(0, 1 << 62, (n, POSTURES, patches, 1))
-            & rng.integers(0, 1 << 62, (n, POSTURES, patches, 1))
+            rng.integers(0, 1 << 62, (n, POSTURES, patches, 1)) & rng.integers(0, 1 << 62, (n, POSTURES, patches, 1))
         ).astype(np.uint64)
         for n in sizes
     ]
@@ -78,9 +77,7 @@ def test_patches_whose_counts_change_seldom_come_from_the_runs_alone(monkeypatch
     for size in sizes:
         a, b = np.sort(rng.integers(0, size + 1, (2, POSTURES, patches, width, 1)), axis=0)
         place = np.arange(size)[:, None, None, None, None]
-        bits = ((place >= a) & (place < b) & (rng.random((POSTURES, patches, width, 64)) < 0.7)).astype(
-            np.uint64
-        )
+        bits = ((place >= a) & (place < b) & (rng.random((POSTURES, patches, width, 64)) < 0.7)).astype(np.uint64)
         flags.append((bits << np.arange(64, dtype=np.uint64)).sum(axis=-1, dtype=np.uint64))
     counts = [np.stack([counts_of_images(list(place), k) for place in light]) for light in flags]
     masks = np.array([[0x00000000FFFFFFFF, 0x3], [0xFF, 0x5]], np.uint64)
@@ -103,9 +100,7 @@ def test_the_best_allowed_places_are_found(seed, k):
     flags, counts, weights = case(seed, sizes, k=k)
     clash = np.random.default_rng(seed).random((3, 3)) < 0.5
     clash[0, 0] = False
-    space = CombinationSpace(
-        sizes=sizes, groups=(tuple(np.arange(n) for n in sizes),), clashes={(0, 2): clash}
-    )
+    space = CombinationSpace(sizes=sizes, groups=(tuple(np.arange(n) for n in sizes),), clashes={(0, 2): clash})
     allowed = [c for c in product(*map(range, sizes)) if not clash[c[0], c[2]]]
     best = max(allowed, key=lambda c: plain(flags, weights, c, k))
     found = place_lights(counts, weights, space)
@@ -138,11 +133,7 @@ def test_of_equal_places_the_first_are_taken_however_they_are_cut_in_pieces():
     _, counts, weights = case(3, (3, 3, 2))
     same = [np.repeat(light[:1], len(light), axis=0) for light in counts]
     for cells in (1, 2, 4, 100):
-        assert place_lights(same, weights, CombinationSpace.of((3, 3, 2)), table_cells=cells).candidates == (
-            0,
-            0,
-            0,
-        )
+        assert place_lights(same, weights, CombinationSpace.of((3, 3, 2)), table_cells=cells).candidates == (0, 0, 0)
 
 
 @pytest.mark.parametrize("limit", [1, 10**9])

@@ -42,9 +42,7 @@ def random_case(seed, *, postures=7, images=3, patches=9, trials=70, k=2):
         return np.packbits(padded, axis=-1, bitorder="little").view(np.uint64)
 
     weights = PairWeights(
-        areas=rng.integers(0, 50, patches),
-        masks=np.stack([pack(kind == g) for g in range(2)]),
-        factors=factors,
+        areas=rng.integers(0, 50, patches), masks=np.stack([pack(kind == g) for g in range(2)]), factors=factors
     )
     heavy = weights.areas[:, None] * factors[kind]
     packed = [counts_of_images([pack(image) for image in posture], k) for posture in plain]
@@ -165,11 +163,7 @@ def flags(*rows):
 
 
 def unit_weights(patches):
-    return PairWeights(
-        areas=np.ones(patches, np.int64),
-        masks=np.ones((1, 1), np.uint64),
-        factors=np.ones(1, np.int64),
-    )
+    return PairWeights(areas=np.ones(patches, np.int64), masks=np.ones((1, 1), np.uint64), factors=np.ones(1, np.int64))
 
 
 def test_what_later_ones_make_redundant_is_dropped():
@@ -275,9 +269,7 @@ def test_two_exposures_that_only_together_show_enough_are_planned(least_gain, ta
     found = select_exposures(
         postures, [dark, dark], offers, weights, min_images=2, least_gain=least_gain, target=target
     )
-    planned = [
-        (shot.posture, shot.exposure, shot.gain, shot.reason) for shot in found.further if shot.planned
-    ]
+    planned = [(shot.posture, shot.exposure, shot.gain, shot.reason) for shot in found.further if shot.planned]
     assert planned == ([(postures[0], 0.25, 0.0, why), (postures[1], 0.25, 0.1, why)] if why else [])
     assert found.after == (0.1 if why else 0.0)
 
@@ -351,9 +343,7 @@ def test_greed_misses_what_all_sets_show():
     # the first candidate shows most alone; the other two show more together
     images = [[0, 1, 2, 3, 8], [0, 1, 4, 5], [2, 3, 6, 7]]
     packed = [np.array([[[sum(1 << bit for bit in one)]]], np.uint64) for one in images]
-    weights = PairWeights(
-        areas=np.ones(1, np.int64), masks=np.array([[511]], np.uint64), factors=np.ones(1, np.int64)
-    )
+    weights = PairWeights(areas=np.ones(1, np.int64), masks=np.array([[511]], np.uint64), factors=np.ones(1, np.int64))
     greedy = greedy_cover(packed, weights, count=2)
     assert (greedy.chosen, greedy.covered, greedy.proven) == ((0, 1), 7, False)
     found, most, sets = best_set(packed, weights, greedy.chosen, 2)

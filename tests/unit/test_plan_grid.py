@@ -51,11 +51,7 @@ def test_default_step_gives_eighty_of_the_sample_rig(bench):
     [
         ("stage: {elevation_range_deg: [0, 0], rotation_range_deg: [-360, 360]}", [0], [0, 90, 180, 270]),
         ("stage: {elevation_range_deg: [0, 0], rotation_range_deg: [-180, 180]}", [0], [-180, -90, 0, 90]),
-        (
-            "stage: {elevation_range_deg: [-30, 100], rotation_range_deg: [10, 100]}",
-            [-30, 0, 90, 100],
-            [10, 90, 100],
-        ),
+        ("stage: {elevation_range_deg: [-30, 100], rotation_range_deg: [10, 100]}", [-30, 0, 90, 100], [10, 90, 100]),
     ],
 )
 def test_a_full_turn_is_taken_once(bench, stage, tilts, turns):
@@ -76,9 +72,7 @@ def test_an_axis_that_the_stage_lacks_stays_at_zero(bench):
     assert [p.rotation_deg for p in found] == [0.0, 90.0, 180.0, 270.0]
 
 
-@pytest.mark.parametrize(
-    ("step", "expected"), [(0.0, "found 0"), (-5.0, "found -5"), (0.5, "take a larger step")]
-)
+@pytest.mark.parametrize(("step", "expected"), [(0.0, "found 0"), (-5.0, "found -5"), (0.5, "take a larger step")])
 def test_bad_steps_are_refused(bench, step, expected):
     with pytest.raises(InputError, match=expected):
         grid(bench, step)

@@ -90,11 +90,7 @@ def pairs_of(survey, posture, panels, *, exposure=1.0):
     """Plain flags (image, patch of the part, trial) of one image per panel, however the part lies."""
     patches = survey.table.patches
     table = table_at(survey, posture)
-    seen = (
-        replace(survey, table=table)
-        .matrices(posture, [[p] for p in panels], exposures=(exposure,))[0]
-        .visibility
-    )
+    seen = replace(survey, table=table).matrices(posture, [[p] for p in panels], exposures=(exposure,))[0].visibility
     flags = np.zeros((len(panels), len(patches), len(seen.hypotheses)), bool)
     for image, words in enumerate(seen.words):
         bits = np.unpackbits(words[0].view(np.uint8), axis=1, bitorder="little")
@@ -122,10 +118,7 @@ def heavy(survey):
 def moved(rig, light, offset):
     config = rig.lights[light]
     config = config.model_copy(
-        update={
-            "elevation_deg": config.elevation_deg + offset[0],
-            "azimuth_deg": config.azimuth_deg + offset[1],
-        }
+        update={"elevation_deg": config.elevation_deg + offset[0], "azimuth_deg": config.azimuth_deg + offset[1]}
     )
     return build_lights(rig.model_copy(update={"lights": (config,)}))[0]
 
@@ -167,9 +160,7 @@ def test_tolerances_of_pairs_are_those_of_recounting_every_corner(world, least):
     postures = POSTURES[1:3]
     exposures = ((1.0, 0.25), (1.0,))
     assess = PairAssessment(survey, setup_of(rig, postures, exposures), min_images=least)
-    found = analyse_tolerances(
-        assess, ["light1", "light2"], Tolerances(light_deg=4.0, pose_deg=3.0, draws=3, seed=1)
-    )
+    found = analyse_tolerances(assess, ["light1", "light2"], Tolerances(light_deg=4.0, pose_deg=3.0, draws=3, seed=1))
     weights = heavy(survey)
 
     def plain(pose, offsets):
@@ -221,9 +212,7 @@ def test_tolerances_of_coverage_are_those_of_recounting_every_corner(world):
         return total
 
     corner = list(product((-6.0, 6.0), repeat=2))
-    scores = [
-        plain(pose, lights) for pose in product((-2.0, 2.0), repeat=2) for lights in product(corner, repeat=2)
-    ]
+    scores = [plain(pose, lights) for pose in product((-2.0, 2.0), repeat=2) for lights in product(corner, repeat=2)]
     assert found.score == plain((0.0, 0.0), [(0.0, 0.0)] * 2)
     assert found.worst == min(scores)
 
@@ -233,9 +222,7 @@ def test_postures_and_lights_are_chosen_together(world, least):
     rig, survey = world
     candidates = find_candidates(rig, step_deg=10.0)
     lights = build_lights(rig)
-    choice = choose_postures(
-        survey, survey, POSTURES, lights, candidates, PostureRequest(min_images=least, count=2)
-    )
+    choice = choose_postures(survey, survey, POSTURES, lights, candidates, PostureRequest(min_images=least, count=2))
     weights = heavy(survey)
     total = weights[survey.patches].sum()
 
@@ -316,12 +303,7 @@ def test_reasons_for_an_unreached_target_are_of_the_surface_that_the_shares_are_
     # a bound that falls short of the target is not rounded up to it
     steps = (replace(choice.cover.steps[0], covered=900_000),)
     cover = replace(
-        choice.cover,
-        steps=steps,
-        total=1_000_000,
-        bounds=(0, 949_960),
-        all_benefit=960_000,
-        all_covered=960_000,
+        choice.cover, steps=steps, total=1_000_000, bounds=(0, 949_960), all_benefit=960_000, all_covered=960_000
     )
     short = replace(choice, postures=choice.postures[:1], cover=cover)
     assert "show more than 94.996 % with these lights; 95 % was asked for" in str(
@@ -347,11 +329,7 @@ def test_positions_that_memory_has_no_room_for_are_looked_at_in_pieces(world, mo
         visibility = planned_visibility(
             survey, setup, candidates, all_exposures=survey.exposures, thresholds=thresholds, least=2
         )
-        facts = [
-            (s.counts, s.usable, s.saturated, s.first)
-            for one in visibility
-            for s in (one.possible, one.chosen)
-        ]
+        facts = [(s.counts, s.usable, s.saturated, s.first) for one in visibility for s in (one.possible, one.chosen)]
         return [*flags, *(array for some in facts for array in some)]
 
     free = looks()
@@ -381,8 +359,7 @@ def test_a_target_that_drawn_patches_fall_short_of_is_counted_on_all(world, move
     few = replace(survey, table=replace(survey.table, visible=visible))
     assert weights[poor].sum() > 0.0
     by_number = [
-        choose_postures(survey, survey, POSTURES, lights, candidates, PostureRequest(count=n))
-        for n in (1, 2, 3)
+        choose_postures(survey, survey, POSTURES, lights, candidates, PostureRequest(count=n)) for n in (1, 2, 3)
     ]
     target = by_number[1].cover.share
     assert by_number[0].cover.share < target
@@ -451,9 +428,7 @@ def test_a_target_that_only_further_exposures_reach_is_reached_by_no_more_of_the
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "seed", [*range(3), *(pytest.param(seed, marks=pytest.mark.nightly) for seed in range(3, 8))]
-)
+@pytest.mark.parametrize("seed", [*range(3), *(pytest.param(seed, marks=pytest.mark.nightly) for seed in range(3, 8))])
 def test_offering_exposures_never_makes_a_plan_worse(world, seed):
     rig, survey = world
     rng = np.random.default_rng(seed)

@@ -72,8 +72,7 @@ def test_widest_tolerances_are_those_of_a_fine_scan():
     for widest in trust.widest:
         for degrees in np.arange(0.01, 16.005, 0.01):
             either = [
-                (s * degrees, 0.0) if widest.angle in ("elevation", "tilt") else (0.0, s * degrees)
-                for s in (-1.0, 1.0)
+                (s * degrees, 0.0) if widest.angle in ("elevation", "tilt") else (0.0, s * degrees) for s in (-1.0, 1.0)
             ]
             if widest.what == "part":
                 scores = [smooth(pose, exact) for pose in either]

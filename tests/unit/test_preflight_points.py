@@ -46,9 +46,7 @@ def test_saturated_area_of_a_sphere_is_estimated(sigma, points, share):
     assert point_spacing(panel(points), sigma).area_error + 1 == pytest.approx(share, abs=0.04)
 
 
-@pytest.mark.parametrize(
-    ("sigma", "points", "size"), [(0.03, 4, (60, 60)), (0.02, 9, (60, 40)), (0.05, 1, (30, 60))]
-)
+@pytest.mark.parametrize(("sigma", "points", "size"), [(0.03, 4, (60, 60)), (0.02, 9, (60, 40)), (0.05, 1, (30, 60))])
 def test_estimate_against_brute_force(sigma, points, size):
     light = panel(points, size=size)
     found = point_spacing(light, sigma)
@@ -60,12 +58,7 @@ def test_estimate_against_brute_force(sigma, points, size):
     assert found.area_error == pytest.approx(grid / whole - 1, abs=0.01)
 
 
-@given(
-    sigma=st.floats(0.002, 0.2),
-    side=st.floats(5, 200),
-    aspect=st.floats(0.1, 1),
-    distance=st.floats(100, 1000),
-)
+@given(sigma=st.floats(0.002, 0.2), side=st.floats(5, 200), aspect=st.floats(0.1, 1), distance=st.floats(100, 1000))
 def test_the_number_that_is_called_enough_is_enough(sigma, side, aspect, distance):
     light = panel(1, size=(side, aspect * side), distance=distance)
     enough = point_spacing(light, sigma).enough
@@ -80,9 +73,7 @@ def test_known_numbers():
     assert found.separate
 
 
-@pytest.mark.parametrize(
-    ("points", "sigma"), [("auto", 0.003), (4, 0.0475), (16, 0.0475), (144, 0.01), (1, 0.2)]
-)
+@pytest.mark.parametrize(("points", "sigma"), [("auto", 0.003), (4, 0.0475), (16, 0.0475), (144, 0.01), (1, 0.2)])
 def test_enough_points_are_not_warned_of(points, sigma):
     assert coarse_points(panel(points), sigma) is None
 

@@ -98,12 +98,7 @@ def test_report_is_json_and_frozen():
 
 @pytest.mark.parametrize(
     ("levels", "worst"),
-    [
-        ((), "ok"),
-        (("ok", "note"), "note"),
-        (("warning", "note"), "warning"),
-        (("error", "warning", "ok"), "error"),
-    ],
+    [((), "ok"), (("ok", "note"), "note"), (("warning", "note"), "warning"), (("error", "warning", "ok"), "error")],
 )
 def test_worst_level(levels, worst):
     assert CheckResult(tuple(Finding(level, "t", "x") for level in levels)).worst == worst
@@ -284,14 +279,7 @@ def test_panels_in_one_plane():
 )
 def test_image_area_against_counted_pixels(centre, tilt, size):
     camera = place_camera(
-        distance=550,
-        elevation=1.2,
-        azimuth=-1.5,
-        roll=0.4,
-        width=160,
-        height=120,
-        pixel_size=0.044,
-        image_distance=55,
+        distance=550, elevation=1.2, azimuth=-1.5, roll=0.4, width=160, height=120, pixel_size=0.044, image_distance=55
     )
     base = panel(*tilt, size=size)
     light = PanelLight(**{**vars(base), "centre": np.array(centre)})

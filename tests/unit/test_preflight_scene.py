@@ -104,9 +104,7 @@ def test_block_has_nothing_to_worry_about(check):
 @pytest.mark.slow
 @pytest.mark.parametrize("part", ["cover-knob", "spout"])
 def test_sample_parts(part):
-    report = check_scene(
-        load_rig(CONFIGS / "rigs" / "four-panel.yaml"), load_part(CONFIGS / "parts" / f"{part}.yaml")
-    )
+    report = check_scene(load_rig(CONFIGS / "rigs" / "four-panel.yaml"), load_part(CONFIGS / "parts" / f"{part}.yaml"))
     for topic in ("size", "mesh", "levels", "facets"):
         assert only(report, topic).level == "ok"
     assert not find(report, "back faces")
@@ -135,11 +133,7 @@ def test_likely_units(longest, view, unit, expected):
     assert likely_units(longest, view, unit) == expected
 
 
-@given(
-    size=st.floats(15, 60),
-    unit=st.sampled_from(["mm", "inch", "m"]),
-    read=st.sampled_from(["mm", "inch", "m"]),
-)
+@given(size=st.floats(15, 60), unit=st.sampled_from(["mm", "inch", "m"]), read=st.sampled_from(["mm", "inch", "m"]))
 def test_right_unit_is_among_the_likely_ones(size, unit, read):
     from lightopt.core.units import MM_PER_UNIT
 
@@ -218,15 +212,11 @@ def test_repairs_are_told_once(check):
 def test_edges_of_a_box():
     corners, number = BLOCK.reshape(-1, 3), merge_rows(BLOCK.reshape(-1, 3))[1]
     assert number.max() == 7
-    assert all(
-        (number[i] == number[j]) == (corners[i] == corners[j]).all() for i in range(36) for j in range(36)
-    )
+    assert all((number[i] == number[j]) == (corners[i] == corners[j]).all() for i in range(36) for j in range(36))
     found = mesh_edges(number.reshape(-1, 3))
     assert len(found.ends) == 18
     assert set(found.uses.tolist()) == {2}
-    shared = [
-        set(number[3 * a : 3 * a + 3]) & set(number[3 * b : 3 * b + 3]) for a, b in found.faces.tolist()
-    ]
+    shared = [set(number[3 * a : 3 * a + 3]) & set(number[3 * b : 3 * b + 3]) for a, b in found.faces.tolist()]
     assert shared == [set(ends) for ends in found.ends.tolist()]
 
 
@@ -268,14 +258,10 @@ def test_part_behind_the_camera(check):
     assert "behind the camera" in only(report, "view").text
 
 
-@pytest.mark.parametrize(
-    ("tilt", "lift", "level"), [(0, 0, None), (0, -3, "warning"), (20, 0, "note"), (20, 15, None)]
-)
+@pytest.mark.parametrize(("tilt", "lift", "level"), [(0, 0, None), (0, -3, "warning"), (20, 0, "note"), (20, 15, None)])
 def test_part_below_the_table(check, tilt, lift, level):
     report = check(
-        BLOCK,
-        placement={"translate_mm": [0, 0, lift]},
-        postures=[{"elevation_deg": tilt, "rotation_deg": 0}],
+        BLOCK, placement={"translate_mm": [0, 0, lift]}, postures=[{"elevation_deg": tilt, "rotation_deg": 0}]
     )
     findings = find(report, "table")
     assert [f.level for f in findings] == ([] if level is None else [level])
@@ -309,9 +295,7 @@ def test_light_partly_inside_the_part(check):
 
 def test_light_that_hides_the_part(check):
     light = {"distance_mm": 275, "elevation_deg": 90, "azimuth_deg": 0, "size_mm": [5, 5]}
-    (finding,) = [
-        f for f in find(check(BLOCK, rig=make_rig(light=light)), "light in view") if "hides" in f.text
-    ]
+    (finding,) = [f for f in find(check(BLOCK, rig=make_rig(light=light)), "light in view") if "hides" in f.text]
     assert finding.values["pixels"] == pytest.approx((5 / 0.022) ** 2, rel=0.05)
     assert finding.values["light"] == "light1"
 
@@ -325,9 +309,7 @@ def test_light_beside_the_part_hides_nothing(check):
 # ---- lobe and levels
 
 
-@pytest.mark.parametrize(
-    ("sigma", "points", "level"), [(0.05, 16, "ok"), (0.0475, 4, "note"), (0.003, 4, "warning")]
-)
+@pytest.mark.parametrize(("sigma", "points", "level"), [(0.05, 16, "ok"), (0.0475, 4, "note"), (0.003, 4, "warning")])
 def test_points(check, sigma, points, level):
     source = {"size_mm": [60, 60], "points": points}
     finding = only(check(BLOCK, sigma=sigma, rig=make_rig(light_source=source)), "points")

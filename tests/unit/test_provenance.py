@@ -322,16 +322,7 @@ def test_a_kept_matrix_is_read_only_where_that_is_asked_for(movable):
 @pytest.mark.slow
 def test_a_fit_is_not_replaced_by_one_of_other_code(cli, bench, other_code, snapshot):
     assert cli("render", bench.rig, bench.part, "-o", bench.folder / "set", *FEW, "--noise", 1).status == 0
-    command = (
-        "fit-diffuse",
-        bench.rig,
-        bench.part,
-        bench.folder / "set",
-        "-o",
-        bench.out,
-        "--pixels",
-        "8000",
-    )
+    command = ("fit-diffuse", bench.rig, bench.part, bench.folder / "set", "-o", bench.out, "--pixels", "8000")
     assert cli(*command, "-q").status == 0
     document = json.loads((bench.out / "fit.json").read_text(encoding="utf-8"))
     check(document["provenance"], inputs={"rig", "part", "mesh", "image_sets"})
@@ -358,16 +349,7 @@ def test_a_calibration_of_other_code_is_refused(cli, bench, other_code, tmp_path
     assert cli("inspect", bench.rig, bench.part, *sets, "-o", made, "--calibrate", *options).status == 0
     document = json.loads((made / "calibration.json").read_text(encoding="utf-8"))
     check(document["provenance"], inputs={"rig", "part", "mesh", "image_sets"})
-    command = (
-        "inspect",
-        bench.rig,
-        bench.part,
-        sets[0],
-        "--calibration",
-        made,
-        "--no-register",
-        "--no-report",
-    )
+    command = ("inspect", bench.rig, bench.part, sets[0], "--calibration", made, "--no-register", "--no-report")
     ran = cli(*command, "-o", bench.out)
     assert ran.status == 0, ran.err
     found = json.loads((bench.out / "defects.json").read_text(encoding="utf-8"))["provenance"]

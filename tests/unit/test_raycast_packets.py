@@ -11,12 +11,8 @@ from lightopt.geometry import RayCaster, _caster, _packets
 MESHES = {
     "sphere": trimesh.creation.icosphere(3, 10.0),
     "torus": trimesh.creation.torus(12, 4, major_sections=40, minor_sections=20),
-    "nested shells": trimesh.util.concatenate(
-        [trimesh.creation.box((20, 20, 20)), trimesh.creation.box((8, 8, 8))]
-    ),
-    "open": trimesh.Trimesh(
-        [[0, 0, 0], [9, 0, 0], [0, 9, 0], [9, 9, 3]], [[0, 1, 2], [2, 1, 3]], process=False
-    ),
+    "nested shells": trimesh.util.concatenate([trimesh.creation.box((20, 20, 20)), trimesh.creation.box((8, 8, 8))]),
+    "open": trimesh.Trimesh([[0, 0, 0], [9, 0, 0], [0, 9, 0], [9, 9, 3]], [[0, 1, 2], [2, 1, 3]], process=False),
 }
 
 

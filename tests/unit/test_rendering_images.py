@@ -50,9 +50,7 @@ def test_supersampling_is_the_mean_of_a_finer_camera(bench, n, points):
 
 
 def test_geometry_is_that_of_the_pixels_centre_whatever_the_supersampling(scene, caster):
-    one, two = (
-        render_posture(scene, scene.postures[0], caster=caster, supersample=n).geometry for n in (1, 2)
-    )
+    one, two = (render_posture(scene, scene.postures[0], caster=caster, supersample=n).geometry for n in (1, 2))
     for name in ("points", "normals", "distance", "patch", "hit"):
         assert np.array_equal(getattr(one, name), getattr(two, name)), name
 
@@ -98,13 +96,7 @@ def test_progress_rises_to_one(scene, caster, monkeypatch):
 
     monkeypatch.setattr(_images, "BLOCK_SAMPLES", 700)
     calls = []
-    images = render_posture(
-        scene,
-        scene.postures[0],
-        caster=caster,
-        threads=3,
-        progress=calls.append,
-    )
+    images = render_posture(scene, scene.postures[0], caster=caster, threads=3, progress=calls.append)
     assert len(calls) > 5
     assert calls == sorted(calls)
     assert 0.0 < calls[0] < 1.0
@@ -137,9 +129,7 @@ def test_warnings_are_given_as_they_come_and_kept(bench, tmp_path):
     bench.edit("part.yaml", "sigma_rad: 0.0475", "sigma_rad: 0.003")
     heard = []
     options = RenderOptions(patch_budget=500)
-    done = render_image_set(
-        bench.rig, bench.part, tmp_path, options=options, run=RunContext(warn=heard.append)
-    )
+    done = render_image_set(bench.rig, bench.part, tmp_path, options=options, run=RunContext(warn=heard.append))
     assert tuple(heard) == done.warnings
     assert len(heard) == 1  # of two panels alike
     assert heard[0].startswith("light1, light3: the panel's 4 points stand apart by 30 mm")

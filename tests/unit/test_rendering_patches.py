@@ -10,14 +10,7 @@ import trimesh
 
 from lightopt import build_scene
 from lightopt.geometry import face_areas, face_normals
-from lightopt.rendering import (
-    PatchTable,
-    build_patches,
-    cast_rays_at,
-    patch_pixels,
-    patch_positions,
-    render_posture,
-)
+from lightopt.rendering import PatchTable, build_patches, cast_rays_at, patch_pixels, patch_positions, render_posture
 from lightopt.scene import project, view_from_part
 
 SPOUT = "spout.stl"
@@ -36,9 +29,7 @@ def spout(tmp_path_factory, shared_bench):
     folder = tmp_path_factory.mktemp("spout")
     mesh = Path(__file__).resolve().parents[2] / "configs" / "parts" / SPOUT
     text = shared_bench.part.read_text(encoding="utf-8").replace("knob.stl", mesh.as_posix())
-    (folder / "part.yaml").write_text(
-        text.replace("elevation_deg: -10", "elevation_deg: -30"), encoding="utf-8"
-    )
+    (folder / "part.yaml").write_text(text.replace("elevation_deg: -10", "elevation_deg: -30"), encoding="utf-8")
     return build_scene(shared_bench.rig, folder / "part.yaml")
 
 
@@ -208,9 +199,7 @@ def test_a_block_hides_what_is_below_it(bench):
     x, y, z = table.patches.centroids.T
     up = table.patches.normals[:, 2] > 0.99
     reach = np.maximum(np.abs(x), np.abs(y))
-    edge = (
-        10.0 * 548.0 / 528.0
-    )  # of the roof's shadow: projected from 550 mm over its top at 22 to the floor at 2
+    edge = 10.0 * 548.0 / 528.0  # of the roof's shadow: projected from 550 mm over its top at 22 to the floor at 2
     visible = table.visible[0]
     assert visible[up & (z > 20)].all()
     assert not visible[up & (z < 3) & (reach < edge - 0.2)].any()

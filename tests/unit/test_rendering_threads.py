@@ -76,9 +76,7 @@ def test_one_thread_is_one_thread_whatever_is_done(cli, bench, monkeypatch):
         "fit-specular", bench.rig, bench.part, images, "-o", bench.folder / "specular", "--joint", *few
     )  # fmt: skip
     assert ran.status == 0, ran.err
-    observations = read_observations(
-        read_image_set(images), load_rig(bench.rig), load_part(bench.part), threads=1
-    )
+    observations = read_observations(read_image_set(images), load_rig(bench.rig), load_part(bench.part), threads=1)
     scene = build_scene(bench.rig, bench.part)
     sets = coarse_pixels(scene, observations)
     refuse_useless_images(scene, sets, observations, caster=cast_rays_at(scene), threads=1)

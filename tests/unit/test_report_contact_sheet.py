@@ -10,15 +10,7 @@ import pytest
 
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
-from lightopt.images import (
-    ImageEntry,
-    ImageSet,
-    ImageSetWriter,
-    Manifest,
-    SourceFile,
-    read_image_set,
-    read_png,
-)
+from lightopt.images import ImageEntry, ImageSet, ImageSetWriter, Manifest, SourceFile, read_image_set, read_png
 from lightopt.report import contact_sheet
 from lightopt.report._contact_sheet import MARGIN
 
@@ -56,9 +48,7 @@ def box_of(picture: np.ndarray, grey: int, least: int = 2000) -> tuple[int, int,
     same = picture[..., 1] == grey
     assert np.count_nonzero(same) >= least, grey
     # borders of letters hold any grey, an image many of one
-    rows, columns = (
-        np.flatnonzero(count > 0.5 * count.max()) for count in (same.sum(axis=1), same.sum(axis=0))
-    )
+    rows, columns = (np.flatnonzero(count > 0.5 * count.max()) for count in (same.sum(axis=1), same.sum(axis=0)))
     left, top, right, bottom = int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1
     assert same[top:bottom, left:right].all()
     return left, top, right, bottom
@@ -68,12 +58,7 @@ def sheet_of(image_set: ImageSet, path: Path, **options: object) -> np.ndarray:
     assert contact_sheet(image_set, path, **options) == path  # pyright: ignore[reportArgumentType]
     picture = read_png(path, colour=True)
     # nothing runs into the margin; ascenders of letters may a little
-    for border in (
-        picture[: MARGIN - 6],
-        picture[-MARGIN + 8 :],
-        picture[:, : MARGIN - 2],
-        picture[:, -MARGIN:],
-    ):
+    for border in (picture[: MARGIN - 6], picture[-MARGIN + 8 :], picture[:, : MARGIN - 2], picture[:, -MARGIN:]):
         assert border.min() == 255
     return picture
 
@@ -83,9 +68,7 @@ def sheet_of(image_set: ImageSet, path: Path, **options: object) -> np.ndarray:
 def test_rows_are_postures_and_columns_are_lights(tmp_path: Path, lights: int, postures: int) -> None:
     names = [f"light{i}" for i in range(lights)]
     poses = [Posture(0, 10 * i) for i in range(postures)]
-    levels = {
-        (name, pose, 1.0): 5 + r * lights + c for r, pose in enumerate(poses) for c, name in enumerate(names)
-    }
+    levels = {(name, pose, 1.0): 5 + r * lights + c for r, pose in enumerate(poses) for c, name in enumerate(names)}
     picture = sheet_of(make_set(tmp_path / "set", levels), tmp_path / "sheet.png")
     # the outermost and one in the middle are enough
     looked = [poses[i] for i in sorted({0, postures // 2, postures - 1})]

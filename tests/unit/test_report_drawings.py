@@ -57,9 +57,7 @@ BOX_FACES = np.array(
 
 
 def block(x: float = 40.0, y: float = 30.0, z: float = 20.0) -> TriangleMesh:
-    corners = np.array(
-        [[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [-1, -1, 2], [1, -1, 2], [1, 1, 2], [-1, 1, 2]]
-    )
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [-1, -1, 2], [1, -1, 2], [1, 1, 2], [-1, 1, 2]])
     return TriangleMesh(corners * [x / 2, y / 2, z / 2], BOX_FACES.astype(np.int32))
 
 
@@ -189,9 +187,7 @@ def test_rays_that_miss_the_table_are_cut() -> None:
 def test_panel_corners_are_the_panel() -> None:
     light = panel("a", 45.0)
     corners = panel_corners(light)
-    assert np.allclose(
-        corners.mean(axis=0), 330.0 * direction(elevation=np.radians(60), azimuth=np.radians(45))
-    )
+    assert np.allclose(corners.mean(axis=0), 330.0 * direction(elevation=np.radians(60), azimuth=np.radians(45)))
     assert np.allclose(np.linalg.norm(np.diff(corners, axis=0), axis=1), [60.0, 40.0, 60.0])
 
 
@@ -215,9 +211,7 @@ def test_part_hides_what_is_behind_it_only() -> None:
     view = fit_view(part_box(scene, Posture(0, 0)), elevation=0.4, azimuth=-1.2, box=(50, 50, 250, 200))
     part = cast_part(scene, cast_rays_at(scene), Posture(0, 0), view)
     centre = np.array([0.0, 0.0, 10.0])
-    points = np.stack(
-        [centre, centre - 80 * view.toward, centre + 80 * view.toward, centre + 500 * view.right]
-    )
+    points = np.stack([centre, centre - 80 * view.toward, centre + 80 * view.toward, centre + 500 * view.right])
     assert part.hides(points).tolist() == [True, True, False, False]
 
 
@@ -235,9 +229,7 @@ def test_stage_axes_stay_in_their_box() -> None:
         assert bottom <= box[3] + 1
 
 
-@pytest.mark.parametrize(
-    ("span", "step"), [(1.0, 0.1), (99.0, 10.0), (101.0, 20.0), (380.0, 50.0), (7000.0, 1000.0)]
-)
+@pytest.mark.parametrize(("span", "step"), [(1.0, 0.1), (99.0, 10.0), (101.0, 20.0), (380.0, 50.0), (7000.0, 1000.0)])
 def test_steps_are_round(span: float, step: float) -> None:
     assert nice_step(span) == pytest.approx(step)
     half, used = round_up(span / 2)

@@ -11,15 +11,7 @@ from PIL import Image
 
 from lightopt.config import InspectionConfig
 from lightopt.core.transforms import Posture
-from lightopt.inspection import (
-    KIND_COLOURS,
-    BatchRow,
-    FoundDefect,
-    SetEvaluation,
-    Verdict,
-    grey_picture,
-    summarise,
-)
+from lightopt.inspection import KIND_COLOURS, BatchRow, FoundDefect, SetEvaluation, Verdict, grey_picture, summarise
 from lightopt.inspection.detection._defects import Detection
 from lightopt.inspection.evaluation._evaluation import KnownDefect
 from lightopt.report._page import Facts, Note, Picture, Table
@@ -31,12 +23,7 @@ from lightopt.report.inspection._pictures import LABEL_COLOURS, _ball, overlay_i
 def true_set(sizes, found):
     defects = tuple(
         KnownDefect(
-            name=f"d{i}",
-            kind=("dent", "stain")[i % 2],
-            size=size,
-            pixels=20,
-            posture=Posture(0.0, 0.0),
-            found=hit,
+            name=f"d{i}", kind=("dent", "stain")[i % 2], size=size, pixels=20, posture=Posture(0.0, 0.0), found=hit
         )
         for i, (size, hit) in enumerate(zip(sizes, found, strict=True))
     )
@@ -103,9 +90,7 @@ def test_marks_have_the_colour_of_the_defect_and_numbers_stay_inside(enlarge):
     corners = [(0, 0, 6, 6), (154, 0, 160, 6), (0, 114, 6, 120), (154, 114, 160, 120)]
     posture = posture_of(np.full((120, 160), 50.0), [("unknown", box) for box in corners])
     defects = [
-        FoundDefect(
-            number=100 + i, detections=(detection("stain", (0, 0, 1, 1), score=90.0, rotation=9.0), one)
-        )
+        FoundDefect(number=100 + i, detections=(detection("stain", (0, 0, 1, 1), score=90.0, rotation=9.0), one))
         for i, one in enumerate(posture.detections)
     ]
     picture, _ = overlay_image(posture, defects, enlarge=enlarge)
@@ -171,12 +156,7 @@ def test_the_synthetic_png_of_a_dark_part_shows_it_and_says_how(tmp_path):
 
 def test_rows_of_a_batch_lead_to_reports_whatever_their_names():
     verdict = Verdict(
-        good=True,
-        counting=(1,),
-        inspected=0.7,
-        reasons=(),
-        finds=0.25,
-        limits=InspectionConfig(most_defects=2),
+        good=True, counting=(1,), inspected=0.7, reasons=(), finds=0.25, limits=InspectionConfig(most_defects=2)
     )
     rows = [
         BatchRow(name="a #1 <&>", report="a #1 <&>/report.html", defects=1, verdict=verdict),

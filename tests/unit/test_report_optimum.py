@@ -259,9 +259,7 @@ def test_the_terminal_names_the_report(done, cli):
 def inspected(shared_bench, tmp_path_factory):
     """The same with defects to be seen."""
     bench = with_lights(type(shared_bench).make(tmp_path_factory.mktemp("inspected") / "bench"))
-    options = OptimizeOptions(
-        objectives=("detectability",), step_deg=20.0, patch_budget=400, images=False, report=True
-    )
+    options = OptimizeOptions(objectives=("detectability",), step_deg=20.0, patch_budget=400, images=False, report=True)
     return bench, reported(bench, options)
 
 
@@ -280,11 +278,7 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
     groups = [layer.group for layer in view.surface.layers]
     assert groups == ["Defects"] * 5 + ["Levels of the images"] * 3
     assert page_html(page).count('<figure class="surface">') == 1
-    assert list(table.rows[0][:3]) == [
-        "all postures",
-        "chosen",
-        share_text(spots["chosen"]["seen"], spots["grain"]),
-    ]
+    assert list(table.rows[0][:3]) == ["all postures", "chosen", share_text(spots["chosen"]["seen"], spots["grain"])]
     assert table.header[-1] == "left out"
     assert list(table.header[3:-1]) == list(
         dict.fromkeys(
@@ -296,9 +290,7 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
     )
     for row, group in zip(table.rows[::2], (spots, *spots["postures"]), strict=True):
         shares = {one["reason"]: one["share"] for one in group["chosen"]["blind"]}
-        assert list(row[3:-1]) == [
-            share_text(shares.get(reason, 0.0), spots["grain"]) for reason in table.header[3:-1]
-        ]
+        assert list(row[3:-1]) == [share_text(shares.get(reason, 0.0), spots["grain"]) for reason in table.header[3:-1]]
         assert row[-1] == share_text(group["chosen"]["left_out_of_surface"], spots["grain"])
     shares, reasons, reachable, *single = view.surface.layers[:5]
     assert len(single) == 2
@@ -369,10 +361,7 @@ def test_what_was_assumed_of_defects_and_tolerances_is_told(inspected, done, und
     assert told["defects looked for"].startswith(f"{names}: ")
     assert told["directions of walls"] == "8, evenly around"
     min_images, threshold = options["min_images"], options["threshold"]
-    assert (
-        f"by {threshold:g} times the noise or more (--threshold), in {min_images} image"
-        in told["a defect is seen"]
-    )
+    assert f"by {threshold:g} times the noise or more (--threshold), in {min_images} image" in told["a defect is seen"]
     assert told["left out"] == "what the camera sees at more than 80° to the normal"
     assert told["tolerances"].startswith("lights 2°, part 1°; 100 draws of seed 0")
     assert "not part of the score" not in told["sensor noise"]
@@ -421,13 +410,7 @@ PLANNED = {
         "every_combination_tried": True,
         "turns_on_all_patches": True,
         "lights_best_for_postures": True,
-        "patches": {
-            "drawn": 100,
-            "all": 800,
-            "max_edge_mm": 1.25,
-            "footprint_mm": 0.05,
-            "grain": 0.0177,
-        },
+        "patches": {"drawn": 100, "all": 800, "max_edge_mm": 1.25, "footprint_mm": 0.05, "grain": 0.0177},
         "inspectable_share_of_surface": 0.61,
         "left_out_share_of_surface": 0.05,
     },
@@ -438,13 +421,7 @@ PLANNED = {
         "grain": 0.0177,
         "shots": [
             {"posture": place(0, 0), "exposure": 0.25, "gain": 0.035, "planned": True, "planned_for": "gain"},
-            {
-                "posture": place(20, 90),
-                "exposure": 0.25,
-                "gain": 0.002,
-                "planned": False,
-                "planned_for": None,
-            },
+            {"posture": place(20, 90), "exposure": 0.25, "gain": 0.002, "planned": False, "planned_for": None},
         ],
     },
     "trust": [
@@ -482,10 +459,7 @@ def test_a_plan_is_shown_as_the_result_has_it(done, undrawn):
     table, facts, left, lead, command = sections["Postures"]
     assert "in the folder of this report" in lead.text
     # as they are captured
-    assert table.rows == [
-        ["(20°, 90°)", "2", "1", "20 %", "90 %"],
-        ["(0°, 0°)", "1", "1, 0.25", "70 %", "70 %"],
-    ]
+    assert table.rows == [["(20°, 90°)", "2", "1", "20 %", "90 %"], ["(0°, 0°)", "1", "1, 0.25", "70 %", "70 %"]]
     assert "Shares are of all that is seen." in table.caption
     told = dict(facts.rows)
     assert told["the same number of others shows at most"] == "93 %"
@@ -511,15 +485,9 @@ def test_a_plan_is_shown_as_the_result_has_it(done, undrawn):
     assert "in 2 images or more, by all planned images together, in (20°, 90°), (0°, 0°);" in answer.text
     assert answer.text.endswith("With exposure 1 alone 90 %")
     (proof,) = (block.text for block in lead if isinstance(block, Note) and "roven" in block.text)
-    assert (
-        "with these lights no 2 postures of the 12 show more than 93 %, at any of the exposures offered."
-        in proof
-    )
+    assert "with these lights no 2 postures of the 12 show more than 93 %, at any of the exposures offered." in proof
     assert "in these postures no other positions of the lights show more" in proof
-    assert (
-        "in 2 turns, the best of 4 starts (every combination) on 100 patches, then on all 800 patches."
-        in proof
-    )
+    assert "in 2 turns, the best of 4 starts (every combination) on 100 patches, then on all 800 patches." in proof
     note, shots = sections["Exposures"]
     assert "94 % of the surface × defects is seen, with exposure 1 alone 90 %" in note.text
     assert [list(row) for row in shots.rows] == [
@@ -590,9 +558,7 @@ def test_the_best_of_all_sets_is_told_and_whether_it_is_the_plan(done, undrawn):
     def told(**more):
         output = replace(done[1], document={**done[1].document, "chosen_postures": {**chosen, **more}})
         (proof,) = (
-            block.text
-            for block in design_page(output).lead
-            if isinstance(block, Note) and "roven" in block.text
+            block.text for block in design_page(output).lead if isinstance(block, Note) and "roven" in block.text
         )
         return proof, dict(posture_blocks(output)[1].rows)["the same number of others shows at most"]
 

@@ -18,27 +18,9 @@ from PIL import Image
 
 from lightopt.core.errors import InputError
 from lightopt.geometry import TriangleMesh, refine
-from lightopt.report._page import (
-    Answer,
-    Facts,
-    Gallery,
-    Note,
-    Page,
-    Picture,
-    Section,
-    SurfaceView,
-    Table,
-    Warnings,
-)
+from lightopt.report._page import Answer, Facts, Gallery, Note, Page, Picture, Section, SurfaceView, Table, Warnings
 from lightopt.report._page_html import page_html
-from lightopt.report._surface import (
-    ColouredSurface,
-    SurfaceClass,
-    SurfaceLayer,
-    simplified,
-    surface_data,
-    surface_head,
-)
+from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer, simplified, surface_data, surface_head
 
 VIEWER = Path(__file__).resolve().parents[2] / "lightopt" / "report" / "viewer"
 NASTY = "<script>alert('x')</script> & \"quoted\" ß 日本 </title>"
@@ -212,10 +194,7 @@ def test_two_hundred_thousand_patches_stay_below_eight_megabytes():
     whole = surface(250_000)
     assert len(whole.triangles) > 200_000
     page = Page(
-        title="t",
-        subtitle="s",
-        lead=[],
-        sections=[Section(heading="h", blocks=[SurfaceView(surface=whole, alt="a")])],
+        title="t", subtitle="s", lead=[], sections=[Section(heading="h", blocks=[SurfaceView(surface=whole, alt="a")])]
     )
     assert len(page_html(page).encode()) < 8_000_000
 

@@ -30,11 +30,7 @@ from lightopt.report._images import SATURATED_COLOUR, check_png_path, thumbnail,
 from lightopt.report._view import arc, fit_view
 
 
-@given(
-    st.integers(1, 300),
-    st.integers(1, 300),
-    st.integers(8, 120),
-)
+@given(st.integers(1, 300), st.integers(1, 300), st.integers(8, 120))
 def test_thumbnail_fits_and_keeps_shape_and_mean(width: int, height: int, limit: int) -> None:
     rng = np.random.default_rng(width * 1000 + height)
     level = rng.random((height, width)).astype(np.float32)
@@ -42,9 +38,7 @@ def test_thumbnail_fits_and_keeps_shape_and_mean(width: int, height: int, limit:
     rows, columns, _ = small.picture.shape
     assert (columns, rows) == thumbnail_size(width, height, limit)
     assert max(rows, columns) <= limit
-    assert (
-        2 * max(rows, columns) > limit or max(rows, columns) == 1 or limit > 2 * max(width, height) / 1.0 - 1
-    )
+    assert 2 * max(rows, columns) > limit or max(rows, columns) == 1 or limit > 2 * max(width, height) / 1.0 - 1
     assert small.picture[..., 0].min() >= math.floor(255 * level.min())
     assert small.picture[..., 0].max() <= math.ceil(255 * level.max())
 
@@ -290,12 +284,7 @@ def test_a_legend_stands_below_the_picture_which_stays(height: int, width: int) 
     picture = np.random.default_rng(1).integers(0, 255, (height, width, 3), dtype=np.uint8)
     rows = (
         LegendRow(label="seen", share=0.25, amount="25.0 %", colours=((86, 180, 233),)),
-        LegendRow(
-            label="contrast under noise",
-            share=0.75,
-            amount="75.0 %",
-            colours=((240, 228, 66), (247, 241, 160)),
-        ),
+        LegendRow(label="contrast under noise", share=0.75, amount="75.0 %", colours=((240, 228, 66), (247, 241, 160))),
     )
     found = with_legend(picture, "a title that is wider than a small picture", rows)
     np.testing.assert_array_equal(found[:height, :width], picture)

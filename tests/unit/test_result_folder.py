@@ -12,13 +12,7 @@ from lightopt.images import ResultFolder
 
 def folder(path, made_from, *, force=False):
     return ResultFolder(
-        path,
-        made_from,
-        name="trial.json",
-        format="lightopt-trial/1",
-        what="a trial",
-        also=("extra.yaml",),
-        force=force,
+        path, made_from, name="trial.json", format="lightopt-trial/1", what="a trial", also=("extra.yaml",), force=force
     )
 
 

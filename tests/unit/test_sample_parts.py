@@ -116,9 +116,7 @@ def test_knob_looks_different_in_each_posture(rotation_deg: int, meshes: dict[st
 
 @pytest.mark.parametrize("elevation_deg", [30, 45, 60])
 @pytest.mark.parametrize("azimuth_deg", [45, 135, 225, 315])
-def test_spout_handle_shades_the_bowl(
-    elevation_deg: int, azimuth_deg: int, meshes: dict[str, trimesh.Trimesh]
-) -> None:
+def test_spout_handle_shades_the_bowl(elevation_deg: int, azimuth_deg: int, meshes: dict[str, trimesh.Trimesh]) -> None:
     mesh = meshes["spout"]
     x, y = (grid.ravel() for grid in np.meshgrid(np.linspace(-9.0, 22.0, 63), np.linspace(-9.0, 9.0, 37)))
     heights, triangles = from_above(mesh, x, y)

@@ -56,8 +56,7 @@ def test_anchors(block, placement, low):
 
 
 @pytest.mark.parametrize(
-    ("rotate", "sides"),
-    [("[90, 0, 0]", (30, 10, 20)), ("[0, 90, 0]", (10, 20, 30)), ("[0, 0, 90]", (20, 30, 10))],
+    ("rotate", "sides"), [("[90, 0, 0]", (30, 10, 20)), ("[0, 90, 0]", (10, 20, 30)), ("[0, 0, 90]", (20, 30, 10))]
 )
 def test_the_part_is_turned_before_the_anchor(block, rotate, sides):
     low, high = bounds(block, f"{{anchor: rest_on_table, rotate_deg: {rotate}}}")
@@ -150,9 +149,7 @@ def test_a_lens_that_folds_is_refused_by_its_line(block, coefficients):
 
 def test_a_lens_of_usual_distortion_is_fine(block):
     block.edit(
-        "rig.yaml",
-        "image_distance_mm: 55",
-        "image_distance_mm: 55\n  distortion: {k1: -0.3, k2: 0.1, p1: 0.001}",
+        "rig.yaml", "image_distance_mm: 55", "image_distance_mm: 55\n  distortion: {k1: -0.3, k2: 0.1, p1: 0.001}"
     )
     assert not build_scene(block.rig, block.part).camera.distortion.is_zero
 
@@ -180,13 +177,7 @@ def test_lights_inherit_from_light_source_what_they_do_not_override(block):
         1.0,
     )
     assert shared.total_weight == 9.0
-    assert (own.size, own.points, own.inverse_square, own.emission_exponent, own.gain) == (
-        (10, 20),
-        16,
-        False,
-        0,
-        0.8,
-    )
+    assert (own.size, own.points, own.inverse_square, own.emission_exponent, own.gain) == ((10, 20), 16, False, 0, 0.8)
     assert own.total_weight == 0.8
 
 
@@ -206,9 +197,7 @@ def test_lights_stand_where_they_are_said_to(block):
 
 def test_points_asked_for_replace_all_others(block):
     block.edit("rig.yaml", "gain: 0.8", "points: 16")
-    assert [light.points for light in build_scene(block.rig, block.part, points="auto").lights] == [
-        "auto"
-    ] * 2
+    assert [light.points for light in build_scene(block.rig, block.part, points="auto").lights] == ["auto"] * 2
     assert [light.points for light in build_scene(block.rig, block.part, points=1).lights] == [1, 1]
     for wrong in (5, 0, -4, 4.0, "foo"):
         with pytest.raises(InputError, match="expected a square"):
@@ -218,9 +207,7 @@ def test_points_asked_for_replace_all_others(block):
 def test_lights_asked_for_come_in_the_order_of_the_rig(block):
     names = [light.name for light in build_scene(block.rig, block.part, lights=["light3", "light1"]).lights]
     assert names == ["light1", "light3"]
-    assert [light.name for light in build_scene(block.rig, block.part, lights=["light3"]).lights] == [
-        "light3"
-    ]
+    assert [light.name for light in build_scene(block.rig, block.part, lights=["light3"]).lights] == ["light3"]
 
 
 def test_every_unknown_light_is_named(block):

@@ -100,9 +100,7 @@ def at_radius(camera, radius: float, angle: float = 0.3) -> np.ndarray:
     return (camera.position + 300 * (camera.forward + x * camera.right - y * camera.up))[None, :]
 
 
-@pytest.mark.parametrize(
-    "lens", [BARREL, Distortion(k1=0.1, k2=-0.5), Distortion(k1=-0.4, p1=0.002, p2=-0.001)]
-)
+@pytest.mark.parametrize("lens", [BARREL, Distortion(k1=0.1, k2=-0.5), Distortion(k1=-0.4, p1=0.002, p2=-0.001)])
 def test_points_beyond_the_fold_of_the_lens_model_stay_out_of_the_image(lens):
     camera = camera_at(image_distance=9.0, distortion=lens)  # the corners are at a radius of 0.49
     seen = False
@@ -111,9 +109,7 @@ def test_points_beyond_the_fold_of_the_lens_model_stay_out_of_the_image(lens):
         if 0 <= columns[0] <= 160 and 0 <= rows[0] <= 120:
             seen = True
             back = pixel_directions(camera, columns, rows)[0]
-            assert np.allclose(back, (at_radius(camera, radius)[0] - camera.position) / 300, atol=1e-9), (
-                radius
-            )
+            assert np.allclose(back, (at_radius(camera, radius)[0] - camera.position) / 300, atol=1e-9), radius
         assert np.isfinite([columns[0], rows[0]]).all()
     assert seen
 
@@ -191,9 +187,7 @@ def test_framing_of_a_box_out_of_view_or_around_the_camera():
     y=st.floats(-40, 40),
 )
 def test_the_screen_window_holds_all_of_the_part(elevation, azimuth, roll, x, y):
-    camera = camera_at(
-        elevation=math.radians(elevation), azimuth=math.radians(azimuth), roll=math.radians(roll)
-    )
+    camera = camera_at(elevation=math.radians(elevation), azimuth=math.radians(azimuth), roll=math.radians(roll))
     mesh = box(at=(x, y, 5.0))
     left, top, right, bottom = screen_window(camera, mesh)
     assert 0 <= left <= right
@@ -215,13 +209,7 @@ def test_a_distorting_lens_has_the_whole_image_for_a_window():
 
 @pytest.mark.parametrize(
     ("point", "inside"),
-    [
-        ((0, 0, 5), True),
-        ((14.9, 9.9, 9.9), True),
-        ((0, 0, 10.1), False),
-        ((15.1, 0, 5), False),
-        ((0, 0, 550), False),
-    ],
+    [((0, 0, 5), True), ((14.9, 9.9, 9.9), True), ((0, 0, 10.1), False), ((15.1, 0, 5), False), ((0, 0, 550), False)],
 )
 def test_inside_a_box(point, inside):
     assert points_inside(np.array([point], float), box()).tolist() == [inside]
@@ -288,9 +276,7 @@ def test_total_weight(points, normalisation, gain, total):
 # --- the part's view
 
 
-@given(
-    elevation=st.floats(-45, 45), rotation=st.floats(-360, 360), pivot=st.tuples(*[st.floats(-20, 20)] * 3)
-)
+@given(elevation=st.floats(-45, 45), rotation=st.floats(-360, 360), pivot=st.tuples(*[st.floats(-20, 20)] * 3))
 def test_the_part_sees_the_camera_as_the_camera_sees_the_part(elevation, rotation, pivot):
     posture = Posture(elevation, rotation)
     light = place_light(name="l", distance=330.0, elevation=1.0, azimuth=0.5, size=(60.0, 60.0), points=1)

@@ -27,12 +27,7 @@ def dent(**values):
 
 
 def at_pixel(column, row, posture=(0, 0)):
-    return {
-        "at_pixel": {
-            "posture": {"elevation_deg": posture[0], "rotation_deg": posture[1]},
-            "pixel": [column, row],
-        }
-    }
+    return {"at_pixel": {"posture": {"elevation_deg": posture[0], "rotation_deg": posture[1]}, "pixel": [column, row]}}
 
 
 @pytest.fixture
@@ -88,9 +83,7 @@ def test_a_position_off_the_surface_is_refused_with_the_nearest(box):
     with pytest.raises(InputError) as error:
         build_scene(box.rig, box.part)
     first, second = error.value.messages
-    assert first.startswith(
-        f"{box.part}:7: defects[0].at_mm: expected a place on the part's surface, within 0.4 mm"
-    )
+    assert first.startswith(f"{box.part}:7: defects[0].at_mm: expected a place on the part's surface, within 0.4 mm")
     assert "the nearest, [104, 1, 3], is 2 mm away" in first
     assert "defects[1].at_mm" in second
     build_scene(box.rig, box.part, defects=False)
@@ -133,15 +126,11 @@ def test_the_catalogue_is_the_parts_or_the_built_in_one(bench):
     from lightopt.config import load_part
 
     assert build_catalogue(load_part(bench.part)) == BUILT_IN_CATALOGUE
-    with_defects(
-        bench, {"name": "mine", "kind": "pit", "size_mm": 1, "depth_mm": 0.1}, key="defect_catalogue"
-    )
+    with_defects(bench, {"name": "mine", "kind": "pit", "size_mm": 1, "depth_mm": 0.1}, key="defect_catalogue")
     (entry,) = build_catalogue(load_part(bench.part))
     assert (entry.name, entry.shape.depth) == ("mine", pytest.approx(0.1))
     haze = {"name": "h", "kind": "haze", "size_mm": 2, "sigma_factor": 20}
-    bench.part.write_text(
-        bench.part.read_text(encoding="utf-8").rpartition("defect_cat")[0], encoding="utf-8"
-    )
+    bench.part.write_text(bench.part.read_text(encoding="utf-8").rpartition("defect_cat")[0], encoding="utf-8")
     with_defects(bench, haze, key="defect_catalogue")
     with pytest.raises(InputError, match=r"defect_catalogue\[0\]\.sigma_factor: makes sigma"):
         build_catalogue(load_part(bench.part))
@@ -184,14 +173,10 @@ def test_the_bench_shows_defects_where_the_part_lies(box):
         for text in (clean, None):
             box.part.write_text(clean, encoding="utf-8")
             if text is None:
-                with_defects(
-                    box, {"name": "a", "kind": "stain", "size_mm": 3, "R_d_factor": 0.2, "at_mm": [x, 0, 3]}
-                )
+                with_defects(box, {"name": "a", "kind": "stain", "size_mm": 3, "R_d_factor": 0.2, "at_mm": [x, 0, 3]})
             scene = build_scene(box.rig, box.part)
             optics = BenchOptics(scene, BenchTruth(part_offset_mm=offset))
-            images.append(
-                optics.frame({scene.lights[0].name: 1.0}, scene.postures[0], exposure=1.0).astype(float)
-            )
+            images.append(optics.frame({scene.lights[0].name: 1.0}, scene.postures[0], exposure=1.0).astype(float))
         dark = images[0] - images[1] > 5
         rows, columns = np.nonzero(dark)
         return len(rows), rows.mean(), columns.mean()

@@ -54,13 +54,7 @@ def test_noise_variance_is_that_of_exposed_levels_single_and_averaged():
     signal = 60.0 * 4095 / 255
     frames = np.stack(
         [
-            expose(
-                np.full((200, 500), 60.0),
-                sensor=sensor,
-                exposure=1,
-                full_scale=255,
-                rng=np.random.default_rng(n),
-            )
+            expose(np.full((200, 500), 60.0), sensor=sensor, exposure=1, full_scale=255, rng=np.random.default_rng(n))
             for n in range(4)
         ]
     ).astype(float)
@@ -84,9 +78,7 @@ def test_shot_and_read_noise_have_the_mean_and_variance_of_the_model():
     sensor = Sensor(bit_depth=12, black_level=100, read_noise_levels=3.0, electrons_per_level=4.0)
     levels = np.full((600, 500), 60.0)
     signal = 60.0 * 4095 / 255
-    noisy = expose(levels, sensor=sensor, exposure=1, full_scale=255, rng=np.random.default_rng(7)).astype(
-        float
-    )
+    noisy = expose(levels, sensor=sensor, exposure=1, full_scale=255, rng=np.random.default_rng(7)).astype(float)
     variance = signal / 4.0 + 3.0**2 + 1 / 12
     assert noisy.mean() == pytest.approx(100 + signal, abs=5 * np.sqrt(variance / noisy.size))
     assert noisy.var() == pytest.approx(variance, rel=5 * np.sqrt(2 / noisy.size))
@@ -109,9 +101,7 @@ def test_noise_of_a_pixel_does_not_depend_on_other_pixels():
     other = levels.copy()
     other[10:20, 30:40] = 0
     noisy, changed = (
-        expose(
-            image, sensor=sensor, exposure=1, full_scale=255, rng=image_rng(1, light=0, posture=0, exposure=0)
-        )
+        expose(image, sensor=sensor, exposure=1, full_scale=255, rng=image_rng(1, light=0, posture=0, exposure=0))
         for image in (levels, other)
     )
     differs = noisy != changed
@@ -123,9 +113,7 @@ def test_noise_of_a_pixel_does_not_depend_on_other_pixels():
 def test_dark_pixels_get_read_noise_but_no_shot_noise():
     levels = np.zeros((200, 200))
     shot_only = Sensor(bit_depth=8, black_level=10, electrons_per_level=5)
-    assert (
-        expose(levels, sensor=shot_only, exposure=1, full_scale=255, rng=np.random.default_rng(0)) == 10
-    ).all()
+    assert (expose(levels, sensor=shot_only, exposure=1, full_scale=255, rng=np.random.default_rng(0)) == 10).all()
     read = Sensor(bit_depth=8, black_level=10, read_noise_levels=2)
     noisy = expose(levels, sensor=read, exposure=1, full_scale=255, rng=np.random.default_rng(0))
     assert noisy.std() == pytest.approx(np.sqrt(4 + 1 / 12), rel=0.02)
@@ -138,9 +126,7 @@ def test_without_a_generator_there_is_no_noise():
 
 def test_highlights_of_any_brightness_are_noisy_without_overflow():
     sensor = Sensor(bit_depth=8, electrons_per_level=60)
-    quantised = expose(
-        row(1e30, 1e12), sensor=sensor, exposure=1, full_scale=255, rng=np.random.default_rng(0)
-    )
+    quantised = expose(row(1e30, 1e12), sensor=sensor, exposure=1, full_scale=255, rng=np.random.default_rng(0))
     assert quantised.tolist() == [[255, 255]]
 
 
@@ -150,9 +136,7 @@ def test_large_image_in_blocks_equals_the_formula_and_is_reproducible():
     assert np.array_equal(quantised, np.clip(np.floor(levels.astype(float) + 0.5), 0, 255))
     noisy = Sensor(bit_depth=8, read_noise_levels=1, electrons_per_level=60)
     first, second = (
-        expose(
-            levels, sensor=noisy, exposure=1, full_scale=255, rng=image_rng(3, light=1, posture=0, exposure=2)
-        )
+        expose(levels, sensor=noisy, exposure=1, full_scale=255, rng=image_rng(3, light=1, posture=0, exposure=2))
         for _ in range(2)
     )
     assert np.array_equal(first, second)
@@ -168,9 +152,7 @@ def test_generators_of_different_images_are_different_and_of_the_same_image_the_
 
 
 @given(st.integers(1, 16), st.floats(0, 1e6), st.floats(1e-3, 100), st.floats(1, 1e4))
-def test_delivered_level_is_in_range_and_within_half_a_level(
-    bits: int, level: float, exposure: float, full: float
-):
+def test_delivered_level_is_in_range_and_within_half_a_level(bits: int, level: float, exposure: float, full: float):
     sensor = Sensor(bit_depth=bits)
     delivered = int(expose(row(level), sensor=sensor, exposure=exposure, full_scale=full)[0, 0])
     exact = level * exposure * sensor.max_level / full

@@ -193,9 +193,7 @@ def blind_spots(areas: Float64, postures: Sequence[DefectVisibility]) -> BlindSp
     """
     count = len(areas)
     if not postures:
-        return BlindSpots(
-            codes=np.full(count, BlindReason.CAMERA, np.int16), share=np.zeros(count), areas=areas
-        )
+        return BlindSpots(codes=np.full(count, BlindReason.CAMERA, np.int16), share=np.zeros(count), areas=areas)
     first_posture = postures[0].visibility
     least = len(postures[0].counts)
     counts = np.zeros((least, count, postures[0].counts.shape[2]), np.uint64)

@@ -17,9 +17,7 @@ from lightopt.scene import Placement
 BLIND_CSV, BLIND_PLY, BLIND_PNG = BLIND_NAMES = "blind.csv", "blind.ply", "blind.png"
 
 
-def blind_files(
-    summary: BlindSpotSummary, patches: Patches, placement: Placement
-) -> Mapping[str, str | bytes]:
+def blind_files(summary: BlindSpotSummary, patches: Patches, placement: Placement) -> Mapping[str, str | bytes]:
     """``blind.csv`` and ``blind.ply``; `placement` is that of the mesh file in the part's frame."""
     return {BLIND_CSV: _csv(summary), BLIND_PLY: _ply(summary, patches, placement)}
 

@@ -114,11 +114,7 @@ class BlindSpotSummary:
             {"reason": blind_text(code, self.lights), "share": round(share, 6)}
             for code, share in spots.by_reason().items()
         ]
-        return {
-            "seen": round(spots.seen, 6),
-            "blind": reasons,
-            "left_out_of_surface": round(spots.left_out, 6),
-        }
+        return {"seen": round(spots.seen, 6), "blind": reasons, "left_out_of_surface": round(spots.left_out, 6)}
 
 
 def posture_visibility(

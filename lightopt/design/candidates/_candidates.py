@@ -97,11 +97,7 @@ def find_candidates(
     possible: list[list[tuple[Angles, PanelLight]]] = []
     for index in range(len(rig.lights)):
         free: list[tuple[Angles, PanelLight]] = []
-        angles = (
-            light_angles(rig, index, step_deg=step_deg, elevations=shared)
-            if places is None
-            else [places[index]]
-        )
+        angles = light_angles(rig, index, step_deg=step_deg, elevations=shared) if places is None else [places[index]]
         for at, panel in zip(angles, _panels(rig, index, angles, points), strict=True):
             reason = _reason(panel, camera) or _part_in_the_way(panel, scene)
             if reason is None:
@@ -249,8 +245,7 @@ def _groups(
     for elevation in shared:
         rows = tuple(
             np.array(
-                [k for k, at in enumerate(some) if light.elevation_range_deg is None or at[0] == elevation],
-                np.int64,
+                [k for k, at in enumerate(some) if light.elevation_range_deg is None or at[0] == elevation], np.int64
             )
             for light, some in zip(rig.lights, angles, strict=True)
         )

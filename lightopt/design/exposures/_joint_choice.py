@@ -134,9 +134,7 @@ class _JointPlanner:
                 progress=self.run.stage("lights for the planned images"),
             )
             choice = replace(
-                choice,
-                converged=positions.covered <= self._covered(plan),
-                exact=choice.exact and positions.exact,
+                choice, converged=positions.covered <= self._covered(plan), exact=choice.exact and positions.exact
             )
             if choice.converged:
                 return replace(plan, choice=choice)

@@ -73,10 +73,7 @@ def plan_exposures(
         matrices = evaluator.matrices(posture, [[panel] for panel in panels], exposures=(1.0, *further))
         first, *rest = (
             images_of(
-                [
-                    scattered_flags([matrix], evaluator.patches, light=light, place=0)
-                    for light in range(len(panels))
-                ],
+                [scattered_flags([matrix], evaluator.patches, light=light, place=0) for light in range(len(panels))],
                 min_images,
             )
             for matrix in matrices

@@ -135,17 +135,11 @@ def select_exposures(
             further.append(considered(candidate, planned.covered - covered, reason))
         left = [candidate for i, candidate in enumerate(left) if i not in chosen]
     further += [considered(one, gain.covered, None) for one, gain in zip(left, gains, strict=True)]
-    return Brackets(
-        before=before / total, after=planned.covered / total, further=tuple(further), least_gain=least_gain
-    )
+    return Brackets(before=before / total, after=planned.covered / total, further=tuple(further), least_gain=least_gain)
 
 
 def _next(
-    planned: _PlannedImages,
-    candidates: Sequence[CandidateExposure],
-    gains: Sequence[_Gain],
-    least: float,
-    short: bool,
+    planned: _PlannedImages, candidates: Sequence[CandidateExposure], gains: Sequence[_Gain], least: float, short: bool
 ) -> tuple[tuple[int, ...], Reason]:
     """Indices of what to plan next, and why; none where nothing is enough and the target is met or out of reach."""
     best = max(range(len(candidates)), key=lambda i: gains[i].covered, default=None)
@@ -237,10 +231,7 @@ class _PlannedImages:
 
     def _update(self) -> None:
         total = self._without(set())
-        self.covered, self._benefit = (
-            covered_weight(total, self._weights),
-            total_benefit(total, self._weights),
-        )
+        self.covered, self._benefit = (covered_weight(total, self._weights), total_benefit(total, self._weights))
 
     def _without(self, postures: set[int]) -> Counts:
         rest = (own for i, own in enumerate(self._own) if i not in postures)

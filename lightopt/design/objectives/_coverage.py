@@ -26,12 +26,7 @@ from lightopt.core.threads import blocks
 from lightopt.design.objectives._objective import INSPECTABLE_SURFACE, area_text
 from lightopt.design.objectives._scores_by_level_classes import run_products, run_scores
 from lightopt.design.objectives._scores_by_packed_bits import bit_scores
-from lightopt.design.responses._luminance_matrix import (
-    LevelThresholds,
-    LuminanceMatrix,
-    area_units,
-    level_range,
-)
+from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, area_units, level_range
 
 LEAST_USABLE = 2
 """Images that must show a patch usably."""

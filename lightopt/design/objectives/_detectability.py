@@ -63,13 +63,7 @@ def bit_run_scores(
     )
     if left.any():
         table += _by_bits(
-            words,
-            np.flatnonzero(left),
-            weights,
-            hypothesis_weights,
-            least,
-            threads,
-            part_of(progress, 0.9, 1.0),
+            words, np.flatnonzero(left), weights, hypothesis_weights, least, threads, part_of(progress, 0.9, 1.0)
         )
     return table
 

@@ -125,9 +125,7 @@ class PaperObjective:
             return _all_usable(levels, weights, thresholds) - result
         grid = result.reshape(sizes)
         for chosen, coefficient, table in tables:
-            grid += (
-                coefficient * table[tuple(slice(None) if i in chosen else None for i in range(len(sizes)))]
-            )
+            grid += coefficient * table[tuple(slice(None) if i in chosen else None for i in range(len(sizes)))]
         return result
 
     def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:

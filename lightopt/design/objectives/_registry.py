@@ -24,9 +24,7 @@ def objectives_named(
 
     Raises InputError: An unknown name, or one given twice.
     """
-    factories: dict[str, Callable[[], Objective]] = {
-        name: partial(OBJECTIVES.__getitem__, name) for name in OBJECTIVES
-    }
+    factories: dict[str, Callable[[], Objective]] = {name: partial(OBJECTIVES.__getitem__, name) for name in OBJECTIVES}
     if detectability is not None:
         factories["detectability"] = detectability
     problems = [

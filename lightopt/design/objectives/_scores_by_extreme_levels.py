@@ -53,9 +53,7 @@ class Capped:
         return Capped(levels=levels, lit=greatest > 0, capped=greatest > top)
 
 
-def minimum_tasks(
-    lights: Sequence[Capped], top: int, table: Int64, lock: Lock, work: WorkCounter
-) -> Iterator[Task]:
+def minimum_tasks(lights: Sequence[Capped], top: int, table: Int64, lock: Lock, work: WorkCounter) -> Iterator[Task]:
     """Tasks that add Σ over patches of usable(min(levels under k ≥ 2 lights)) to a table with one axis per light.
 
     `top` is the highest usable capped level, `lock` is held while the table changes, `work` counts combinations times
@@ -69,8 +67,7 @@ def minimum_tasks(
         count = int(np.count_nonzero(chosen))
         if count:
             layers = [
-                light.levels if count == len(chosen) else light.levels.compress(chosen, axis=1)
-                for light in lights
+                light.levels if count == len(chosen) else light.levels.compress(chosen, axis=1) for light in lights
             ]
             yield from _tasks(layers, top, cut, table, lock, work)
 
@@ -152,9 +149,7 @@ def _usable_minima(left: Levels, right: Levels, top: int) -> np.int64:
     return np.int64(total)
 
 
-def extreme_tasks(
-    layers: Sequence[Levels], top: int, table: Int64, lock: Lock, work: WorkCounter
-) -> Iterator[Task]:
+def extreme_tasks(layers: Sequence[Levels], top: int, table: Int64, lock: Lock, work: WorkCounter) -> Iterator[Task]:
     """Tasks that add Σ over patches of usable(min) + usable(max) of the levels under all lights, for each combination.
 
     `layers` are capped levels, shape (candidates, p), all of one type; `table` has one number per combination, the last

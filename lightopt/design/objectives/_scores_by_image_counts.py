@@ -201,14 +201,7 @@ def _scatter(
 
 @kernel
 def _changes(
-    row: Words,
-    strides: Int64,
-    first: Int64,
-    places: Int64,
-    changed: Words,
-    signs: Int64,
-    levels: Int64,
-    ends: Int64,
+    row: Words, strides: Int64, first: Int64, places: Int64, changed: Words, signs: Int64, levels: Int64, ends: Int64
 ) -> None:
     # where the flags of each light rise and fall along its candidates
     zero = np.uint64(0)

@@ -71,9 +71,7 @@ def run_scores(
         kind = np.concatenate([kind for _, _, kind in runs])
         offset = np.cumsum([0, *(len(place) for _, place, _ in runs)])[:-1]
         with differences.borrowed() as (own,):
-            _scatter(
-                own, differences.strides, first, offset, place, kind, weights[some], rule[0], rule[1], largest
-            )
+            _scatter(own, differences.strides, first, offset, place, kind, weights[some], rule[0], rule[1], largest)
         work.add(float(products[start:end].sum()))
 
     pairs = itertools.pairwise(ends)

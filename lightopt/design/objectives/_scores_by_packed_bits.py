@@ -55,12 +55,7 @@ class _Block:
     """Some patches, packed."""
 
     def __init__(
-        self,
-        levels: Sequence[Levels],
-        some: Int64,
-        heavy: Int64,
-        thresholds: LevelThresholds,
-        rule: tuple[int, int],
+        self, levels: Sequence[Levels], some: Int64, heavy: Int64, thresholds: LevelThresholds, rule: tuple[int, int]
     ) -> None:
         self.patches = len(some)
         bits = max(1, int(heavy.max(initial=0)).bit_length())

@@ -91,9 +91,7 @@ class AlternatingSearch:
 
     def solution_for(self, panels: Sequence[PanelLight], lights: Lights, request: PostureRequest) -> Solution:
         """The postures for lights."""
-        return Solution(
-            panels=tuple(panels), lights=lights, cover=self.cover(panels, lights, request), converged=False
-        )
+        return Solution(panels=tuple(panels), lights=lights, cover=self.cover(panels, lights, request), converged=False)
 
     def improve(self, solution: Solution, most: int, request: PostureRequest) -> Solution:
         """Place lights for the postures and choose postures for the lights, while that gains; `most` times at most."""
@@ -116,17 +114,11 @@ class AlternatingSearch:
             as_good = merit(better, request) == merit(solution.cover, request)
             if not gained and not (as_good and solution.lights is None):
                 return solution
-            solution = replace(
-                solution, panels=panels, cover=better, lights=positions.candidates, converged=False
-            )
+            solution = replace(solution, panels=panels, cover=better, lights=positions.candidates, converged=False)
         return solution
 
     def cover(
-        self,
-        panels: Sequence[PanelLight],
-        lights: Lights,
-        request: PostureRequest,
-        before: Sequence[int] = (),
+        self, panels: Sequence[PanelLight], lights: Lights, request: PostureRequest, before: Sequence[int] = ()
     ) -> Cover:
         """Postures for lights: a greedy choice and those of the previous iteration, both improved by exchanges.
 
@@ -142,9 +134,7 @@ class AlternatingSearch:
         best = max(covers, key=lambda cover: merit(cover, request))
         if self.prove and request.target is None and request.count is not None:
             size = min(request.count, len(counts))
-            chosen, max_covered, sets = best_set(
-                counts, weights, best.chosen, size, threads=self.evaluator.threads
-            )
+            chosen, max_covered, sets = best_set(counts, weights, best.chosen, size, threads=self.evaluator.threads)
             if chosen != best.chosen:
                 covers.append(greedy(among=chosen))
                 best = covers[-1]

@@ -62,19 +62,12 @@ class _WorkLimitReached(Exception):  # noqa: N818  (ends the search, and no erro
 
 class _Search:
     def __init__(
-        self,
-        candidates: Sequence[Counts],
-        weights: PairWeights,
-        chosen: Sequence[int],
-        most_work: int,
-        threads: int,
+        self, candidates: Sequence[Counts], weights: PairWeights, chosen: Sequence[int], most_work: int, threads: int
     ) -> None:
         self.candidates, self.weights, self.threads = candidates, weights, threads
         self.k = len(candidates[0])
         self.best = tuple(chosen)
-        self.best_covered = covered_weight(
-            sum_counts((candidates[i] for i in chosen), weights, self.k), weights
-        )
+        self.best_covered = covered_weight(sum_counts((candidates[i] for i in chosen), weights, self.k), weights)
         self._each = max(1, candidates[0].size)
         self._left = most_work
 

@@ -133,10 +133,7 @@ def cover_steps(ordered: Sequence[tuple[int, Counts]], weights: PairWeights) -> 
         now = add_counts(now, counts)
         steps.append(
             CoverStep(
-                candidate=one,
-                gain=gain,
-                benefit=total_benefit(now, weights),
-                covered=covered_weight(now, weights),
+                candidate=one, gain=gain, benefit=total_benefit(now, weights), covered=covered_weight(now, weights)
             )
         )
     return tuple(steps)

@@ -30,11 +30,7 @@ TASK_WORDS = 100_000_000
 
 
 def combination_sums(
-    lights: Sequence[PositionCounts],
-    weights: PairWeights,
-    *,
-    threads: int | None = None,
-    progress: Share | None = None,
+    lights: Sequence[PositionCounts], weights: PairWeights, *, threads: int | None = None, progress: Share | None = None
 ) -> tuple[Int64, Int64]:
     """Covered weight and benefit of every combination of positions, the last light's varying fastest."""
     k = lights[0].shape[1]
@@ -66,13 +62,7 @@ def _added_up(
         some = [positions[:, :, start:end] for positions in lights]
         own = PairWeights(areas=weights.areas[start:end], masks=weights.masks, factors=weights.factors)
         if len(some) == 1:
-            _last(
-                zero_counts(own, k),
-                some[0][first : first + 1],
-                *_numbers(own),
-                covers[first],
-                benefits[first],
-            )
+            _last(zero_counts(own, k), some[0][first : first + 1], *_numbers(own), covers[first], benefits[first])
         else:
             _through(some, 1, some[0][first], 0, own, covers[first], benefits[first])
 

@@ -135,9 +135,7 @@ def _sum(flags: Words, areas: Int64, masks: Words, factors: Int64) -> np.int64:
 
 
 @kernel
-def _gains(
-    counts: Counts, more: Counts, areas: Int64, masks: Words, factors: Int64
-) -> tuple[np.int64, np.int64]:
+def _gains(counts: Counts, more: Counts, areas: Int64, masks: Words, factors: Int64) -> tuple[np.int64, np.int64]:
     covered, benefit = np.int64(0), np.int64(0)
     k = counts.shape[0]
     for p in range(counts.shape[1]):

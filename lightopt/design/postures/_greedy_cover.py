@@ -97,10 +97,7 @@ class _Greedy:
 
     def cover(self) -> Cover:
         everything = self._together(range(len(self.candidates)))
-        all_benefit, all_covered = (
-            total_benefit(everything, self.weights),
-            covered_weight(everything, self.weights),
-        )
+        all_benefit, all_covered = (total_benefit(everything, self.weights), covered_weight(everything, self.weights))
         while True:
             self._choose()
             redundant = self._redundant()

@@ -99,9 +99,7 @@ class ImageEvaluator:
         if sum(map(len, panels)) <= self.positions_at_once(posture, self.exposures):
             matrices = self.matrices(posture, panels, exposures=self.exposures)
             return tuple(
-                np.stack(
-                    [scattered_flags(matrices, patches, light=light, place=at) for at in range(len(some))]
-                )
+                np.stack([scattered_flags(matrices, patches, light=light, place=at) for at in range(len(some))])
                 for light, some in enumerate(panels)
             )
         return tuple(

@@ -77,9 +77,7 @@ def place_lights(
             if exact
             else _one_at_a_time(lights, weights, space, box, threads)
         )
-        if found is not None and (
-            best is None or (found.covered, found.benefit) > (best.covered, best.benefit)
-        ):
+        if found is not None and (best is None or (found.covered, found.benefit) > (best.covered, best.benefit)):
             best = found
     if best is None:
         raise InputError(
@@ -132,11 +130,7 @@ def _best_of(
 
 
 def _one_at_a_time(
-    lights: Sequence[PositionCounts],
-    weights: PairWeights,
-    space: CombinationSpace,
-    rows: Rows,
-    threads: int | None,
+    lights: Sequence[PositionCounts], weights: PairWeights, space: CombinationSpace, rows: Rows, threads: int | None
 ) -> LightPositions | None:
     now = first_allowed(space, rows)
     if now is None:
@@ -163,9 +157,7 @@ def first_allowed(space: CombinationSpace, rows: Rows) -> list[int] | None:
     chosen: list[int] = []
 
     def fits(light: int, position: int) -> bool:
-        return not any(
-            (j == light and space.clashes[i, j][chosen[i], position]) for i, j in space.clashes if i < light
-        )
+        return not any((j == light and space.clashes[i, j][chosen[i], position]) for i, j in space.clashes if i < light)
 
     def go(light: int) -> bool:
         if light == len(rows):

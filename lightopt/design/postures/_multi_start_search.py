@@ -80,13 +80,7 @@ class _MultiStartSearch:
             self.full_search
             if drawn.table is whole.table
             else AlternatingSearch(
-                drawn,
-                postures,
-                candidates,
-                min_images=min_images,
-                where="drawn patches",
-                prove=False,
-                run=run,
+                drawn, postures, candidates, min_images=min_images, where="drawn patches", prove=False, run=run
             )
         )
         self.on_all_patches = self.drawn_search is self.full_search or position_counts_fit(
@@ -127,10 +121,7 @@ class _MultiStartSearch:
         if rough.cover.share < target and self.request.count is None:
             # drawn patches may show less than all do: those decide
             solution = self._refine(rough)
-            if (
-                self.drawn_search is self.full_search
-                or solution.cover.all_covered < target * solution.cover.total
-            ):
+            if self.drawn_search is self.full_search or solution.cover.all_covered < target * solution.cover.total:
                 return solution
             enough = count = max(1, len(rough.cover.steps))
         while count > 1 and self._best_on_drawn(count - 1).cover.share >= target - DRAWN_MARGIN:
@@ -160,15 +151,9 @@ class _MultiStartSearch:
         if self.drawn_search is self.full_search:
             return solution
         request = replace(self.request, count=count or max(1, len(solution.cover.steps)), target=None)
-        cover = self.full_search.cover(
-            solution.panels, solution.lights, request, before=solution.cover.chosen
-        )
+        cover = self.full_search.cover(solution.panels, solution.lights, request, before=solution.cover.chosen)
         solution = replace(solution, cover=cover, converged=self.candidates is None)
-        return (
-            self.full_search.improve(solution, MOST_FINAL_ITERATIONS, request)
-            if self.on_all_patches
-            else solution
-        )
+        return self.full_search.improve(solution, MOST_FINAL_ITERATIONS, request) if self.on_all_patches else solution
 
     def _search_from_all_starts(self, request: PostureRequest) -> Solution:
         best: Solution | None = None
@@ -190,9 +175,6 @@ class _MultiStartSearch:
             return (None,)
         one = self.drawn_search.cover(self.start, None, replace(request, count=1, target=None))
         space = self.candidates.space
-        ends = (
-            first_allowed(space, space.groups[0]),
-            first_allowed(space, [rows[::-1] for rows in space.groups[-1]]),
-        )
+        ends = (first_allowed(space, space.groups[0]), first_allowed(space, [rows[::-1] for rows in space.groups[-1]]))
         alone = [self.drawn_search.lights(one.chosen, request).candidates] if one.chosen else []
         return tuple(dict.fromkeys([None, *alone, *(tuple(end) for end in ends if end is not None)]))

@@ -59,9 +59,7 @@ class TargetNotReached(CheckFailed):
     its middle does.
     """
 
-    def __init__(
-        self, *messages: str, target: float, steps: tuple[PostureCountStep, ...], grain: float
-    ) -> None:
+    def __init__(self, *messages: str, target: float, steps: tuple[PostureCountStep, ...], grain: float) -> None:
         super().__init__(*messages)
         self.target, self.steps, self.grain = target, steps, grain
 
@@ -75,9 +73,7 @@ def target_not_reached(
     """
     cover = choice.cover
     steps = tuple(
-        PostureCountStep(
-            posture=posture, share=step.covered / max(1, cover.total), bound=cover.bound_of(number)
-        )
+        PostureCountStep(posture=posture, share=step.covered / max(1, cover.total), bound=cover.bound_of(number))
         for number, (posture, step) in enumerate(zip(choice.postures, cover.steps, strict=True), start=1)
     )
     return TargetNotReached(
@@ -132,9 +128,7 @@ def _lost(choice: PostureChoice, evaluator: ImageEvaluator, least: int) -> dict[
     )
     seen: list[DefectVisibility] = []
     for posture in evaluator.table.postures:
-        matrices = evaluator.matrices(
-            posture, [[panel] for panel in choice.panels], exposures=evaluator.exposures
-        )
+        matrices = evaluator.matrices(posture, [[panel] for panel in choice.panels], exposures=evaluator.exposures)
         seen.append(defect_visibility(matrices, thresholds, least=least))
     # the shares are of the surface that the camera sees in one of them
     areas = np.zeros(len(evaluator.table.patches))
@@ -146,9 +140,7 @@ def _reasons(lost: Mapping[int, float], choice: PostureChoice) -> str:
     whole = max(sum(lost.values()), 1e-12)
     names = [panel.name for panel in choice.panels]
     ordered = sorted(lost.items(), key=lambda item: (-item[1], item[0]))
-    return ", ".join(
-        f"{percent(share / whole, 0)} {blind_text(code, names)}" for code, share in ordered if share > 0.0
-    )
+    return ", ".join(f"{percent(share / whole, 0)} {blind_text(code, names)}" for code, share in ordered if share > 0.0)
 
 
 def plan_postures(
@@ -235,9 +227,7 @@ def _area_share(table: PatchTable, which: Bool) -> float:
     return float(areas[which].sum() / areas.sum())
 
 
-def chosen_angles(
-    rig: RigConfig, choice: PostureChoice, options: OptimizeOptions
-) -> tuple[tuple[float, float], ...]:
+def chosen_angles(rig: RigConfig, choice: PostureChoice, options: OptimizeOptions) -> tuple[tuple[float, float], ...]:
     """Elevation and azimuth of each light in a choice [°]."""
     if choice.lights is None:
         return tuple((light.elevation_deg, light.azimuth_deg) for light in rig.lights)
@@ -250,9 +240,7 @@ def detection_model_of(scene: Scene, part: PartConfig, options: OptimizeOptions)
     """The part's defect catalogue, with the sensor's noise."""
     return DetectionModel(
         hypotheses=defect_hypotheses(build_catalogue(part)),
-        contrast=Contrast(
-            sensor=scene.sensor, full_scale=scene.reflectance.full_scale, threshold=options.threshold
-        ),
+        contrast=Contrast(sensor=scene.sensor, full_scale=scene.reflectance.full_scale, threshold=options.threshold),
     )
 
 

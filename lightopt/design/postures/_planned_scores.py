@@ -17,9 +17,7 @@ from lightopt.design.search._curves import Curve, score_curves
 from lightopt.design.search._ranking import Ranked
 from lightopt.scene import PanelLight
 
-PROVEN_OF = (
-    "positions of the lights in these postures at these exposures; for the postures see chosen_postures"
-)
+PROVEN_OF = "positions of the lights in these postures at these exposures; for the postures see chosen_postures"
 """Among what the lights of a plan are the best, or not known to be."""
 
 

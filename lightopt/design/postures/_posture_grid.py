@@ -53,14 +53,8 @@ def posture_grid(rig: RigConfig, part: PartConfig, *, step_deg: float) -> tuple[
             f"more than {MOST_POSTURES:,}, the most that are accepted; take a larger step, or narrow the stage's ranges"
         )
     (lowest, highest), (first, last) = ranges
-    own = [
-        p
-        for p in part_postures(part)
-        if lowest <= p.elevation_deg <= highest and first <= p.rotation_deg <= last
-    ]
-    return tuple(
-        dict.fromkeys([*own, *(Posture(tilt, rotation) for tilt in tilts for rotation in rotations)])
-    )
+    own = [p for p in part_postures(part) if lowest <= p.elevation_deg <= highest and first <= p.rotation_deg <= last]
+    return tuple(dict.fromkeys([*own, *(Posture(tilt, rotation) for tilt in tilts for rotation in rotations)]))
 
 
 def usable_postures(
@@ -127,9 +121,7 @@ def _out_of_view(scene: Scene, posture: Posture, allowed: float) -> tuple[str, s
     if not framing.outside and max(framing.excess) <= allowed:
         return None
     leaves = [
-        f"{_pixels(pixels)} at the {side}"
-        for pixels, side in zip(framing.excess, _SIDES, strict=True)
-        if pixels > 0.0
+        f"{_pixels(pixels)} at the {side}" for pixels, side in zip(framing.excess, _SIDES, strict=True) if pixels > 0.0
     ]
     limit = "so that nothing of it is seen" if framing.outside else f"{_pixels(allowed)} are allowed"
     return f"the part leaves the view by {', '.join(leaves)}; {limit}", "view"

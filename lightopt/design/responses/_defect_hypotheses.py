@@ -63,9 +63,7 @@ def defect_hypotheses(
     if not catalogue:
         problems.append("defect catalogue: expected at least one kind of defect to plan for, found none")
     if directions < DIRECTIONS or directions % 2:
-        problems.append(
-            f"directions of walls: expected an even number, {DIRECTIONS} or more, found {directions}"
-        )
+        problems.append(f"directions of walls: expected an even number, {DIRECTIONS} or more, found {directions}")
     problems += [
         f"defect {entry.name}: expected a slope above 0° up to {math.degrees(MAX_SLOPE):g}°, found "
         f"{math.degrees(entry.shape.slope):g}°"

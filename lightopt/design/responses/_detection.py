@@ -129,9 +129,7 @@ class PixelFill:
 def pixel_fill(hypotheses: Sequence[DefectHypothesis]) -> PixelFill:
     """How far the defects of hypotheses fill a pixel, in their order."""
     # hypotheses of a defect differ by weight and direction only
-    groups = [
-        list(some) for _, some in groupby(hypotheses, key=lambda one: replace(one, weight=0, direction=0.0))
-    ]
+    groups = [list(some) for _, some in groupby(hypotheses, key=lambda one: replace(one, weight=0, direction=0.0))]
     defects = [some[0] for some in groups]
     return PixelFill(
         first=np.cumsum([0, *(len(some) for some in groups)]).astype(np.int64),
@@ -228,9 +226,7 @@ class DetectionModel:
 class PatchDetection:
     """The inspectable patches of a posture, tested for defects."""
 
-    def __init__(
-        self, scene: Scene, surface: SurfacePoints, posture: Posture, detection: DetectionModel
-    ) -> None:
+    def __init__(self, scene: Scene, surface: SurfacePoints, posture: Posture, detection: DetectionModel) -> None:
         self.detection = detection
         self.reflectance = scene.reflectance
         self.cosines = np.einsum("ij,ij->i", surface.normals, surface.views)
@@ -262,9 +258,7 @@ class PatchDetection:
         shaded = shade_variants(
             block,
             self._references[here],
-            converged_panel(panel, centre=caster.centre, radius=caster.radius)
-            if panel.points == "auto"
-            else panel,
+            converged_panel(panel, centre=caster.centre, radius=caster.radius) if panel.points == "auto" else panel,
             self._variants,
             reflectance=self.reflectance,
             caster=blocker,

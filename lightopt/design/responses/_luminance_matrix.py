@@ -86,11 +86,7 @@ class LuminanceMatrix:
                 f"and {len(self.areas)} patches, found {self.visibility.shape} and {len(self.visibility.areas)}"
             )
         for index, layer in enumerate(self.levels):
-            if (
-                layer.ndim != 2
-                or layer.shape[1] != len(self.areas)
-                or str(layer.dtype) not in ("uint8", "uint16")
-            ):
+            if layer.ndim != 2 or layer.shape[1] != len(self.areas) or str(layer.dtype) not in ("uint8", "uint16"):
                 raise InputError(
                     f"luminance matrix: light {index}: expected uint8 or uint16 of shape (candidates, "
                     f"{len(self.areas)}), found {layer.dtype} {layer.shape}"
@@ -151,9 +147,7 @@ def _usable_sums(layer: Levels, weights: Int64, shade: int, saturation: int, bla
     return sums
 
 
-def level_range(
-    layer: Levels, thresholds: LevelThresholds, start: int, end: int
-) -> tuple[Int64, Int64, Int64]:
+def level_range(layer: Levels, thresholds: LevelThresholds, start: int, end: int) -> tuple[Int64, Int64, Int64]:
     """Extremes of a light's levels over all its candidates, at the patches from `start` to `end`, each of shape (p,).
 
     Returns the greatest usable level (−1 where none is usable), the greatest and the least level.
@@ -162,9 +156,7 @@ def level_range(
 
 
 @kernel
-def _level_range(
-    layer: Levels, shade: int, saturation: int, start: int, end: int
-) -> tuple[Int64, Int64, Int64]:
+def _level_range(layer: Levels, shade: int, saturation: int, start: int, end: int) -> tuple[Int64, Int64, Int64]:
     usable = np.full(end - start, -1, np.int64)
     greatest = np.full(end - start, -1, np.int64)
     least = np.full(end - start, 1 << 16, np.int64)

@@ -26,14 +26,7 @@ from lightopt.design.responses._packed_bits import Words
 from lightopt.design.responses._visibility import Visibility
 from lightopt.geometry import RayCaster, face_normals
 from lightopt.optics import expose
-from lightopt.rendering import (
-    PatchTable,
-    SurfacePoints,
-    converged_panel,
-    shade_converged,
-    shade_points,
-    shadow_targets,
-)
+from lightopt.rendering import PatchTable, SurfacePoints, converged_panel, shade_converged, shade_points, shadow_targets
 from lightopt.scene import PanelLight, Scene, view_from_part
 
 BLOCK_PATCHES = 1 << 15
@@ -132,9 +125,7 @@ def luminance_matrices(
             f"there is room for {most_bytes / 1e9:.2f} GB a posture; raise option 'step_deg' or lower option "
             "'patch_budget'"
         )
-    levels: list[list[Levels]] = [
-        [np.zeros((len(some), len(seen)), dtype) for some in panels] for _ in exposures
-    ]
+    levels: list[list[Levels]] = [[np.zeros((len(some), len(seen)), dtype) for some in panels] for _ in exposures]
     words: list[list[Words]] = [
         [np.zeros((len(some), len(seen), width), np.uint64) for some in panels] for _ in exposures
     ]
@@ -159,10 +150,7 @@ def luminance_matrices(
                 words[index][light][k, here] = some
         for index, exposure in enumerate(exposures):
             levels[index][light][k, here] = expose(
-                level[None, :],
-                sensor=scene.sensor,
-                exposure=exposure,
-                full_scale=scene.reflectance.full_scale,
+                level[None, :], sensor=scene.sensor, exposure=exposure, full_scale=scene.reflectance.full_scale
             )[0]
 
     work = WorkCounter(len(places) * len(blocks), progress)
@@ -215,8 +203,6 @@ def _levels(
             caster=blocker,
         )
     else:
-        diffuse, specular = shade_points(
-            surface, panel, points=panel.points, sigma=reflectance.sigma, caster=blocker
-        )
+        diffuse, specular = shade_points(surface, panel, points=panel.points, sigma=reflectance.sigma, caster=blocker)
     # images are stored as float32, and a level is rounded from what is stored
     return (reflectance.R_d * diffuse + reflectance.R_s * specular).astype(np.float32)

@@ -139,9 +139,7 @@ class PostureMatrices:
     reused: int = 0
 
     def __post_init__(self) -> None:
-        self._facts = _matrix_facts(
-            self.rig, self.part, self.scene, self.candidates, self.options, self.detection
-        )
+        self._facts = _matrix_facts(self.rig, self.part, self.scene, self.candidates, self.options, self.detection)
         if self.table is not None:
             self._facts["patches"] = hashlib.sha256(self.table.patches.centroids.tobytes()).hexdigest()
 
@@ -166,9 +164,7 @@ class PostureMatrices:
         # refinement may end somewhat before the budget is used up
         needed = 1.02 * patches_for_edge(self.table, self.scene.mesh, 0.8 * longest)
         step = 10 ** max(0, math.floor(math.log10(needed)) - 1)
-        text = (
-            f"option 'patch_budget' {step * math.ceil(needed / step)} cuts them to {longest:.2g} mm or less"
-        )
+        text = f"option 'patch_budget' {step * math.ceil(needed / step)} cuts them to {longest:.2g} mm or less"
         if not self.table.seen_faces:
             return text
         text += (

@@ -19,12 +19,7 @@ from lightopt.design.candidates._angles import can_move
 from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
-from lightopt.design.responses._luminance_matrix import (
-    AREA_UNIT_MM2,
-    LevelThresholds,
-    LuminanceMatrix,
-    area_units,
-)
+from lightopt.design.responses._luminance_matrix import AREA_UNIT_MM2, LevelThresholds, LuminanceMatrix, area_units
 from lightopt.design.responses._posture_matrices import PostureMatrices
 from lightopt.design.search._curves import score_curves
 from lightopt.design.search._exact_search import SearchResult, search
@@ -58,9 +53,7 @@ def search_objectives(
         if defects is not None:
             best = result.answers[0].found.best.candidates
             blind_spots += [
-                posture_visibility(
-                    matrix, posture, thresholds, min_images=defects.min_images, candidates=best
-                )
+                posture_visibility(matrix, posture, thresholds, min_images=defects.min_images, candidates=best)
                 for matrix, posture in zip(matrices, postures, strict=True)
             ]
         del matrices
@@ -168,14 +161,7 @@ def search_other_objectives(
                 found = replace(chosen, ranking=(replace(chosen.best, candidates=at),))
             else:
                 found = _search(
-                    levels,
-                    result.postures,
-                    candidates,
-                    objective,
-                    thresholds,
-                    options.rows,
-                    options.limit,
-                    run,
+                    levels, result.postures, candidates, objective, thresholds, options.rows, options.limit, run
                 )
             panels = candidates.panels_at(found.best.candidates)
             matrices = [source.at_positions(posture, panels) for posture in result.postures]
@@ -240,9 +226,7 @@ def _score(matrices: Sequence[LuminanceMatrix], objective: Objective, thresholds
     return total
 
 
-def _reason_for_zero(
-    matrices: Sequence[LuminanceMatrix], thresholds: LevelThresholds, found: SearchResult
-) -> str:
+def _reason_for_zero(matrices: Sequence[LuminanceMatrix], thresholds: LevelThresholds, found: SearchResult) -> str:
     layers = [layer for matrix in matrices for layer in matrix.levels]
     count = sum(layer.size for layer in layers)
     dark = sum(int(np.count_nonzero(layer < thresholds.shade)) for layer in layers)

@@ -39,9 +39,7 @@ class Curve:
         }
 
 
-def score_curves(
-    candidates: Candidates, best: Ranked, score: Callable[[tuple[int, ...]], int]
-) -> tuple[Curve, ...]:
+def score_curves(candidates: Candidates, best: Ranked, score: Callable[[tuple[int, ...]], int]) -> tuple[Curve, ...]:
     """The curves through a best set: all movable lights at one elevation, then each light's elevation and azimuth.
 
     Combinations that are not allowed, and angles that a light cannot take, are omitted; so are curves of one point. The
@@ -68,11 +66,7 @@ def _curve(
     here = [angles[k] for angles, k in zip(candidates.angles, best.candidates, strict=True)]
     # along the axis, the other angle as it is: angle to candidate, for each light
     along = [
-        {
-            angles[axis]: k
-            for k, angles in enumerate(candidates.angles[i])
-            if angles[1 - axis] == here[i][1 - axis]
-        }
+        {angles[axis]: k for k, angles in enumerate(candidates.angles[i]) if angles[1 - axis] == here[i][1 - axis]}
         for i in lights
     ]
     points: list[tuple[float, tuple[int, ...]]] = []

@@ -23,12 +23,7 @@ from lightopt.core.run_context import Share, part_of
 from lightopt.core.threads import available_processors
 from lightopt.design.candidates._combination_space import CombinationSpace, Rows, allowed_mask
 from lightopt.design.objectives._objective import Objective, near_margin
-from lightopt.design.responses._luminance_matrix import (
-    LevelThresholds,
-    LuminanceMatrix,
-    area_units,
-    usable_sums,
-)
+from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, area_units, usable_sums
 from lightopt.design.search._ranking import NearBest, Ranked, Ranking, rank
 
 TABLE_CELLS = 1 << 22
@@ -227,11 +222,7 @@ class _BoxScorer:
     """The matrices of the postures together, as the objective sees them."""
 
     def __init__(
-        self,
-        matrices: Sequence[LuminanceMatrix],
-        objective: Objective,
-        thresholds: LevelThresholds,
-        threads: int,
+        self, matrices: Sequence[LuminanceMatrix], objective: Objective, thresholds: LevelThresholds, threads: int
     ) -> None:
         self.matrices = matrices
         self.objective = objective
@@ -284,9 +275,7 @@ def _check(scorer: _BoxScorer, space: CombinationSpace) -> None:
         )
     for matrix in scorer.matrices:
         if matrix.shape != space.sizes:
-            raise InputError(
-                f"search: expected candidates {space.sizes} in every posture, found {matrix.shape}"
-            )
+            raise InputError(f"search: expected candidates {space.sizes} in every posture, found {matrix.shape}")
         if not len(matrix.areas):
             raise InputError(
                 "no patch is inspectable, so that no position of the lights is better than another; check the part's "

@@ -56,10 +56,7 @@ class Tolerances:
     def __post_init__(self) -> None:
         problems = [
             f"{option}: expected degrees from 0 to {LARGEST_TOLERANCE:g}, found {value:g}"
-            for option, value in (
-                ("option 'light_deg'", self.light_deg),
-                ("option 'pose_deg'", self.pose_deg),
-            )
+            for option, value in (("option 'light_deg'", self.light_deg), ("option 'pose_deg'", self.pose_deg))
             if not 0.0 <= value <= LARGEST_TOLERANCE
         ]
         if not 0.0 < self.tolerance_target < 1.0:
@@ -222,8 +219,7 @@ def _widest_tolerance(
 
     def keeps(degrees: float) -> bool:
         either: list[Offset] = [
-            (sign * degrees, 0.0) if angle in ("elevation", "tilt") else (0.0, sign * degrees)
-            for sign in (-1.0, 1.0)
+            (sign * degrees, 0.0) if angle in ("elevation", "tilt") else (0.0, sign * degrees) for sign in (-1.0, 1.0)
         ]
         if angle == "both angles at once":
             return score((0.0, 0.0), [list(corners(degrees))] * len(exact)).min() >= least

@@ -100,10 +100,7 @@ class _Assessment(ABC):
         there = self.setup.misaligned_posture(posture, pose)
         matrices = replace(self.evaluator, table=self._table(there)).matrices(
             there,
-            [
-                [self.setup.panel(posture, light, offset) for offset in offsets]
-                for light, offsets in enumerate(missing)
-            ],
+            [[self.setup.panel(posture, light, offset) for offset in offsets] for light, offsets in enumerate(missing)],
             exposures=self.setup.exposures[posture],
         )
         for light, offsets in enumerate(missing):
@@ -133,9 +130,7 @@ class PairAssessment(_Assessment):
 
     def keep(self, matrices: Sequence[LuminanceMatrix], light: int, at: int) -> Any:
         """One image, whatever the number of its exposures."""
-        return counts_of_images(
-            [scattered_flags(matrices, self.patches, light=light, place=at)], self._seen_in
-        )
+        return counts_of_images([scattered_flags(matrices, self.patches, light=light, place=at)], self._seen_in)
 
     def scores(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:
         """Add up the postures, then all combinations of the lights."""
@@ -171,8 +166,7 @@ class ObjectiveAssessment(_Assessment):
                 for light, offsets in enumerate(lights)
             ]
             matrix = LuminanceMatrix(
-                levels=tuple(np.stack([levels for levels, _ in some]) for some in images),
-                areas=images[0][0][1],
+                levels=tuple(np.stack([levels for levels, _ in some]) for some in images), areas=images[0][0][1]
             )
             total += self._objective.scores(
                 matrix,

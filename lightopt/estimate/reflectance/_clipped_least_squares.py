@@ -73,9 +73,7 @@ class LeastSquares:
     fixed: ln σ and the light there, shape (n,), of a criterion that is only asked there.
     """
 
-    def __init__(
-        self, samples: Samples, table: SpecularTable, *, fixed: tuple[float, Float64] | None = None
-    ) -> None:
+    def __init__(self, samples: Samples, table: SpecularTable, *, fixed: tuple[float, Float64] | None = None) -> None:
         self.samples = samples
         self.table = table
         self.size = parameter_count(samples)
@@ -112,9 +110,7 @@ class LeastSquares:
         value, gradient, curvature = self._sums(x)
         count = len(self.samples.sample)
         mean = max(-2.0 * value / max(1, count), LEAST_MEAN_SQUARE)
-        return Evaluation(
-            -0.5 * count * (math.log(2.0 * math.pi * mean) + 1.0), gradient / mean, curvature / mean
-        )
+        return Evaluation(-0.5 * count * (math.log(2.0 * math.pi * mean) + 1.0), gradient / mean, curvature / mean)
 
     def _sums(self, x: Float64) -> tuple[float, Float64, Float64]:
         s = self.samples
@@ -167,12 +163,7 @@ def _accumulate(
         total -= 0.5 * weight * residual * residual
         if mean < 0.0 or mean > top:
             continue
-        by_r_d, by_r_s, by_sigma, gain = (
-            factor * diffuse[i],
-            factor * r_s * s,
-            factor * r_s * ds,
-            4 + lights[m],
-        )
+        by_r_d, by_r_s, by_sigma, gain = (factor * diffuse[i], factor * r_s * s, factor * r_s * ds, 4 + lights[m])
         pull = weight * residual
         gradient[0] += pull * by_r_d
         gradient[1] += pull * by_r_s

@@ -60,11 +60,7 @@ def paper_result(setup: FitSetup, samples: Samples, paper: PaperDiffuse | PaperS
             "the paper's method frees nothing else and fits nothing jointly: it fits what sections 4.2 and 4.3 fit"
         )
     more = paper.warnings() if isinstance(paper, PaperSpecular) else ()
-    fitted = (
-        {"R_d": paper.R_d}
-        if isinstance(paper, PaperDiffuse)
-        else {"R_s": paper.R_s, "sigma_rad": paper.sigma}
-    )
+    fitted = {"R_d": paper.R_d} if isinstance(paper, PaperDiffuse) else {"R_s": paper.R_s, "sigma_rad": paper.sigma}
     values = {"R_d": own.R_d, "R_s": own.R_s, "sigma_rad": own.sigma, **fitted}
     return FitResult(
         kind="diffuse" if isinstance(paper, PaperDiffuse) else "specular",

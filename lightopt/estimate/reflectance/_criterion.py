@@ -69,12 +69,7 @@ def parameter_name(place: int, lights: tuple[str, ...]) -> str:
 
 
 def sum_in_chunks(
-    add: Callable[[int, int, Float64, Float64], float],
-    count: int,
-    size: int,
-    *,
-    chunk: int,
-    threads: int | None,
+    add: Callable[[int, int, Float64, Float64], float], count: int, size: int, *, chunk: int, threads: int | None
 ) -> tuple[float, Float64, Float64]:
     """Value, gradient and curvature of all observations, computed in chunks in parallel.
 
@@ -89,11 +84,7 @@ def sum_in_chunks(
     parts = in_threads(one, range(0, count, chunk), threads)
     if len(parts) == 1:
         return parts[0]
-    return (
-        sum(p[0] for p in parts),
-        np.sum([p[1] for p in parts], axis=0),
-        np.sum([p[2] for p in parts], axis=0),
-    )
+    return (sum(p[0] for p in parts), np.sum([p[1] for p in parts], axis=0), np.sum([p[2] for p in parts], axis=0))
 
 
 @kernel

@@ -18,13 +18,9 @@ RIG_NAME = "rig.fitted.yaml"
 FIT_NAME = "fit.json"
 
 
-def fit_provenance(
-    rig: RigConfig, part: PartConfig, image_set: ImageSet, options: Mapping[str, Any]
-) -> dict[str, Any]:
+def fit_provenance(rig: RigConfig, part: PartConfig, image_set: ImageSet, options: Mapping[str, Any]) -> dict[str, Any]:
     """What a fit depends on, in the layout of :mod:`lightopt.core.provenance`."""
-    return provenance(
-        inputs={**input_hashes(rig, part), "image_sets": [image_set.fingerprint]}, options=options
-    )
+    return provenance(inputs={**input_hashes(rig, part), "image_sets": [image_set.fingerprint]}, options=options)
 
 
 class FitFolder(ResultFolder):
@@ -72,9 +68,7 @@ def _part_text(folder: Path, result: FitResult, part: PartConfig) -> str:
 
 def _placement_values(part: PartConfig, found: PartFilePlacement) -> dict[tuple[str | int, ...], str]:
     vectors = {"rotate_deg": found.rotate_deg, "translate_mm": found.translate_mm}
-    lists = {
-        key: "[" + ", ".join(f"{value:.6g}" for value in vector) + "]" for key, vector in vectors.items()
-    }
+    lists = {key: "[" + ", ".join(f"{value:.6g}" for value in vector) + "]" for key, vector in vectors.items()}
     lines = part.source.lines
     if ("placement",) not in lines:
         inside = ", ".join(f"{key}: {text}" for key, text in lists.items())
@@ -98,11 +92,7 @@ def _rig_text(folder: Path, result: FitResult, rig: RigConfig) -> str:
     if result.dark is not None:
         values["camera", "sensor", "black_level"] = f"{max(result.dark.value, 0.0):.6g}"
     noise = result.noise if result.write_noise else None
-    figures = (
-        {}
-        if noise is None
-        else {"read_noise_levels": noise.read_noise, "electrons_per_level": noise.electrons}
-    )
+    figures = {} if noise is None else {"read_noise_levels": noise.read_noise, "electrons_per_level": noise.electrons}
     for key, figure in figures.items():
         if figure is not None:
             values["camera", "sensor", key] = f"{figure:.4g}"

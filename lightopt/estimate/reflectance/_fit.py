@@ -176,9 +176,7 @@ def fit_specular(
             progress=run.stage("validating"),
         )
         result = replace(
-            result,
-            left_out=left_out,
-            warnings=(*result.warnings, *validation_warnings(left_out, setup.scene.sensor)),
+            result, left_out=left_out, warnings=(*result.warnings, *validation_warnings(left_out, setup.scene.sensor))
         )
     run.warn(*result.warnings)
     return result
@@ -188,9 +186,7 @@ def _fit_one(setup: FitSetup) -> tuple[FitResult, Samples]:
     options, reflectance = setup.options, setup.scene.reflectance
     if options.method == "paper":
         samples = setup.collect(uniform=True)
-        record = paper_specular(
-            samples, options.paper, R_d=reflectance.R_d, progress=setup.run.stage("sweeping σ")
-        )
+        record = paper_specular(samples, options.paper, R_d=reflectance.R_d, progress=setup.run.stage("sweeping σ"))
         return paper_result(setup, samples, record), samples
     samples = setup.collect()
     found = fit_reflectance(samples, freed=options.freed, held=setup.held, run=setup.run)

@@ -31,11 +31,7 @@ WORSE_PREDICTION = 1.03
 
 
 def fit_reflectance(
-    samples: Samples,
-    *,
-    freed: FreeParameters | None = None,
-    held: Float64 | None = None,
-    run: RunContext | None = None,
+    samples: Samples, *, freed: FreeParameters | None = None, held: Float64 | None = None, run: RunContext | None = None
 ) -> Estimate:
     """Fit R_d, R_s and σ, and what else is freed, to samples.
 

@@ -56,9 +56,7 @@ def least_squares_estimate(samples: Samples, scan: SigmaScan) -> Estimate:
         criterion=criterion,
         maximum=best,
         scan=scan_points([*scan.profile, best]),
-        optima=tuple(
-            optimum_of(start, top, criterion) for start, top in ((scan.climbs[0][0], best), *scan.climbs[1:])
-        ),
+        optima=tuple(optimum_of(start, top, criterion) for start, top in ((scan.climbs[0][0], best), *scan.climbs[1:])),
         mean_log_likelihood=noise.evaluation.value / max(1, len(samples.sample)),
         unexplained=outlier_share(noise.x),
         lack_of_fit=scan.lack_of_fit,
@@ -77,10 +75,7 @@ def _inflation(found: Estimate, errors: Sequence[float] | Float64) -> Float64:
     for i, (place, error) in enumerate(zip(found.free, errors, strict=True)):
         for step in ERROR_STEPS:
             # where one error away is out of range, nearer: the criterion falls like a parabola
-            drops = [
-                criterion_drop(found, place, best[place] + sign * step * error) / step**2
-                for sign in (-1.0, 1.0)
-            ]
+            drops = [criterion_drop(found, place, best[place] + sign * step * error) / step**2 for sign in (-1.0, 1.0)]
             drops = [drop for drop in drops if 0.0 < drop < math.inf]
             if drops:
                 inflation[i] = np.mean(drops)

@@ -242,12 +242,7 @@ def _accumulate(
             ratio = by_mean / f
             bend = min(max(ratio * ratio - (apa - bpb) / (variance * f), 0.0), 1.0 / variance)
         bend *= surely
-        by_r_d, by_r_s, by_sigma, gain = (
-            factor * diffuse[i],
-            factor * r_s * s,
-            factor * r_s * ds,
-            4 + lights[m],
-        )
+        by_r_d, by_r_s, by_sigma, gain = (factor * diffuse[i], factor * r_s * s, factor * r_s * ds, 4 + lights[m])
         gradient[0] += score * by_r_d
         gradient[1] += score * by_r_s
         gradient[2] += score * by_sigma

@@ -22,15 +22,7 @@ from lightopt.estimate.reflectance._likelihood import clipped_levels, predicted
 from lightopt.estimate.reflectance._quality import Quality
 from lightopt.estimate.reflectance._samples import Samples, collect_samples, subsample
 from lightopt.estimate.reflectance._setup import FitSetup, register_with_fit
-from lightopt.estimate.registration import (
-    FLIPS,
-    LEVEL_CAP,
-    Agreement,
-    Observation,
-    PoseFrame,
-    agreement,
-    place_part,
-)
+from lightopt.estimate.registration import FLIPS, LEVEL_CAP, Agreement, Observation, PoseFrame, agreement, place_part
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene
 
@@ -112,9 +104,7 @@ def refuse_unexplained_images(setup: FitSetup, samples: Samples, found: Estimate
     )
 
 
-def find_displacement(
-    setup: FitSetup, samples: Samples, quality: Quality
-) -> tuple[Displacement | None, bool]:
+def find_displacement(setup: FitSetup, samples: Samples, quality: Quality) -> tuple[Displacement | None, bool]:
     """Another placement that explains the residual, if any, and whether all others are excluded by a converged search.
 
     Where no placement explains the images of all postures, those of the first are compared alone: a camera or a stage
@@ -154,9 +144,7 @@ def _displacement(
     if not certain.any() or max(pixels, abs(turn) / frame.pixel_steps[2]) < LEAST_SHIFT_PX:
         return None, excluded
     moved = place_part(scene, place)
-    there = collect_samples(
-        moved, observations, caster=cast_rays_at(moved), budget=BUDGET, threads=samples.threads
-    )
+    there = collect_samples(moved, observations, caster=cast_rays_at(moved), budget=BUDGET, threads=samples.threads)
     # the same fit at both places: what another reflectance explains is not blamed on the place
     here = subsample(samples, BUDGET)
     noise = quality.floor**2

@@ -9,14 +9,7 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64
 from lightopt.core.kernels import kernel
-from lightopt.estimate.reflectance._criterion import (
-    FIRST_GAIN,
-    LOG_R_S,
-    LOG_SIGMA,
-    R_D,
-    Criterion,
-    Evaluation,
-)
+from lightopt.estimate.reflectance._criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Criterion, Evaluation
 
 TOLERANCE = 1e-4
 """A maximum is found when the next step's predicted gain is less than this [nat]: a hundredth of a standard error."""
@@ -64,12 +57,7 @@ def bounds(criterion: Criterion) -> tuple[Float64, Float64]:
 
 
 def maximise(
-    criterion: Criterion,
-    x: Float64,
-    free: Sequence[int],
-    *,
-    most_steps: int = 60,
-    tolerance: float = TOLERANCE,
+    criterion: Criterion, x: Float64, free: Sequence[int], *, most_steps: int = 60, tolerance: float = TOLERANCE
 ) -> Maximum:
     """Climb from `x` along the free parameters.
 

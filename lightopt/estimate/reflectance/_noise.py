@@ -55,14 +55,10 @@ class MeasuredNoise:
 def measure_noise(samples: Samples, mean: Float64, *, describes: bool = True) -> MeasuredNoise:
     """Read noise, and shot noise where the variance grows with the level (EMVA Standard 1288, photon transfer)."""
     if not describes:
-        return MeasuredNoise(
-            hindrance="the model does not describe these images, and its misfit is not the camera's"
-        )
+        return MeasuredNoise(hindrance="the model does not describe these images, and its misfit is not the camera's")
     typical = image_noise(samples)
     # by the level that is predicted: that of a pixel itself would be chosen along with its noise
-    clear = (mean > CLEAR_OF_ENDS * typical) & (
-        mean < samples.sensor.saturated_from - CLEAR_OF_ENDS * typical
-    )
+    clear = (mean > CLEAR_OF_ENDS * typical) & (mean < samples.sensor.saturated_from - CLEAR_OF_ENDS * typical)
     clear &= (samples.diffuse[samples.sample] > 0.0) & ~samples.saturated
     # a mean of N frames has an N-th of the variance
     frames = samples.facts.frames[samples.image][clear]

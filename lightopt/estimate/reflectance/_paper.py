@@ -192,10 +192,7 @@ def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
         iterations.append((r_d, simulated, abs(simulated - measured)))  # (6)
         if iterations[-1][2] <= options.lambda_d:
             return PaperDiffuse(
-                R_d=r_d,
-                image=samples.images[image].name,
-                pixels=int(mine.sum()),
-                iterations=tuple(iterations),
+                R_d=r_d, image=samples.images[image].name, pixels=int(mine.sum()), iterations=tuple(iterations)
             )
         r_d *= measured / simulated  # (5), (7), measured over simulated
     raise InputError(
@@ -264,20 +261,12 @@ def paper_specular(
 def _sweep(options: PaperOptions) -> list[float]:
     # from the start upwards, then the rest of the range below it
     up = np.arange(options.sigma_start, options.sigma_most + 1e-9, options.sigma_step)
-    down = np.arange(
-        options.sigma_start - options.sigma_step, options.sigma_least - 1e-9, -options.sigma_step
-    )
+    down = np.arange(options.sigma_start - options.sigma_step, options.sigma_least - 1e-9, -options.sigma_step)
     return [float(round(value, 9)) for value in (*up, *down) if value > 0.0]
 
 
 def _match_area(
-    light: Float64,
-    diffuse: Float64,
-    room: float,
-    measured: int,
-    total: float,
-    sigma: float,
-    options: PaperOptions,
+    light: Float64, diffuse: Float64, room: float, measured: int, total: float, sigma: float, options: PaperOptions
 ) -> SigmaStep:
     # rounding half up makes a pixel saturated from half a level below
     needed = np.where(light > 0.0, (room - 0.5 - diffuse) / np.where(light > 0.0, light, 1.0), np.inf)

@@ -72,10 +72,7 @@ class Quality:
 
     def as_dict(self) -> dict[str, float | bool]:
         """JSON form."""
-        return {
-            name: value if isinstance(value, bool) else float(f"{value:.6g}")
-            for name, value in vars(self).items()
-        }
+        return {name: value if isinstance(value, bool) else float(f"{value:.6g}") for name, value in vars(self).items()}
 
 
 def assess_quality(samples: Samples, found: Estimate) -> Quality:
@@ -124,9 +121,7 @@ def fit_warnings(
         width = math.log(high / max(low, 1e-9)) if low is not None and high is not None else math.inf
         correlation = found.correlation(LOG_R_S, LOG_SIGMA)
         if quality.saturated == 0.0:
-            what = (
-                "images with highlights elsewhere on the part: other postures, or other places of the lights"
-            )
+            what = "images with highlights elsewhere on the part: other postures, or other places of the lights"
         else:
             what = "a still shorter exposure" if shorter else "a shorter exposure, such as 1/16 of this one"
         if math.isinf(width):
@@ -138,9 +133,7 @@ def fit_warnings(
                 f"{high:.4g}): add {what}"
             )
         if quality.saturated == 0.0:
-            warnings.append(
-                "no pixel is saturated: R_s and σ come from the flanks and the peak of the highlight alone"
-            )
+            warnings.append("no pixel is saturated: R_s and σ come from the flanks and the peak of the highlight alone")
     return tuple(warnings)
 
 

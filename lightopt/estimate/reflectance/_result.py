@@ -116,11 +116,7 @@ class FitResult:
     @property
     def not_left_out(self) -> tuple[str, ...]:
         """Parameters that validation takes from all images, also from those of the light that is left out."""
-        freed = (
-            ("its own gain", self.gains),
-            ("the black level", self.dark),
-            ("the part's place", self.placement),
-        )
+        freed = (("its own gain", self.gains), ("the black level", self.dark), ("the part's place", self.placement))
         return tuple(name for name, value in freed if value is not None)
 
     def as_dict(self) -> dict[str, Any]:
@@ -228,9 +224,7 @@ def fitted_values(found: Estimate, *, full_scale: float) -> tuple[FittedValue, .
         if LOG_R_S in found.free and LOG_SIGMA in found.free:
             # d ln(angle) = d ln σ + d ln R_s / (2·ln(wR_s / full scale))
             a, b = found.standard_error(LOG_SIGMA), found.standard_error(LOG_R_S) / (2.0 * over)
-            error = angle * math.sqrt(
-                max(a * a + b * b + 2.0 * a * b * found.correlation(LOG_R_S, LOG_SIGMA), 0.0)
-            )
+            error = angle * math.sqrt(max(a * a + b * b + 2.0 * a * b * found.correlation(LOG_R_S, LOG_SIGMA), 0.0))
         values.append(FittedValue(name="half_angle_rad", value=angle, standard_error=error))
     return tuple(values)
 

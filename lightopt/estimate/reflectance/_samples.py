@@ -15,15 +15,7 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
 from lightopt.optics import Sensor
-from lightopt.rendering import (
-    UNLIT,
-    WHOLE,
-    LightLayer,
-    PosturePixels,
-    light_layer,
-    panel_visibility,
-    trace_pixels,
-)
+from lightopt.rendering import UNLIT, WHOLE, LightLayer, PosturePixels, light_layer, panel_visibility, trace_pixels
 from lightopt.scene import Scene
 
 FIRST_OCTAVE_RAD = 0.001
@@ -132,9 +124,7 @@ class Samples:
         rows = np.concatenate([group.row for group in self.groups])[self.sample]
         columns = np.concatenate([group.column for group in self.groups])[self.sample]
         stack, flags = np.stack(levels), np.stack(saturated)
-        return replace(
-            self, level=stack[self.image, rows, columns], saturated=flags[self.image, rows, columns]
-        )
+        return replace(self, level=stack[self.image, rows, columns], saturated=flags[self.image, rows, columns])
 
     def specular(self, sigma: float) -> Float64:
         """Light per unit of R_s for a lobe of width σ [rad], shape (n,)."""
@@ -180,9 +170,7 @@ def subsample(samples: Samples, budget: int) -> Samples:
     indices: list[Index] = []
     start = 0
     for group in samples.groups:
-        keep, share = _by_octave(
-            samples.deflection[start : start + len(group)], budget, (len(groups), group.light)
-        )
+        keep, share = _by_octave(samples.deflection[start : start + len(group)], budget, (len(groups), group.light))
         indices.append(start + keep)
         start += len(group)
         groups.append(
@@ -217,10 +205,7 @@ def evenly_lit(samples: Samples, caster: RayCaster) -> Samples:
         else replace(
             group,
             layer=light_layer(
-                group.layer.surface,
-                replace(group.layer.light, points="auto"),
-                caster,
-                threads=samples.threads,
+                group.layer.surface, replace(group.layer.light, points="auto"), caster, threads=samples.threads
             ),
         )
         for group in samples.groups
@@ -229,13 +214,7 @@ def evenly_lit(samples: Samples, caster: RayCaster) -> Samples:
 
 
 def _choose(
-    pixels: PosturePixels,
-    posture: int,
-    light: int,
-    caster: RayCaster,
-    budget: int,
-    uniform: bool,
-    threads: int | None,
+    pixels: PosturePixels, posture: int, light: int, caster: RayCaster, budget: int, uniform: bool, threads: int | None
 ) -> list[SampleGroup]:
     panel = pixels.view.lights[light]
     verdict = panel_visibility(pixels, panel, caster, threads=threads)
@@ -244,9 +223,7 @@ def _choose(
     layer = light_layer(pixels.surface.take(whole), panel, caster, threads=threads)
     angle = np.zeros(len(whole)) if uniform else layer.deflection
     keep, share = _by_octave(angle, budget, (posture, light))
-    few, few_share = _by_octave(
-        np.full(len(unlit), np.pi), max(1, int(UNLIT_SHARE * budget)), (posture, light)
-    )
+    few, few_share = _by_octave(np.full(len(unlit), np.pi), max(1, int(UNLIT_SHARE * budget)), (posture, light))
     lit = layer.take(keep)
     return [
         SampleGroup(
@@ -264,9 +241,7 @@ def _choose(
 
 def _by_octave(deflection: Float64, budget: int, seed: tuple[int, int]) -> tuple[Index, Float64]:
     # at most `budget` of each octave, by a draw that only depends on light and posture, and the share that was drawn
-    octave = np.clip(np.ceil(np.log2(np.maximum(deflection, 1e-9) / FIRST_OCTAVE_RAD)), 0, OCTAVES).astype(
-        int
-    )
+    octave = np.clip(np.ceil(np.log2(np.maximum(deflection, 1e-9) / FIRST_OCTAVE_RAD)), 0, OCTAVES).astype(int)
     rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=seed))
     chosen: list[Index] = []
     shares = np.ones(OCTAVES + 1)
@@ -331,7 +306,5 @@ def _blocks(groups: Sequence[SampleGroup], images: Sequence[Observation]) -> Int
     postures = list(dict.fromkeys(image.posture for image in images))
     rows, columns = images[0].levels.shape
     side = max(1, math.ceil(max(rows, columns) / BLOCKS))
-    numbers = [
-        (postures.index(g.posture) * BLOCKS + g.row // side) * BLOCKS + g.column // side for g in groups
-    ]
+    numbers = [(postures.index(g.posture) * BLOCKS + g.row // side) * BLOCKS + g.column // side for g in groups]
     return np.concatenate(numbers).astype(np.int32)

@@ -111,29 +111,18 @@ class FitSetup:
 
 
 def prepare_fit(
-    rig: RigConfig,
-    part: PartConfig,
-    image_set: ImageSet,
-    points: Points | None,
-    options: FitOptions,
-    run: RunContext,
+    rig: RigConfig, part: PartConfig, image_set: ImageSet, points: Points | None, options: FitOptions, run: RunContext
 ) -> FitSetup:
     """Read the images, build the scene that they show, and register the part where its shift is freed."""
     observations = read_observations(image_set, rig, part, threads=run.threads)
     used = {o.light for o in observations}
     names = [light.name for light in rig.lights if light.name in used]
-    scene = build_scene(
-        rig, part, postures=observed_postures(image_set), lights=names, points=points, defects=False
-    )
+    scene = build_scene(rig, part, postures=observed_postures(image_set), lights=names, points=points, defects=False)
     setup = FitSetup(part, scene, cast_rays_at(scene), observations, options=options, run=run)
     if not options.register:
         return setup
     found = register_with_fit(
-        scene,
-        observations,
-        caster=setup.caster,
-        freed=FreeParameters(gain=options.gain, dark=options.dark),
-        run=run,
+        scene, observations, caster=setup.caster, freed=FreeParameters(gain=options.gain, dark=options.dark), run=run
     )
     moved = place_part(scene, found.placement)
     file_placement = part_file_placement(
@@ -144,9 +133,7 @@ def prepare_fit(
         translate_mm=part.placement.translate_mm,
         pivot=scene.pivot,
     )
-    return replace(
-        setup, scene=moved, caster=cast_rays_at(moved), registration=found, file_placement=file_placement
-    )
+    return replace(setup, scene=moved, caster=cast_rays_at(moved), registration=found, file_placement=file_placement)
 
 
 def register_with_fit(
@@ -166,6 +153,4 @@ def register_with_fit(
         )
         return least_squares_reflectance(samples, moved.reflectance, freed=freed)
 
-    return register(
-        scene, observations, caster=caster, reflectance_at=first_reflectance, reduced=reduced, run=run
-    )
+    return register(scene, observations, caster=caster, reflectance_at=first_reflectance, reduced=reduced, run=run)

@@ -111,20 +111,15 @@ def scan_sigma(
         log_sigmas = [math.log(HELD_SIGMA if held is None else held[2])]
         columns = [few.specular(math.exp(log_sigmas[0]))]
         log_r_s = None if held is None else math.log(max(held[1], 1e-6))
-    starts = [
-        start_at(few, column, math.exp(at), r_d) for at, column in zip(log_sigmas, columns, strict=True)
-    ]
+    starts = [start_at(few, column, math.exp(at), r_d) for at, column in zip(log_sigmas, columns, strict=True)]
     if log_r_s is not None:
         starts[0][LOG_R_S] = log_r_s
     fitted = free[:-2]
 
-    def search(
-        some: Samples, starts_at: Callable[[int], list[Float64]]
-    ) -> tuple[LeastSquares, list[Maximum], Climbs]:
+    def search(some: Samples, starts_at: Callable[[int], list[Float64]]) -> tuple[LeastSquares, list[Maximum], Climbs]:
         criterion = LeastSquares(some, table)
         by_sigma = {
-            at: LeastSquares(some, table, fixed=(at, column))
-            for at, column in zip(log_sigmas, columns, strict=True)
+            at: LeastSquares(some, table, fixed=(at, column)) for at, column in zip(log_sigmas, columns, strict=True)
         }
         profile = profile_over_sigma(by_sigma.__getitem__, starts_at, log_sigmas, fitted, progress=progress)
         if LOG_SIGMA not in fitted:
@@ -189,11 +184,7 @@ def scan_points(profile: Sequence[Maximum], *, share: float = 1.0) -> tuple[Scan
 def optimum_of(start_sigma: float, top: Maximum, criterion: Criterion | None) -> Optimum:
     """The end of a climb as it is reported."""
     return Optimum(
-        start_sigma=start_sigma,
-        x=top.x,
-        value=top.evaluation.value,
-        converged=top.converged,
-        criterion=criterion,
+        start_sigma=start_sigma, x=top.x, value=top.evaluation.value, converged=top.converged, criterion=criterion
     )
 
 

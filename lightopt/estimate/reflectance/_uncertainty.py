@@ -54,9 +54,7 @@ def determined_parameters(likelihood: Likelihood, x: Float64, free: Sequence[int
         place
         for place in free
         if place < likelihood.size - 2
-        or (
-            low[place] + AT_BOUND < x[place] < high[place] - AT_BOUND and curvature[place] > LEAST_INFORMATION
-        )
+        or (low[place] + AT_BOUND < x[place] < high[place] - AT_BOUND and curvature[place] > LEAST_INFORMATION)
     ]
 
 

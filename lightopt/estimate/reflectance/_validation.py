@@ -116,9 +116,7 @@ def leave_lights_out(
         fitted = refit(others, found, only_reflectance=True)
         mine = [o for o in samples.images if o.light == samples.lights[light]]
         comparisons: list[Comparison] = []
-        for seen, levels, hit in predict_images(
-            scene, fitted.x, mine, caster=caster, threads=samples.threads
-        ):
+        for seen, levels, hit in predict_images(scene, fitted.x, mine, caster=caster, threads=samples.threads):
             comparisons.append(compare_image(seen, levels, hit, scene.sensor, scene.reflectance.full_scale))
             if save_prediction is not None:
                 save_prediction(seen, levels)
@@ -157,9 +155,7 @@ def validation_warnings(left_out: tuple[LeftOut, ...], sensor: Sensor) -> tuple[
     return tuple(warnings)
 
 
-def compare_image(
-    seen: Observation, levels: Float32, hit: Bool, sensor: Sensor, full_scale: float
-) -> Comparison:
+def compare_image(seen: Observation, levels: Float32, hit: Bool, sensor: Sensor, full_scale: float) -> Comparison:
     """Compare a measured image with the sensor levels predicted for it.
 
     levels: Predicted, not clipped, shape (height, width).
@@ -197,12 +193,7 @@ def _border(mask: Bool) -> Float64:
 
 
 def predict_images(
-    scene: Scene,
-    x: Float64,
-    observations: Sequence[Observation],
-    *,
-    caster: RayCaster,
-    threads: int | None = None,
+    scene: Scene, x: Float64, observations: Sequence[Observation], *, caster: RayCaster, threads: int | None = None
 ) -> Iterator[tuple[Observation, Float32, Bool]]:
     """Per observation: itself, the sensor levels predicted for it, not clipped, and where the part is.
 

@@ -3,13 +3,7 @@
 Entry: ``register(scene, observations, caster=...) -> Registration``, with observations from ``read_observations``.
 """
 
-from lightopt.estimate.registration._image_checks import (
-    FLIPS,
-    LEVEL_CAP,
-    Agreement,
-    agreement,
-    refuse_mismatch,
-)
+from lightopt.estimate.registration._image_checks import FLIPS, LEVEL_CAP, Agreement, agreement, refuse_mismatch
 from lightopt.estimate.registration._observations import Observation, observed_postures, read_observations
 from lightopt.estimate.registration._pixels import view_of_placed
 from lightopt.estimate.registration._placement import (

@@ -51,8 +51,7 @@ def coarse_pixels(scene: Scene, observations: Sequence[Observation]) -> list[Pix
             continue
         step = max(1, math.floor(math.sqrt((right - left) * (bottom - top) / PIXELS)))
         column, row = (
-            a.ravel().astype(np.int32)
-            for a in np.meshgrid(np.arange(left, right, step), np.arange(top, bottom, step))
+            a.ravel().astype(np.int32) for a in np.meshgrid(np.arange(left, right, step), np.arange(top, bottom, step))
         )
         mine = sorted((o for o in observations if o.posture == posture), key=lambda o: o.exposure)
         longest = list({o.light: o for o in mine}.values())
@@ -102,9 +101,7 @@ def search_placement(
         off = float(np.mean(np.minimum(np.abs(level - r_d * light), TRUNCATED * typical))) / typical
         return off + TURN_PULL * float(pose[2] / LIKELY_TURN_RAD) ** 2
 
-    around = [
-        FIRST_SHIFT_MM * np.array([math.cos(a), math.sin(a), 0.0]) for a in np.arange(8) * (math.pi / 4.0)
-    ]
+    around = [FIRST_SHIFT_MM * np.array([math.cos(a), math.sin(a), 0.0]) for a in np.arange(8) * (math.pi / 4.0)]
     values = [misfit(np.zeros(3)), *(misfit(pose) for pose in around)]
     best = [np.zeros(3), *around][int(np.argmin(values))]
     size = np.array([FIRST_STEP_MM, FIRST_STEP_MM, FIRST_STEP_RAD])

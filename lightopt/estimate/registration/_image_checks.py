@@ -142,9 +142,7 @@ def agreement(measured: Array, predicted: Array, noise: Array) -> Agreement:
     return Agreement(_rms(measured - predicted), _rms(noise), _rms(predicted))
 
 
-def refuse_mismatch(
-    level: Array, predicted: Array, limit: Array, deviation: Array, pixels: Index, where: str
-) -> None:
+def refuse_mismatch(level: Array, predicted: Array, limit: Array, deviation: Array, pixels: Index, where: str) -> None:
     """Refuse images that do not show this part as the model has it.
 
     level, predicted, limit, deviation: Levels measured and predicted, those from which a pixel is saturated, and the

@@ -84,9 +84,7 @@ def read_observations(
     width, height = rig.camera.resolution_px
     entries = image_set.images
     observations = tuple(
-        in_threads(
-            lambda i: _read(image_set, entries[i], build_sensor(rig.camera)), range(len(entries)), threads
-        )
+        in_threads(lambda i: _read(image_set, entries[i], build_sensor(rig.camera)), range(len(entries)), threads)
     )
     other = [o for o in observations if o.levels.shape != (height, width)]
     if other:

@@ -38,13 +38,7 @@ class PixelSet:
 
     @staticmethod
     def look_up(
-        posture: Posture,
-        row: Int32,
-        column: Int32,
-        images: Sequence[Observation],
-        black: float,
-        *,
-        rays: int = 1,
+        posture: Posture, row: Int32, column: Int32, images: Sequence[Observation], black: float, *, rays: int = 1
     ) -> PixelSet:
         """Look up some pixels in the images of a posture."""
         return PixelSet(
@@ -65,9 +59,7 @@ class PixelSet:
         # a lattice shifted from pixel to pixel: an edge along rows meets its rays one after another and not in threes
         x, y = (np.arange(self.rays)[:, None] * _LATTICE).T
         along, down = (np.arange(len(self.row))[:, None] * _OFFSETS).T[:, :, None]
-        return (self.column[:, None] + (x + along) % 1.0).ravel(), (
-            self.row[:, None] + (y + down) % 1.0
-        ).ravel()
+        return (self.column[:, None] + (x + along) % 1.0).ravel(), (self.row[:, None] + (y + down) % 1.0).ravel()
 
 
 def view_of_placed(scene: Scene, posture: Posture, x: float, y: float, turn: float) -> PartView:

@@ -130,9 +130,7 @@ class PoseFrame:
         middle = 0.5 * (flat.min(axis=0) + flat.max(axis=0))
         radius = float(np.sqrt(np.max(np.sum(np.square(flat - middle), axis=1))))
         distance = float(np.linalg.norm(scene.camera.position - scene.pivot))
-        return PoseFrame(
-            middle.astype(np.float64), max(radius, 1e-3), pixel_footprint(scene.camera, distance)
-        )
+        return PoseFrame(middle.astype(np.float64), max(radius, 1e-3), pixel_footprint(scene.camera, distance))
 
     @property
     def reach(self) -> Float64:

@@ -86,16 +86,12 @@ def choose_pixels(
         clean = _random_subset(np.flatnonzero(pixels.clean), budget)
         if len(clean):
             inner.append(
-                PixelSet.look_up(
-                    posture, pixels.row[clean], pixels.column[clean], mine, scene.sensor.black_level
-                )
+                PixelSet.look_up(posture, pixels.row[clean], pixels.column[clean], mine, scene.sensor.black_level)
             )
         if outline:
             row, column = _across_outline(pixels)
             if len(row):
-                edges.append(
-                    PixelSet.look_up(posture, row, column, mine, scene.sensor.black_level, rays=OUTLINE_RAYS)
-                )
+                edges.append(PixelSet.look_up(posture, row, column, mine, scene.sensor.black_level, rays=OUTLINE_RAYS))
     return inner, edges
 
 
@@ -139,9 +135,7 @@ class RefinementProblem:
         self._scene, self._frame, self._caster, self._threads = scene, frame, caster, threads
         self._sets = [*inner, *edges]
         self._light = _joined([_light_indices(scene, p) for p in self._sets]).astype(np.intp)
-        self._scale = _joined(
-            [_per_observation(p, [sensor_scale(scene, o) for o in p.images]) for p in self._sets]
-        )
+        self._scale = _joined([_per_observation(p, [sensor_scale(scene, o) for o in p.images]) for p in self._sets])
         self._measured = _joined([p.levels.ravel() for p in self._sets])
         frames = _joined([_per_observation(p, [float(o.frames) for o in p.images]) for p in self._sets])
         subtracted = _joined([_subtracted(p) for p in self._sets])
@@ -203,9 +197,7 @@ class RefinementProblem:
     def _levels(self, x: Float64) -> Float64:
         light = self._light_at(x)
         gain = self._scale * np.exp(x[GAINS:-1])[self._light]
-        return np.minimum(
-            gain * (math.exp(x[R_D]) * light[0] + math.exp(x[R_S]) * light[1]) + x[-1], self._top
-        )
+        return np.minimum(gain * (math.exp(x[R_D]) * light[0] + math.exp(x[R_S]) * light[1]) + x[-1], self._top)
 
     def _light_at(self, x: Float64, off: Float64 | None = None) -> Float64:
         # per unit of R_d, and of R_s at σ and to both sides of it, shape (4, n); moved, at σ alone, shape (2, n)
@@ -220,9 +212,7 @@ class RefinementProblem:
             width = _OUTLINE_STEP if pixels.rays > 1 else _INNER_STEP
             place = self._frame.placement(x[POSE] + (0.0 if off is None else width * off))
             view = view_of_placed(self._scene, pixels.posture, place.x, place.y, place.turn)
-            diffuse, specular = light_at(
-                self._scene, pixels, view, self._caster, sigmas=sigmas, threads=self._threads
-            )
+            diffuse, specular = light_at(self._scene, pixels, view, self._caster, sigmas=sigmas, threads=self._threads)
             parts.append(np.concatenate([diffuse[None], specular]).reshape(1 + len(sigmas), -1))
         found = np.concatenate(parts, axis=1) if parts else np.zeros((1 + len(sigmas), 0))
         if off is None:
@@ -276,10 +266,7 @@ def _light_indices(scene: Scene, pixels: PixelSet) -> Float64:
 
 def _subtracted(pixels: PixelSet) -> Float64:
     return np.concatenate(
-        [
-            np.broadcast_to(np.float64(o.subtracted), o.levels.shape)[pixels.row, pixels.column]
-            for o in pixels.images
-        ]
+        [np.broadcast_to(np.float64(o.subtracted), o.levels.shape)[pixels.row, pixels.column] for o in pixels.images]
     )
 
 

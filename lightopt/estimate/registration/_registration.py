@@ -109,9 +109,7 @@ def register(
     run = run or RunContext()
     sets = coarse_pixels(scene, observations)
     refuse_useless_images(scene, sets, observations, caster=caster, threads=run.threads)
-    start = search_placement(
-        scene, sets, caster=caster, threads=run.threads, progress=run.stage("finding the part")
-    )
+    start = search_placement(scene, sets, caster=caster, threads=run.threads, progress=run.stage("finding the part"))
     if reflectance_at is not None:
         scene = replace(scene, reflectance=reflectance_at(place_part(scene, start)))
     return refine_placement(
@@ -182,9 +180,7 @@ def refine_placement(
     return _result(solution, frame, iterations, moved, outline=outline)
 
 
-def _result(
-    solution: Solution, frame: PoseFrame, iterations: int, moved: float, *, outline: bool
-) -> Registration:
+def _result(solution: Solution, frame: PoseFrame, iterations: int, moved: float, *, outline: bool) -> Registration:
     # `moved` by so much in the last stage [px]
     directions = solution.undetermined[:, POSE]
     share = np.sum(np.square(directions), axis=0)
@@ -209,9 +205,7 @@ def _result(
     )
 
 
-def _convergence_warnings(
-    solution: Solution, frame: PoseFrame, iterations: int, moved: float
-) -> tuple[str, ...]:
+def _convergence_warnings(solution: Solution, frame: PoseFrame, iterations: int, moved: float) -> tuple[str, ...]:
     # at most one
     if solution.at_limit[POSE].any():
         reach = f"{frame.reach[0]:g} mm and {math.degrees(frame.reach[2]):g}°"
@@ -223,9 +217,7 @@ def _convergence_warnings(
         why = f": its last stage moved it by {moved:.1f} px"
     else:
         return ()
-    return (
-        f"the search for the part's place did not converge{why}, and its errors may be larger than stated",
-    )
+    return (f"the search for the part's place did not converge{why}, and its errors may be larger than stated",)
 
 
 def _undetermined_warnings(directions: Float64, share: Float64) -> tuple[str, ...]:
@@ -241,7 +233,5 @@ def _undetermined_warnings(directions: Float64, share: Float64) -> tuple[str, ..
     for x, y, turn in directions:
         angle = math.degrees(math.atan2(y, x)) % 180.0
         along = f"the shift along {angle:.0f}° from x"
-        warnings.append(
-            f"{along} {end}" if turn**2 < 1.0 - ALONG_AXIS else f"{along} together with a turn {end}"
-        )
+        warnings.append(f"{along} {end}" if turn**2 < 1.0 - ALONG_AXIS else f"{along} together with a turn {end}")
     return tuple(warnings)

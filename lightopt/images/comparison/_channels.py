@@ -86,12 +86,7 @@ class ChannelDifference:
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
         percentiles = None if self.percentiles is None else dict(self.percentiles)
-        return {
-            **vars(self),
-            "percentiles": percentiles,
-            "reasons": list(self.reasons),
-            "passed": self.passed,
-        }
+        return {**vars(self), "percentiles": percentiles, "reasons": list(self.reasons), "passed": self.passed}
 
 
 def compare_arrays(

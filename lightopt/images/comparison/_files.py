@@ -181,9 +181,7 @@ def _structure_problems(golden: LoadedFile, new: LoadedFile) -> Iterator[str]:
             yield f"{role} channel {', '.join(sorted(names))}"
 
 
-def _compare_channels(
-    golden: LoadedFile, new: LoadedFile, limits: ComparisonThresholds
-) -> Iterator[ChannelDifference]:
+def _compare_channels(golden: LoadedFile, new: LoadedFile, limits: ComparisonThresholds) -> Iterator[ChannelDifference]:
     hit_a = hit_b = None
     if geometry := golden.is_geometry and new.is_geometry:
         hit_a, hit_b = hit_mask(golden), hit_mask(new)

@@ -46,8 +46,7 @@ def difference_picture(
     golden, new = load_file(Path(a)), load_file(Path(b))
     if golden.kind != new.kind or golden.shape != new.shape:
         raise InputError(
-            f"{a} and {b}: no difference to show between {golden.kind} of {golden.shape} "
-            f"and {new.kind} of {new.shape}"
+            f"{a} and {b}: no difference to show between {golden.kind} of {golden.shape} and {new.kind} of {new.shape}"
         )
     name = _choose(golden, new, channel)
     old, now = golden.channels[name].astype(np.float64), new.channels[name].astype(np.float64)

@@ -145,9 +145,7 @@ def _notes(golden: Manifest, new: Manifest) -> Iterator[str]:
             yield f"different {name} file: golden {old.file}, new {now.file}"
 
 
-def comparison_provenance(
-    result: FileComparison | SetComparison, thresholds: ComparisonThresholds
-) -> dict[str, Any]:
+def comparison_provenance(result: FileComparison | SetComparison, thresholds: ComparisonThresholds) -> dict[str, Any]:
     """Inputs and thresholds of a comparison, in the layout of :mod:`lightopt.core.provenance`. Raises OSError."""
     if isinstance(result, SetComparison):
         inputs = {

@@ -26,12 +26,7 @@ from lightopt.inspection.detection._detectors import DETECTORS
 from lightopt.inspection.detection._deviation import deviations
 from lightopt.inspection.fusion._synthetic_image import synthetic_image
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
-from lightopt.inspection.prediction._registered_set import (
-    ExposuresByLight,
-    RegisteredSet,
-    nominal_pixels,
-    register_set,
-)
+from lightopt.inspection.prediction._registered_set import ExposuresByLight, RegisteredSet, nominal_pixels, register_set
 
 
 @dataclass
@@ -71,17 +66,12 @@ def calibrate(
         cache = PredictionCache()
         for one in sets:
             inner = run.within(f"good set {one.folder.name}")
-            yield (
-                str(one.folder),
-                register_set(rig, part, one, register=options.register, cache=cache, run=inner),
-            )
+            yield (str(one.folder), register_set(rig, part, one, register=options.register, cache=cache, run=inner))
 
     require_good_sets(len(sets), options)
     names = tuple(one.folder.resolve().name for one in sets)
     fingerprint = calibration_fingerprint(rig, part, options)
-    return calibrate_registered(
-        registered(), names, options=options, fingerprint=fingerprint, threads=run.threads
-    )
+    return calibrate_registered(registered(), names, options=options, fingerprint=fingerprint, threads=run.threads)
 
 
 def calibrate_registered(
@@ -167,6 +157,4 @@ def _calibrated(posture: Posture, gathered: _GoodPosture, options: InspectOption
             found = subtract_systematic(one.in_own_image(), others, one.nominal_image())
             score = DETECTORS[options.detector].score(found, options.min_images, None, None)
             peaks.append(float(score.max(initial=0.0)))
-    return CalibratedPosture(
-        posture=posture, exposures=gathered.exposures, peaks=tuple(peaks), systematic=systematic
-    )
+    return CalibratedPosture(posture=posture, exposures=gathered.exposures, peaks=tuple(peaks), systematic=systematic)

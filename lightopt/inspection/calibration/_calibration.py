@@ -96,8 +96,7 @@ class Calibration:
         ]
         if changed := differences(self.computed_by, computed_by()):
             problems.append(
-                f"{self.name} was made by another lightopt, whose scores may be others ({changed}); "
-                "calibrate anew"
+                f"{self.name} was made by another lightopt, whose scores may be others ({changed}); calibrate anew"
             )
         before = self.fingerprint.get("options")
         before = before if isinstance(before, Mapping) else {}

@@ -24,9 +24,7 @@ class CalibrationFolder(ResultFolder):
     """A folder that a calibration is written to; takes what :class:`lightopt.images.ResultFolder` takes."""
 
     def __init__(self, folder: Path, made_from: Mapping[str, Any], *, force: bool) -> None:
-        super().__init__(
-            folder, made_from, name=CALIBRATION_NAME, format=FORMAT, what="a calibration", force=force
-        )
+        super().__init__(folder, made_from, name=CALIBRATION_NAME, format=FORMAT, what="a calibration", force=force)
 
     def write(self, calibration: Calibration) -> Path:
         """Write the maps of each posture, and at last ``calibration.json``."""
@@ -111,17 +109,14 @@ def _posture(path: Path, one: Mapping[str, Any], sets: int) -> CalibratedPosture
         if sha256 != one["maps"]["sha256"]:
             raise InputError(f"{maps}: not the maps that {path} was written with; calibrate anew")
         channels = read_exr(maps)
-        mean, spread = (
-            np.stack([channels[f"{kind}.{light}"] for light in exposures]) for kind in ("mean", "spread")
-        )
+        mean, spread = (np.stack([channels[f"{kind}.{light}"] for light in exposures]) for kind in ("mean", "spread"))
         systematic = SystematicDeviations(mean=mean, spread=spread)
     peaks = tuple(float(peak) for peak in one["peaks"])
     if len(peaks) != sets:
         raise ValueError(f"peaks: {len(peaks)} of {sets} good sets")
     return CalibratedPosture(
         posture=Posture(
-            elevation_deg=float(one["posture"]["elevation_deg"]),
-            rotation_deg=float(one["posture"]["rotation_deg"]),
+            elevation_deg=float(one["posture"]["elevation_deg"]), rotation_deg=float(one["posture"]["rotation_deg"])
         ),
         exposures=exposures,
         peaks=peaks,

@@ -78,9 +78,7 @@ class PackedDeviations:
         usable[:, to[which]] = self.usable[:, which]
         lit[:, to[which]] = self.lit[:, which]
         whole = (len(self.z), *self.shape)
-        return Deviations(
-            z.reshape(whole), np.ones(whole, np.float32), usable.reshape(whole), lit.reshape(whole)
-        )
+        return Deviations(z.reshape(whole), np.ones(whole, np.float32), usable.reshape(whole), lit.reshape(whole))
 
     def nominal_image(self) -> Int32:
         """Flat index as :func:`nominal_pixels` gives it, shape (H, W); −1 where nothing was usable."""
@@ -101,8 +99,7 @@ class PackedDeviations:
             own = arrays["own"]
             rows, columns = (int(side) for side in arrays["shape"])
             usable, lit = (
-                np.unpackbits(arrays[name], axis=1, count=len(own)).astype(np.bool_)
-                for name in ("usable", "lit")
+                np.unpackbits(arrays[name], axis=1, count=len(own)).astype(np.bool_) for name in ("usable", "lit")
             )
             return PackedDeviations((rows, columns), own, arrays["nominal"], arrays["z"], usable, lit)
 
@@ -126,9 +123,7 @@ class SystematicSums:
 
     def __init__(self) -> None:
         self.sets = 0
-        self._sums: list[
-            Float32
-        ] = []  # of counts, of deviations, and by scale of their sums and these squared
+        self._sums: list[Float32] = []  # of counts, of deviations, and by scale of their sums and these squared
 
     def add(self, one: PackedDeviations) -> None:
         """Count a set in."""

@@ -177,9 +177,7 @@ def measure_coverage(
     Worked out block by block of rows, since small arrays stay in a processor's cache.
     """
     blocks = in_row_blocks(
-        lambda rows: coverage_of_rows(view, found, rows, min_images=min_images, high=high),
-        len(view.clean),
-        threads,
+        lambda rows: coverage_of_rows(view, found, rows, min_images=min_images, high=high), len(view.clean), threads
     )
 
     def joined(values: Sequence[Any]) -> Any:
@@ -213,9 +211,7 @@ def coverage_of_rows(
     state[part & (lit >= min_images)] = SurfaceState.INSPECTED
     least = least_contrast(found, predicted, min_images=min_images, high=high)
     least[state < SurfaceState.FEWER] = np.inf
-    return PostureCoverage(
-        **class_areas(area, state, least), state=state, least_contrast=least.astype(np.float32)
-    )
+    return PostureCoverage(**class_areas(area, state, least), state=state, least_contrast=least.astype(np.float32))
 
 
 def least_contrast(found: Deviations, predicted: Float32, *, min_images: int, high: float) -> Float64:

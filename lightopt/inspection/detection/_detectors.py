@@ -56,8 +56,5 @@ TEMPLATE: Final = Detector(
     "calibration",
 )
 
-DETECTORS: Final[Mapping[str, Detector]] = {
-    "residual": RESIDUAL,
-    "template": TEMPLATE,
-}
+DETECTORS: Final[Mapping[str, Detector]] = {"residual": RESIDUAL, "template": TEMPLATE}
 """By the name that :class:`lightopt.inspection.InspectOptions` takes."""

@@ -124,12 +124,8 @@ def _compare(
                 z[y, x], scale[y, x] = 0.0, deviation[y, x]
                 continue
             before, after = max(x - 1, 0), min(x + 1, width - 1)
-            down = (_model(predicted, limit, below, x) - _model(predicted, limit, above, x)) / max(
-                below - above, 1
-            )
-            right = (_model(predicted, limit, y, after) - _model(predicted, limit, y, before)) / max(
-                after - before, 1
-            )
+            down = (_model(predicted, limit, below, x) - _model(predicted, limit, above, x)) / max(below - above, 1)
+            right = (_model(predicted, limit, y, after) - _model(predicted, limit, y, before)) / max(after - before, 1)
             noise = float(deviation[y, x])
             own = math.sqrt(noise * noise + REGISTRATION_PX**2 * (down * down + right * right))
             scale[y, x] = own
@@ -159,9 +155,7 @@ def _difference(level: float, predicted: Float32, limit: Float32, y: int, x: int
         if max(behind_y, far_y) >= len(predicted) or max(behind_x, far_x) >= predicted.shape[1]:
             continue
         there = float(predicted[y + down, x + right])
-        even = max(
-            abs(here - float(predicted[behind_y, behind_x])), abs(there - float(predicted[far_y, far_x]))
-        )
+        even = max(abs(here - float(predicted[behind_y, behind_x])), abs(there - float(predicted[far_y, far_x])))
         if abs(there - here) > HARD * even:
             beside = _model(predicted, limit, y + down, x + right)
             low, high = min(low, beside), max(high, beside)

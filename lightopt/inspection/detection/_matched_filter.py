@@ -84,9 +84,7 @@ def _normal(template: Float64) -> Float64:
 
 
 def _convolved(image: Float64, template: Float64) -> Float64:
-    shape = [
-        fft.next_fast_len(n + t - 1, real=True) for n, t in zip(image.shape, template.shape, strict=True)
-    ]
+    shape = [fft.next_fast_len(n + t - 1, real=True) for n, t in zip(image.shape, template.shape, strict=True)]
     reach = template.shape[0] // 2
     # the mean goes first: what lies beyond the image's border is 0
     first, second = (np.asarray(fft.rfft2(a, shape)) for a in (image - image.mean(), template))

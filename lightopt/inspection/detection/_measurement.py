@@ -140,9 +140,7 @@ def _kind(z: Float32, row: Index, column: Index, view: PostureView, contrast: di
         if diffuse[i].sum() >= 0.5 * len(row):
             here = diffuse[i]
             model = float(view.predicted[i, row, column][here].sum(dtype=np.float64))
-            shares.append(
-                float(view.level[i, row, column][here].sum(dtype=np.float64)) / max(model, 1e-6) - 1.0
-            )
+            shares.append(float(view.level[i, row, column][here].sum(dtype=np.float64)) / max(model, 1e-6) - 1.0)
             peaks.append(contrast[view.lights[i]])
     if len(shares) < 2:
         return "unknown"

@@ -82,9 +82,7 @@ def region_pixels(labels: Int32, count: int) -> list[tuple[Index, Index]]:
     return [(row[order[a:b]], column[order[a:b]]) for a, b in pairwise(ends)]
 
 
-def box_sums(
-    found: Deviations, box: tuple[slice, slice], scales: Sequence[float] = SCALES_PX
-) -> list[Float32]:
+def box_sums(found: Deviations, box: tuple[slice, slice], scales: Sequence[float] = SCALES_PX) -> list[Float32]:
     """Sums over Gaussians in a box of pixels, from what lies around it as far as the Gaussians reach.
 
     scales: widths of the Gaussians [px].
@@ -94,8 +92,7 @@ def box_sums(
     rows, columns = (slice(max(0, side.start - reach), side.stop + reach) for side in box)
     around = found.in_box(rows, columns)
     inner = tuple(
-        slice(side.start - wide.start, side.stop - wide.start)
-        for side, wide in zip(box, (rows, columns), strict=True)
+        slice(side.start - wide.start, side.stop - wide.start) for side, wide in zip(box, (rows, columns), strict=True)
     )
     return [smoothed_deviations(around, scale, threads=1)[0][(slice(None), *inner)] for scale in scales]
 
@@ -119,9 +116,7 @@ def core_pixels(region: Bool, fine: Float32) -> Bool:
     return region & (size >= OUTLINE_SHARE * ndimage.maximum_filter(size, 2 * SPREAD_PX + 1))
 
 
-def split_regions(
-    labels: Int32, count: int, score: Float32, found: Deviations, high: float
-) -> tuple[Int32, int]:
+def split_regions(labels: Int32, count: int, score: Float32, found: Deviations, high: float) -> tuple[Int32, int]:
     """Take off what sums only spread, and split regions whose cores lie apart, where each core would be a region.
 
     score: That they were found in, shape (H, W).

@@ -54,9 +54,7 @@ def disc_gain(diameter: float) -> float:
     return max(noise_gain(scale) * -math.expm1(-(radius**2) / (2.0 * scale**2)) for scale in SCALES_PX)
 
 
-def smoothed_deviations(
-    found: Deviations, scale: float, *, threads: int | None = None
-) -> tuple[Float32, Bool]:
+def smoothed_deviations(found: Deviations, scale: float, *, threads: int | None = None) -> tuple[Float32, Bool]:
     """Sums over Gaussians of deviations, in standard deviations of such a sum, and where they count; (lights, H, W).
 
     scale: width of the Gaussian [px].
@@ -80,9 +78,7 @@ def _weights(scale: float) -> tuple[Float32, Float32]:
 
 
 @kernel
-def _smooth(
-    z: Float32, usable: Bool, taps: Float32, squares: Float32, top: int, sums: Float32, counts: Bool
-) -> None:
+def _smooth(z: Float32, usable: Bool, taps: Float32, squares: Float32, top: int, sums: Float32, counts: Bool) -> None:
     # rows of the sums from `top` on, each in its own standard deviation, and where they count
     height, width = z.shape
     reach = len(squares) // 2
@@ -175,9 +171,7 @@ def _scores(z: Float64, count: int, k: int) -> Float64:
     # −log₁₀ of rank_probability, which is too small for a number where several images show a strong defect: there its
     # leading term, C(count, k)·tᵏ, is it to 1e-8
     ln_tail = special.log_ndtr(-z) + math.log(2.0)
-    leading = (
-        special.gammaln(count + 1) - special.gammaln(k + 1) - special.gammaln(count - k + 1) + k * ln_tail
-    )
+    leading = special.gammaln(count + 1) - special.gammaln(k + 1) - special.gammaln(count - k + 1) + k * ln_tail
     far = ln_tail < math.log(1e-9)
     near = rank_probability(np.where(far, 0.0, z), np.full(len(z), count), k)
     return -np.where(far, leading, np.log(near)) / _LN_10

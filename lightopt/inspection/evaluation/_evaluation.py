@@ -89,9 +89,7 @@ class SetEvaluation:
     name: str = ""
 
 
-def evaluate_set(
-    image_set: ImageSet, result: InspectionResult, *, known: Sequence[PlacedDefect]
-) -> SetEvaluation:
+def evaluate_set(image_set: ImageSet, result: InspectionResult, *, known: Sequence[PlacedDefect]) -> SetEvaluation:
     """Compare an inspection with the labels of its images, or with `known` defects where these have none.
 
     Raises InputError: labels are missing, or they are those of images of another size.
@@ -256,9 +254,7 @@ def fit_detection_curve(sizes: Sequence[float], found: Sequence[bool]) -> Detect
     def best_at(place: float) -> tuple[float, float]:
         # the steepness that suits, and its likelihood
         answer = optimize.minimize_scalar(
-            lambda s: -likelihood(place, math.exp(s)),
-            bounds=(math.log(1e-2), math.log(STEEPEST)),
-            method="bounded",
+            lambda s: -likelihood(place, math.exp(s)), bounds=(math.log(1e-2), math.log(STEEPEST)), method="bounded"
         )
         return math.exp(float(answer.x)), -float(answer.fun)  # pyright: ignore[reportAttributeAccessIssue]
 

@@ -96,8 +96,7 @@ def _part_file_source(part: PartConfig, name: str) -> TruthSource:
     if part.defects:
         return TruthSource(part)
     return TruthSource(
-        part,
-        warnings=(f"ground truth: {name}, by which it was taken, names no defects: held to be a good part",),
+        part, warnings=(f"ground truth: {name}, by which it was taken, names no defects: held to be a good part",)
     )
 
 
@@ -117,9 +116,7 @@ class TrueLabels:
     source: Literal["images", "part file", "no defects"]
 
 
-def true_labels(
-    image_set: ImageSet, result: InspectionResult, *, known: Sequence[PlacedDefect]
-) -> TrueLabels:
+def true_labels(image_set: ImageSet, result: InspectionResult, *, known: Sequence[PlacedDefect]) -> TrueLabels:
     """The labels of a set; of one without labels those of known defects where the inspection found the part.
 
     known: defects of the part, in the frame of the inspection's nominal scene (:func:`lightopt.scene.place_defects`);

@@ -134,9 +134,7 @@ def _largest_nearby(gradients: Float32) -> Float32:
 
 
 @kernel
-def _average_supported(
-    gradients: Float32, noise: Float32, usable: Bool, first: int, top: int, fused: Float64
-) -> None:
+def _average_supported(gradients: Float32, noise: Float32, usable: Bool, first: int, top: int, fused: Float64) -> None:
     # fused rows of edges from `top` on, given the gradients from `first` on
     images, _, width = gradients.shape
     nearby = _largest_nearby(gradients)

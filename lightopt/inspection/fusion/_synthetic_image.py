@@ -13,12 +13,7 @@ from scipy import ndimage
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.threads import in_threads
 from lightopt.inspection._image_blocks import filter_tile, gaussian_taps, in_row_blocks, mask_window
-from lightopt.inspection.fusion._gradient_fusion import (
-    FusedGradients,
-    Fusion,
-    FusionRule,
-    fuse_with_prediction,
-)
+from lightopt.inspection.fusion._gradient_fusion import FusedGradients, Fusion, FusionRule, fuse_with_prediction
 from lightopt.inspection.fusion._pixel_weights import pixel_weights
 from lightopt.inspection.fusion._poisson import poisson_grid
 from lightopt.inspection.prediction._posture_view import PostureView
@@ -67,9 +62,7 @@ def synthetic_image(
     view: PostureView, fusion: Fusion, *, probes: int = PROBES, threads: int | None = None
 ) -> SyntheticImage:
     """The image of a posture without highlights; `fusion` and `probes` as :func:`fuse_images` takes them."""
-    weights = pixel_weights(
-        view.saturated, view.predicted, view.specular, view.deviation, view.limit, threads=threads
-    )
+    weights = pixel_weights(view.saturated, view.predicted, view.specular, view.deviation, view.limit, threads=threads)
     return fuse_images(
         view.level,
         view.deviation,
@@ -112,9 +105,7 @@ def fuse_images(
         off without.
     probes: How many times noise is added to find the uncertainty; 0 for an uncertainty of 0.
     """
-    rows, columns = (
-        slice(max(0, side.start - MARGIN_PX), side.stop + MARGIN_PX) for side in mask_window(mask)
-    )
+    rows, columns = (slice(max(0, side.start - MARGIN_PX), side.stop + MARGIN_PX) for side in mask_window(mask))
     box = (slice(None), rows, columns)
     inner = _fuse(
         levels[box],
@@ -215,9 +206,7 @@ def _typical_size(gradient: Float64, unknown: Bool) -> Float32:
     known = ~unknown
     square = np.where(known, np.square(gradient), 0.0)
     typical = math.sqrt(float(square.sum()) / max(float(known.sum()), 1.0))
-    shares, squares = (
-        ndimage.gaussian_filter(_in_blocks(values), PRIOR_PX / BLOCK_PX) for values in (known, square)
-    )
+    shares, squares = (ndimage.gaussian_filter(_in_blocks(values), PRIOR_PX / BLOCK_PX) for values in (known, square))
     prior = np.where(shares > 1e-3, np.sqrt(squares / np.maximum(shares, 1e-3)), typical).astype(np.float32)
     rows, columns = gradient.shape
     return prior.repeat(BLOCK_PX, axis=0).repeat(BLOCK_PX, axis=1)[:rows, :columns]

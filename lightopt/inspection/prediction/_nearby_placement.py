@@ -15,14 +15,7 @@ from lightopt.core.arrays import Bool, Float32, Float64, Index
 from lightopt.core.kernels import kernel
 from lightopt.core.least_squares import Limits, linear_problem, solve
 from lightopt.core.transforms import Posture, rotation_z
-from lightopt.estimate.registration import (
-    DARK_SPREAD,
-    GAIN_SPREAD,
-    Observation,
-    Placement,
-    PoseFrame,
-    view_of_placed,
-)
+from lightopt.estimate.registration import DARK_SPREAD, GAIN_SPREAD, Observation, Placement, PoseFrame, view_of_placed
 from lightopt.geometry import RayCaster
 from lightopt.inspection._image_blocks import in_image_blocks, mask_window
 from lightopt.inspection.prediction._predict import Prediction
@@ -213,11 +206,7 @@ class PlacementOffset:
 
 
 def sample_pixels(
-    scene: Scene,
-    placement: Placement,
-    prediction: Prediction,
-    derivatives: PlacementDerivatives | None,
-    light: str,
+    scene: Scene, placement: Placement, prediction: Prediction, derivatives: PlacementDerivatives | None, light: str
 ) -> PixelSample:
     """The pixels of a light's image to fit the offset to; `derivatives` are None where they are not rendered yet."""
     number = [image.light for image in prediction.images.lights].index(light)
@@ -242,9 +231,7 @@ def sample_pixels(
     return PixelSample(pixel, steep[index], level.ravel()[pixel].astype(np.float64), slope.astype(np.float64))
 
 
-def _image_shifts(
-    scene: Scene, placement: Placement, prediction: Prediction, pixel: Index
-) -> tuple[Float64, Float64]:
+def _image_shifts(scene: Scene, placement: Placement, prediction: Prediction, pixel: Index) -> tuple[Float64, Float64]:
     # columns and rows that the surface at pixels moves by per step in x, y and rotation, each of shape (n, 3)
     posture = prediction.images.posture
     view = view_from_part(scene, posture)

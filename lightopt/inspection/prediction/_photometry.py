@@ -113,9 +113,7 @@ def _above_black(
     return model, level, bottom, bottom + sensor.saturated_from
 
 
-def _sample(
-    scene: Scene, o: Observation, predicted: Float32, clean: Bool
-) -> tuple[Float64, Float64, Float64]:
+def _sample(scene: Scene, o: Observation, predicted: Float32, clean: Bool) -> tuple[Float64, Float64, Float64]:
     # predicted and measured levels above black and the noise, at pixels that are neither black nor full
     model, level, _, top = _above_black(scene, o, predicted, some_pixels(clean & ~o.saturated))
     noise = np.sqrt(scene.sensor.noise_variance(model, frames=o.frames))

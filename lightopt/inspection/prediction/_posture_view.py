@@ -71,12 +71,7 @@ class PostureView:
 
 
 def posture_view(
-    scene: Scene,
-    observations: Sequence[Observation],
-    prediction: Prediction,
-    *,
-    where: str,
-    threads: int | None = None,
+    scene: Scene, observations: Sequence[Observation], prediction: Prediction, *, where: str, threads: int | None = None
 ) -> PostureView:
     """Compare the images of one posture with its prediction: fit gains and dark level, merge exposures.
 
@@ -92,9 +87,7 @@ def posture_view(
             "shorter exposure or less light"
         )
     images = {image.light: image.level for image in prediction.images.lights}
-    photometry = fit_photometry(
-        observations, [images[o.light] for o in observations], clean, scene, threads=threads
-    )
+    photometry = fit_photometry(observations, [images[o.light] for o in observations], clean, scene, threads=threads)
     lights = tuple(name for name in images if any(o.light == name for o in observations))
     shape = len(lights), *clean.shape
     arrays: dict[str, Any] = {

@@ -113,12 +113,7 @@ class PredictionCache:
             for key in keys.values():
                 if key not in self.derivatives:
                     self.derivatives[key] = placement_derivatives(
-                        scene,
-                        self.placement,
-                        key[0],
-                        self.rendered[key],
-                        self._caster(scene),
-                        threads=threads,
+                        scene, self.placement, key[0], self.rendered[key], self._caster(scene), threads=threads
                     )
         found, misfit = self._fit(scene, observations, keys, moves=True)
         if not found.near or misfit > TIGHT * self.misfit:
@@ -159,9 +154,7 @@ class PredictionCache:
             derivatives = self.derivatives.get(key)
             mine = key, o.light, derivatives is not None
             if mine not in self.samples:
-                self.samples[mine] = sample_pixels(
-                    scene, self.placement, self.rendered[key], derivatives, o.light
-                )
+                self.samples[mine] = sample_pixels(scene, self.placement, self.rendered[key], derivatives, o.light)
             samples.append(self.samples[mine])
         return fit_placement_offset(scene, self.placement, observations, samples, moves=moves)
 

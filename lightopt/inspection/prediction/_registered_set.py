@@ -51,13 +51,7 @@ class RegisteredSet:
 
 
 def register_set(
-    rig: RigConfig,
-    part: PartConfig,
-    image_set: ImageSet,
-    *,
-    register: bool,
-    cache: PredictionCache,
-    run: RunContext,
+    rig: RigConfig, part: PartConfig, image_set: ImageSet, *, register: bool, cache: PredictionCache, run: RunContext
 ) -> RegisteredSet:
     """Find the part of a set, and predict the good part for its images; takes what :func:`inspect_set` takes."""
     threads = run.threads
@@ -113,12 +107,7 @@ def register_part(
 
 
 def _find(
-    nominal: Scene,
-    observations: Sequence[Observation],
-    cache: PredictionCache,
-    run: RunContext,
-    *,
-    register: bool,
+    nominal: Scene, observations: Sequence[Observation], cache: PredictionCache, run: RunContext, *, register: bool
 ) -> tuple[Scene, Placement, Float64 | None]:
     # the scene to predict with, where the part lies, and its offset from that scene in steps of the derivatives
     if not register:
@@ -133,10 +122,7 @@ def _find(
 
 
 def _exposures_by_light(observations: Sequence[Observation], lights: Sequence[str]) -> ExposuresByLight:
-    return {
-        light: tuple(sorted((o.exposure, o.frames) for o in observations if o.light == light))
-        for light in lights
-    }
+    return {light: tuple(sorted((o.exposure, o.frames) for o in observations if o.light == light)) for light in lights}
 
 
 def exposures_text(exposures: ExposuresByLight) -> str:
@@ -145,9 +131,7 @@ def exposures_text(exposures: ExposuresByLight) -> str:
     def one(exposure: float, frames: int) -> str:
         return f"×{exposure:g}" + (f" of {frames} frames" if frames > 1 else "")
 
-    return "; ".join(
-        f"{light} {', '.join(one(*shot) for shot in images)}" for light, images in exposures.items()
-    )
+    return "; ".join(f"{light} {', '.join(one(*shot) for shot in images)}" for light, images in exposures.items())
 
 
 def world_to_mesh_file(

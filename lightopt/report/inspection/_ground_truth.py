@@ -38,8 +38,7 @@ def truth_blocks(summary: Mapping[str, Any]) -> list[Block]:
     recall = Table(
         header=["kind", "size [mm]", "defects", "found"],
         rows=[
-            [row["kind"], f"{row['size_mm']:g}", str(row["defects"]), str(row["found"])]
-            for row in summary["recall"]
+            [row["kind"], f"{row['size_mm']:g}", str(row["defects"]), str(row["found"])] for row in summary["recall"]
         ],
         caption="Size is the square root of length times width.",
     )
@@ -60,16 +59,11 @@ def _chart(summary: Mapping[str, Any]) -> Block:
     each: Sequence[Mapping[str, Any]] = summary["each"]
     curves = {kind: c for kind, c in summary["detection"].items() if c["steepness"] is not None}
     if not curves or not each:
-        return Note(
-            text="No curve of detection: too few defects, or hits and misses that do not rise with size."
-        )
+        return Note(text="No curve of detection: too few defects, or hits and misses that do not rise with size.")
     sizes = np.array([one["size_mm"] for one in each], np.float64)
     x = np.geomspace(sizes.min() / MARGIN, sizes.max() * MARGIN, POINTS)
     figure, (panel,) = chart(
-        title="Probability of detection",
-        x_label="size of the defect [mm]",
-        labels=["found: 1, missed: 0"],
-        log_x=True,
+        title="Probability of detection", x_label="size of the defect [mm]", labels=["found: 1, missed: 0"], log_x=True
     )
     panel.plot(sizes, [float(one["found"]) for one in each], "o", color=SOFT)
     for (kind, curve), colour in zip(curves.items(), itertools.cycle(LINE_COLOURS)):

@@ -77,9 +77,7 @@ def overlay_image(
         left, top, right, bottom = (enlarge * side for side in detection.box_px)
         m = BOX_MARGIN_PX * enlarge
         draw.rectangle(
-            [left - m, top - m, right + m - 1, bottom + m - 1],
-            outline=KIND_COLOURS[defect.best.kind],
-            width=line,
+            [left - m, top - m, right + m - 1, bottom + m - 1], outline=KIND_COLOURS[defect.best.kind], width=line
         )
         number = str(defect.number)
         draw.text(
@@ -177,11 +175,7 @@ def _small(image: Image.Image, limit: int) -> bytes:
 
 
 PART_COLOUR = "#c9ced6"
-WORDS: Final[Mapping[Kind, str]] = {
-    "shape": "shape",
-    "stain": "stain",
-    "unknown": "shape or stain: could not be told",
-}
+WORDS: Final[Mapping[Kind, str]] = {"shape": "shape", "stain": "stain", "unknown": "shape or stain: could not be told"}
 
 LEAST_SHARE = 0.015
 """A ball's radius is at least this share of the part's size, so that the smallest defect is seen from afar."""
@@ -237,8 +231,7 @@ def _ball() -> tuple[Float64, Int32]:
     down = np.linspace(0.0, math.pi, RINGS + 1)[:, None]
     around = np.linspace(0.0, 2.0 * math.pi, SECTORS, endpoint=False)[None, :]
     points = np.stack(
-        np.broadcast_arrays(np.sin(down) * np.cos(around), np.sin(down) * np.sin(around), np.cos(down)),
-        axis=-1,
+        np.broadcast_arrays(np.sin(down) * np.cos(around), np.sin(down) * np.sin(around), np.cos(down)), axis=-1
     ).reshape(-1, 3)
     ring, sector = (a.ravel() for a in np.meshgrid(np.arange(RINGS), np.arange(SECTORS), indexing="ij"))
     after = (sector + 1) % SECTORS

@@ -55,15 +55,7 @@ def surface_table(result: InspectionResult) -> Table:
     if len(rows) > 1 or gap:
         rows.append(row("all postures", every, every.missing))
     header = ["posture", "seen [mm²]", "inspected", *(f"from {100.0 * c:g} %" for c in CONTRASTS)]
-    header += [
-        "stronger",
-        "glints",
-        "edges",
-        "saturated",
-        "in shadow",
-        *(["no images"] if gap else []),
-        "left out",
-    ]
+    header += ["stronger", "glints", "edges", "saturated", "in shadow", *(["no images"] if gap else []), "left out"]
     return Table(header=header, rows=rows, caption=" ".join(surface_notes(result)))
 
 

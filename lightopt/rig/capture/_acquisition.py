@@ -52,13 +52,7 @@ class AcquisitionEngine:
     """
 
     def __init__(
-        self,
-        devices: Devices,
-        plan: CapturePlan,
-        *,
-        sensor: Sensor,
-        identities: dict[str, Any],
-        timing: Timing,
+        self, devices: Devices, plan: CapturePlan, *, sensor: Sensor, identities: dict[str, Any], timing: Timing
     ) -> None:
         _check_exposures(devices, plan)
         self.devices = devices

@@ -84,9 +84,7 @@ def capture(
             if connect is not None:
                 opened = connect(plan)
             else:
-                opened = connect_devices(
-                    rig, plan.wiring, part=part, plan=plan, serial_log=serial_log, run=run
-                )
+                opened = connect_devices(rig, plan.wiring, part=part, plan=plan, serial_log=serial_log, run=run)
             devices = safe.enter_context(opened)
             _check_camera(devices.camera, rig)
             return devices

@@ -36,14 +36,7 @@ from lightopt.scene import Scene, build_scene
 
 
 def open_set(
-    folder: Path,
-    rig: RigConfig,
-    part: PartConfig,
-    scene: Scene,
-    plan: CapturePlan,
-    *,
-    resume: bool,
-    force: bool,
+    folder: Path, rig: RigConfig, part: PartConfig, scene: Scene, plan: CapturePlan, *, resume: bool, force: bool
 ) -> CapturedSet:
     """Begin a captured set, or continue one; a set without any image is begun anew.
 
@@ -204,11 +197,7 @@ class CapturedSet:
             self.writer.add_extra(EVENTS_KEY, [*before, *events])
 
     def add_linear(
-        self,
-        light: str,
-        posture: Posture,
-        captured: Mapping[float, ExposureImage],
-        dark: Mapping[float, Float32],
+        self, light: str, posture: Posture, captured: Mapping[float, ExposureImage], dark: Mapping[float, Float32]
     ) -> None:
         """Merge the exposures of a light, those of this run and those on disk, and write the linear image."""
         images = [

@@ -231,12 +231,7 @@ def _events(drivers: list[Any]) -> list[Event]:
 
 
 def _open_rig_camera(
-    rig: RigConfig,
-    wiring: Wiring,
-    *,
-    replay: FolderCamera | None,
-    bench: BenchProcess | None,
-    log: SerialLog,
+    rig: RigConfig, wiring: Wiring, *, replay: FolderCamera | None, bench: BenchProcess | None, log: SerialLog
 ) -> Camera:
     """Open the camera with the rig's settings; no frame is taken."""
     if replay is not None:

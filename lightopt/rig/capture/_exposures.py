@@ -133,11 +133,7 @@ def exposure_mismatch(
 
 
 def merge_exposures(
-    images: Sequence[ExposureImage],
-    *,
-    sensor: Sensor,
-    full_scale: float,
-    dark: Sequence[Float32] | None = None,
+    images: Sequence[ExposureImage], *, sensor: Sensor, full_scale: float, dark: Sequence[Float32] | None = None
 ) -> dict[str, Float32]:
     """The linear image of a light: every pixel from the longest exposure in which it is not saturated.
 

@@ -80,10 +80,7 @@ class LightCheck:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
-        facts: dict[str, Any] = {
-            "brightness": round(self.brightness, 4),
-            "resemblance": round(self.resemblance, 4),
-        }
+        facts: dict[str, Any] = {"brightness": round(self.brightness, 4), "resemblance": round(self.resemblance, 4)}
         if self.next_best is not None:
             light, resemblance = self.next_best
             facts["next_best"] = {"light": light, "resemblance": round(resemblance, 4)}
@@ -176,9 +173,7 @@ def check_light(
         )
     elif best is not None and best[1] > own - CLEARLY_MORE:
         undecided = f"{light} and {best[0]} make images that look alike"
-    return LightCheck(
-        problem=problem, brightness=brightness, resemblance=own, next_best=best, undecided=undecided
-    )
+    return LightCheck(problem=problem, brightness=brightness, resemblance=own, next_best=best, undecided=undecided)
 
 
 def find_light_left_on(

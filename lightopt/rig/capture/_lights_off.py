@@ -129,9 +129,7 @@ def lights_on(wiring: Wiring, channels: Mapping[str, Iterable[int]]) -> list[str
     """Names of the rig's lights on some channels of controllers."""
     wanted = {(name, number) for name, numbers in channels.items() for number in numbers}
     return [
-        light
-        for light, channel in wiring.hardware.lights.items()
-        if (channel.controller, channel.channel) in wanted
+        light for light, channel in wiring.hardware.lights.items() if (channel.controller, channel.channel) in wanted
     ]
 
 
@@ -143,9 +141,7 @@ class SwitchedOff:
     unverified: tuple[str, ...] = ()
 
 
-def switch_off(
-    lights: LightsOnly, *, serial_log: Path | None = None, run: RunContext | None = None
-) -> SwitchedOff:
+def switch_off(lights: LightsOnly, *, serial_log: Path | None = None, run: RunContext | None = None) -> SwitchedOff:
     """Darken every channel of every controller, no controller waiting for another; stage and camera are left alone.
 
     `lights` are the rig's, as far as its file can be read. `serial_log` gets every byte on the wires, `run` warnings
@@ -179,9 +175,7 @@ def switch_off(
             )
             problems |= done.problems
             may_be_on += done.may_be_on
-            unverified += [
-                name for name, controller in done.controllers.items() if _cannot_read_back(controller)
-            ]
+            unverified += [name for name, controller in done.controllers.items() if _cannot_read_back(controller)]
     dark = SwitchedOff(tuple(name for name in names if name not in problems), tuple(unverified))
     if problems or lights.unreadable or lights.lights_unknown:
         unknown = [name for name in lights.lights_unknown if name not in may_be_on]

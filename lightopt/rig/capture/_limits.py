@@ -61,9 +61,7 @@ def exposure_problems(rig: RigConfig, wiring: Wiring, exposures: tuple[float, ..
             )
 
 
-def light_problems(
-    rig: RigConfig, wiring: Wiring, lights: Iterable[str], *, on_s: float, taken: str
-) -> Iterator[str]:
+def light_problems(rig: RigConfig, wiring: Wiring, lights: Iterable[str], *, on_s: float, taken: str) -> Iterator[str]:
     """Lights above their highest level, or that would be on longer at a stretch [s] than they may for what is taken."""
     for name in lights:
         channel, top = wiring.light(name), wiring.top_level(name)
@@ -83,9 +81,7 @@ def check_level(wiring: Wiring, rig: RigConfig, name: str, level: int | None) ->
     Raises InputError for a light that the rig does not have, or a level above what its channel may have.
     """
     if name not in wiring.hardware.lights:
-        raise InputError(
-            f'no light "{name}" in {rig.source.path}; it has {", ".join(wiring.hardware.lights)}'
-        )
+        raise InputError(f'no light "{name}" in {rig.source.path}; it has {", ".join(wiring.hardware.lights)}')
     requested = wiring.light(name).level if level is None else level
     top = wiring.top_level(name)
     if not 1 <= requested <= top:

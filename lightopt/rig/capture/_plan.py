@@ -196,9 +196,7 @@ class CapturePlan:
 
     def _expose(self, posture: Posture, light: str | None, exposure: float) -> PlanStep:
         frames = f"{self.options.average} × " if self.options.average > 1 else ""
-        what = (
-            f"{light or 'dark'} {posture} {frames}{self.exposure_us(exposure):g} µs (exposure {exposure:g})"
-        )
+        what = f"{light or 'dark'} {posture} {frames}{self.exposure_us(exposure):g} µs (exposure {exposure:g})"
         return PlanStep("expose", what, self.frames_s(exposure), posture, light, exposure)
 
     @property
@@ -234,9 +232,7 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
     known = [light.name for light in rig.lights]
     lights = options.lights or tuple(known)
     problems = [
-        f'no light "{name}" in {rig.source.path}; it has {", ".join(known)}'
-        for name in lights
-        if name not in known
+        f'no light "{name}" in {rig.source.path}; it has {", ".join(known)}' for name in lights if name not in known
     ]
     problems += posture_problems(rig, part, wiring, options.postures)
     if options.check_repeatability and (wiring.hardware.stage is None or len(postures) < 2):

@@ -88,10 +88,7 @@ class Repeatability:
 
     def as_dict(self) -> dict[str, float | bool]:
         """JSON form."""
-        return {
-            name: value if isinstance(value, bool) else float(f"{value:.3g}")
-            for name, value in vars(self).items()
-        }
+        return {name: value if isinstance(value, bool) else float(f"{value:.3g}") for name, value in vars(self).items()}
 
 
 def measure_repeatability(
@@ -132,9 +129,7 @@ def measure_repeatability(
     if typical < 3.0 * max(1.0, scene.sensor.read_noise_levels):
         return None  # too dark for any conclusion
     usable &= np.maximum(above, after - black) < HIGHLIGHT * max(typical, share * float(predicted.max()))
-    slopes = [
-        share * (more.levels[light] - less.levels[light])[usable] / (2.0 * STEP_DEG) for more, less in sides
-    ]
+    slopes = [share * (more.levels[light] - less.levels[light])[usable] / (2.0 * STEP_DEG) for more, less in sides]
     # the lamp may have become a little brighter or darker meanwhile
     columns = np.stack([*slopes, above[usable], np.ones(int(usable.sum()))], axis=1)
     # a few edges, which are steep and nowhere just where they were predicted, would outweigh all the rest

@@ -14,15 +14,7 @@ from lightopt.rig.capture._lights_off import NONE_OF_THE_RIG, lights_on
 from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._watchdog import LightWatchdog
 from lightopt.rig.capture._wiring import VIRTUAL, Wiring
-from lightopt.rig.devices import (
-    Camera,
-    Event,
-    LightController,
-    LightsStillOnError,
-    Stage,
-    StageState,
-    all_off,
-)
+from lightopt.rig.devices import Camera, Event, LightController, LightsStillOnError, Stage, StageState, all_off
 
 
 class Devices:
@@ -127,9 +119,7 @@ class Devices:
         controller = self.controllers[channel.controller]
         requested = channel.level if level is None else level
         if channel.max_level is not None and requested > channel.max_level:
-            raise InputError(
-                f"{name}: level {requested} is above its max_level {channel.max_level}; nothing was sent"
-            )
+            raise InputError(f"{name}: level {requested} is above its max_level {channel.max_level}; nothing was sent")
         if channel.max_on_s is not None:
             self._watchdog.start(name, channel.max_on_s)
         self._lit.add(name)

@@ -35,14 +35,7 @@ class CaptureSession:
     `taken` is the number of images that it has taken so far, `warnings` those for the manifest.
     """
 
-    def __init__(
-        self,
-        plan: CapturePlan,
-        scene: Scene,
-        records: CapturedSet,
-        timing: Timing,
-        run: RunContext,
-    ) -> None:
+    def __init__(self, plan: CapturePlan, scene: Scene, records: CapturedSet, timing: Timing, run: RunContext) -> None:
         self._plan = plan
         self._scene = scene
         self._records = records
@@ -110,8 +103,7 @@ class CaptureSession:
         return tuple(
             task
             for task in self._plan.tasks
-            if self._records.todo(task)
-            or any(not self._records.has_dark(task.posture, e) for e in task.dark_exposures)
+            if self._records.todo(task) or any(not self._records.has_dark(task.posture, e) for e in task.dark_exposures)
         )
 
     def execute(self, devices: Devices) -> None:
@@ -149,9 +141,7 @@ class CaptureSession:
         acquired = self._expose(task, exposure, light=light, rest=(exposure,))
         engine.light_off()
         engine.devices.step = f"comparing the images of {posture}"
-        found = measure_repeatability(
-            first, acquired.image.mean, light=light, posture=posture, scene=self._scene
-        )
+        found = measure_repeatability(first, acquired.image.mean, light=light, posture=posture, scene=self._scene)
         prefix = f"came back to {posture}: "
         if found is None:
             self.warn(f"{prefix}{light} shows too little of the part to detect lost steps")
@@ -179,9 +169,7 @@ class CaptureSession:
             if self._devices is None:
                 raise
             first, *others = error.messages
-            raise HardwareError(
-                f"while completing the manifest: {first}", *others, "all lights are off"
-            ) from error
+            raise HardwareError(f"while completing the manifest: {first}", *others, "all lights are off") from error
 
     def _record_events(self) -> None:
         """Write irregularities on the links that are not in the entry of an image to the manifest."""
@@ -200,9 +188,7 @@ class CaptureSession:
                 if failed:
                     self._writer.cancel_linears()
                 if not self._writer.wait_idle(DISK_WARNING_S):
-                    self._run.warn(
-                        f"{lights}waiting for the disk to take what was exposed; Ctrl-C waits for it, too"
-                    )
+                    self._run.warn(f"{lights}waiting for the disk to take what was exposed; Ctrl-C waits for it, too")
                 self._writer.close()
                 if self._started is not None:
                     self._started.close()

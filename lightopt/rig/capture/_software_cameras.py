@@ -60,9 +60,7 @@ class FolderCamera:
 
     def identify(self) -> Identity:
         """The folder, and the kind of its set."""
-        return Identity(
-            driver="folder", port=str(self._set.folder), details={"kind": self._set.manifest.kind}
-        )
+        return Identity(driver="folder", port=str(self._set.folder), details={"kind": self._set.manifest.kind})
 
     def set_exposure(self, exposure_us: float) -> float:
         """Hold what the set's camera held of it, or any other; whether the set has it is known at the frame."""
@@ -84,9 +82,7 @@ class FolderCamera:
                 raise HardwareError(problem)
             levels = self._black()
         else:
-            name = (
-                dark_name(posture, exposure) if light is None else self._entries[light, posture, exposure].png
-            )
+            name = dark_name(posture, exposure) if light is None else self._entries[light, posture, exposure].png
             try:
                 levels = read_png(self._set.path(name or ""))
             except InputError as error:
@@ -137,9 +133,7 @@ class VirtualCamera:
     def set_exposure(self, exposure_us: float) -> float:
         low, high = EXPOSURE_RANGE_US
         if not low <= exposure_us <= high:
-            raise InputError(
-                f"camera: expected an exposure of {low:g} to {high:g} µs, found {exposure_us:g} µs"
-            )
+            raise InputError(f"camera: expected an exposure of {low:g} to {high:g} µs, found {exposure_us:g} µs")
         self._exposure_us = float(round(exposure_us))
         return self._exposure_us
 

@@ -83,13 +83,10 @@ def _stage(rig: RigConfig, wiring: Wiring) -> dict[str, Any]:
     speeds = {axis.axis: axis.speed_deg_per_s * abs(axis.steps_per_deg) for axis, _ in axes}
     options: dict[str, Any] = {"home_speed": max(speeds.values())}
     ends = {
-        axis.axis: sorted(axis.zero + angle * axis.steps_per_deg for angle in range_deg)
-        for axis, range_deg in axes
+        axis.axis: sorted(axis.zero + angle * axis.steps_per_deg for angle in range_deg) for axis, range_deg in axes
     }
     if stage.driver == "zaber":
-        options["limits"] = {
-            name: [int(min(0, low)) - 1, int(high) + 1] for name, (low, high) in ends.items()
-        }
+        options["limits"] = {name: [int(min(0, low)) - 1, int(high) + 1] for name, (low, high) in ends.items()}
     if stage.driver == "grbl":
         numbers = {"X": 0, "Y": 1, "Z": 2}
         settings: dict[str, float] = {"22": 1.0}

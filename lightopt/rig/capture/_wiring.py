@@ -88,9 +88,7 @@ def wiring_of(rig: RigConfig) -> Wiring:
         controllers.setdefault(name, ControllerConfig(driver="ccs", port=VIRTUAL, channels=_CHANNELS_EACH))
         channel = i % _CHANNELS_EACH + 1
         lights[light.name] = ChannelConfig(controller=name, channel=channel, level=_VIRTUAL_LEVEL)
-    stage = StageDeviceConfig(
-        driver="shot", port=VIRTUAL, elevation=_VIRTUAL_TILT, rotation=_VIRTUAL_ROTATION
-    )
+    stage = StageDeviceConfig(driver="shot", port=VIRTUAL, elevation=_VIRTUAL_TILT, rotation=_VIRTUAL_ROTATION)
     camera = CameraDeviceConfig(driver="virtual")
     hardware = HardwareConfig(controllers=controllers, lights=lights, stage=stage, camera=camera)
     return Wiring(hardware, given=False, exposure_us=exposure_us)

@@ -19,13 +19,7 @@ from lightopt.rig.devices._drivers import (
     open_camera,
     open_stage,
 )
-from lightopt.rig.devices._light import (
-    LightController,
-    LightSettings,
-    LightsStillOnError,
-    all_off,
-    run_in_parallel,
-)
+from lightopt.rig.devices._light import LightController, LightSettings, LightsStillOnError, all_off, run_in_parallel
 from lightopt.rig.devices._retry import frame_limit_s
 from lightopt.rig.devices._roles import Camera, Frame, Identity
 from lightopt.rig.devices._serial_log import Event, SerialLog

@@ -7,13 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from lightopt.core.errors import HardwareError, LightoptError
-from lightopt.rig.devices._camera_features import (
-    ExposureTime,
-    set_gain,
-    set_image,
-    set_trigger,
-    switch_off_corrections,
-)
+from lightopt.rig.devices._camera_features import ExposureTime, set_gain, set_image, set_trigger, switch_off_corrections
 from lightopt.rig.devices._camera_pixels import levels_of
 from lightopt.rig.devices._camera_sdk import CameraSdk, CameraSettings, RawFrame
 from lightopt.rig.devices._retry import ATTEMPTS, ReplyError, Retry

@@ -59,9 +59,7 @@ class AravisSdk:
         self._where = settings.where
         self._lost: str | None = None
         self._stream: Any = None
-        self._camera: Any = self._try(
-            f"opening {chosen}", lambda: self._library.Camera.new(chosen.identifier)
-        )
+        self._camera: Any = self._try(f"opening {chosen}", lambda: self._library.Camera.new(chosen.identifier))
         self._device: Any = self._camera.get_device()
         known = {"model": chosen.model, "serial": chosen.serial, "address": chosen.address}
         self.details = {name: value for name, value in known.items() if value}

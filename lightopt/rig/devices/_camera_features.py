@@ -42,10 +42,7 @@ def set_image(sdk: CameraSdk, settings: CameraSettings) -> PixelFormat:
     """Set the pixel format, and size and place of the image on the sensor; returns the format."""
     where = settings.where
     chosen = choose_format(
-        sdk.entries("PixelFormat"),
-        bit_depth=settings.bit_depth,
-        wanted=settings.pixel_format,
-        where=where,
+        sdk.entries("PixelFormat"), bit_depth=settings.bit_depth, wanted=settings.pixel_format, where=where
     )
     _choose(sdk, where, "PixelFormat", chosen.name)
     moves = sdk.has("OffsetX") and sdk.has("OffsetY")
@@ -82,9 +79,7 @@ def set_gain(sdk: CameraSdk, settings: CameraSettings) -> str | None:
         raise InputError(f"{settings.where}: this camera has no gain to be set; leave out gain")
     low, high, step = sdk.bounds(feature)
     if not low <= gain <= high:
-        raise InputError(
-            f"{settings.where}: expected a gain of {low:g} to {high:g} ({feature}), found {gain:g}"
-        )
+        raise InputError(f"{settings.where}: expected a gain of {low:g} to {high:g} ({feature}), found {gain:g}")
     sdk.set_number(feature, gain)
     held = sdk.number(feature)
     if abs(held - gain) > max(step, 0.01 * abs(gain), 0.1):
@@ -185,9 +180,7 @@ class ExposureTime:
         """Set the exposure time [µs] and return what the camera then holds; out of range is an InputError."""
         low, high = self.range_us
         if not low * (1 - _TOLERANCE) <= exposure_us <= high * (1 + _TOLERANCE):
-            raise InputError(
-                f"{self._where}: expected an exposure of {low:g} to {high:g} µs, found {exposure_us:g} µs"
-            )
+            raise InputError(f"{self._where}: expected an exposure of {low:g} to {high:g} µs, found {exposure_us:g} µs")
         if self._feature is not None:
             self._sdk.set_number(self._feature, min(max(exposure_us, low), high) / self._unit_us)
             self.held_us = self.read_us()

@@ -64,19 +64,13 @@ class GenicamSdk:
                     f"{self._where}: packets are set by the maker's producer; leave out packet_size and packet_delay_ns"
                 )
             chosen = choose_camera(_cameras(self._harvester), settings)
-            self._acquirer = self._try(
-                f"opening {chosen}", lambda: self._harvester.create({"id_": chosen.identifier})
-            )
+            self._acquirer = self._try(f"opening {chosen}", lambda: self._harvester.create({"id_": chosen.identifier}))
             self._acquirer.num_buffers = max(_BUFFERS, self._acquirer.min_num_buffers)
         except BaseException:
             self.close()
             raise
         self._nodes: Any = self._acquirer.remote_device.node_map
-        self.details = {
-            "model": chosen.model,
-            "serial": chosen.serial,
-            "producer": Path(settings.producer or "").name,
-        }
+        self.details = {"model": chosen.model, "serial": chosen.serial, "producer": Path(settings.producer or "").name}
 
     def has(self, feature: str) -> bool:
         if not self._nodes.has_node(feature):

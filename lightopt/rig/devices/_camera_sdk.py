@@ -73,9 +73,7 @@ def choose_camera(here: list[CameraInfo], settings: CameraSettings) -> CameraInf
     return found[0]
 
 
-def offset_of(
-    settings: CameraSettings, *, sensor_px: tuple[int, int], steps_px: tuple[int, int]
-) -> tuple[int, int]:
+def offset_of(settings: CameraSettings, *, sensor_px: tuple[int, int], steps_px: tuple[int, int]) -> tuple[int, int]:
     """Corner of the rig's image on the sensor [pixels], from the left and from the top, in multiples of `steps_px`."""
     size, where = settings.resolution_px, settings.where
     if size[0] > sensor_px[0] or size[1] > sensor_px[1]:

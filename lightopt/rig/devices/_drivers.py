@@ -13,12 +13,7 @@ from pathlib import Path
 from lightopt.core.errors import InputError, LightoptError
 from lightopt.rig.devices._camera import MachineCamera
 from lightopt.rig.devices._camera_aravis import AravisSdk, find_aravis_cameras, load_aravis
-from lightopt.rig.devices._camera_genicam import (
-    GenicamSdk,
-    find_genicam_cameras,
-    find_producers,
-    load_harvester,
-)
+from lightopt.rig.devices._camera_genicam import GenicamSdk, find_genicam_cameras, find_producers, load_harvester
 from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSdk, CameraSettings
 from lightopt.rig.devices._light import LightController, LightSettings
 from lightopt.rig.devices._light_ccs import CcsController
@@ -58,9 +53,7 @@ def stage_drivers() -> dict[str, StageDriver]:
     return {
         "shot": StageDriver(9600, check_shot, lambda link, axes, _: ShotDialogue(link, axes), rtscts=True),
         "gsc": StageDriver(9600, check_gsc, lambda link, axes, _: GscDialogue(link, axes)),
-        "grbl": StageDriver(
-            115200, check_grbl, lambda link, axes, s: GrblDialogue(link, axes, home_timeout_s=s)
-        ),
+        "grbl": StageDriver(115200, check_grbl, lambda link, axes, s: GrblDialogue(link, axes, home_timeout_s=s)),
         "zaber": StageDriver(115200, check_zaber, lambda link, axes, _: ZaberDialogue(link, axes)),
     }
 
@@ -132,9 +125,7 @@ def open_camera(
     Raises InputError when software or camera are not there, or it cannot be configured for the rig.
     Raises HardwareError when it does not answer.
     """
-    return MachineCamera(
-        driver, camera_drivers()[driver](settings), settings, on_event=on_event, wait_ready=wait_ready
-    )
+    return MachineCamera(driver, camera_drivers()[driver](settings), settings, on_event=on_event, wait_ready=wait_ready)
 
 
 def check_camera_driver(driver: str, producer: Path | None) -> None:

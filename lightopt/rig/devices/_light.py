@@ -61,9 +61,7 @@ class LightSettings:
         return {"channels": self.channels, "top_level": self.top_level, "max_levels": self.max_levels}
 
 
-def all_off(
-    controllers: Mapping[str, LightController], *, lit: Mapping[str, Collection[int]] | None = None
-) -> None:
+def all_off(controllers: Mapping[str, LightController], *, lit: Mapping[str, Collection[int]] | None = None) -> None:
     """Darken every channel of every controller, each of them even if others fail; no controller waits for another.
 
     lit: Channels that are known to be lit, by controller: they come first.
@@ -138,12 +136,7 @@ class LightController(ABC):
     """Least time [s] that the controllers ask for between two commands."""
 
     def __init__(
-        self,
-        link: SerialLink,
-        *,
-        channels: int = 4,
-        top_level: int = 255,
-        max_levels: Mapping[int, int] | None = None,
+        self, link: SerialLink, *, channels: int = 4, top_level: int = 255, max_levels: Mapping[int, int] | None = None
     ) -> None:
         self._link = link
         self._channels = channels

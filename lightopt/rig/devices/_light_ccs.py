@@ -98,23 +98,17 @@ class CcsController(LightController):
         if match is None:
             raise self._link.failure("the reply is not a frame", sent=frame, reply=reply, kind=ReplyError)
         if match[5] != _checksum(match[1]):
-            raise self._link.failure(
-                "the reply has a wrong checksum", sent=frame, reply=reply, kind=ReplyError
-            )
+            raise self._link.failure("the reply has a wrong checksum", sent=frame, reply=reply, kind=ReplyError)
         data = match[4].decode("ascii")
         if int(match[2]) != channel - 1:
-            raise self._link.failure(
-                "the reply is for another channel", sent=frame, reply=reply, kind=ReplyError
-            )
+            raise self._link.failure("the reply is for another channel", sent=frame, reply=reply, kind=ReplyError)
         if match[3] == b"N":
             code = data[:2]
             kind = ReplyError if code == _DAMAGED else RefusedError
             problem = _REFUSALS.get(code, f"it refuses (NG {data})")
             raise self._link.failure(problem, sent=frame, reply=reply, kind=kind)
         if re.fullmatch(expected, data) is None:
-            raise self._link.failure(
-                "the reply is to another command", sent=frame, reply=reply, kind=ReplyError
-            )
+            raise self._link.failure("the reply is to another command", sent=frame, reply=reply, kind=ReplyError)
         return data
 
 

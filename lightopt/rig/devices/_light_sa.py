@@ -52,9 +52,7 @@ class SaController(LightController):
     def _set_once(self, frame: bytes, letter: str) -> None:
         reply = self._query(frame, _ACK)
         if reply.decode("ascii", "replace").upper() not in (letter, "A", "!"):
-            raise self._link.failure(
-                "the reply is no acknowledgement", sent=frame, reply=reply, kind=ReplyError
-            )
+            raise self._link.failure("the reply is no acknowledgement", sent=frame, reply=reply, kind=ReplyError)
 
     def _read_once(self, letter: str) -> int:
         frame = f"S{letter}#".encode("ascii")
@@ -68,7 +66,5 @@ class SaController(LightController):
     def _query(self, frame: bytes, end: re.Pattern[bytes]) -> bytes:
         reply = self._link.query(frame, end=end)
         if reply == b"NG":
-            raise self._link.failure(
-                "it refuses the command (NG)", sent=frame, reply=reply, kind=RefusedError
-            )
+            raise self._link.failure("it refuses the command (NG)", sent=frame, reply=reply, kind=RefusedError)
         return reply

@@ -88,9 +88,7 @@ class TemplateController(LightController):
         try:
             return int(digits)
         except ValueError:
-            raise self._link.failure(
-                "the reply's level is no number", reply=digits, kind=ReplyError
-            ) from None
+            raise self._link.failure("the reply's level is no number", reply=digits, kind=ReplyError) from None
 
     def _exchange(self, verb: str, channel: int, level: int) -> dict[str, bytes]:
         """Send a command and match its reply; the pattern's groups."""

@@ -78,9 +78,7 @@ class Retry:
                     self._attempts = 1
                     raise self._exhausted(error, attempt) from None
                 self._link.drain()  # a late reply must not be taken for the reply to the repeated command
-                self._link.note(
-                    f"{self._verb} again ({attempt} of {self._attempts - 1}) after: {error}", retry=True
-                )
+                self._link.note(f"{self._verb} again ({attempt} of {self._attempts - 1}) after: {error}", retry=True)
                 attempt += 1
             else:
                 self._attempts = ATTEMPTS

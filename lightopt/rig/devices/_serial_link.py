@@ -130,18 +130,14 @@ class SerialLink:
             log.write(port, "note", f"opened at {baud} baud for {device}")
         if "://" not in port and baud not in _USUAL_BAUD:
             usual = ", ".join(map(str, _USUAL_BAUD))
-            self.note(
-                f"{device}: {baud} baud is unusual (usual are {usual}); garbage or silence may come of it"
-            )
+            self.note(f"{device}: {baud} baud is unusual (usual are {usual}); garbage or silence may come of it")
 
     @property
     def retries(self) -> int:
         """Number of commands that were sent again."""
         return sum(event.retry for event in self.events)
 
-    def query(
-        self, frame: bytes, *, end: bytes | re.Pattern[bytes] | None, deadline_s: float | None = None
-    ) -> bytes:
+    def query(self, frame: bytes, *, end: bytes | re.Pattern[bytes] | None, deadline_s: float | None = None) -> bytes:
         """Discard pending input, send a frame, and read the reply; see :meth:`read`."""
         with self.lock:
             self.send(frame)
@@ -269,12 +265,7 @@ class SerialLink:
             self._log.note(event)
 
     def failure(
-        self,
-        problem: str,
-        *,
-        sent: bytes = b"",
-        reply: bytes | None = None,
-        kind: type[HardwareError] = HardwareError,
+        self, problem: str, *, sent: bytes = b"", reply: bytes | None = None, kind: type[HardwareError] = HardwareError
     ) -> HardwareError:
         """Error that names device and port, what went wrong, the command, and the reply."""
         command = f"; sent {printable(sent)}" if sent else ""

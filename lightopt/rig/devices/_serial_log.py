@@ -49,9 +49,7 @@ class SerialLog:
             try:
                 self._file = Path(path).open("a", encoding="utf-8", newline="\n")  # noqa: SIM115  (lives as long as the log)
             except OSError as error:
-                raise InputError(
-                    f"{path}: the serial log cannot be written: {error.strerror or error}"
-                ) from None
+                raise InputError(f"{path}: the serial log cannot be written: {error.strerror or error}") from None
 
     def write(self, port: str, direction: str, what: bytes | str, time: str = "") -> None:
         """Append an entry: bytes that went ``out`` or came ``in``, or words as a ``note``."""

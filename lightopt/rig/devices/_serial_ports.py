@@ -62,9 +62,7 @@ def cannot_open(port: str, device: str, error: BaseException) -> LightoptError:
         )
     if port.startswith(_NETWORK):
         if re.fullmatch(r"\w+://[^/]+:\d+.*", port) is None:
-            return InputError(
-                f"{head} names no host and number; expected {port.partition(':')[0]}://host:number"
-            )
+            return InputError(f"{head} names no host and number; expected {port.partition(':')[0]}://host:number")
         return HardwareError(
             f"{head} cannot be reached: {_short(reason)}; check address and network, that the device is on, "
             "and that no other program holds its one connection"

@@ -122,10 +122,7 @@ class Stage:
             if (problem := self._problem(reading)) is not None:
                 raise self._link.failure(f"was not moved: {problem}")
             angles = _angles(posture)
-            targets = {
-                axis.name: axis.target(angles[axis.name], step=self._dialogue.step(axis))
-                for axis in self._axes
-            }
+            targets = {axis.name: axis.target(angles[axis.name], step=self._dialogue.step(axis)) for axis in self._axes}
             self._dialogue.check({axis.device: targets[axis.name] for axis in self._axes})
             far = {
                 axis.device: targets[axis.name]
@@ -137,8 +134,7 @@ class Stage:
                 return self._state(reading)
             self._note_rounding(posture, targets)
             longest_s = max(
-                abs(targets[axis.name] - reading.units[axis.device]) / axis.speed_units()
-                for axis in self._axes
+                abs(targets[axis.name] - reading.units[axis.device]) / axis.speed_units() for axis in self._axes
             )
             try:
                 if not self._prepared:
@@ -254,9 +250,7 @@ class Stage:
             reading = self._dialogue.read()
             now = self._clock.now()
             if reading.alarm is not None:
-                raise self._link.failure(
-                    f"alarm during the move: {reading.alarm}{self._where(reading, targets)}"
-                )
+                raise self._link.failure(f"alarm during the move: {reading.alarm}{self._where(reading, targets)}")
             if reading.moving:
                 still_since = None
                 if now - started > limit_s:

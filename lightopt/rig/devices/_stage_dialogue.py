@@ -83,9 +83,7 @@ class Axis:
         if low - slack <= angle_deg <= high + slack:
             return []
         span = describe_range(self.range_deg)
-        return [
-            f"stage axis {self.name}: {angle_deg:g}° lies outside the rig's range {span}; nothing was moved"
-        ]
+        return [f"stage axis {self.name}: {angle_deg:g}° lies outside the rig's range {span}; nothing was moved"]
 
     def speed_units(self) -> float:
         """Speed in device units per second."""

@@ -220,10 +220,7 @@ class GrblDialogue:
             needed = {20, 22, *(base + i for base in (100, 110, 130) for i in range(3))}
             if missing := needed - set(settings):
                 raise self.link.failure(
-                    f"settings are missing: {sorted(missing)}",
-                    sent=b"$$\n",
-                    reply=b"".join(lines),
-                    kind=ReplyError,
+                    f"settings are missing: {sorted(missing)}", sent=b"$$\n", reply=b"".join(lines), kind=ReplyError
                 )
             if settings.get(13, 0):
                 raise self.link.failure("reports inches; set $13=0", sent=b"$$\n")
@@ -268,9 +265,7 @@ class GrblDialogue:
             if line == b"ok\r\n":
                 return before
             if line.startswith(b"error:"):
-                raise self.link.failure(
-                    f"refused: {describe_error(_code(line, self.link))}", sent=frame, reply=line
-                )
+                raise self.link.failure(f"refused: {describe_error(_code(line, self.link))}", sent=frame, reply=line)
             before.append(line)
 
     def _heard(self, until: float, sent: bytes) -> bytes:

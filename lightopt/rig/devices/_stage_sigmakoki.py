@@ -102,9 +102,7 @@ def parse_status(line: bytes) -> Status:
             raise ValueError(f"expected a position, got {printable(place.encode('ascii', 'replace'))}")
         positions.append(int(match[1] + match[2]))
     if ack1 not in ("K", "X") or ack2 not in ("K", *_LIMITS) or ack3 not in ("B", "R"):
-        raise ValueError(
-            f"expected K or X, K L M or W, B or R, got {printable(','.join(fields[-3:]).encode())}"
-        )
+        raise ValueError(f"expected K or X, K L M or W, B or R, got {printable(','.join(fields[-3:]).encode())}")
     return Status(positions=tuple(positions), accepted=ack1 == "K", limit=_LIMITS.get(ack2), busy=ack3 == "B")
 
 
@@ -262,9 +260,7 @@ class GscDialogue(_SigmakokiDialogue):
     def go(self, targets: Mapping[str, float]) -> None:
         """Set the way from here, and go; each command is sent once."""
         here = self.read().units
-        self._command(
-            axis_command("M", {axis: signed(round(units - here[axis])) for axis, units in targets.items()})
-        )
+        self._command(axis_command("M", {axis: signed(round(units - here[axis])) for axis, units in targets.items()}))
         self._command("G:")
 
     def home(self) -> None:

@@ -107,9 +107,7 @@ def frame(device: int, axis: int, number: int, command: str) -> bytes:
     >>> frame(1, 1, 1, "home")
     b'/1 1 01 home:34\n'
     """
-    body = " ".join(part for part in (str(device), str(axis), f"{number:02d}", command) if part).encode(
-        "ascii"
-    )
+    body = " ".join(part for part in (str(device), str(axis), f"{number:02d}", command) if part).encode("ascii")
     return b"/" + body + b":" + checksum(body) + b"\n"
 
 

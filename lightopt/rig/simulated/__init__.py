@@ -8,14 +8,7 @@ not import the driver, nor the driver it: the two meet on the wire only.
 """
 
 from lightopt.rig.simulated._bench_process import BenchProcess
-from lightopt.rig.simulated._camera import (
-    CAMERA,
-    EXPOSURE_RANGE_US,
-    AxisWire,
-    BenchTruth,
-    CameraSetup,
-    LightWire,
-)
+from lightopt.rig.simulated._camera import CAMERA, EXPOSURE_RANGE_US, AxisWire, BenchTruth, CameraSetup, LightWire
 from lightopt.rig.simulated._camera_gige import GigeCamera
 
 __all__ = [

@@ -207,6 +207,4 @@ class Axes:
             for axis in axes:
                 axis.set_fault(_Fault(fault, strikes, share, busy))
         else:
-            raise ValueError(
-                f'no fault called "{fault}"; there is {", ".join((*AXIS_FAULTS, *others))}, clear'
-            )
+            raise ValueError(f'no fault called "{fault}"; there is {", ".join((*AXIS_FAULTS, *others))}, clear')

@@ -54,9 +54,7 @@ class BenchProcess:
     `ports` is what a driver opens, by device. Raises InputError when a device cannot be as described.
     """
 
-    def __init__(
-        self, devices: Mapping[str, Mapping[str, Any]], *, tcp: bool | None = None, **more: Any
-    ) -> None:
+    def __init__(self, devices: Mapping[str, Mapping[str, Any]], *, tcp: bool | None = None, **more: Any) -> None:
         spec = {"devices": devices, **({} if tcp is None else {"tcp": tcp}), **more}
         self._lock = threading.Lock()
         self._control: socket.socket | None = None
@@ -79,9 +77,7 @@ class BenchProcess:
         """Process id of the bench."""
         return self._process.pid
 
-    def request(
-        self, do: str, *, timeout_s: float = _REQUEST_S, **arguments: Any
-    ) -> tuple[dict[str, Any], bytes]:
+    def request(self, do: str, *, timeout_s: float = _REQUEST_S, **arguments: Any) -> tuple[dict[str, Any], bytes]:
         """Send a request to the bench; returns the answer and the bytes that came with it.
 
         Raises ValueError for a wrong request, HardwareError when the bench is gone, or did not answer in time.

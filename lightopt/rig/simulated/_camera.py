@@ -164,11 +164,7 @@ class BenchCamera:
 
     def _identity(self, _: Mapping[str, Any]) -> Response:
         resolution_px, bit_depth = self.sensor()
-        return {
-            "resolution_px": resolution_px,
-            "bit_depth": bit_depth,
-            "triggered": self._setup.truth.triggered,
-        }, b""
+        return {"resolution_px": resolution_px, "bit_depth": bit_depth, "triggered": self._setup.truth.triggered}, b""
 
     def expose(self, exposure_us: float, gain_db: float, triggered: bool, counted: bool = True) -> Levels:
         """Levels of a frame that begins now, or, where it is not triggered, when the one before ended.
@@ -178,11 +174,7 @@ class BenchCamera:
         now = self._state()
         shares, posture = now if triggered or self._seen is None else self._seen
         pixels = self._build().frame(
-            shares,
-            posture,
-            exposure=exposure_us / self._setup.exposure_us,
-            gain_db=gain_db,
-            counted=counted,
+            shares, posture, exposure=exposure_us / self._setup.exposure_us, gain_db=gain_db, counted=counted
         )
         self._seen = self._state()
         return pixels
@@ -199,9 +191,7 @@ class BenchCamera:
                 raise ValueError(self._unprepared)
             ready = self._prepared == posture
             if not ready and (self._renderer is None or not self._renderer.is_alive()):
-                self._renderer = threading.Thread(
-                    target=self._render, args=(posture,), name="render", daemon=True
-                )
+                self._renderer = threading.Thread(target=self._render, args=(posture,), name="render", daemon=True)
                 self._renderer.start()
         return {"ready": ready}, b""
 
@@ -236,9 +226,7 @@ class BenchCamera:
 
     def _state(self) -> tuple[dict[str, float], Posture]:
         levels = {device: self._levels(device) for device in {wire.device for wire in self._setup.lights}}
-        shares = {
-            wire.light: levels[wire.device].get(wire.channel, 0.0) / wire.share for wire in self._setup.lights
-        }
+        shares = {wire.light: levels[wire.device].get(wire.channel, 0.0) / wire.share for wire in self._setup.lights}
         angles = [
             0.0 if axis is None else axis.angle_deg(self._positions(axis.device))
             for axis in (self._setup.elevation, self._setup.rotation)

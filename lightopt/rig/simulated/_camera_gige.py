@@ -197,8 +197,7 @@ class GigeCamera:
         if device is None:
             return 0, 0, 0, 0
         top, left, height, width = (
-            int(device.read_register(self._register(name))[1])
-            for name in ("Y_OFFSET", "X_OFFSET", "HEIGHT", "WIDTH")
+            int(device.read_register(self._register(name))[1]) for name in ("Y_OFFSET", "X_OFFSET", "HEIGHT", "WIDTH")
         )
         return top, left, height, width
 

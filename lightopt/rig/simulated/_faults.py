@@ -22,9 +22,7 @@ class Trigger:
     struck = 0
     """How often faults struck in this process, those of all triggers together."""
 
-    def __init__(
-        self, *, after: int = 0, count: int | None = 1, probability: float = 1.0, seed: int = 0
-    ) -> None:
+    def __init__(self, *, after: int = 0, count: int | None = 1, probability: float = 1.0, seed: int = 0) -> None:
         if after < 0 or (count is not None and count < 1) or not 0 <= probability <= 1:
             raise ValueError("after counts from 0, count from 1, and probability lies between 0 and 1")
         self._after = after

@@ -63,9 +63,7 @@ class Lamps:
             self._lamp_of = {channel: channel for channel in self._level}
             return
         if fault not in self.FAULTS:
-            raise ValueError(
-                f'no fault called "{fault}"; there are {", ".join((*self.FAULTS, *known, "clear"))}'
-            )
+            raise ValueError(f'no fault called "{fault}"; there are {", ".join((*self.FAULTS, *known, "clear"))}')
         if fault == "power_cycle":
             self._level, self._on = (dict(held) for held in self._at_power_up)
             return
@@ -78,9 +76,7 @@ class Lamps:
             return
         if fault == "swapped":
             if options["other"] not in self._level:
-                raise ValueError(
-                    f"swapped wants another channel from 1 to {self.channels}, got {dict(options)}"
-                )
+                raise ValueError(f"swapped wants another channel from 1 to {self.channels}, got {dict(options)}")
             channel, other = options["channel"], options["other"]
             self._lamp_of |= {channel: other, other: channel}
             return
@@ -89,8 +85,7 @@ class Lamps:
     def brightness(self, *, lit: bool = True) -> dict[int, float]:
         """Brightness of each channel as a share of the highest; `lit` is False where a master switch is off."""
         return {
-            lamp: self._share(channel, lit=lit) * self._aged.get(lamp, 1.0)
-            for channel, lamp in self._lamp_of.items()
+            lamp: self._share(channel, lit=lit) * self._aged.get(lamp, 1.0) for channel, lamp in self._lamp_of.items()
         }
 
     def _share(self, channel: int, *, lit: bool) -> float:

@@ -20,12 +20,7 @@ class SaFirmware(LampFirmware):
     """A controller of the ``SA0255#`` family; `ack` is how it acknowledges: ``upper`` or ``lower`` letter, or ``!``."""
 
     def __init__(
-        self,
-        *,
-        channels: int = 4,
-        top_level: int = 255,
-        levels: Mapping[str, int] | None = None,
-        ack: str = "lower",
+        self, *, channels: int = 4, top_level: int = 255, levels: Mapping[str, int] | None = None, ack: str = "lower"
     ) -> None:
         if ack not in _ACKS:
             raise ValueError(f'ack is one of {", ".join(_ACKS)}, not "{ack}"')

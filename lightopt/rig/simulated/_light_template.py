@@ -143,9 +143,7 @@ class _Maker:
         rest = self._rest()
         if rest[0] == "(":
             return self._group()
-        single = re.match(
-            r"\[\^?\]?(?:\\.|[^\]\\])*\]|\\x[0-9a-fA-F]{2}|\\u[0-9a-fA-F]{4}|\\.|.", rest, re.DOTALL
-        )
+        single = re.match(r"\[\^?\]?(?:\\.|[^\]\\])*\]|\\x[0-9a-fA-F]{2}|\\u[0-9a-fA-F]{4}|\\.|.", rest, re.DOTALL)
         if single is None or re.match(r"\\[1-9]", single[0]):
             raise ValueError(f"cannot make up a reply that matches {self._pattern!r}")
         self._at += single.end()

@@ -76,9 +76,7 @@ class BenchOptics:
             electrons_per_level=None if electrons is None else electrons / gain,
             read_noise_levels=self._scene.sensor.read_noise_levels * gain,
         )
-        level = np.full(
-            (self._scene.camera.height, self._scene.camera.width), self._truth.ambient_level, np.float32
-        )
+        level = np.full((self._scene.camera.height, self._scene.camera.width), self._truth.ambient_level, np.float32)
         lit = {name: share for name, share in sorted(shares.items()) if share > 0.0}
         for name, share in lit.items():
             factor = self._truth.gains.get(name, 1.0)

@@ -291,8 +291,7 @@ class GrblFirmware:
         ways = {name: abs(target[name] - start[name]) for name in _NAMES if target[name] != start[name]}
         way = math.hypot(*ways.values())
         fastest = min(
-            (self._settings[110 + _NAMES.index(name)] * way / part for name, part in ways.items()),
-            default=1.0,
+            (self._settings[110 + _NAMES.index(name)] * way / part for name, part in ways.items()), default=1.0
         )
         return target, fastest if move.rapid else min(move.feed, fastest)
 

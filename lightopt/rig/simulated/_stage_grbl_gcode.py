@@ -61,9 +61,7 @@ def parse_line(text: str, modes: Modes, *, jog: bool = False) -> Move:
     return _understood(commands, words, modes, jog=jog)
 
 
-def _understood(
-    commands: list[tuple[str, float]], words: dict[str, float], modes: Modes, *, jog: bool
-) -> Move:
+def _understood(commands: list[tuple[str, float]], words: dict[str, float], modes: Modes, *, jog: bool) -> Move:
     numbers = {number for letter, number in commands if letter == "G"}
     if not numbers <= _KNOWN or not {n for letter, n in commands if letter == "M"} <= _KNOWN_M:
         raise GcodeError(_UNSUPPORTED)
@@ -112,8 +110,7 @@ class GrblSettings:
     def lines(self) -> bytes:
         """Answer to ``$$`` without its ok."""
         return b"".join(
-            f"${number}={value:.{self._decimals[number]}f}\r\n".encode()
-            for number, value in self._values.items()
+            f"${number}={value:.{self._decimals[number]}f}\r\n".encode() for number, value in self._values.items()
         )
 
     def set_from(self, line: str) -> None:

@@ -147,8 +147,7 @@ class _SigmakokiFirmware:
         # a switch is read only once the axis is known to have stopped
         busy = self._axes.moving(now)
         places = [
-            position_text(round(axis.count(now)), detached=self._detached)
-            for axis in self._axes.by_name.values()
+            position_text(round(axis.count(now)), detached=self._detached) for axis in self._axes.by_name.values()
         ]
         hit = "".join(name for name, axis in self._axes.by_name.items() if axis.at_limit)
         limit = {"": "K", "1": "L", "2": "M", "12": "W"}[hit]
