@@ -18,6 +18,7 @@ from __future__ import annotations
 import contextlib
 import dis
 import hashlib
+import logging
 import os
 import pickle
 import re
@@ -27,6 +28,7 @@ import time
 from collections.abc import Callable, Generator
 from functools import cache
 from pathlib import Path
+from time import monotonic
 from types import BuiltinFunctionType, CodeType, FunctionType, ModuleType
 from typing import Any
 
@@ -44,8 +46,13 @@ from numba.core.sigutils import normalize_signature
 from numba.extending import intrinsic
 from numba.np import linalg
 
+_log = logging.getLogger("lightopt.core")
+
 _UNUSED_S = 90 * 86400.0
 """Files of kernels that were not used for so long are removed [s]."""
+
+LOGGED_SECONDS = 0.1
+"""Compiling a kernel takes longer than this, loading it less."""
 
 _VERSIONS = repr((sys.version_info[:2], numba.__version__, llvmlite.__version__, np.__version__))
 
@@ -172,7 +179,11 @@ def _keep_on_disk(compiled: Any) -> None:
         with global_compiler_lock:
             _load_array_functions()
             with found.turn(signature):
-                return compile_here(signature)
+                begun = monotonic()
+                result = compile_here(signature)
+                if (seconds := monotonic() - begun) > LOGGED_SECONDS:
+                    _log.info("compiled %s in %.1f s", compiled.__name__, seconds)
+                return result
 
     compiled.compile = compile_once
 

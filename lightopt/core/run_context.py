@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from functools import partial
 from threading import Lock
 
 from lightopt.core.errors import InputError
+
+_log = logging.getLogger("lightopt.core")
 
 Share = Callable[[float], None]
 """Called with the share that is done, 0 to 1; an exception that it raises ends the work."""
@@ -59,6 +62,7 @@ class RunContext:
 
     def stage(self, name: str) -> Share | None:
         """Progress of one stage; None where nobody listens."""
+        _log.info("%s", name)
         return None if self._progress is None else partial(self._progress, name)
 
     def within(self, name: str) -> RunContext:

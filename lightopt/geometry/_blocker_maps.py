@@ -12,6 +12,7 @@ that may touch another body, are in the maps whichever way they face.
 
 from __future__ import annotations
 
+import logging
 import math
 import threading
 
@@ -21,6 +22,8 @@ from lightopt.core.arrays import Bool, Float32, Float64, Int32, Int64
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.geometry._topology import merge_rows
+
+_log = logging.getLogger("lightopt.geometry")
 
 TEXELS = 256
 """Texels of a map, along each side."""
@@ -75,6 +78,8 @@ class BlockerMaps:
             _, welded = merge_rows(self._vertices.astype(np.float64))
             closed, folded = _closed_and_folded(self._vertices, self._faces, welded)
             self._closed = bool(closed)
+            if not closed:
+                _log.info("the mesh is open or its faces disagree in direction: every shadow ray is cast")
             if closed:
                 either = folded[self._faces].any(axis=1) | _near_other_bodies(self._vertices, self._faces, welded)
                 self._surface = _planes(self._vertices, self._faces), either

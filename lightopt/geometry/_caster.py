@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.geometry._blocker_maps import NO_DEPTHS, NO_VIEWS, BlockerMaps, proven_free
 from lightopt.geometry._packets import packet_scene
+
+_log = logging.getLogger("lightopt.geometry")
 
 SURFACE_OFFSET = 1e-5
 """Shadow rays start this fraction of the mesh's radius off the surface: 0.25 µm on a 50 mm part. Embree's own hits lie
@@ -50,6 +53,8 @@ class RayCaster:
             self._mesh = EmbreeMesh(self._scene, local, faces)
             # the first query commits the scene; done here, so that threads only ever read it
             self._run("INTERSECT", np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
+        how = "one by one, by embreex" if self._packets is None else "in packets"
+        _log.info("hierarchy over %s triangles; shadow rays are cast %s", f"{len(faces):,}", how)
 
     @property
     def rays_cast(self) -> int:

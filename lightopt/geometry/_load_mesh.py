@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,8 @@ from lightopt.geometry._step import read_step
 from lightopt.geometry._topology import merge_rows
 from lightopt.geometry._triangle_mesh import TriangleMesh
 from lightopt.geometry._winding import repair_winding
+
+_log = logging.getLogger("lightopt.geometry")
 
 UNITLESS_SUFFIXES: tuple[str, ...] = (".stl", ".ply", ".obj")
 """Formats that carry no unit, so that one has to be given."""
@@ -138,6 +141,7 @@ def _finish(name: str, raw: RawMesh, unit_mm: float, crease_angle: float | None)
         )
         warnings += replaced
     warnings += _vertex_warnings(raw, merged)
+    _log.info("mesh of %s triangles", f"{len(mesh.faces):,}")
     return LoadedMesh(mesh, tuple(warnings))
 
 

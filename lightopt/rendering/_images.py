@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -25,6 +27,8 @@ from lightopt.rendering._defect_shading import DefectSamples, defect_samples
 from lightopt.rendering._point_lights import shade_points
 from lightopt.rendering._surface import SurfacePoints, trace_hits, trace_samples
 from lightopt.scene import PanelLight, PartView, Scene, screen_window, view_from_part
+
+_log = logging.getLogger("lightopt.rendering")
 
 BLOCK_SAMPLES = 65_536
 """Image samples that a thread works on at once: bounds the memory, and is large enough to hide Python's overhead."""
@@ -145,7 +149,7 @@ def render_posture(
 
     Parameters as in :func:`render`, and any posture, not only one of the scene's.
     """
-    before = caster.rays_cast
+    before, begun = caster.rays_cast, monotonic()
     view = view_from_part(scene, posture)
     job = _PostureJob(scene, view, caster, shadows, supersample, layers, patches)
     if shadows:
@@ -161,12 +165,10 @@ def render_posture(
         counter.report()
 
     run_all(((job.block, rows) for rows in blocks), threads=threads or available_processors(), done=done)
+    rays, seconds = caster.rays_cast - before, monotonic() - begun
+    _log.info("posture %s: %.2f million rays in %.2f s", posture, rays / 1e6, seconds)
     return PostureImages(
-        posture=posture,
-        lights=tuple(job.images),
-        geometry=job.geometry,
-        back_faces=int(job.back.sum()),
-        rays=caster.rays_cast - before,
+        posture=posture, lights=tuple(job.images), geometry=job.geometry, back_faces=int(job.back.sum()), rays=rays
     )
 
 

@@ -13,6 +13,7 @@ Input: a scene with the part at its file placement, and observations of it. Outp
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -38,6 +39,8 @@ from lightopt.estimate.registration._revolution import unobservable_rotation
 from lightopt.geometry import RayCaster
 from lightopt.optics import Reflectance
 from lightopt.scene import Scene
+
+_log = logging.getLogger("lightopt.estimate")
 
 STAGES = 4
 """Pixels are chosen anew where the part moved, so many times at most."""
@@ -177,6 +180,7 @@ def refine_placement(
                 break
         number += 1
     assert solution is not None
+    _log.info("registration: %d iterations, %.3f px in the last stage", iterations, moved)
     return _result(solution, frame, iterations, moved, outline=outline)
 
 

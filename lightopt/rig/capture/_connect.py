@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Generator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -31,6 +32,8 @@ from lightopt.rig.devices import (
     port_problem,
 )
 from lightopt.rig.simulated import CAMERA, BenchProcess, BenchTruth
+
+_log = logging.getLogger("lightopt.rig")
 
 
 def connect_devices(
@@ -108,6 +111,9 @@ def connect_devices(
             except LightoptError as error:
                 raise (lights.error(error) if touch_lights else error) from error
             stack.callback(opened_camera.close)
+        others = {STAGE: stage, "camera": opened_camera}
+        opened = [*lights.controllers, *(name for name, device in others.items() if device is not None)]
+        _log.info("opened %s", ", ".join(opened))
         devices = Devices(
             wiring=wiring,
             controllers=lights.controllers,
