@@ -71,16 +71,12 @@ def check_options(options: OptimizeOptions) -> None:
     """Refuse options that are out of range, all at once."""
     problems: list[str] = []
     if options.points is not None and (problem := points_problem(options.points)):
-        problems.append(f"points: {problem}")
-    for name, value in (
-        ("patch budget", options.patch_budget),
-        ("ranking rows", options.rows),
-        ("combination limit", options.limit),
-    ):
+        problems.append(f"option 'points': {problem}")
+    for name, value in (("patch_budget", options.patch_budget), ("rows", options.rows), ("limit", options.limit)):
         if value < 1:
-            problems.append(f"{name}: expected at least 1, found {value}")
+            problems.append(f"option '{name}': expected at least 1, found {value}")
     if options.postures is not None and len(set(options.postures)) < len(options.postures):
-        problems.append("posture: the same posture was given twice")
+        problems.append("option 'postures': the same posture was given twice")
     defects = (min_images_problem(options.min_images), threshold_problem(options.threshold))
     problems += [problem for problem in defects if problem is not None]
     if problems:

@@ -175,22 +175,22 @@ def render_image_set(
 def _check_options(options: RenderOptions) -> None:
     problems: list[str] = []
     problems += [
-        f"exposure: expected a number above 0, found {exposure:g}"
+        f"option 'exposures': expected a number above 0, found {exposure:g}"
         for exposure in options.exposures
         if not (np.isfinite(exposure) and exposure > 0.0)
     ]
     if len(set(options.exposures)) < len(options.exposures):
-        problems.append("exposure: the same exposure was given twice")
+        problems.append("option 'exposures': the same exposure was given twice")
     if not 1 <= options.supersample <= MOST_SUPERSAMPLE:
-        problems.append(f"supersample: expected 1 to {MOST_SUPERSAMPLE}, found {options.supersample}")
+        problems.append(f"option 'supersample': expected 1 to {MOST_SUPERSAMPLE}, found {options.supersample}")
     if options.patch_budget < 1:
-        problems.append(f"patch budget: expected at least 1, found {options.patch_budget}")
+        problems.append(f"option 'patch_budget': expected at least 1, found {options.patch_budget}")
     if options.noise is not None and options.noise < 0:
-        problems.append(f"noise: expected a seed of 0 or more, found {options.noise}")
+        problems.append(f"option 'noise': expected a seed of 0 or more, found {options.noise}")
     if options.postures is not None and len(set(options.postures)) < len(options.postures):
-        problems.append("posture: the same posture was given twice")
+        problems.append("option 'postures': the same posture was given twice")
     if options.points is not None and (problem := points_problem(options.points)):
-        problems.append(f"points: {problem}")
+        problems.append(f"option 'points': {problem}")
     if problems:
         raise InputError(*problems)
 

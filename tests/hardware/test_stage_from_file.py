@@ -128,7 +128,7 @@ def test_no_word_of_the_file_is_left_without_a_test_here():
 def test_a_stage_that_cannot_say_that_it_was_homed_is_not_moved(wired):
     rig, _, script = wired([(b"Q:\r\n", at(0, 0))])
     with (
-        pytest.raises(HardwareError, match=r"--home.*lightopt bench home RIG.*assume_referenced"),
+        pytest.raises(HardwareError, match=r"option 'home'.*lightopt bench home RIG.*assume_referenced"),
         opened(rig) as devices,
     ):
         devices.move_to(Posture(10.0, 90.0))

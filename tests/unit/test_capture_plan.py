@@ -108,14 +108,17 @@ def test_a_real_stage_is_homed_when_asked_only(wired):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"postures": (Posture(0.0, 400.0),)}, r"posture: rotation 400° is outside .* 0° to 360° \(.*rig.yaml:\d+"),
+        (
+            {"postures": (Posture(0.0, 400.0),)},
+            r"option 'postures': rotation 400° is outside .* 0° to 360° \(.*rig.yaml:\d+",
+        ),
         ({"postures": (Posture(5.0, 0.0),)}, "elevation 5°, but the stage has no elevation axis"),
         ({"lights": ("light2",)}, 'no light "light2" in .*; it has light1, light3'),
         ({"exposures": (1e-4,)}, r"exposure 0.0001 is 0.8 µs .* outside the camera's 10 to 1e\+07 µs"),
         ({"exposures": (0.0,)}, "expected numbers above 0, found 0"),
-        ({"exposures": (1.0, 1.0)}, "exposures: the same one was given twice"),
+        ({"exposures": (1.0, 1.0)}, "option 'exposures': the same one was given twice"),
         ({"exposures": (700.0,)}, "light1: would be on for 5.65 s at a stretch .* longer than max_on_s 5"),
-        ({"average": 0}, "average: expected 1 to 1000 frames, found 0"),
+        ({"average": 0}, "option 'average': expected 1 to 1000 frames, found 0"),
         ({"average": 600}, "light1: would be on for 5.77 s at a stretch .* longer than max_on_s 5"),
     ],
 )

@@ -259,7 +259,7 @@ def test_means_are_not_mixed_with_those_of_another_run(take, bench, world):
 def test_a_set_is_not_captured_into_again_without_saying_so(take, world):
     take()
     world.log.clear()
-    with pytest.raises(InputError, match="use --resume"):
+    with pytest.raises(InputError, match="use option 'resume'"):
         take()
     assert world.log == []
 
@@ -479,7 +479,7 @@ def test_without_the_check_is_another_plan(take, world):
 
 def test_an_interrupted_run_says_where_it_stands(take, world, bench):
     world.trouble = broken("grab", number=4, error=KeyboardInterrupt())
-    with pytest.raises(Interrupted, match="all lights are off; 2 of 4 images are on disk; go on with --resume"):
+    with pytest.raises(Interrupted, match="all lights are off; 2 of 4 images are on disk; go on with option 'resume'"):
         take()
     assert len(read_image_set(bench.out).images) == 2
 

@@ -183,9 +183,9 @@ def test_other_thresholds_and_other_noise_are_other_matrices_and_other_results(t
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--min-images", "2"), "--min-images is of --objective detectability, which was not given"),
-        (("--threshold", "2"), "--threshold is of --objective detectability, which was not given"),
-        (("--objective", "detectability", "--min-images", "0"), "--min-images: expected the number of images"),
+        (("--min-images", "2"), "--min-images: does nothing without --objective detectability"),
+        (("--threshold", "2"), "--threshold: does nothing without --objective detectability"),
+        (("--objective", "detectability", "--min-images", "0"), "Invalid value for '--min-images'"),
         (("--objective", "detectability", "--min-images", "4"), "seen in 4 images, and the rig has 3 lights only"),
         (("--objective", "detectability", "--threshold", "0"), "--threshold: expected a number above 0"),
         (("--objective", "detectability", "--threshold", "nan"), "--threshold: expected a number above 0"),

@@ -340,7 +340,7 @@ def test_an_interrupted_run_leaves_whole_matrices_that_are_reused(three):
         (("--shade-below", "10"), "--shade-below: expected a share of full scale from 0 to 1, such as 10/255"),
         (("--shade-below", "1"), "leaves none usable"),
         (("--objective", "paint"), '--objective: expected coverage or paper or detectability, found "paint"'),
-        (("--ranking-rows", "0"), "ranking rows: expected at least 1, found 0"),
+        (("--ranking-rows", "0"), "--ranking-rows: expected at least 1, found 0"),
         (("--points", "5"), "points: expected a square"),
         (("--posture", "80,0"), "posture: elevation 80° is outside the stage's range"),
     ],

@@ -432,12 +432,12 @@ def test_a_target_within_reach_takes_no_more_than_it_needs(two, cli):
 def test_exposures_that_the_target_takes_are_told(capsys, why, expected):
     shots = (FurtherExposure(posture=Posture(0.0, 0.0), exposure=0.25, gain=0.004, reason=why),)
     brackets = Brackets(before=0.9, after=0.904, further=shots, least_gain=0.01, grain=0.005)
-    show_plan(PlanResult(brackets=brackets), Path("out"))
+    show_plan(PlanResult(brackets=brackets), Path("out"), verbose=False)
     told = capsys.readouterr().out
     assert f"1 further exposure planned, {expected}" in told
     assert "0.4 % " in told
     # no digit that the patches do not support
-    show_plan(PlanResult(brackets=replace(brackets, grain=0.02)), Path("out"))
+    show_plan(PlanResult(brackets=replace(brackets, grain=0.02)), Path("out"), verbose=True)
     told = capsys.readouterr().out
     assert "< 1 % " in told
     assert not re.search(r"\d\.\d+ %", told)
@@ -463,7 +463,7 @@ def test_tolerances_of_another_objective(two, cli):
             ("--target", "95 of"),
             '--target: expected a share of the surface above 0 and up to 1, such as 0.95, found "95 of"',
         ),
-        (("--target", "95"), "such as 0.95, found 95; 95 % is --target 0.95"),
+        (("--target", "95"), "such as 0.95, found 95; for 95 % give 0.95"),
         (("--target", "950"), "such as 0.95, found 950\n"),
         (("--choose-postures", "1", "--posture-step", "0"), "--posture-step: expected degrees above 0, found 0"),
         (("--choose-postures", "1", "--posture-step", "0.1"), "take a larger step"),
@@ -485,8 +485,8 @@ def test_tolerances_of_another_objective(two, cli):
         (("--choose-postures", "1", "--posture", "0,0"), "leave --posture out, or --choose-postures"),
         (("--target", "0.5", "--posture", "0,0"), "--posture: given together with --target, by which postures"),
         (("--choose-postures", "1", "--objective", "coverage"), "expected detectability first"),
-        (("--choose-postures", "2", "--min-images", "0"), "--min-images: expected the number of images"),
-        (("--exposures", "1/4", "--min-images", "0"), "--min-images: expected the number of images"),
+        (("--choose-postures", "2", "--min-images", "0"), "Invalid value for '--min-images'"),
+        (("--exposures", "1/4", "--min-images", "0"), "Invalid value for '--min-images'"),
         (
             ("--choose-postures", "2", "--min-images", "5"),
             "--min-images: expected at most 4, the number of images of the plan: 2 lights × 2 postures at most",
@@ -502,9 +502,9 @@ def test_tolerances_of_another_objective(two, cli):
         (("--exposures", "1,1/4", "--min-images", "9"), "2 lights × 2 postures, further exposures of the same light"),
         (("--choose-postures", "1", "--threshold", "-1"), "--threshold: expected a number above 0"),
         (("--exposures", "1/4", "--threshold", "nan"), "--threshold: expected a number above 0"),
-        (("--choose-postures", "1", "--ranking-rows", "0"), "ranking rows: expected at least 1, found 0"),
-        (("--choose-postures", "1", "--patches", "0"), "patch budget: expected at least 1, found 0"),
-        (("--choose-postures", "1", "--threads", "0"), "threads: expected at least 1, found 0"),
+        (("--choose-postures", "1", "--ranking-rows", "0"), "--ranking-rows: expected at least 1, found 0"),
+        (("--choose-postures", "1", "--patches", "0"), "Invalid value for '--patches'"),
+        (("--choose-postures", "1", "--threads", "0"), "Invalid value for '--threads'"),
     ],
 )
 def test_bad_questions_are_refused_before_any_work(two, cli, arguments, expected, monkeypatch):

@@ -268,7 +268,7 @@ def test_set_of_another_run_is_refused_and_left_alone(whole: Path, change: dict[
     before = content(whole)
     with pytest.raises(InputError, match=told) as caught:
         ImageSetWriter(whole, replace(HEADER, **change))
-    assert "--force" in str(caught.value)
+    assert "option 'force'" in str(caught.value)
     assert content(whole) == before
 
 
@@ -285,7 +285,7 @@ def test_damaged_manifest_needs_force(tmp_path: Path):
     (tmp_path / "manifest.json").write_text('{"format": ')
     with pytest.raises(InputError, match=r"manifest\.json:1: not valid JSON") as caught:
         run(tmp_path)
-    assert "--force" in str(caught.value)
+    assert "option 'force'" in str(caught.value)
     assert run(tmp_path, force=True) == 11
 
 
@@ -293,7 +293,7 @@ def test_files_that_belong_to_no_set_are_in_the_way_before_any_work(tmp_path: Pa
     (tmp_path / "posture_0_0").mkdir()
     (tmp_path / "posture_0_0/light2.exr").write_text("mine")
     (tmp_path / "notes.txt").write_text("unrelated")
-    with pytest.raises(InputError, match=r"light2\.exr: exists but belongs to no image set; use --force"):
+    with pytest.raises(InputError, match=r"light2\.exr: exists but belongs to no image set; use option 'force'"):
         run(tmp_path)
     assert set(content(tmp_path)) == {"posture_0_0/light2.exr", "notes.txt"}
     run(tmp_path, force=True)

@@ -299,4 +299,4 @@ def test_files_that_are_no_calibration_are_refused(cli, bench, good, taught):
 def test_options_of_an_inspection_are_none_of_a_calibration(cli, bench, good, option):
     ran = inspect(cli, bench, good[0][:SETS], "--calibrate", *option)
     assert ran.status == 2
-    assert f"{option[0]} is of an inspection" in ran.err
+    assert f"{option[0]}: not with --calibrate" in ran.err

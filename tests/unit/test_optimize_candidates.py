@@ -136,7 +136,7 @@ def test_bad_input_says_where_and_what_to_do(tmp_path):
     with pytest.raises(InputError, match="b stays at 65° or above and a at 60° or below"):
         find_candidates(rig, step_deg=5.0, common_elevation=True)
     for step in (0.0, -1.0, float("nan")):
-        with pytest.raises(InputError, match="--step: expected degrees above 0"):
+        with pytest.raises(InputError, match="option 'step_deg': expected degrees above 0"):
             find_candidates(rig, step_deg=step)
     for step in (1e-7, 1e-310, 5e-324):
         with pytest.raises(InputError, match="more than 100,000 positions, the most that are accepted"):

@@ -183,7 +183,7 @@ def test_details_name_what_is_worst():
 
 def test_what_makes_no_sense_is_refused():
     trials = trials_of([1])
-    with pytest.raises(InputError, match="--min-images: expected the number of images"):
+    with pytest.raises(InputError, match="option 'min_images': expected the number of images"):
         DetectabilityObjective(trials, 0)
     assert "5 images, and the rig has 4 lights only" in DetectabilityObjective(trials, 5).refusal(4)
     bare = LuminanceMatrix(levels=(np.zeros((2, 1), np.uint8),) * 2, areas=np.ones(1))

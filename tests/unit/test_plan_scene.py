@@ -297,7 +297,7 @@ def test_reasons_for_an_unreached_target_are_of_the_surface_that_the_shares_are_
     assert "contrast under noise" in text
     assert "never seen by the camera" not in text
     assert "is not reached: with the lights as they stand, all" in text
-    assert "offer them, such as --exposures 1,4,16. Ask for less" in text
+    assert "add them, such as option 'exposures' 1,4,16. Ask for less" in text
     longer = replace(few, exposures=(4.0, 1.0))
     assert "--exposures" not in str(target_not_reached(1.0, choice, longer, least=1))
     # a bound that falls short of the target is not rounded up to it
@@ -441,7 +441,7 @@ def test_offering_exposures_never_makes_a_plan_worse(world, seed):
     ask = (survey, drawn, POSTURES, lights, candidates)
     plain = choose_postures(*ask, PostureRequest(min_images=least, count=count))
     choice, brackets = choose_with_exposures(
-        *ask, PostureRequest(min_images=least, count=count), exposures=offered, gain_points=points
+        *ask, PostureRequest(min_images=least, count=count), exposures=offered, gain_points=points, run=RunContext()
     )
     assert choice.cover.share >= plain.cover.share
     assert len(choice.postures) <= count
@@ -466,7 +466,7 @@ def test_offering_exposures_never_makes_a_plan_worse(world, seed):
     assert choice.cover.sets == math.comb(len(POSTURES), len(choice.postures))
     assert choice.cover.bound_share == best / choice.cover.total
     none, nothing = choose_with_exposures(
-        *ask, PostureRequest(min_images=least, count=count), exposures=(1.0,), gain_points=points
+        *ask, PostureRequest(min_images=least, count=count), exposures=(1.0,), gain_points=points, run=RunContext()
     )
     assert nothing is None
     assert none == plain
@@ -482,7 +482,7 @@ def test_offering_exposures_never_takes_more_postures_for_a_target(world, seed):
     target = 0.9 * choose_postures(*ask, PostureRequest(count=3)).cover.share
     plain = choose_postures(*ask, PostureRequest(target=target))
     choice, brackets = choose_with_exposures(
-        *ask, PostureRequest(target=target), exposures=(1.0, 0.25, 0.0625), gain_points=1.0
+        *ask, PostureRequest(target=target), exposures=(1.0, 0.25, 0.0625), gain_points=1.0, run=RunContext()
     )
     assert choice.cover.share == pytest.approx(brackets.after)
     assert choice.cover.share >= target
@@ -492,7 +492,7 @@ def test_offering_exposures_never_takes_more_postures_for_a_target(world, seed):
 def test_a_target_that_nothing_offered_reaches_has_no_exposures(world):
     rig, survey = world
     ask = (survey, survey, POSTURES, build_lights(rig), None, PostureRequest(target=1.0))
-    choice, brackets = choose_with_exposures(*ask, exposures=(1.0, 0.25), gain_points=1.0)
+    choice, brackets = choose_with_exposures(*ask, exposures=(1.0, 0.25), gain_points=1.0, run=RunContext())
     assert brackets is None
     assert choice.cover.share < 1.0
 

@@ -66,7 +66,7 @@ def test_draws_are_seeded_and_within_the_tolerance():
 
 
 def test_widest_tolerances_are_those_of_a_fine_scan():
-    trust = analyse_tolerances(assess, NAMES, Tolerances(draws=1, target=0.995))
+    trust = analyse_tolerances(assess, NAMES, Tolerances(draws=1, tolerance_target=0.995))
     least = 0.995 * trust.score
     exact = [(0.0, 0.0)] * 3
     for widest in trust.widest:
@@ -102,10 +102,10 @@ def test_nothing_off_is_nothing_lost():
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        ({"light_deg": -1.0}, "--light-tolerance: expected degrees from 0 to 16, found -1"),
-        ({"pose_deg": 17.0}, "--pose-tolerance: expected degrees from 0 to 16, found 17"),
-        ({"light_deg": math.nan}, "--light-tolerance: expected degrees from 0 to 16, found nan"),
-        ({"target": 1.0}, "--tolerance-target: expected a share"),
+        ({"light_deg": -1.0}, "option 'light_deg': expected degrees from 0 to 16, found -1"),
+        ({"pose_deg": 17.0}, "option 'pose_deg': expected degrees from 0 to 16, found 17"),
+        ({"light_deg": math.nan}, "option 'light_deg': expected degrees from 0 to 16, found nan"),
+        ({"tolerance_target": 1.0}, "option 'tolerance_target': expected a share"),
         ({"draws": 0}, "draws: expected at least 1"),
     ],
 )

@@ -268,7 +268,7 @@ def test_a_render_is_not_resumed_by_other_code(bench, snapshot, other_code, othe
     before = snapshot(bench.out)
     other_code() if what == "code" else other_package()
     told = "the code of lightopt has changed" if what == "code" else r"versions\.embreex: there"
-    with pytest.raises(InputError, match=f"image set of another run .*{told}.*--force"):
+    with pytest.raises(InputError, match=f"image set of another run .*{told}.*option 'force'"):
         render_image_set(bench.rig, bench.part, bench.out, options=options)
     assert snapshot(bench.out) == before
     done = render_image_set(bench.rig, bench.part, bench.out, options=options, force=True)

@@ -46,7 +46,7 @@ def test_other_inputs_and_files_of_unknown_making_are_replaced_with_force_only(t
     if there == "extra.yaml":
         (tmp_path / "trial.json").unlink()
         (tmp_path / there).write_text("a person's", encoding="utf-8")
-    with pytest.raises(InputError, match=f"already has {there} of a trial of other inputs .* --force"):
+    with pytest.raises(InputError, match=f"already has {there} of a trial of other inputs .* option 'force'"):
         folder(tmp_path, {"seed": 2})
     assert (tmp_path / there).exists()
     written(tmp_path, {"seed": 2}, force=True)

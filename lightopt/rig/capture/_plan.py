@@ -60,16 +60,16 @@ class CaptureOptions:
             yield "exposures: expected at least one, such as 1 or 1/16"
         for exposure in self.exposures:
             if not (math.isfinite(exposure) and exposure > 0.0):
-                yield f"exposures: expected numbers above 0, found {exposure:g}"
+                yield f"option 'exposures': expected numbers above 0, found {exposure:g}"
         for name, values in (
             ("exposures", self.exposures),
-            ("light", self.lights or ()),
-            ("posture", self.postures or ()),
+            ("lights", self.lights or ()),
+            ("postures", self.postures or ()),
         ):
             if len(set(values)) < len(values):
-                yield f"{name}: the same one was given twice"
+                yield f"option '{name}': the same one was given twice"
         if not 1 <= self.average <= MOST_FRAMES:
-            yield f"average: expected 1 to {MOST_FRAMES} frames, found {self.average}"
+            yield f"option 'average': expected 1 to {MOST_FRAMES} frames, found {self.average}"
 
     def as_dict(self) -> dict[str, Any]:
         """What changes the files of the set, in JSON form."""
