@@ -301,7 +301,7 @@ def test_a_number_of_postures_shows_at_least_what_a_target_beyond_reach_says(two
 
 @pytest.mark.slow
 def test_more_postures_than_there_are_and_such_as_add_next_to_nothing_are_told(two, cli):
-    few = ("--patches", "100", "--step", "10", "--no-images", "--posture-step", "90", "--no-report")
+    few = ("--patches", "100", "--step", "10", "--no-images", "--posture-step", "90", "--no-report", "-v")
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *few, "--choose-postures", "30")
     assert ran.status == 0, ran.err
     assert "13 postures to choose from, fewer than the 30 that were asked for, 0 left out" in ran.out
@@ -349,7 +349,7 @@ def test_images_of_chosen_postures_have_the_planned_exposures(two, cli):
 def test_what_is_planned_is_rendered_as_it_is_planned(two, cli):
     asked = ("--patches", "150", "--step", "10", "--common-lights")
     offer = ("--exposures", "1,1/16,8", "--exposure-gain", "0.6")
-    ran = cli("optimize", two.rig, two.part, "-o", two.out, *asked, *offer)
+    ran = cli("optimize", two.rig, two.part, "-o", two.out, *asked, *offer, "-v")
     assert ran.status == 0, ran.err
     result = result_of(two.out)
     planned_ones: dict[Posture, list[float]] = {p: [1.0] for p in (Posture(0.0, 0.0), Posture(-10.0, 170.0))}
@@ -412,7 +412,7 @@ def test_an_objective_that_is_only_scored_is_not_said_to_be_proven_among_all(two
 
 @pytest.mark.slow
 def test_a_target_within_reach_takes_no_more_than_it_needs(two, cli):
-    ran = plan(cli, two, "--target", "30%", "--posture-step", "90")
+    ran = plan(cli, two, "--target", "30%", "--posture-step", "90", "-v")
     assert ran.status == 0, ran.err
     chosen = result_of(two.out)["chosen_postures"]
     assert chosen["share"] >= 0.3
