@@ -25,7 +25,7 @@ PLANNED_PART_NAME = "part.planned.yaml"
 UNFINISHED_NAME = "unfinished.json"
 
 _FURTHER_NAMES = (REPORT_NAME, PLANNED_PART_NAME, *BLIND_NAMES)
-"""Files that a result may list beside rigs, images and maps; with ``--force`` no others are removed."""
+"""Files that a result may list beside rigs, images and maps; with option `force` no others are removed."""
 
 _FORMATS = {RESULT_NAME: "lightopt-optimum/", UNFINISHED_NAME: "lightopt-unfinished/"}
 

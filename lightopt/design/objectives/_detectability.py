@@ -1,7 +1,7 @@
 """Objective ``detectability``: of the defects that the inspection is planned for, those that enough images show.
 
 With the hypotheses t of the part's catalogue (:mod:`lightopt.design.responses._defect_hypotheses`), n(p, t) the number
-of images in which t is visible on patch p (:mod:`lightopt.design.responses._detection`), and k from ``--seen-in``,
+of images in which t is visible on patch p (:mod:`lightopt.design.responses._detection`), and k from `min_images`,
 
     score = Σ_p area(p) · Σ_t weight(t) · [n(p, t) ≥ k],
 
