@@ -30,7 +30,7 @@ def small_rig(tmp_path):
 @pytest.mark.parametrize(
     ("part", "finishes", "patches", "pits"),
     [
-        ("cover-knob", ("glossy",), 2_000, 0),  # pits in every run are those of test_strewn_truth.py
+        ("cover-knob", ("glossy",), 2_000, 0),  # pits in every run are those of test_random_defects_counted.py
         pytest.param("cover-knob", ("glossy", "satin"), 4_000, 24, marks=pytest.mark.nightly),
         pytest.param("spout", ("glossy", "satin"), 4_000, 24, marks=pytest.mark.nightly),
     ],

@@ -1,6 +1,6 @@
-"""What ``detectability`` is worth, counted: strewn defects seen under its lights, and under those of ``paper``.
+"""The benefit of ``detectability``, counted: random defects seen under its lights, and under those of ``paper``.
 
-``python tests/system/worth.py [PART.yaml …] [--plan [--finish satin]] [--out DIR]``; the sample parts by default. A
+``python tests/system/benefit.py [PART.yaml …] [--plan [--finish satin]] [--out DIR]``; the sample parts by default. A
 catalogue is strewn over what the camera sees, rendered under each set of lights and exposed with noise; an image shows
 a defect where one of its pixels passes the plain contrast test, and a defect is seen where enough images show it.
 Beside each count is the objective's own: defects with a bit set on the patch of one of their walls, in as many images.
@@ -20,10 +20,10 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
+from benefit_plans import plans
+from benefit_sets import DEFECTS, sets
+from benefit_views import Row
 from truth import FINISHES, PARTS, RIG
-from worth_looked import Row
-from worth_plans import plans
-from worth_sets import DEFECTS, sets
 
 from lightopt import load_part, load_rig
 
@@ -46,14 +46,14 @@ def table(rows: Sequence[Row]) -> str:
 
 def main(arguments: list[str] | None = None) -> None:
     """Count, print a table, write all rows."""
-    parser = argparse.ArgumentParser(prog="python tests/system/worth.py", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python tests/system/benefit.py", description=__doc__)
     parser.add_argument("parts", nargs="*", type=Path, metavar="PART", default=list(PARTS), help="part files")
     parser.add_argument("--rig", type=Path, default=RIG, help="rig file")
     parser.add_argument("--plan", action="store_true", help="postures and exposures instead of lights")
     parser.add_argument("--finish", choices=FINISHES, default="glossy", help="of a plan's surface")
     parser.add_argument("--patches", type=int, default=50_000, help="about how many patches are visible")
     parser.add_argument("--defects", type=int, default=DEFECTS, help="how many are strewn")
-    parser.add_argument("--out", type=Path, default=Path("out/worth"), help="folder of worth.csv or plan.csv")
+    parser.add_argument("--out", type=Path, default=Path("out/benefit"), help="folder of benefit.csv or plan.csv")
     options = parser.parse_args(arguments)
     rig = load_rig(options.rig)
     rows: list[Row] = []
@@ -66,7 +66,7 @@ def main(arguments: list[str] | None = None) -> None:
             print(table(rows).splitlines()[-1], flush=True)
     print("\n" + table(rows))
     options.out.mkdir(parents=True, exist_ok=True)
-    path = options.out / ("plan.csv" if options.plan else "worth.csv")
+    path = options.out / ("plan.csv" if options.plan else "benefit.csv")
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["part", "surface", "min_images", "set", "lights", "share", "defects", "predicted", "counted"])

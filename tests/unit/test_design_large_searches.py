@@ -179,7 +179,7 @@ def test_shares_rise_and_an_exception_ends_the_search_soon(name):
 INTERRUPTED = """
 import os, signal, sys, threading, time
 from lightopt.core.interrupts import interrupt
-from test_optimize_many import MEDIUM, OBJECTIVES, THRESHOLDS, random_matrix, search
+from test_design_large_searches import MEDIUM, OBJECTIVES, THRESHOLDS, random_matrix, search
 matrix = random_matrix((60, 60, 60, 60), 100_000)
 objective = OBJECTIVES[{name!r}]
 search([random_matrix((60, 60, 2, 2), 200)], objective, THRESHOLDS, keep=2)

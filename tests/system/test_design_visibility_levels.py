@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import reference as ref
-from test_optimize_luminance import LIGHTS, matrix_of, small_scene
+from test_design_luminance import LIGHTS, matrix_of, small_scene
 from worlds import PAPER, posed_corners
 
 from lightopt.defects import BUILT_IN_CATALOGUE, PIXEL_RATIOS, DefectShape, pixel_shares, tangent_direction

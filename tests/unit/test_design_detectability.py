@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from reference._search import all_combinations, detectability_value
-from test_optimize_visibility import visibility_of
+from test_design_visibility import visibility_of
 
 from lightopt.core.errors import InputError
 from lightopt.defects import BUILT_IN_CATALOGUE

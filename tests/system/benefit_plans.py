@@ -6,9 +6,9 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+from benefit_sets import DEFECTS, STEP
+from benefit_views import Looked, Row, finished, look_at, places_text
 from truth import SEEN_IN
-from worth_looked import Looked, Row, finished, look_at, places_text
-from worth_sets import DEFECTS, STEP
 
 from lightopt import build_scene
 from lightopt.config import PartConfig, RigConfig

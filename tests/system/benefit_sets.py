@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from benefit_views import Looked, Row, finished, look_at, places_text
 from numpy.typing import NDArray
 from truth import FINISHES, SEEN_IN
-from worth_looked import Looked, Row, finished, look_at, places_text
 
 from lightopt import build_scene
 from lightopt.config import PartConfig, RigConfig

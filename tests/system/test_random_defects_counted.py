@@ -1,4 +1,4 @@
-"""Strewn defects counted on noisy images: narrow ones as often as predicted, and what the best lights are worth."""
+"""Random defects counted on noisy images: narrow ones as often as predicted, and the benefit of the best lights."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 import narrow
 import numpy as np
 import pytest
-import worth
 
 from lightopt import load_part, load_rig
 from lightopt.defects import PIXEL_RATIOS
@@ -54,8 +53,8 @@ def test_one_wall_over_the_whole_width_is_found_out(small_rig, knob, monkeypatch
 
 @pytest.mark.nightly
 def test_sets_of_lights_are_counted_beside_what_is_predicted_of_them(small_rig, knob, monkeypatch):
-    monkeypatch.setattr("worth_sets.FINISHES", {"glossy": {}})
-    rows = list(worth.sets(small_rig, knob, patches=3000, defects=28, step=15.0))
+    monkeypatch.setattr("benefit_sets.FINISHES", {"glossy": {}})
+    rows = list(benefit.sets(small_rig, knob, patches=3000, defects=28, step=15.0))
     assert [(row.min_images, row.what) for row in rows] == [
         (k, what) for k in (1, 2) for what in ("detectability", "paper")
     ]
@@ -65,15 +64,15 @@ def test_sets_of_lights_are_counted_beside_what_is_predicted_of_them(small_rig, 
         assert 0 < row.counted <= row.defects
         assert abs(row.counted - row.predicted) <= 0.25 * row.defects
     assert rows[0].counted > rows[2].counted
-    assert worth.table(rows).count("cover-knob") == 4
+    assert benefit.table(rows).count("cover-knob") == 4
 
 
 @pytest.mark.nightly
 def test_plans_are_counted_with_shorter_and_longer_exposures(small_rig, knob, monkeypatch):
     for name, value in {"STEP": 30.0, "POSTURES": 1, "POSTURE_STEP": 180.0, "SEEN_IN": (1,)}.items():
-        monkeypatch.setattr(f"worth_plans.{name}", value)
-    monkeypatch.setattr("worth_plans.OFFERED", {1.0: "1", 16.0: "16"})
-    own, own_more, chosen, chosen_more = worth.plans(small_rig, knob, finish="glossy", patches=2000, defects=28)
+        monkeypatch.setattr(f"benefit_plans.{name}", value)
+    monkeypatch.setattr("benefit_plans.OFFERED", {1.0: "1", 16.0: "16"})
+    own, own_more, chosen, chosen_more = benefit.plans(small_rig, knob, finish="glossy", patches=2000, defects=28)
     assert (own.what, chosen.what) == ("the part's own 1", "1 chosen")
     assert own_more.what == "the part's own 1, 1 further exposure (1 × 16)"
     # postures are chosen from more, and exposures come on top
