@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import benefit
 import narrow
 import numpy as np
 import pytest
