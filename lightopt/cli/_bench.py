@@ -9,7 +9,7 @@ import typer
 from lightopt.cli._inputs import load_inputs
 from lightopt.cli._options import Force, RigFile, SerialLog, parse_exposure
 from lightopt.cli._parser import HeadedCommand
-from lightopt.cli._terminal import say, say_warning, show_table
+from lightopt.cli._terminal import echo, echo_warning, show_table
 from lightopt.core.errors import HardwareError, InputError, LightoptError
 from lightopt.core.run_context import RunContext
 
@@ -66,12 +66,14 @@ def light(
     at_most = "" if longest is None else f", {longest:g} s at most (max_on_s)"
     loaded, devices = _open(rig, serial_log)
     with devices:
-        say(
+        echo(
             f"{name} is on at level {chosen}"
             + (f" until Enter is pressed{at_most}" if seconds is None else f" for {seconds:g} s")
         )
         held = hold_light(devices, name, chosen, seconds=seconds, wait=_wait)
-    say(f"{name} is off; " + ("its level cannot be read back" if held is None else f"the controller held level {held}"))
+    echo(
+        f"{name} is off; " + ("its level cannot be read back" if held is None else f"the controller held level {held}")
+    )
 
 
 @bench.command(cls=HeadedCommand)
@@ -85,18 +87,18 @@ def off(rig: RigFile, serial_log: SerialLog = None) -> None:
 
     lights = load_lights(rig)
     try:
-        done = switch_off(lights, serial_log=serial_log, run=RunContext(warn=say_warning))
+        done = switch_off(lights, serial_log=serial_log, run=RunContext(warn=echo_warning))
     finally:
         for problem in lights.problems:
-            say_warning(problem)
+            echo_warning(problem)
     which = f"({', '.join(done.controllers)})"
     if done.unverified:
-        say(
+        echo(
             f"all lights of {lights.name} were switched off {which}; {', '.join(done.unverified)} "
             "cannot be read back: look"
         )
     else:
-        say(f"all lights of {lights.name} are off {which}")
+        echo(f"all lights of {lights.name} are off {which}")
 
 
 @bench.command(cls=HeadedCommand)
@@ -108,7 +110,7 @@ def home(rig: RigFile, serial_log: SerialLog = None) -> None:
         devices.home()
         assert devices.stage is not None
         state = devices.stage.state()
-    say(f"the stage stands at {state.posture}")
+    echo(f"the stage stands at {state.posture}")
 
 
 @bench.command(cls=HeadedCommand)
@@ -145,7 +147,7 @@ def move(
                 here.rotation_deg if rotation is None else rotation,
             )
         )
-    say(f"the stage stands at {state.posture}")
+    echo(f"the stage stands at {state.posture}")
 
 
 @bench.command(cls=HeadedCommand)
@@ -175,11 +177,13 @@ def snap(
     if light is not None:
         check_level(wiring, loaded, light, None)
         check_on_time(wiring, loaded, light, snap_on_s(wiring, relative))
-    devices = connect_devices(loaded, wiring, part=loaded_part, serial_log=serial_log, run=RunContext(warn=say_warning))
+    devices = connect_devices(
+        loaded, wiring, part=loaded_part, serial_log=serial_log, run=RunContext(warn=echo_warning)
+    )
     with devices:
         low, high, mean = take(devices, file, light=light, exposure=relative, overwrite=force)
-    say(f"levels {low} to {high}, mean {mean:.1f}")
-    say(f"{file}")
+    echo(f"levels {low} to {high}, mean {mean:.1f}")
+    echo(f"{file}")
 
 
 @bench.command("devices", cls=HeadedCommand)
@@ -193,7 +197,7 @@ def list_devices(
     if ports:
         show_table(("port", "is"), ports, numbers_from=2)
     else:
-        say("no serial ports on this computer")
+        echo("no serial ports on this computer")
     if rig is None:
         _show_cameras(None)
         return
@@ -221,7 +225,7 @@ def list_devices(
         rows.append(("stage", hardware.stage.driver, hardware.stage.port, port_state(hardware.stage.port)))
     camera = hardware.camera
     rows.append(("camera", camera.driver, camera.folder or camera.port or "", _camera_state(camera, cameras)))
-    say("")
+    echo("")
     show_table(("device", "driver", "port", "there"), rows, numbers_from=4)
 
 
@@ -230,14 +234,14 @@ def _show_cameras(producer: Path | None) -> list[CameraInfo]:
     from lightopt.rig.devices import find_cameras
 
     cameras, problems = find_cameras(producer)
-    say("")
+    echo("")
     if cameras:
         rows = [(camera.model, camera.driver, ", ".join(camera.names)) for camera in cameras]
         show_table(("camera", "driver", "names"), rows, numbers_from=3)
     else:
-        say("no cameras answer")
+        echo("no cameras answer")
     for problem in problems:
-        say(f"not searched: {problem}")
+        echo(f"not searched: {problem}")
     return cameras
 
 
@@ -273,7 +277,7 @@ def _open(
         serial_log=serial_log,
         touch_lights=touch_lights,
         unreachable=unreachable,
-        run=RunContext(warn=say_warning),
+        run=RunContext(warn=echo_warning),
     )
 
 

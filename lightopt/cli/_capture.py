@@ -24,7 +24,7 @@ from lightopt.cli._options import (
     selection_option,
 )
 from lightopt.cli._sheets import add_sheets
-from lightopt.cli._terminal import say, say_error, say_warning, show_progress, show_table
+from lightopt.cli._terminal import echo, echo_error, echo_warning, show_progress, show_table
 from lightopt.core.errors import InputError, Interrupted, counted
 from lightopt.core.run_context import RunContext
 
@@ -121,10 +121,10 @@ def capture(
                 resume=resume,
                 force=force,
                 serial_log=serial_log,
-                run=RunContext(progress=progress, warn=say_warning),
+                run=RunContext(progress=progress, warn=echo_warning),
             )
     except Interrupted as stopped:
-        say_error(*stopped.messages, label="")
+        echo_error(*stopped.messages, label="")
         raise
     if not quiet:
         _show_result(done)
@@ -135,7 +135,7 @@ def capture(
 
 def _show_plan(plan: CapturePlan) -> None:
     if not plan.wiring.given:
-        say("no hardware section in the rig: the virtual bench")
+        echo("no hardware section in the rig: the virtual bench")
     rows: list[tuple[str, str, str]] = []
     at = 0.0
     for step in plan.steps():
@@ -145,17 +145,17 @@ def _show_plan(plan: CapturePlan) -> None:
     renders = "; opening and rendering come on top" if plan.wiring.camera_is_virtual else ""
     travel = sum(step.seconds for step in plan.steps() if step.kind == "move")
     way = f", {travel:.1f} s of them travel" if plan.wiring.hardware.stage is not None else ""
-    say(f"{counted(len(plan.keys), 'image')} in {at:.0f} s{way}{renders}; nothing was opened or moved")
+    echo(f"{counted(len(plan.keys), 'image')} in {at:.0f} s{way}{renders}; nothing was opened or moved")
 
 
 def _show_result(done: CaptureResult) -> None:
     if done.replaced:
-        say(f"replaced the image set that was there ({counted(done.replaced, 'file')})")
+        echo(f"replaced the image set that was there ({counted(done.replaced, 'file')})")
     there = done.images - done.taken
     were_there = f" ({there} of them were there already)" if there else ""
-    say(f"{counted(done.images, 'image')}{were_there} in {done.timing.whole_s:.0f} s")
+    echo(f"{counted(done.images, 'image')}{were_there} in {done.timing.whole_s:.0f} s")
     if done.retries:
-        say(f"{counted(done.retries, 'command')} had to be sent again; the manifest says at which images")
-    say(f"{done.folder / 'manifest.json'}")
+        echo(f"{counted(done.retries, 'command')} had to be sent again; the manifest says at which images")
+    echo(f"{done.folder / 'manifest.json'}")
     if done.virtual_bench:
-        say("all devices were the VIRTUAL BENCH: the rig file has no hardware section, and no real device was touched")
+        echo("all devices were the VIRTUAL BENCH: the rig file has no hardware section, and no real device was touched")

@@ -8,7 +8,7 @@ import typer
 
 from lightopt.cli._inputs import load_inputs
 from lightopt.cli._options import Force, JsonFile, Quiet, RigFile, Verbose, output_option
-from lightopt.cli._terminal import say
+from lightopt.cli._terminal import echo
 from lightopt.core.errors import CheckFailed, InputError, counted
 
 
@@ -44,7 +44,7 @@ def check(
     levels = Counter(finding.level for finding in report.findings)
     if not quiet:
         named = [counted(levels[level], level) for level in ("error", "warning", "note") if levels[level]]
-        say(f"{', '.join(named) or 'nothing to correct'}; {levels['ok']} of {len(report.findings)} findings are ok")
+        echo(f"{', '.join(named) or 'nothing to correct'}; {levels['ok']} of {len(report.findings)} findings are ok")
     shown: set[str] = set()
     for finding in report.findings:
         if quiet and finding.level in ("ok", "note"):
@@ -53,12 +53,12 @@ def check(
             continue  # such as each posture's view
         shown.add(finding.topic)
         where = f" ({finding.where})" if finding.where else ""
-        say(f"{finding.level + ':':9}{finding.topic}: {finding.text}{where}")
+        echo(f"{finding.level + ':':9}{finding.topic}: {finding.text}{where}")
     if drawing is not None and loaded_part is not None:
         from lightopt.report import rig_drawing
         from lightopt.scene import build_scene
 
-        say(f"{rig_drawing(build_scene(loaded_rig, loaded_part), drawing, overwrite=force)}")
+        echo(f"{rig_drawing(build_scene(loaded_rig, loaded_part), drawing, overwrite=force)}")
     if json_file is not None:
         from lightopt.config import input_hashes
         from lightopt.core.provenance import provenance

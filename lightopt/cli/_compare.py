@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lightopt.cli._options import Force, JsonFile, Quiet, Verbose, make_folder, output_option
-from lightopt.cli._terminal import say, show_table
+from lightopt.cli._terminal import echo, show_table
 from lightopt.core.errors import CheckFailed, InputError, counted
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def _show(files: Sequence[FileComparison], *, parts: int, verbose: bool) -> None
     channels = [(file, channel) for file in files for channel in file.channels]
     differing = [pair for pair in channels if not pair[1].passed]
     if all(file.passed for file in files):
-        say(f"no difference beyond the thresholds in {counted(len(files), 'file')}")
+        echo(f"no difference beyond the thresholds in {counted(len(files), 'file')}")
     shown = (
         channels
         if verbose
@@ -139,15 +139,15 @@ def _show(files: Sequence[FileComparison], *, parts: int, verbose: bool) -> None
     if rows:
         show_table(["file", "channel", "max", "rms", "p99", "differing", "IoU", ""], rows, numbers_from=2)
     if len(shown) < len(differing):
-        say(f"and {counted(len(differing) - len(shown), 'channel')} more that differ; --verbose shows all")
+        echo(f"and {counted(len(differing) - len(shown), 'channel')} more that differ; --verbose shows all")
 
 
 def _show_notes(notes: Sequence[str], verbose: bool) -> None:
     shown = notes if verbose else notes[:MOST_NOTES]
     for note in shown:
-        say(f"note: {note}")
+        echo(f"note: {note}")
     if len(shown) < len(notes):
-        say(f"and {counted(len(notes) - len(shown), 'note')} more; --verbose shows all")
+        echo(f"and {counted(len(notes) - len(shown), 'note')} more; --verbose shows all")
 
 
 def _draw_set(
@@ -160,7 +160,7 @@ def _draw_set(
         path = folder / f"{'_'.join(Path(file.b).parts[-2:])}.diff.png"
         difference_picture(file.a, file.b, path, saturation=saturation, overwrite=force)
     if not quiet:
-        say(f"{counted(len(drawn), 'difference picture')} in {folder}")
+        echo(f"{counted(len(drawn), 'difference picture')} in {folder}")
 
 
 def _draw_file(file: FileComparison, path: Path, saturation: float | None, force: bool, quiet: bool) -> None:
@@ -170,4 +170,4 @@ def _draw_file(file: FileComparison, path: Path, saturation: float | None, force
         raise InputError(f"{path}: no difference picture, since the files cannot be compared", *file.reasons)
     scale = difference_picture(file.a, file.b, path, saturation=saturation, overwrite=force)
     if not quiet:
-        say(f"{path}: blue lower, red higher, full colour at {scale:.4g}")
+        echo(f"{path}: blue lower, red higher, full colour at {scale:.4g}")

@@ -8,7 +8,7 @@ import typer
 
 from lightopt.cli._inputs import load_inputs
 from lightopt.cli._options import Force, PartFile, Quiet, RigFile, Threads, Verbose, make_folder
-from lightopt.cli._terminal import say
+from lightopt.cli._terminal import echo
 from lightopt.core.errors import counted
 from lightopt.core.run_context import RunContext
 
@@ -52,5 +52,5 @@ def defects(
     write_random_defects(out, text, force=force)
     if not quiet:
         kinds = Counter(defect.entry.name for defect in placed)
-        say(f"{counted(len(placed), 'defect')}: {', '.join(f'{n} × {name}' for name, n in kinds.items())}")
-        say(f"{out}")
+        echo(f"{counted(len(placed), 'defect')}: {', '.join(f'{n} × {name}' for name, n in kinds.items())}")
+        echo(f"{out}")

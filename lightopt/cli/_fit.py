@@ -26,7 +26,7 @@ from lightopt.cli._options import (
     output_option,
     parse_points,
 )
-from lightopt.cli._terminal import say, say_warning, show_progress, show_table
+from lightopt.cli._terminal import echo, echo_warning, show_progress, show_table
 from lightopt.core.errors import CheckFailed, InputError
 from lightopt.core.run_context import RunContext
 
@@ -189,7 +189,7 @@ def _run(
     folder = FitFolder(out, made_from, force=force)
     make_folder(out)
     with show_progress(quiet=terminal.quiet) as progress:
-        run = RunContext(threads=terminal.threads, progress=progress, warn=say_warning)
+        run = RunContext(threads=terminal.threads, progress=progress, warn=echo_warning)
         if kind == "diffuse":
             result = fit_diffuse(loaded_rig, loaded_part, image_set, options=options, run=run)
         else:
@@ -202,7 +202,7 @@ def _run(
     if not terminal.quiet:
         _show(result, terminal.verbose)
         for path in (*written, *([chart] if chart else [])):
-            say(f"{path}")
+            echo(f"{path}")
     if not result.converged and not allow_unconverged:
         raise CheckFailed(
             "the fit did not converge; its files are written all the same. --allow-unconverged takes it as it is"
@@ -288,27 +288,27 @@ def _show(result: FitResult, verbose: bool) -> None:
     show_table(["", "value", "std. error", "95 % interval"], rows)
     if result.highlights is not None:
         r_s, sigma = result.highlights
-        say(f"R_s {r_s:.4g} and σ {sigma:.4g} rad were fitted to know where the highlights are; they are not written")
+        echo(f"R_s {r_s:.4g} and σ {sigma:.4g} rad were fitted to know where the highlights are; they are not written")
     if result.paper is not None:
-        say(f"from {result.paper.image}; this method gives no uncertainty")
+        echo(f"from {result.paper.image}; this method gives no uncertainty")
     if result.correlation is not None:
-        say(f"correlation of ln R_s and ln σ: {result.correlation:.3f}")
+        echo(f"correlation of ln R_s and ln σ: {result.correlation:.3f}")
     if result.gains is not None:
-        say("gains: " + ", ".join(_with_error(gain) for gain in result.gains.values()))
+        echo("gains: " + ", ".join(_with_error(gain) for gain in result.gains.values()))
     if result.dark is not None:
-        say(_with_error(result.dark).replace("black_level", "black level:"))
+        echo(_with_error(result.dark).replace("black_level", "black level:"))
     if result.write_noise and result.noise is not None:
         _show_noise(result.noise)
     if result.placement is not None:
         p = result.placement
         turn, error = math.degrees(p.turn), math.degrees(p.errors[2])
-        say(
+        echo(
             f"the part lies {p.x:+.3f} mm in x, {p.y:+.3f} mm in y and {turn:+.3f}° from where its file has it "
             f"(standard errors {p.errors[0]:.1g} mm, {p.errors[1]:.1g} mm, {error:.1g}°)"
         )
     if result.quality is not None:
         q = result.quality
-        say(
+        echo(
             f"{result.observations:,} levels of {result.pixels:,} pixels; residual {q.rms:.3g} sensor levels rms ("
             f"noise {q.floor:.2g}), {100.0 * q.epsilon:.2f} % of the pixels unexplained"
         )
@@ -333,7 +333,7 @@ def _show_noise(noise: MeasuredNoise) -> None:
     )
     parts = [text.format(value, error) for text, value, error in figures if value is not None]
     if parts:
-        say("noise written: " + ", ".join(parts))
+        echo("noise written: " + ", ".join(parts))
 
 
 def _show_points(result: FitResult) -> None:
@@ -363,7 +363,7 @@ def _summarise_left_out(result: FitResult) -> None:
     overlaps = [image.iou for image, _ in images if image.iou is not None]
     own = f" ({', '.join(result.not_left_out)} as all images have it)" if result.not_left_out else ""
     least = f", saturated areas overlap by {min(overlaps):.3f} (IoU) or more" if overlaps else ""
-    say(
+    echo(
         f"each light predicted from the others{own}: residual {worst.rms_sensor:.3g} sensor levels rms at most "
         f"({worst.image}){least}"
     )

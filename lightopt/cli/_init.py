@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from lightopt.cli._options import Force, make_folder
-from lightopt.cli._terminal import say
+from lightopt.cli._terminal import echo
 from lightopt.core.errors import InputError
 
 
@@ -48,8 +48,8 @@ def init(
     make_folder(folder)
     for name, content in outputs.items():
         write_bytes_atomic(folder / name, content)
-        say(f"{folder / name}")
-    say(f"next: lightopt check {folder / 'rig.yaml'} {folder / 'part.yaml'}")
+        echo(f"{folder / name}")
+    echo(f"next: lightopt check {folder / 'rig.yaml'} {folder / 'part.yaml'}")
 
 
 class _Kind(str, Enum):
@@ -65,4 +65,4 @@ def schema(kind: Annotated[_Kind, typer.Argument(metavar="rig|part", help="Which
     """
     from lightopt.config import json_schema
 
-    say(json.dumps(json_schema(kind.value), indent=2, ensure_ascii=False))
+    echo(json.dumps(json_schema(kind.value), indent=2, ensure_ascii=False))

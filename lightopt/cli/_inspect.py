@@ -24,7 +24,7 @@ from lightopt.cli._options import (
     model_option,
     output_option,
 )
-from lightopt.cli._terminal import say, say_error, say_warning, show_progress
+from lightopt.cli._terminal import echo, echo_error, echo_warning, show_progress
 from lightopt.core.errors import CheckFailed, InputError, counted
 from lightopt.core.run_context import RunContext, StageShare
 
@@ -198,7 +198,7 @@ def _inspect(
         calibration=calibration,
         truth=sources,
         folders=folders,
-        run=RunContext(threads=output.threads, progress=progress, warn=say_warning),
+        run=RunContext(threads=output.threads, progress=progress, warn=echo_warning),
     )
     rows: list[BatchRow] = []
     evaluations: list[SetEvaluation] = []
@@ -212,7 +212,7 @@ def _inspect(
             folder.clear()
             own = f"{image_set.folder}"
             bare = (message.removeprefix(own).lstrip(",: ") for message in inspected.error.messages)
-            say_error(*(f"{name}: not inspected: {message}" for message in bare))
+            echo_error(*(f"{name}: not inspected: {message}" for message in bare))
             # results name folders, and not where on this machine they are
             reasons = (message.replace(own, name) for message in inspected.error.messages)
             rows.append(BatchRow(name=name, refused=tuple(reasons)))
@@ -244,9 +244,9 @@ def _calibrate(
     folder = CalibrationFolder(out, inspection_provenance(rig, part, sets, options), force=force)
     make_folder(out)
     with show_progress(quiet=quiet) as progress:
-        run = RunContext(threads=threads, progress=progress, warn=say_warning)
+        run = RunContext(threads=threads, progress=progress, warn=echo_warning)
         calibration = calibrate(rig, part, sets, options=options, run=run)
     path = folder.write(calibration)
     if not quiet:
         show_calibration(calibration, options.false_alarms)
-        say(f"{path}")
+        echo(f"{path}")

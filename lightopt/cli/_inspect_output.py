@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lightopt.cli._terminal import say, show_progress, show_table
+from lightopt.cli._terminal import echo, show_progress, show_table
 from lightopt.core.errors import percent
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def write_set(output: Output, folder: InspectionFolder, inspected: InspectedSet,
         if summarised:
             _show_inspection(result, verdict, verbose=output.verbose)
         else:
-            say(f"{inspected.name}: {verdict.word}: {verdict.explanation}")
+            echo(f"{inspected.name}: {verdict.word}: {verdict.explanation}")
     with show_progress(quiet=output.quiet) as progress:
         for number, posture in enumerate(result.postures):
             if progress is not None:
@@ -100,7 +100,7 @@ def _show_written(output: Output, summary: Mapping[str, Any] | None, written: Se
     if summary is not None:
         _show_evaluation(summary, verbose=output.verbose)
     for path in written:
-        say(f"{path}")
+        echo(f"{path}")
 
 
 def show_batch(rows: Sequence[BatchRow], *, minutes: float) -> None:
@@ -108,7 +108,7 @@ def show_batch(rows: Sequence[BatchRow], *, minutes: float) -> None:
     refused = sum(row.verdict is None for row in rows)
     good = sum(row.verdict.good for row in rows if row.verdict is not None)
     others = f", {refused} not inspected" if refused else ""
-    say(f"{len(rows)} parts, {good} OK{others}; {len(rows) / max(minutes, 1e-9):.3g} parts per minute")
+    echo(f"{len(rows)} parts, {good} OK{others}; {len(rows) / max(minutes, 1e-9):.3g} parts per minute")
 
 
 def show_calibration(calibration: Calibration, rate: float) -> None:
@@ -122,7 +122,7 @@ def show_calibration(calibration: Calibration, rate: float) -> None:
     rows.append(["threshold", *(f"{posture.threshold(rate):.1f}" for posture in calibration.postures)])
     show_table(["greatest score", *(str(posture.posture) for posture in calibration.postures)], rows)
     count = len(calibration.sets)
-    say(
+    echo(
         f"{count} good sets hold a rate of {rate:g}, the share of good parts with a false alarm in a posture; they "
         f"would hold {least_rate(count):.3g}"
     )
@@ -132,7 +132,7 @@ def _show_evaluation(summary: Mapping[str, Any], *, verbose: bool) -> None:
     # recall, false alarms and the size that is detected, from lightopt.inspection.summarise
     alarms, hidden, area = summary["false_alarms_per_posture"], summary["hidden"], summary["roc_auc"]
     why = " (out of view, at an edge, or narrower than a pixel)" if hidden else ""
-    say(
+    echo(
         f"{summary['found']} of {summary['defects']} defects found, {len(hidden)} shown by no pixel to judge{why}; "
         f"{alarms:g} false alarm{'' if alarms == 1.0 else 's'} per posture; area under the pixels' ROC "
         f"{'-' if area is None else area}"
@@ -156,18 +156,18 @@ def _show_inspection(result: InspectionResult, verdict: Verdict, *, verbose: boo
     from lightopt.inspection import REFERENCE_DEFECT
     from lightopt.report.inspection import dark_text, defect_table, placement_text, surface_notes, surface_table
 
-    say(f"{verdict.word}: {verdict.explanation}")
+    echo(f"{verdict.word}: {verdict.explanation}")
     if result.defects:
         table = defect_table(result, verdict)
         rows = table.rows if verbose else table.rows[:MOST_DEFECTS]
         show_table(table.header, rows, numbers_from=table.numbers_from)
         if len(rows) < len(table.rows):
-            say(f"and {len(table.rows) - len(rows)} more; --verbose shows them")
+            echo(f"and {len(table.rows) - len(rows)} more; --verbose shows them")
     if result.placement is not None and (place := placement_text(result.placement)):
-        say(f"the part lies off its nominal place by {place}")
-    say(f"{REFERENCE_DEFECT} is found on {percent(verdict.finds)} of the visible surface{dark_text(verdict)}")
+        echo(f"the part lies off its nominal place by {place}")
+    echo(f"{REFERENCE_DEFECT} is found on {percent(verdict.finds)} of the visible surface{dark_text(verdict)}")
     if verbose:
         table = surface_table(result)
         show_table(table.header, table.rows, numbers_from=table.numbers_from)
         for sentence in surface_notes(result):
-            say(sentence)
+            echo(sentence)

@@ -24,7 +24,7 @@ from lightopt.cli._overlap import overlap
 from lightopt.cli._parser import HeadedCommand
 from lightopt.cli._process import INTERRUPTED
 from lightopt.cli._render import render
-from lightopt.cli._terminal import say_error, version_wanted
+from lightopt.cli._terminal import echo_error, version_wanted
 from lightopt.cli._unexpected import DEBUG, DEFECT, debugging, report_unexpected, system_refused
 from lightopt.core.errors import LightoptError, error_text
 from lightopt.core.interrupts import interrupt
@@ -110,25 +110,25 @@ def run(arguments: list[str]) -> int:
         except BaseException as error:  # noqa: BLE001  (the one boundary)
             return _failed(error)
     if status == INTERRUPTED:  # typer's own answer to Ctrl-C
-        say_error("interrupted; files that were finished are complete", label="")
+        echo_error("interrupted; files that were finished are complete", label="")
     return status if isinstance(status, int) else 0
 
 
 def _failed(error: BaseException) -> int:
     """Say what went wrong; the exit status."""
     if isinstance(error, LightoptError):
-        say_error(*error.messages)
+        echo_error(*error.messages)
         return error.exit_status
     if isinstance(error, _UsageError):
         context = getattr(error, "ctx", None)
-        say_error(error.format_message())  # pyright: ignore[reportAttributeAccessIssue]
+        echo_error(error.format_message())  # pyright: ignore[reportAttributeAccessIssue]
         if context is not None:
-            say_error(f"see: {context.command_path} --help", label="")
+            echo_error(f"see: {context.command_path} --help", label="")
         return WRONG_INPUT
     if isinstance(error, OSError) and system_refused(error):
         if debugging():
             traceback.print_exception(error)
-        say_error(error_text(error))
+        echo_error(error_text(error))
         return WRONG_INPUT
     report_unexpected(error)
     return DEFECT

@@ -28,7 +28,7 @@ from lightopt.cli._options import (
 )
 from lightopt.cli._plan_options import given, plan_options
 from lightopt.cli._plan_tables import show_plan
-from lightopt.cli._terminal import say, say_warning, show_progress, show_table
+from lightopt.cli._terminal import echo, echo_warning, show_progress, show_table
 from lightopt.core.errors import CheckFailed, InputError
 from lightopt.core.run_context import RunContext
 
@@ -214,7 +214,7 @@ def optimize(
     )
     try:
         with show_progress(quiet=quiet) as progress:
-            run = RunContext(threads=threads, progress=progress, inform=say if verbose else None, warn=say_warning)
+            run = RunContext(threads=threads, progress=progress, inform=echo if verbose else None, warn=echo_warning)
             result = design(loaded_rig, loaded_part, out, options=options, plan=plan, force=force, run=run)
             output = write_design(result, blind_pictures=blind_pictures(result), force=force, run=run)
             finish_design(output, design_report(output) if options.report else None)
@@ -249,7 +249,7 @@ def _show_reachable(error: TargetNotReached) -> None:
         for number, step in enumerate(error.steps, start=1)
     ]
     show_table(("postures", "the last of them", "show at least", "with these lights at most"), rows)
-    say(
+    echo(
         "at least: what these postures show, chosen one after the other with one set of lights for all of them; "
         "--choose-postures N places the lights for N, and may choose others"
     )

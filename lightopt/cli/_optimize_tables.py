@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from lightopt.cli._terminal import say, show_table, together
+from lightopt.cli._terminal import echo, show_table, together
 from lightopt.core.errors import counted
 
 if TYPE_CHECKING:
@@ -28,17 +28,19 @@ def show_design(output: DesignOutput, *, verbose: bool) -> None:
     if output.overlaps and verbose:
         show_overlaps(output.overlaps)
     for path in output.paths:
-        say(f"{path}")
+        echo(f"{path}")
 
 
 def _show_inputs(result: DesignResult) -> None:
     for out in result.all_candidates.left_out:
-        say(f"left out: {out.light} at elevation {out.elevation_deg:g}°, azimuth {out.azimuth_deg:g}°: it {out.reason}")
+        echo(
+            f"left out: {out.light} at elevation {out.elevation_deg:g}°, azimuth {out.azimuth_deg:g}°: it {out.reason}"
+        )
     if result.patches is not None:
-        say(result.patches.message)
+        echo(result.patches.message)
     if result.reused:
         matrices = "matrix" if result.reused == 1 else "matrices"
-        say(f"{result.reused} stored luminance {matrices} reused")
+        echo(f"{result.reused} stored luminance {matrices} reused")
 
 
 def _show_best(found: DesignResult, *, verbose: bool) -> None:
@@ -61,10 +63,10 @@ def _explain(objectives: Sequence[Objective]) -> None:
     from lightopt.design import LEFT_OUT_MEANING, near_meaning, shares_of
 
     for surface, names in shares_of(objectives).items():
-        say(f"shares of {' and '.join(names)}: of {surface}")
-    say(LEFT_OUT_MEANING)
-    say(near_meaning(objectives))
-    say("of each light its elevation and its azimuth about Z from +X")
+        echo(f"shares of {' and '.join(names)}: of {surface}")
+    echo(LEFT_OUT_MEANING)
+    echo(near_meaning(objectives))
+    echo("of each light its elevation and its azimuth about Z from +X")
 
 
 def _cells(answer: ObjectiveResult, result: SetResult, found: DesignResult) -> list[str]:
@@ -109,7 +111,7 @@ def _show_defects(found: DesignResult) -> None:
                 )
             )
             which = f"{together(result.postures)}{' postures' * (len(result.postures) > 1)}"
-            say(
+            echo(
                 f"{which}: best for {answer.objective.name} shows {kinds}{least}; shares as those of "
                 f"{answer.objective.name}"
             )
@@ -124,7 +126,7 @@ def _summarise_blind_spots(blind: BlindSpotSummary) -> None:
         f"{blind_text(code, blind.lights)} {share_text(share, chosen.grain)}"
         for code, share in sorted(chosen.by_reason().items())
     )
-    say(f"seen {share_text(chosen.seen, chosen.grain)} of {BLIND_SHARES_OF}; {reasons}")
+    echo(f"seen {share_text(chosen.seen, chosen.grain)} of {BLIND_SHARES_OF}; {reasons}")
 
 
 def show_blind_spots(blind: BlindSpotSummary) -> None:
@@ -151,10 +153,10 @@ def show_blind_spots(blind: BlindSpotSummary) -> None:
     show_table(header, rows, numbers_from=2)
     images = counted(blind.objective.min_images, "image")
     own = "; a posture's own images in its row, those of all postures in all" if len(parts) > 1 else ""
-    say(f"shares of {BLIND_SHARES_OF}, seen in {images} or more{own}")
-    say("left out: of the whole surface, what the camera sees at a grazing angle only")
+    echo(f"shares of {BLIND_SHARES_OF}, seen in {images} or more{own}")
+    echo("left out: of the whole surface, what the camera sees at a grazing angle only")
     if both:
-        say(
+        echo(
             f"{BLIND_LIGHTS[1]}: every light wherever it shows that defect; no one set of positions need show all of it"
         )
 

@@ -7,7 +7,7 @@ import typer
 
 from lightopt.cli._optimize_tables import show_overlaps
 from lightopt.cli._options import Force, Quiet, Verbose
-from lightopt.cli._terminal import say
+from lightopt.cli._terminal import echo
 
 
 def overlap(
@@ -36,4 +36,4 @@ def overlap(
         return
     for path in write_overlaps(found, image_set, out, force=force):
         if not quiet:
-            say(f"{path}")
+            echo(f"{path}")

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lightopt.cli._terminal import say, show_table, together
+from lightopt.cli._terminal import echo, show_table, together
 from lightopt.core.errors import counted
 
 if TYPE_CHECKING:
@@ -30,14 +30,14 @@ def show_plan(result: PlanResult, folder: Path, *, verbose: bool) -> None:
         show_table(table.header, table.rows)
         _explain_exposures(planned, partial(share_text, grain=planned["grain"]))
         if verbose and "chosen_postures" not in document:
-            say(f"shares of exposures: of {planned['shares_of']}")
+            echo(f"shares of exposures: of {planned['shares_of']}")
     if result.tolerances:
         table = tolerance_table(document["trust"], [together(one.postures) for one in result.tolerances])
         show_table(table.header, table.rows)
     if result.commands:
-        say(f"to carry the plan out, in {folder}:")
+        echo(f"to carry the plan out, in {folder}:")
         for command in document["commands"]:
-            say(f"  {command}")
+            echo(f"  {command}")
         if verbose:
             _show_rounds(document["rounds"])
 
@@ -52,7 +52,7 @@ def _show_postures(chosen: Section, *, verbose: bool) -> None:
     table = posture_table(chosen, with_exposures=len(chosen["bounds_with_any_of_exposures"]) > 1)
     show_table(table.header, table.rows)
     number, images = counted(len(chosen["postures"]), "posture"), counted(chosen["min_images"], "image")
-    say(
+    echo(
         f"{number} of {chosen['candidates']} show {text(chosen['share'])} of the surface × defects in {images} or "
         "more, all planned images together and no others"
     )
@@ -61,9 +61,9 @@ def _show_postures(chosen: Section, *, verbose: bool) -> None:
     if not verbose:
         return
     for out in chosen["left_out"]:
-        say(f"left out: posture {Posture.from_dict(out)}: {out['reason']}")
-    say(f"shares of postures and exposures: of {chosen['shares_of']}")
-    say(
+        echo(f"left out: posture {Posture.from_dict(out)}: {out['reason']}")
+    echo(f"shares of postures and exposures: of {chosen['shares_of']}")
+    echo(
         f"that surface is {text(chosen['inspectable_share_of_surface'])} of the part's, and "
         f"{text(chosen['left_out_share_of_surface'])} is left out since the camera sees it at a grazing angle only; of "
         f"{patches['all']:,} patches with edges up to {patches['max_edge_mm']:.3g} mm, each seen or not as its middle "
@@ -71,11 +71,11 @@ def _show_postures(chosen: Section, *, verbose: bool) -> None:
     )
     if chosen["min_images"] > 1:
         k = chosen["min_images"]
-        say(
+        echo(
             f"adds: images new to a pair of patch and defect, up to {k} of each; together: pairs with {k} images or "
             "more"
         )
-    say(f"stage, in one round: {_travel(chosen)} of travel {chosen['travel_pace']}")
+    echo(f"stage, in one round: {_travel(chosen)} of travel {chosen['travel_pace']}")
 
 
 def _show_rounds(rounds: Sequence[Section]) -> None:
@@ -83,9 +83,9 @@ def _show_rounds(rounds: Sequence[Section]) -> None:
     if len(rounds) < 2:
         return
     for number, one in enumerate(rounds, start=1):
-        say(f"stage, capture {number}: {_travel(one)} of travel")
+        echo(f"stage, capture {number}: {_travel(one)} of travel")
     total = sum(one["travel_s"] for one in rounds)
-    say(f"together {total:.1f} s of travel, without the ways back to (0°, 0°)")
+    echo(f"together {total:.1f} s of travel, without the ways back to (0°, 0°)")
 
 
 def _travel(way: Section) -> str:
@@ -100,10 +100,10 @@ def _show_spare(chosen: Section, text: partial[str]) -> None:
     count, sufficient = len(chosen["postures"]), chosen["postures_to_a_tenth_of_a_point"]
     if chosen["asked"] is not None and count < chosen["asked"] and chosen["target"] is None:
         why = "there are no others" if count == chosen["candidates"] else "no other adds anything with these lights"
-        say(f"{chosen['asked']} postures were asked for: {why}")
+        echo(f"{chosen['asked']} postures were asked for: {why}")
     if sufficient < count:
         share = text(chosen["postures"][sufficient - 1]["share"])
-        say(
+        echo(
             f"the first {sufficient} chosen show {share}, the others less than 0.1 points more: "
             f"--choose-postures {sufficient} does nearly as well"
         )
@@ -117,7 +117,7 @@ def _show_proof(chosen: Section, text: partial[str], *, verbose: bool) -> None:
     levels = ", ".join(f"{exposure:.9g}" for exposure in exposures)
     whatever = f", at any of the exposures {levels}" * (len(exposures) > 1)
     if chosen["optimum"] == "proven":
-        say(f"proven of these patches: no {number} show more{whatever}")
+        echo(f"proven of these patches: no {number} show more{whatever}")
     else:
         local = "a local optimum: " if chosen["turns"] else ""
         bound = f"with these lights {sets_text(chosen)} more"
@@ -127,20 +127,20 @@ def _show_proof(chosen: Section, text: partial[str], *, verbose: bool) -> None:
             else f" than {text(chosen['bound'])}{whatever}, so that these have {text(chosen['greedy_guarantee'])} of "
             "the best at least"
         )
-        say(f"{local}{bound}" + "; other lights with other postures may show more" * bool(chosen["turns"]))
+        echo(f"{local}{bound}" + "; other lights with other postures may show more" * bool(chosen["turns"]))
     if not verbose:
         return
-    say(f"all {chosen['candidates']} postures with these lights show {text(chosen['all_candidates'])}{whatever}")
+    echo(f"all {chosen['candidates']} postures with these lights show {text(chosen['all_candidates'])}{whatever}")
     if chosen["fewest_possible"] is not None and chosen["target"] is not None:
         needed = counted(chosen["fewest_possible"], "posture")
-        say(f"{100.0 * chosen['target']:.9g} % takes at least {needed} with these lights")
+        echo(f"{100.0 * chosen['target']:.9g} % takes at least {needed} with these lights")
     if not chosen["turns"]:
         return
     best = "; proven: in these postures no other positions show more" * chosen["lights_best_for_postures"]
-    say(f"lights: the same for all postures, placed together with them {search_text(chosen)}{best}")
+    echo(f"lights: the same for all postures, placed together with them {search_text(chosen)}{best}")
     initial = chosen["lights_as_they_stand"]
     if initial is not None:
-        say(
+        echo(
             f"the lights as they stood show {text(initial['share'])} in {counted(initial['postures'], 'posture')} "
             f"chosen for them, on {chosen['patches']['drawn']:,} patches, at exposure 1"
         )
@@ -153,7 +153,7 @@ def _explain_exposures(planned: Section, text: partial[str]) -> None:
     adding += ", or two that add twice that together" * ("pair" in why)
     adding += ", or needed for the target" * ("target" in why)
     number = counted(sum(shot["planned"] for shot in shots), "further exposure")
-    say(
+    echo(
         f"{number} planned, each adding {adding}: {text(planned['share_without'])} of the surface × defects becomes "
         f"{text(planned['share'])}"
     )

@@ -25,7 +25,7 @@ from lightopt.cli._options import (
     parse_postures,
 )
 from lightopt.cli._sheets import add_sheets
-from lightopt.cli._terminal import say, say_warning, show_progress
+from lightopt.cli._terminal import echo, echo_warning, show_progress
 from lightopt.core.errors import counted
 from lightopt.core.run_context import RunContext
 
@@ -83,16 +83,16 @@ def render(
         patch_budget=DEFAULT_PATCH_BUDGET if patches is None else patches,
     )
     with show_progress(quiet=quiet) as progress:
-        run = RunContext(threads=threads, progress=progress, warn=say_warning)
+        run = RunContext(threads=threads, progress=progress, warn=echo_warning)
         done = render_image_set(loaded_rig, loaded_part, out, options=options, force=force, run=run)
     if not quiet:
         resumed = f" ({done.resumed} of them were there already)" if done.resumed else ""
-        say(f"{counted(done.images, 'image')}{resumed}, {done.rays / 1e6:.1f} million rays")
+        echo(f"{counted(done.images, 'image')}{resumed}, {done.rays / 1e6:.1f} million rays")
         if done.replaced:
-            say(f"replaced the image set that was there ({counted(done.replaced, 'file')})")
+            echo(f"replaced the image set that was there ({counted(done.replaced, 'file')})")
         if done.patches is not None:
-            say(done.patches)
-        say(f"{done.folder / 'manifest.json'}")
+            echo(done.patches)
+        echo(f"{done.folder / 'manifest.json'}")
     if sheet:
         title = f"{loaded_part.name} on {loaded_rig.name}"
         add_sheets(out, exposures=chosen_exposures, title=title, force=force, quiet=quiet)

@@ -3,7 +3,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from lightopt.cli._terminal import say
+from lightopt.cli._terminal import echo
 
 
 def add_sheets(folder: Path, *, exposures: Sequence[float], title: str, force: bool, quiet: bool) -> None:
@@ -13,4 +13,4 @@ def add_sheets(folder: Path, *, exposures: Sequence[float], title: str, force: b
     sheets = add_contact_sheets(folder, exposures=exposures, title=title, overwrite=force)
     for exposure, path in zip(exposures, sheets, strict=True):
         if not quiet:
-            say(f"contact sheet, exposure {exposure:g}: {path}")
+            echo(f"contact sheet, exposure {exposure:g}: {path}")

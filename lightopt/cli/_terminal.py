@@ -16,18 +16,18 @@ if TYPE_CHECKING:
     from lightopt.core.transforms import Posture
 
 
-def say(text: str) -> None:
+def echo(text: str) -> None:
     """Print a line of results to standard output."""
     typer.echo(with_flags(text))
 
 
-def say_error(*messages: str, label: str = "error: ") -> None:
+def echo_error(*messages: str, label: str = "error: ") -> None:
     """Messages on standard error, one line each."""
     for message in messages:
         typer.echo(f"{label}{with_flags(message)}", err=True)
 
 
-def say_warning(message: str) -> None:
+def echo_warning(message: str) -> None:
     """A warning on standard error."""
     typer.echo(f"warning: {with_flags(message)}", err=True)
 
@@ -37,7 +37,7 @@ def version_wanted(wanted: bool) -> None:
     if wanted:
         from lightopt import __version__
 
-        say(f"lightopt {__version__}")
+        echo(f"lightopt {__version__}")
         raise typer.Exit
 
 
@@ -49,7 +49,7 @@ def show_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers_
             cell.rjust(width) if i >= numbers_from else cell.ljust(width)
             for i, (cell, width) in enumerate(zip(row, widths, strict=True))
         ]
-        say("  ".join(cells).rstrip())
+        echo("  ".join(cells).rstrip())
 
 
 def together(postures: Sequence[Posture]) -> str:
