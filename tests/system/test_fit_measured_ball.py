@@ -105,7 +105,9 @@ def examine(bench, sizes, *, most_of_each, places=(R_D, LOG_R_S, LOG_SIGMA), ali
                 own, rms = bench.ball.best_fit(bench.levels, lights, bits=bench.bits)
                 assert bench.ball.rms(one.x[:3], bench.levels, lights, bits=bench.bits) <= 1.02 * rms
                 low, high = intervals[LOG_SIGMA][-1][number]
-                assert low - 0.02 <= own[2] <= high + 0.02  # intervals of 95 %: one in twenty just misses it
+                # intervals of 95 %: one in twenty just misses it; a misfit that the noise hides is not in them
+                margin = 0.15 if one.describes else 0.02
+                assert low - margin <= own[2] <= high + margin
     many = [sigma for size in sizes if size >= 12 for sigma in sigmas[size]]
     few = [sigma for size in sizes if size < 12 for sigma in sigmas[size]]
     if alike:
