@@ -111,7 +111,7 @@ def test_capture_says_where_the_set_is_and_takes_nothing_twice(cli, wired):
     assert "4 images (4 of them were there already)" in resumed.out
     render = cli("render", wired.rig, wired.part, "-o", wired.out, "--force", "--patches", "500")
     assert render.status == 2
-    assert "captured images, which are not replaced" in render.err
+    assert "captured images, which simulated ones never replace" in render.err
 
 
 def test_a_capture_without_devices_says_that_it_was_the_virtual_bench(cli, bench):

@@ -240,7 +240,7 @@ def test_check_judges_though_nobody_reads(bench):
     bench.edit("rig.yaml", "distance_mm: 330, elevation_deg: 45", "distance_mm: 20, elevation_deg: 45")
     status, said = left(lightopt("check", bench.rig, bench.part, stdout=subprocess.PIPE))
     assert status == 1
-    assert said.endswith("must be mended before rendering\n")
+    assert said.endswith("must be corrected before rendering\n")
 
 
 @closes_pipes

@@ -223,7 +223,7 @@ def test_again_it_is_the_same_and_reports_of_others_stay(three, cli, snapshot):
     (three.out / "report.html").write_text("spoilt", encoding="utf-8")
     assert cli(*command).status == 0
     assert snapshot(three.out) == before
-    assert "Not rendered (--no-images)" in (three.out / "report.html").read_text(encoding="utf-8")
+    assert "Not rendered: images were switched off" in (three.out / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
@@ -361,7 +361,7 @@ def test_what_was_assumed_of_defects_and_tolerances_is_told(inspected, done, und
     assert told["defects looked for"].startswith(f"{names}: ")
     assert told["directions of walls"] == "8, evenly around"
     min_images, threshold = options["min_images"], options["threshold"]
-    assert f"by {threshold:g} times the noise or more (--threshold), in {min_images} image" in told["a defect is seen"]
+    assert f"by {threshold:g} times the noise or more, in {min_images} image" in told["a defect is seen"]
     assert told["left out"] == "what the camera sees at more than 80° to the normal"
     assert told["tolerances"].startswith("lights 2°, part 1°; 100 draws of seed 0")
     assert "not part of the score" not in told["sensor noise"]
