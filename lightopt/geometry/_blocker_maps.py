@@ -46,11 +46,8 @@ DEPTH_TOLERANCE = 1e-4
 TEXEL_MARGIN = 0.05
 
 BlockerMap = tuple[Float32, Float32]
-"""A view's 14 numbers (its axes right, up and forward, the target, the coordinate of its edge, texels per unit), and
-the least depth in each texel, shape (TEXELS, TEXELS)."""
-
-NO_VIEWS, NO_DEPTHS = np.zeros((0, 14), np.float32), np.zeros((0, TEXELS, TEXELS), np.float32)
-"""Of a caster that has no map."""
+"""A view's 12 numbers (its axes right, up and forward, the target's distance, the coordinate of its edge, texels per
+unit), and the least depth in each texel, counted from the mesh's centre, shape (TEXELS, TEXELS)."""
 
 
 class BlockerMaps:
@@ -76,30 +73,32 @@ class BlockerMaps:
     def _is_closed(self) -> bool:
         if self._closed is None:
             _, welded = merge_rows(self._vertices.astype(np.float64))
-            closed, folded = _closed_and_folded(self._vertices, self._faces, welded)
+            planes = _planes(self._vertices, self._faces)
+            closed, folded = _closed_and_folded(self._vertices, self._faces, planes, welded)
             self._closed = bool(closed)
             if not closed:
                 _log.info("the mesh is open or its faces disagree in direction: every shadow ray is cast")
             if closed:
                 either = folded[self._faces].any(axis=1) | _near_other_bodies(self._vertices, self._faces, welded)
-                self._surface = _planes(self._vertices, self._faces), either
+                self._surface = planes, either
         return bool(self._closed)
 
-    def find(self, targets: Float64) -> tuple[Int32, Float32, Float32]:
-        """Number of the map of each target, −1 where it has none, shape (t,); views (k, 14) and depths of the maps.
+    def unproven(self, targets: Float64, begins: Float64, candidates: Bool) -> Bool:
+        """Which rays no map proves free, of the candidates; shape (t, n).
 
         targets: In the mesh's radii from its centre, shape (t, 3)
+        begins: Of the rays, all outside all solids, in the same units, shape (3, n)
+        candidates: Shape (t, n)
         """
-        numbers = np.full(len(targets), -1, np.int32)
-        found: list[BlockerMap] = []
         with self._lock:
-            for i, key in enumerate(_keys(targets) if self._maps else ()):
-                if key in self._maps:
-                    numbers[i] = len(found)
-                    found.append(self._maps[key])
-        if not found:
-            return numbers, NO_VIEWS, NO_DEPTHS
-        return numbers, np.stack([view for view, _ in found]), np.stack([depths for _, depths in found])
+            found = [self._maps.get(key) for key in _keys(targets)]
+        if not any(found):
+            return candidates
+        rest = candidates.copy()
+        for row, blockers in zip(rest, found, strict=True):
+            if blockers is not None:
+                _drop_proven(*blockers, begins, row)
+        return rest
 
     def make(self, targets: Float64, *, rays: int, threads: int | None) -> None:
         """Make the maps of targets that have none, where so many rays to each of them make that worthwhile.
@@ -129,38 +128,55 @@ def _keys(targets: Float64) -> list[bytes]:
 
 
 def _made(vertices: Float32, faces: Int32, planes: Float32, either: Bool, target: Float64) -> BlockerMap:
-    frame, depths = _frame(target), np.full((TEXELS, TEXELS), np.inf, np.float32)
-    _fill(vertices, faces, planes, either, frame, depths)
-    return frame, depths
+    view, depths = _view(target), np.full((TEXELS, TEXELS), np.inf, np.float32)
+    _fill(vertices, faces, planes, either, target, view, depths)
+    return view, depths
 
 
-def _frame(target: Float64) -> Float32:
-    forward = -target / np.linalg.norm(target)
+def _view(target: Float64) -> Float32:
+    distance = float(np.linalg.norm(target))
+    forward = -target / distance
     right = np.cross(np.eye(3)[np.argmin(np.abs(forward))], forward)
     right /= np.linalg.norm(right)
-    edge = 1.02 / math.sqrt(float(target @ target) - 1.0)
-    numbers = [*right, *np.cross(forward, right), *forward, *target, -edge, TEXELS / (2.0 * edge)]
+    edge = 1.02 / math.sqrt(distance**2 - 1.0)
+    numbers = [*right, *np.cross(forward, right), *forward, distance, -edge, TEXELS / (2.0 * edge)]
     return np.array(numbers, np.float32)
 
 
 @kernel
-def project(frame: Float32, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Column and row [texels], and depth, of a point in the view of a map."""
-    x, y, z = x - frame[9], y - frame[10], z - frame[11]
-    depth = x * frame[6] + y * frame[7] + z * frame[8]
-    column = ((x * frame[0] + y * frame[1] + z * frame[2]) / depth - frame[12]) * frame[13]
-    row = ((x * frame[3] + y * frame[4] + z * frame[5]) / depth - frame[12]) * frame[13]
+def _project(view: Float32, x: float, y: float, z: float) -> tuple[float, float, float]:
+    # column and row [texels], and depth, of a point in the view of a map; all float32. Depth is counted from the mesh's
+    # centre, so that it is as exact for a target far away
+    depth = x * view[6] + y * view[7] + z * view[8]
+    distance = view[9] + depth
+    column = ((x * view[0] + y * view[1] + z * view[2]) / distance - view[10]) * view[11]
+    row = ((x * view[3] + y * view[4] + z * view[5]) / distance - view[10]) * view[11]
     return column, row, depth
 
 
 @kernel
-def proven_free(frame: Float32, depths: Float32, x: float, y: float, z: float) -> bool:
-    """Whether nothing can block the ray from a point outside all solids to the target of a map."""
-    column, row, depth = project(frame, x, y, z)
-    i, j = int(row), int(column)
-    if column < 0.0 or row < 0.0 or i >= len(depths) or j >= len(depths):
-        return False
-    return depths[i, j] > depth + DEPTH_TOLERANCE
+def _drop_proven(view: Float32, depths: Float32, begins: Float64, rays: Bool) -> None:
+    # clears the rays that start outside all solids and that nothing can block
+    at_once = 1024
+    texel = np.empty(at_once, np.int32)
+    depth = np.empty(at_once, np.float32)
+    nearest = depths.ravel()
+    tolerance, side = np.float32(DEPTH_TOLERANCE), np.float32(TEXELS)
+    for first in range(0, len(rays), at_once):
+        count = min(at_once, len(rays) - first)
+        for j in range(count):
+            x, y, z = (
+                np.float32(begins[0, first + j]),
+                np.float32(begins[1, first + j]),
+                np.float32(begins[2, first + j]),
+            )
+            column, row, behind = _project(view, x, y, z)
+            inside = (column >= 0) & (row >= 0) & (column < side) & (row < side)
+            texel[j] = np.int32(row) * TEXELS + np.int32(column) if inside else -1
+            depth[j] = behind + tolerance
+        for j in range(count):
+            if rays[first + j] and texel[j] >= 0 and nearest[texel[j]] > depth[j]:
+                rays[first + j] = False
 
 
 @kernel
@@ -189,83 +205,100 @@ def _normal(vertices: Float32, face: Int32) -> tuple[float, float, float]:
 
 
 @kernel
-def _fill(vertices: Float32, faces: Int32, planes: Float32, either: Bool, frame: Float32, depths: Float32) -> None:
+def _fill(
+    vertices: Float32, faces: Int32, planes: Float32, either: Bool, target: Float64, view: Float32, depths: Float32
+) -> None:
     # every texel that the bounding box of a triangle touches gets the depth of its nearest vertex
     seen = np.empty((len(vertices), 3), np.float32)
     for i in range(len(vertices)):
-        seen[i, 0], seen[i, 1], seen[i, 2] = project(
-            frame, np.float64(vertices[i, 0]), np.float64(vertices[i, 1]), np.float64(vertices[i, 2])
-        )
-    last = len(depths) - 1
+        seen[i, 0], seen[i, 1], seen[i, 2] = _project(view, vertices[i, 0], vertices[i, 1], vertices[i, 2])
+    last, margin = len(depths) - 1, np.float32(TEXEL_MARGIN)
     for i in range(len(faces)):
-        beyond = planes[i, 0] * frame[9] + planes[i, 1] * frame[10] + planes[i, 2] * frame[11] - planes[i, 3]
+        beyond = planes[i, 0] * target[0] + planes[i, 1] * target[1] + planes[i, 2] * target[2] - planes[i, 3]
         if beyond > FACING_TOLERANCE and not either[i]:
             continue
         a, b, c = faces[i, 0], faces[i, 1], faces[i, 2]
         depth = min(seen[a, 2], seen[b, 2], seen[c, 2])
-        left = int(max(0.0, min(seen[a, 0], seen[b, 0], seen[c, 0]) - TEXEL_MARGIN))
-        right = int(min(last, max(seen[a, 0], seen[b, 0], seen[c, 0]) + TEXEL_MARGIN))
-        top = int(max(0.0, min(seen[a, 1], seen[b, 1], seen[c, 1]) - TEXEL_MARGIN))
-        bottom = int(min(last, max(seen[a, 1], seen[b, 1], seen[c, 1]) + TEXEL_MARGIN))
+        left = max(0, int(min(seen[a, 0], seen[b, 0], seen[c, 0]) - margin))
+        right = min(last, int(max(seen[a, 0], seen[b, 0], seen[c, 0]) + margin))
+        top = max(0, int(min(seen[a, 1], seen[b, 1], seen[c, 1]) - margin))
+        bottom = min(last, int(max(seen[a, 1], seen[b, 1], seen[c, 1]) + margin))
         for row in range(top, bottom + 1):
             for column in range(left, right + 1):
                 depths[row, column] = min(depths[row, column], depth)
 
 
 @kernel
-def _closed_and_folded(vertices: Float32, faces: Int32, welded: Int32) -> tuple[bool, Bool]:
+def _closed_and_folded(vertices: Float32, faces: Int32, planes: Float32, welded: Int32) -> tuple[bool, Bool]:
     # whether directed edges cancel, each edge's two ways taken as often; and the vertices at folds of less than 90°
     folded = np.zeros(len(vertices), np.bool_)
     sharp = np.zeros(len(vertices), np.bool_)  # by welded vertex
-    size = 16
-    while size < 3 * len(faces):
-        size *= 2
-    mask = size - 1
-    key = np.full(size, -1, np.int64)
-    balance = np.zeros(size, np.int32)
-    uses = np.zeros(size, np.int32)
-    first = np.zeros(size, np.int32)
+    # the edges of each vertex to those of larger numbers: the other end, and the face, −1 − face where it runs back
+    first = np.zeros(len(vertices) + 1, np.int64)
     for f in range(len(faces)):
         for k in range(3):
-            a, b = np.int64(welded[faces[f, k]]), np.int64(welded[faces[f, (k + 1) % 3]])
-            if a == b:
-                continue
-            low, high = min(a, b), max(a, b)
-            edge = low * np.int64(len(vertices)) + high
-            slot = ((edge ^ (edge >> 17)) * np.int64(0x2545F4914F6CDD1D) >> 20) & mask
-            while key[slot] != -1 and key[slot] != edge:
-                slot = (slot + 1) & mask
-            key[slot] = edge
-            balance[slot] += 1 if a < b else -1
-            uses[slot] += 1
-            if uses[slot] == 1:
-                first[slot] = f
-            elif uses[slot] > 2 or _is_fold(vertices, faces[first[slot]], faces[f], welded, low, high):
+            a, b = welded[faces[f, k]], welded[faces[f, (k + 1) % 3]]
+            if a != b:
+                first[min(a, b) + 1] += 1
+    for i in range(len(vertices)):
+        first[i + 1] += first[i]
+    other, face = np.empty(first[-1], np.int32), np.empty(first[-1], np.int32)
+    place = first[:-1].copy()
+    for f in range(len(faces)):
+        for k in range(3):
+            a, b = welded[faces[f, k]], welded[faces[f, (k + 1) % 3]]
+            if a != b:
+                low, high = min(a, b), max(a, b)
+                other[place[low]], face[place[low]] = high, f if a < b else -1 - f
+                place[low] += 1
+    for low in range(len(vertices)):
+        begin, end = first[low], first[low + 1]
+        _sort(other[begin:end], face[begin:end])
+        while begin < end:
+            uses, balance, high, one = 0, 0, other[begin], face[begin]
+            fold = False
+            while begin < end and other[begin] == high:
+                uses += 1
+                balance += 1 if face[begin] >= 0 else -1
+                fold = fold or (uses == 2 and _is_fold(vertices, faces, planes, one, face[begin], welded, low, high))
+                begin += 1
+            if balance != 0:
+                return False, folded
+            if fold or uses > 2:
                 sharp[low] = True
                 sharp[high] = True
-    for slot in range(size):
-        if balance[slot] != 0:
-            return False, folded
     for i in range(len(vertices)):
         folded[i] = sharp[welded[i]]
     return True, folded
 
 
 @kernel
-def _is_fold(vertices: Float32, face: Int32, other: Int32, welded: Int32, low: int, high: int) -> bool:
-    nx, ny, nz = _normal(vertices, face)
-    mx, my, mz = _normal(vertices, other)
-    if nx * mx + ny * my + nz * mz > 0.01:
+def _sort(keys: Int32, values: Int32) -> None:
+    # both by the keys, those of equal keys in the order that they have
+    if len(keys) > 32:
+        order = np.argsort(keys, kind="mergesort")
+        keys[:], values[:] = keys[order], values[order]
+        return
+    for i in range(1, len(keys)):
+        key, value, j = keys[i], values[i], i
+        while j > 0 and keys[j - 1] > key:
+            keys[j], values[j] = keys[j - 1], values[j - 1]
+            j -= 1
+        keys[j], values[j] = key, value
+
+
+@kernel
+def _is_fold(
+    vertices: Float32, faces: Int32, planes: Float32, one: int, two: int, welded: Int32, low: int, high: int
+) -> bool:
+    f, g = one if one >= 0 else -1 - one, two if two >= 0 else -1 - two
+    if planes[f, 0] * planes[g, 0] + planes[f, 1] * planes[g, 1] + planes[f, 2] * planes[g, 2] > 0.01:
         return False
     for k in range(3):
-        corner = welded[other[k]]
-        if corner != low and corner != high:
-            a, b = face[0], other[k]
-            height = (
-                nx * (vertices[b, 0] - vertices[a, 0])
-                + ny * (vertices[b, 1] - vertices[a, 1])
-                + nz * (vertices[b, 2] - vertices[a, 2])
-            )
+        i = faces[g, k]
+        if welded[i] != low and welded[i] != high:
+            x, y, z = vertices[i, 0], vertices[i, 1], vertices[i, 2]
+            height = planes[f, 0] * x + planes[f, 1] * y + planes[f, 2] * z - planes[f, 3]
             return height > -1e-6
     return True
 

@@ -14,7 +14,7 @@ from embreex.mesh_construction import TriangleMesh as EmbreeMesh
 
 from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
-from lightopt.geometry._blocker_maps import NO_DEPTHS, NO_VIEWS, BlockerMaps, proven_free
+from lightopt.geometry._blocker_maps import BlockerMaps
 from lightopt.geometry._packets import packet_scene
 
 _log = logging.getLogger("lightopt.geometry")
@@ -80,48 +80,56 @@ class RayCaster:
         return self._run("INTERSECT", origins32, directions32)
 
     def occluded(
-        self,
-        points: Float64,
-        normals: Float64,
-        targets: Float64,
-        *,
-        point_index: Int32,
-        target_index: Int32,
-        outside: bool = False,
+        self, points: Float64, normals: Float64, targets: Float64, *, point_index: Int32, target_index: Int32
     ) -> Bool:
         """Whether the mesh blocks the way from a surface point to a target; shape (k,).
 
-        Ray i goes from ``points[point_index[i]]`` to ``targets[target_index[i]]``. Rays that a map of blockers proves
-        free are not cast.
+        Ray i goes from ``points[point_index[i]]`` to ``targets[target_index[i]]``; all of them are cast.
 
         points: Points on the surface [mm], shape (n, 3)
         normals: Unit geometric normals on the side of the surface that the rays leave, shape (n, 3)
         targets: [mm], shape (t, 3)
         point_index, target_index: Shape (k,)
+        """
+        begins = _begins(points, normals, self.centre, self.radius)
+        origins, directions = _rays_of_pairs(begins, self._local(targets), point_index, target_index)
+        return self._run("OCCLUDED", origins, directions) >= 0
+
+    def visible(
+        self, points: Float64, normals: Float64, targets: Float64, *, candidates: Bool, outside: bool = False
+    ) -> Bool:
+        """Which targets surface points see, of some candidates; shape (t, n).
+
+        Rays that a map of blockers proves free are not cast.
+
+        points, normals, targets: As in :meth:`occluded`
+        candidates: Whether point j may see target i, shape (t, n)
         outside: Whether all points are seen, from the side of their normals, from outside the mesh's bounding sphere:
             then none lies inside a solid, and :meth:`map_blockers` serves them
         """
-        numbers, frames, depths = np.full(len(targets), -1, np.int32), NO_VIEWS, NO_DEPTHS
-        if outside:
-            numbers, frames, depths = self._maps.find((targets - self.centre) / self.radius)
-        origins32, directions32, ray = _shadow_rays(
-            points, normals, targets, point_index, target_index, self.centre, self.radius, numbers, frames, depths
-        )
-        blocked = self._run("OCCLUDED", origins32, directions32) >= 0
-        if len(ray) == len(point_index):
-            return blocked
-        found = np.zeros(len(point_index), np.bool_)
-        found[ray[blocked]] = True
-        return found
+        begins, local = _begins(points, normals, self.centre, self.radius), self._local(targets)
+        cast = self._maps.unproven(local, begins, candidates) if outside else candidates
+        if self._packets is not None and self._recorder is None:
+            blocked = self._packets.blocked(begins, local, cast)
+            with self._lock:
+                self._rays_cast += int(np.count_nonzero(cast))
+            return candidates & ~blocked
+        point, target = (index.astype(np.int32) for index in np.nonzero(cast.T))
+        seen = candidates.copy()
+        seen[target, point] = self._run("OCCLUDED", *_rays_of_pairs(begins, local, point, target)) < 0
+        return seen
 
     def map_blockers(self, targets: Float64, *, rays: int, threads: int | None = None) -> None:
         """Make maps that prove rays to some targets free, where so many rays to each of them make that worthwhile.
 
         targets: [mm], shape (t, 3)
-        rays: To each of them from points seen from outside, over all calls of :meth:`occluded`
+        rays: To each of them from points seen from outside, over all calls of :meth:`visible`
         """
         if self._recorder is None:  # which gets all rays
-            self._maps.make((targets - self.centre) / self.radius, rays=rays, threads=threads)
+            self._maps.make(self._local(targets), rays=rays, threads=threads)
+
+    def _local(self, points: Float64) -> Float64:
+        return (points - self.centre) / self.radius
 
     def _run(self, query: str, origins: Float32, directions: Float32) -> Int32:
         with self._lock:
@@ -166,39 +174,27 @@ def _primary_rays(origin: Float64, directions: Float64, centre: Float64, radius:
 
 
 @kernel
-def _shadow_rays(
-    points: Float64,
-    normals: Float64,
-    targets: Float64,
-    point_index: Int32,
-    target_index: Int32,
-    centre: Float64,
-    radius: float,
-    numbers: Int32,
-    frames: Float32,
-    depths: Float32,
-) -> tuple[Float32, Float32, Int32]:
-    # the rays that no map proves free, and which they are
-    n = len(point_index)
-    origins32 = np.empty((n, 3), np.float32)
-    directions32 = np.empty((n, 3), np.float32)
-    ray = np.empty(n, np.int32)
-    count = 0
-    for i in range(n):
+def _begins(points: Float64, normals: Float64, centre: Float64, radius: float) -> Float64:
+    # where shadow rays start, a little off the surface, in the mesh's radii from its centre; shape (3, n)
+    begins = np.empty((3, len(points)))
+    for i in range(len(points)):
+        for axis in range(3):
+            begins[axis, i] = (points[i, axis] - centre[axis]) / radius + SURFACE_OFFSET * normals[i, axis]
+    return begins
+
+
+@kernel
+def _rays_of_pairs(
+    begins: Float64, targets: Float64, point_index: Int32, target_index: Int32
+) -> tuple[Float32, Float32]:
+    origins32 = np.empty((len(point_index), 3), np.float32)
+    directions32 = np.empty((len(point_index), 3), np.float32)
+    for i in range(len(point_index)):
         p, t = point_index[i], target_index[i]
-        x = (points[p, 0] - centre[0]) / radius + SURFACE_OFFSET * normals[p, 0]
-        y = (points[p, 1] - centre[1]) / radius + SURFACE_OFFSET * normals[p, 1]
-        z = (points[p, 2] - centre[2]) / radius + SURFACE_OFFSET * normals[p, 2]
-        m = numbers[t]
-        if m >= 0 and proven_free(frames[m], depths[m], x, y, z):
-            continue
-        origins32[count, 0], origins32[count, 1], origins32[count, 2] = x, y, z
-        directions32[count, 0] = (targets[t, 0] - centre[0]) / radius - x
-        directions32[count, 1] = (targets[t, 1] - centre[1]) / radius - y
-        directions32[count, 2] = (targets[t, 2] - centre[2]) / radius - z
-        ray[count] = i
-        count += 1
-    return origins32[:count], directions32[:count], ray[:count]
+        for axis in range(3):
+            origins32[i, axis] = begins[axis, p]
+            directions32[i, axis] = targets[t, axis] - begins[axis, p]
+    return origins32, directions32
 
 
 @dataclass(frozen=True)

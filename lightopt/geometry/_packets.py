@@ -18,7 +18,7 @@ import numpy as np
 from embreex import rtcore_scene  # noqa: F401  # pyright: ignore[reportUnusedImport]  # loads the library
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Float32, Int32
+from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import call_address, kernel
 
 _POINTER, _INT, _UNSIGNED, _SIZE = ctypes.c_void_p, ctypes.c_int, ctypes.c_uint, ctypes.c_size_t
@@ -90,6 +90,34 @@ def _blocked(function: int, scene: int, arguments: int, width: int, origins: Flo
 
 
 @kernel
+def _blocked_ways(
+    function: int, scene: int, arguments: int, width: int, begins: Float64, target: Float64, cast: Bool, found: Bool
+) -> None:
+    # the same for the rays from some points to one target, of which those to cast fill packets in their order
+    ray = _aligned(_ROWS * width)
+    valid = _aligned(width).view(np.int32)
+    ray.view(np.int32)[_MASK * width : (_MASK + 1) * width] = -1
+    index = np.empty(width, np.int64)
+    x, y, z = target
+    n, lanes = len(cast), 0
+    for i in range(n + 1):
+        if i < n and cast[i]:
+            bx, by, bz = begins[0, i], begins[1, i], begins[2, i]
+            ray[lanes], ray[width + lanes], ray[2 * width + lanes] = bx, by, bz
+            ray[4 * width + lanes], ray[5 * width + lanes], ray[6 * width + lanes] = x - bx, y - by, z - bz
+            ray[_FURTHEST * width + lanes] = 1.0
+            valid[lanes] = -1
+            index[lanes] = i
+            lanes += 1
+        if lanes == width or (i == n and lanes > 0):
+            valid[lanes:] = 0
+            call_address(function, valid.ctypes.data, scene, ray.ctypes.data, arguments)
+            for j in range(lanes):
+                found[index[j]] = ray[_FURTHEST * width + j] < 0.0
+            lanes = 0
+
+
+@kernel
 def _nearest(function: int, scene: int, arguments: int, origins: Float32, directions: Float32) -> Int32:
     # the triangle that each ray meets first, −1 where none
     n = len(origins)
@@ -115,6 +143,7 @@ class PacketScene:
     def __init__(self, vertices: Float32, faces: Int32) -> None:
         library, device, width = _embree(os.getpid())
         self._library, self._width = library, width
+        self._packet_query = _address(getattr(library, f"rtcOccluded{width}"))
         # Embree reads these arrays as long as the scene is there, and 16 bytes at each vertex
         self._vertices = np.zeros(3 * len(vertices) + 4, np.float32)
         self._vertices[:-4] = vertices.ravel()
@@ -153,8 +182,20 @@ class PacketScene:
 
     def occluded(self, origins: Float32, directions: Float32) -> Int32:
         """0 where anything lies within the length of a direction, −1 where nothing does; shape (k,)."""
-        function = _address(getattr(self._library, f"rtcOccluded{self._width}"))
-        return _blocked(function, self._scene, self._argument_address, self._width, origins, directions)
+        return _blocked(self._packet_query, self._scene, self._argument_address, self._width, origins, directions)
+
+    def blocked(self, begins: Float64, targets: Float64, cast: Bool) -> Bool:
+        """Whether anything lies on the way from points to targets, False for rays that are not to be cast; (t, n).
+
+        begins, targets: Shapes (3, n) and (t, 3)
+        cast: Shape (t, n)
+        """
+        found = np.zeros(cast.shape, np.bool_)
+        for target, some, answer in zip(targets, cast, found, strict=True):
+            _blocked_ways(
+                self._packet_query, self._scene, self._argument_address, self._width, begins, target, some, answer
+            )
+        return found
 
 
 def _address(function: Any) -> int:

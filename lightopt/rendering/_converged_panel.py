@@ -21,7 +21,7 @@ from lightopt.rendering._panel_light import panel_numbers
 from lightopt.rendering._panel_quadrature import WHOLE_PANEL, out_of_reach, rectangle_diffuse, rectangle_specular
 from lightopt.rendering._penumbra import shade_penumbra
 from lightopt.rendering._penumbra_cells import ConvergedLight
-from lightopt.rendering._point_lights import clear_pairs, facing_pairs, visible_counts
+from lightopt.rendering._point_lights import clear_targets, facing_targets, visible_counts
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._vectors import Vector, dot, vector_at
 from lightopt.scene import PanelLight, Scene, panel_grid
@@ -209,15 +209,12 @@ def shadow_targets(light: PanelLight) -> Float64:
 
 def panel_probes(surface: SurfacePoints, targets: Float64, caster: RayCaster) -> Bool:
     """Which probes each point's face, whatever its normal, faces and sees, shape (k, 5)."""
-    clear = np.zeros((len(surface), len(targets)), np.bool_)
-    clear[clear_pairs(replace(surface, normals=surface.facets), targets, caster, geometric=False)] = True
-    return clear
+    return clear_targets(replace(surface, normals=surface.facets), targets, caster, geometric=False).T.copy()
 
 
 def classify_probes(surface: SurfacePoints, targets: Float64, clear: Bool) -> UInt8:
     """What the coarse rays show for each point with its own normal, from :func:`panel_probes`, shape (k,)."""
-    above = np.zeros_like(clear)
-    above[facing_pairs(surface, targets, geometric=False)] = True
+    above = facing_targets(surface, targets, geometric=False).T
     return _classify((clear & above).sum(axis=1), above.sum(axis=1))
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float64, Index, Int32
+from lightopt.core.arrays import Bool, Float64, Index
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.geometry import RayCaster
@@ -65,7 +65,7 @@ def shade_points(
     # points are independent of each other: chunks bound the memory whatever m is
     step = max(1, PAIRS_AT_ONCE // points)
     chunks = [
-        _shade_chunk(surface.take(np.arange(start, min(start + step, len(surface)))), light, points, sigma, caster)
+        _shade_chunk(surface.take(slice(start, start + step)), light, points, sigma, caster)
         for start in range(0, len(surface), step)
     ]
     if len(chunks) == 1:
@@ -79,41 +79,40 @@ def _shade_chunk(
 ) -> tuple[Float64, Float64]:
     end_if_stopped()
     grid = panel_grid(light, points)
-    point, target = clear_pairs(surface, grid, caster, geometric=caster is not None)
+    clear = clear_targets(surface, grid, caster, geometric=caster is not None)
     return _accumulate(
         surface.points,
         surface.normals,
         surface.views,
         grid,
-        point,
-        target,
+        clear,
         panel_numbers(light),
         light.total_weight / points,
         0.5 / sigma**2,
     )
 
 
-def facing_pairs(surface: SurfacePoints, targets: Float64, *, geometric: bool) -> tuple[Int32, Int32]:
-    """Pairs (surface point, target) for which light can arrive at all, as two index arrays of the same length.
+def facing_targets(surface: SurfacePoints, targets: Float64, *, geometric: bool) -> Bool:
+    """Targets from which light can arrive at all at each surface point, shape (m, k).
 
     surface: k surface points
     targets: Point lights [mm], shape (m, 3)
     geometric: Whether the face's own plane, too, must face the light: below it, the face itself is in the way
     """
-    return _facing(surface.points, surface.normals, surface.facets, surface.front, targets, geometric)
+    found = np.empty((len(targets), len(surface)), np.bool_)
+    for target, row in zip(targets, found, strict=True):
+        _facing(surface.points, surface.normals, surface.front, target, row)
+        if geometric:
+            _facing(surface.points, surface.facets, row, target, row)
+    return found
 
 
-def clear_pairs(
-    surface: SurfacePoints, targets: Float64, caster: RayCaster | None, *, geometric: bool
-) -> tuple[Int32, Int32]:
-    """The pairs of :func:`facing_pairs` with nothing in the way; all of them without a caster."""
-    point, target = facing_pairs(surface, targets, geometric=geometric)
+def clear_targets(surface: SurfacePoints, targets: Float64, caster: RayCaster | None, *, geometric: bool) -> Bool:
+    """The targets of :func:`facing_targets` with nothing in the way; all of them without a caster; shape (m, k)."""
+    facing = facing_targets(surface, targets, geometric=geometric)
     if caster is None:
-        return point, target
-    clear = ~caster.occluded(
-        surface.points, surface.facets, targets, point_index=point, target_index=target, outside=surface.outside
-    )
-    return point[clear], target[clear]
+        return facing
+    return caster.visible(surface.points, surface.facets, targets, candidates=facing, outside=surface.outside)
 
 
 def visible_counts(surface: SurfacePoints, targets: Float64, caster: RayCaster) -> tuple[Index, Index]:
@@ -121,32 +120,16 @@ def visible_counts(surface: SurfacePoints, targets: Float64, caster: RayCaster) 
 
     A target above that horizon but below the face's own plane is hidden by the face itself.
     """
-    point, _ = clear_pairs(surface, targets, caster, geometric=True)
-    above, _ = facing_pairs(surface, targets, geometric=False)
-    return np.bincount(point, minlength=len(surface)), np.bincount(above, minlength=len(surface))
+    clear = clear_targets(surface, targets, caster, geometric=True)
+    above = facing_targets(surface, targets, geometric=False)
+    return clear.sum(axis=0), above.sum(axis=0)
 
 
 @kernel
-def _facing(
-    points: Float64, normals: Float64, facets: Float64, front: Bool, targets: Float64, geometric: bool
-) -> tuple[Int32, Int32]:
-    point = np.empty(len(points) * len(targets), np.int32)
-    target = np.empty(len(points) * len(targets), np.int32)
-    count = 0
+def _facing(points: Float64, normals: Float64, allowed: Bool, target: Float64, found: Bool) -> None:
+    q = Vector(target[0], target[1], target[2])
     for i in range(len(points)):
-        if not front[i]:
-            continue
-        p, n = vector_at(points, i), vector_at(normals, i)
-        for k in range(len(targets)):
-            light = minus(vector_at(targets, k), p)
-            if dot(n, light) <= 0.0:
-                continue
-            if geometric and dot(vector_at(facets, i), light) <= 0.0:
-                continue
-            point[count] = i
-            target[count] = k
-            count += 1
-    return point[:count].copy(), target[:count].copy()
+        found[i] = allowed[i] & (dot(vector_at(normals, i), minus(q, vector_at(points, i))) > 0.0)
 
 
 @kernel
@@ -155,19 +138,19 @@ def _accumulate(
     normals: Float64,
     views: Float64,
     targets: Float64,
-    point: Int32,
-    target: Int32,
+    clear: Bool,
     panel: PanelNumbers,
     weight: float,
     inverse_two_sigma_squared: float,
 ) -> tuple[Float64, Float64]:
     diffuse = np.zeros(len(points))
     specular = np.zeros(len(points))
-    for j in range(len(point)):
-        i, k = point[j], target[j]
-        n, v = vector_at(normals, i), vector_at(views, i)
+    for k in range(len(targets)):
         q = vector_at(targets, k)
-        d, s = point_terms(vector_at(points, i), n, v, dot(n, v), q, panel, inverse_two_sigma_squared)
-        diffuse[i] += weight * d
-        specular[i] += weight * s
+        for i in range(len(points)):
+            if clear[k, i]:
+                n, v = vector_at(normals, i), vector_at(views, i)
+                d, s = point_terms(vector_at(points, i), n, v, dot(n, v), q, panel, inverse_two_sigma_squared)
+                diffuse[i] += weight * d
+                specular[i] += weight * s
     return diffuse, specular

@@ -48,8 +48,8 @@ class SurfacePoints:
     def __len__(self) -> int:
         return len(self.points)
 
-    def take(self, index: Index) -> SurfacePoints:
-        """The points at `index`, shape (j,)."""
+    def take(self, index: Index | slice) -> SurfacePoints:
+        """The points at `index`, shape (j,), or those of a slice, which are not copied."""
         return SurfacePoints(
             self.points[index],
             self.normals[index],

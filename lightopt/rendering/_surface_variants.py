@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lightopt.core.arrays import Float32, Float64, Int32, Int64
+from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.geometry import RayCaster
@@ -27,7 +27,7 @@ from lightopt.rendering._converged_panel import (
 )
 from lightopt.rendering._converged_variants import VariantNumbers, panel_variants
 from lightopt.rendering._panel_light import PanelNumbers, attenuated, panel_numbers
-from lightopt.rendering._point_lights import PAIRS_AT_ONCE, clear_pairs, point_terms
+from lightopt.rendering._point_lights import PAIRS_AT_ONCE, clear_targets, point_terms
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._vectors import cross, dot, minus, plus, scaled, vector_at
 from lightopt.scene import PanelLight, panel_grid
@@ -104,7 +104,7 @@ def shade_variants(
 
     def shade(start: int, end: int) -> VariantLevels:
         end_if_stopped()
-        some, own = surface.take(np.arange(start, end)), references[start:end]
+        some, own = surface.take(slice(start, end)), references[start:end]
         if isinstance(panel, ConvergedPanel):
             return _converged_variants(some, own, panel, variants, reflectance, caster)
         return _point_variants(some, own, panel, variants, reflectance, caster)
@@ -138,20 +138,17 @@ def _point_variants(
     grid = panel_grid(light, light.points)
     if caster is None:
         # nothing is in the way, not even the point's own face
-        point = np.repeat(np.arange(len(surface), dtype=np.int32), len(grid))
-        target = np.tile(np.arange(len(grid), dtype=np.int32), len(surface))
+        clear = np.ones((len(grid), len(surface)), np.bool_)
     else:
         # towards every light that the facet faces, whatever the normals
-        point, target = clear_pairs(replace(surface, normals=surface.facets), grid, caster, geometric=False)
-    first = np.searchsorted(point, np.arange(len(surface) + 1)).astype(np.int64)
+        clear = clear_targets(replace(surface, normals=surface.facets), grid, caster, geometric=False)
     diffuse, specular, varied = _point_kernel(
         surface.points,
         surface.normals,
         references,
         surface.views,
         grid,
-        first,
-        target,
+        clear,
         panel_numbers(light),
         light.total_weight / light.points,
         0.5 / reflectance.sigma**2,
@@ -219,8 +216,7 @@ def _point_kernel(
     references: Float64,
     views: Float64,
     grid: Float64,
-    first: Int64,
-    target: Int32,
+    clear: Bool,
     panel: PanelNumbers,
     weight: float,
     inverse_good: float,
@@ -233,15 +229,17 @@ def _point_kernel(
     # of each light that a point sees: light's and half vector's components in the point's frame, and its weight
     seen = np.empty((len(grid), 7))
     for i in range(count):
-        start, end = first[i], first[i + 1]
-        if start == end:
+        if not clear[:, i].any():
             continue
         p, n, r, v = (vector_at(points, i), vector_at(normals, i), vector_at(references, i), vector_at(views, i))
         a = cross(n, r)
         v0, v1, v2 = dot(n, v), dot(r, v), dot(a, v)
         d_sum = s_sum = 0.0
-        for j in range(end - start):
-            q = vector_at(grid, target[start + j])
+        j = 0
+        for k in range(len(grid)):
+            if not clear[k, i]:
+                continue
+            q = vector_at(grid, k)
             d, s = point_terms(p, n, v, v0, q, panel, inverse_good)
             d_sum += weight * d
             s_sum += weight * s
@@ -253,13 +251,15 @@ def _point_kernel(
             seen[j, 0], seen[j, 1], seen[j, 2] = dot(n, light), dot(r, light), dot(a, light)
             seen[j, 3], seen[j, 4], seen[j, 5] = dot(n, half) * h, dot(r, half) * h, dot(a, half) * h
             seen[j, 6] = attenuated(weight, panel, r2, dot(panel.outward, light))
+            j += 1
+        lit = j
         diffuse[i], specular[i] = d_sum, s_sum
         for t in range(tries):
             c0, c1, c2 = lean[t, 0], lean[t, 1], lean[t, 2]
             n_dot_v = c0 * v0 + c1 * v1 + c2 * v2
             least_chord = most[t] / inverse[t]
             d_sum = s_sum = 0.0
-            for j in range(end - start):
+            for j in range(lit):
                 n_dot_l = c0 * seen[j, 0] + c1 * seen[j, 1] + c2 * seen[j, 2]
                 if n_dot_l <= 0.0:
                     continue

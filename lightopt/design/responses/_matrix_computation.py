@@ -131,8 +131,7 @@ def luminance_matrices(
     ]
     view = None if detection is None else PatchDetection(scene, surface, posture, detection)
     blocks = [
-        (start, surface.take(np.arange(start, min(start + BLOCK_PATCHES, len(seen)))))
-        for start in range(0, len(seen), BLOCK_PATCHES)
+        (start, surface.take(slice(start, start + BLOCK_PATCHES))) for start in range(0, len(seen), BLOCK_PATCHES)
     ]
     # the candidates as the part sees them
     moved = view_from_part(replace(scene, lights=tuple(p for some in panels for p in some)), posture).lights
