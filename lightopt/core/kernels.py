@@ -79,7 +79,7 @@ def cache_folder() -> Path:
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Decorate a function that runs compiled, on arrays and numbers, without holding the interpreter's lock."""
-    compiled: Any = numba.njit(nogil=True)(function)
+    compiled: Any = numba.njit(nogil=True, error_model="numpy")(function)
     if isinstance(compiled, Dispatcher):  # not where NUMBA_DISABLE_JIT is set
         _keep_on_disk(compiled)
     return compiled

@@ -6,12 +6,11 @@ import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
 from time import monotonic
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
+from lightopt.core.kernels import kernel
 from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
@@ -26,6 +25,7 @@ from lightopt.rendering._converged_panel import (
 from lightopt.rendering._defect_shading import DefectSamples, defect_samples
 from lightopt.rendering._point_lights import shade_points
 from lightopt.rendering._surface import SurfacePoints, trace_hits, trace_samples
+from lightopt.rendering._vectors import dot, vector_at
 from lightopt.scene import PanelLight, PartView, Scene, screen_window, view_from_part
 
 _log = logging.getLogger("lightopt.rendering")
@@ -238,7 +238,7 @@ class _PostureJob:
         else:
             centre_hits, centres = self._trace(_centres(left, right), _centres(top, bottom))
             pixels = (bottom - top, right - left)
-            self._store_geometry(centre_hits, centres, self._in_defects(centres), pixels, slice(None), target)
+            self._store_geometry(centre_hits, centres, self._in_defects(centres), pixels, slice(0, pixels[0]), target)
         reflectance = self.scene.reflectance
         sample = hits.ray.astype(np.intp)
         for panel, image in zip(self.panels, self.images, strict=True):
@@ -287,29 +287,53 @@ class _PostureJob:
         own: slice,
         target: tuple[slice, slice],
     ) -> None:
-        rotation, translation = self.view.rotation, self.view.translation
-        patch = np.full(len(hits.ray), -1, np.int32)
+        g, (row, column) = self.geometry, np.divmod(hits.ray, grid[1])
+        inside = slice(None) if own == slice(0, grid[0]) else (row >= own.start) & (row < own.stop)
+        place = target[0].start + row[inside] - own.start, target[1].start + column[inside]
+        _store_surface(
+            *place,
+            surface.points[inside],
+            surface.normals[inside],
+            hits.distance[inside],
+            self.view.rotation,
+            self.view.translation,
+            g.points,
+            g.normals,
+            g.distance,
+        )
+        g.hit[place] = True
+        self.back[place] = ~surface.front[inside]
         if self.patches is not None:
-            patch = self.patches.patch_at(hits.face, hits.u, hits.v)
-        g = self.geometry
-        images: list[tuple[NDArray[Any], Any]] = [
-            (g.points, surface.points @ rotation.T + translation),
-            (g.normals, surface.normals @ rotation.T),
-            (g.distance, hits.distance),
-            (g.patch, patch),
-            (g.hit, True),
-            (self.back, ~surface.front),
-        ]
+            g.patch[place] = self.patches.patch_at(hits.face, hits.u, hits.v)[inside]
         if g.defect is not None:
             label = np.full(len(surface), -1, np.int32)
             for some in marked:
                 label[some.index] = some.label
-            images.append((g.defect, label))
-        for image, values in images:
-            nothing = -1 if image is g.patch or image is g.defect else 0
-            block = np.full((grid[0] * grid[1], *image.shape[2:]), nothing, image.dtype)
-            block[hits.ray] = values
-            image[target] = block.reshape(*grid, *image.shape[2:])[own]
+            g.defect[place] = label[inside]
+
+
+@kernel
+def _store_surface(
+    row: Int32,
+    column: Int32,
+    points: Float64,
+    normals: Float64,
+    distance: Float64,
+    rotation: Float64,
+    translation: Float64,
+    point_image: Float32,
+    normal_image: Float32,
+    distance_image: Float32,
+) -> None:
+    # turned into the world's frame
+    for j in range(len(row)):
+        y, x = row[j], column[j]
+        p, n = vector_at(points, j), vector_at(normals, j)
+        for axis in range(3):
+            turned = vector_at(rotation, axis)
+            point_image[y, x, axis] = dot(turned, p) + translation[axis]
+            normal_image[y, x, axis] = dot(turned, n)
+        distance_image[y, x] = distance[j]
 
 
 def _centres(first: int, end: int) -> Float64:
