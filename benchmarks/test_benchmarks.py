@@ -46,7 +46,8 @@ def test_table_columns_line_up() -> None:
 def test_replay_casts_the_rays_of_the_run(scene: Scene) -> None:
     rays = bare.record_rays(scene)
     images = bare.render_from_mesh(scene)
-    assert rays.count == images.rays
+    # bare embreex gets the rays, too, that lightopt proves free and does not cast
+    assert rays.count > images.rays
     answers = {bare.replay(rays, block=block, threads=threads)() for block in (100, 10_000) for threads in (1, 2)}
     hits = int(images.geometry.hit.sum())
     assert {hit for hit, _ in answers} == {hits}

@@ -7,7 +7,7 @@ the frame of the part's file, in mm, Z up.
 from lightopt.geometry._caster import Hits, RayCaster, resolve_hits
 from lightopt.geometry._load_mesh import UNITLESS_SUFFIXES, load_mesh
 from lightopt.geometry._nearest import SurfaceFinder, SurfacePlace, surface_place
-from lightopt.geometry._patches import Patches, estimate_patch_count, refine
+from lightopt.geometry._patches import Patches, estimate_patch_count, longest_edges, refine
 from lightopt.geometry._topology import merge_rows, mesh_edges
 from lightopt.geometry._triangle_mesh import TriangleMesh, face_areas, face_normals, transformed
 from lightopt.geometry._winding import points_inside
@@ -24,6 +24,7 @@ __all__ = [
     "face_areas",
     "face_normals",
     "load_mesh",
+    "longest_edges",
     "merge_rows",
     "mesh_edges",
     "points_inside",

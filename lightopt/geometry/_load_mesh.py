@@ -12,6 +12,7 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.errors import InputError, counted
+from lightopt.core.kernels import kernel
 from lightopt.geometry._mesh_formats import RawMesh, check_budget, read_glb, read_obj, read_ply, read_stl
 from lightopt.geometry._normals import carried_normals, smooth_normals
 from lightopt.geometry._step import read_step
@@ -176,13 +177,19 @@ def _check_triangles(name: str, raw: RawMesh, unit_mm: float) -> None:
         )
 
 
+@kernel
 def _have_area(vertices: Float64, faces: Int32) -> Bool:
-    """Which faces have an area, and so a direction, shape (m,)."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    u, v, w = b - a, c - a, c - b
-    cross = np.cross(u, v)
-    longest = np.maximum(np.maximum((u * u).sum(axis=1), (v * v).sum(axis=1)), (w * w).sum(axis=1))
-    return np.sqrt((cross * cross).sum(axis=1)) > _FLAT * longest
+    # which faces have an area, and so a direction, shape (m,)
+    found = np.empty(len(faces), np.bool_)
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+        vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+        wx, wy, wz = vertices[c, 0] - vertices[b, 0], vertices[c, 1] - vertices[b, 1], vertices[c, 2] - vertices[b, 2]
+        cx, cy, cz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        longest = max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz)
+        found[f] = math.sqrt(cx * cx + cy * cy + cz * cz) > _FLAT * longest
+    return found
 
 
 def _vertex_warnings(raw: RawMesh, merged: int) -> list[str]:

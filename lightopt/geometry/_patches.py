@@ -170,6 +170,21 @@ def _longest_edge(a: Float64, b: Float64, c: Float64, limit: float) -> int:
 
 
 @kernel
+def longest_edges(vertices: Float64, faces: Int32, selected: Bool) -> Float64:
+    """Squared length of the longest edge of each face [mm²], shape (m,); 0 for faces that are not selected."""
+    longest = np.zeros(len(faces))
+    for f in range(len(faces)):
+        if selected[f]:
+            for k in range(3):
+                p, q = faces[f, k], faces[f, (k + 1) % 3]
+                x = vertices[q, 0] - vertices[p, 0]
+                y = vertices[q, 1] - vertices[p, 1]
+                z = vertices[q, 2] - vertices[p, 2]
+                longest[f] = max(longest[f], x * x + y * y + z * z)
+    return longest
+
+
+@kernel
 def _halves(triangle: NDArray[Any], edge: int, middle: Any, first: NDArray[Any], second: NDArray[Any]) -> None:
     """Cut a triangle, keeping its sense of rotation; the first half holds the start of the cut edge."""
     for k in range(3):
@@ -183,24 +198,35 @@ def _halves(triangle: NDArray[Any], edge: int, middle: Any, first: NDArray[Any],
 def _count(vertices: Float64, faces: Int32, selected: Bool, limit: float, enough: int) -> int:
     """Number of patches of all faces, up to `enough`."""
     stack = np.empty((_LEVELS, 3, 3))
-    triangle = np.empty((3, 3))
-    middle = np.empty(3)
     total = len(faces)
+    longest = longest_edges(vertices, faces, selected)
     for f in range(len(faces)):
-        if not selected[f]:
+        if longest[f] <= limit * limit:
             continue
         for k in range(3):
             stack[0, k] = vertices[faces[f, k]]
         top = 1
         while top > 0:
             top -= 1
-            triangle[:] = stack[top]
-            edge = _longest_edge(triangle[0], triangle[1], triangle[2], limit)
+            # numbers and not arrays: most of the time of a large mesh is spent here
+            best, edge = limit * limit, -1
+            for k in range(3):
+                after = (k + 1) % 3
+                x = stack[top, after, 0] - stack[top, k, 0]
+                y = stack[top, after, 1] - stack[top, k, 1]
+                z = stack[top, after, 2] - stack[top, k, 2]
+                square = x * x + y * y + z * z
+                if square > best:
+                    best, edge = square, k
             if edge < 0 or top + 2 > _LEVELS:
                 continue
+            after = (edge + 1) % 3
             for axis in range(3):
-                middle[axis] = 0.5 * (triangle[edge, axis] + triangle[(edge + 1) % 3, axis])
-            _halves(triangle, edge, middle, stack[top + 1], stack[top])
+                middle = 0.5 * (stack[top, edge, axis] + stack[top, after, axis])
+                for k in range(3):
+                    stack[top + 1, k, axis] = stack[top, k, axis]
+                stack[top + 1, after, axis] = middle
+                stack[top, edge, axis] = middle
             top += 2
             total += 1
             if total >= enough:
@@ -234,7 +260,16 @@ def _build(vertices: Float64, faces: Int32, selected: Bool, limit: float, count:
     corner_weights = np.empty((3, 3))
     middle = np.empty(3)
     patch, node = 0, 0
+    longest = longest_edges(vertices, faces, selected)
     for f in range(m):
+        if longest[f] <= limit * limit:
+            roots[f] = -1 - patch
+            triangles[patch] = faces[f]
+            weights[patch] = 1.0 / 3.0
+            depths[patch] = 0
+            face[patch] = f
+            patch += 1
+            continue
         stack[0] = faces[f]
         stack_weights[0] = np.eye(3)
         stack_depth[0] = 0

@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from lightopt.core.arrays import Bool, Float64, Index, Int32, Int64
 from lightopt.core.transforms import Posture
-from lightopt.geometry import Patches, RayCaster, TriangleMesh, estimate_patch_count, face_normals, refine
+from lightopt.geometry import (
+    Patches,
+    RayCaster,
+    TriangleMesh,
+    estimate_patch_count,
+    face_normals,
+    longest_edges,
+    refine,
+)
 from lightopt.rendering._images import trace_posture
 from lightopt.rendering._surface import GRAZING_COSINE
 from lightopt.scene import PartView, Scene, pixel_footprint, project, view_from_part
@@ -214,8 +222,7 @@ def patch_positions(table: PatchTable, scene: Scene, posture: Posture) -> tuple[
 
 
 def _longest_edge(mesh: TriangleMesh, faces: Bool) -> float:
-    corners = mesh.vertices[mesh.faces[faces]]
-    return float(np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(initial=0.0)))
+    return math.sqrt(longest_edges(mesh.vertices, mesh.faces, faces).max(initial=0.0))
 
 
 def _smallest_footprint(view: PartView, mesh: TriangleMesh) -> float:

@@ -13,6 +13,7 @@ from truth import SEEN_IN
 from lightopt import build_scene
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import counted as counted_text
+from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.design import DEFAULT_EXPOSURE_GAIN, DRAWN_PATCHES, PostureRequest, drawn_patches, find_candidates
 from lightopt.design.candidates._candidates import Candidates
@@ -66,6 +67,7 @@ def _plan(
         PostureRequest(min_images=min_images, count=POSTURES),
         exposures=offered,
         gain_points=DEFAULT_EXPOSURE_GAIN,
+        run=RunContext(),
     )
     exposures = [(1.0,) if brackets is None else brackets.of(posture) for posture in choice.postures]
     said, found = looked.seen(choice.postures, choice.panels, exposures)
