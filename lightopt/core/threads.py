@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextvars import ContextVar
@@ -59,6 +60,48 @@ def in_threads(work: Callable[[int], T], starts: Sequence[int], threads: int | N
 
     run_all(((one, pair) for pair in enumerate(starts)), threads=count)
     return [results[place] for place in range(len(starts))]
+
+
+class BackgroundTasks:
+    """A thread that does one task after the other, while the thread that gives them goes on.
+
+    As a context manager: left when all tasks are done, or, where its block raises, when the one at work is done; the
+    others are dropped. So are those after one that fails, whose exception the next :meth:`add` or :meth:`wait` raises.
+    """
+
+    def __init__(self) -> None:
+        self._pool = ThreadPoolExecutor(1)
+        self._waiting: deque[Future[None]] = deque()
+        self._failed = False
+
+    def __enter__(self) -> BackgroundTasks:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            if kind is None:
+                self.wait()
+        finally:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def add(self, function: Callable[..., None], *arguments: Any) -> None:
+        """Do a task after those that were given before."""
+        while self._waiting and self._waiting[0].done():
+            self._waiting.popleft().result()
+        self._waiting.append(self._pool.submit(self._do, function, arguments))
+
+    def wait(self) -> None:
+        """Return when all tasks are done."""
+        while self._waiting:
+            self._waiting.popleft().result()
+
+    def _do(self, function: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+        if not self._failed:
+            try:
+                function(*arguments)
+            except BaseException:
+                self._failed = True
+                raise
 
 
 def run_all(tasks: Iterable[Task], *, threads: int, done: Callable[[], None] | None = None) -> None:

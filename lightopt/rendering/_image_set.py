@@ -16,6 +16,7 @@ from lightopt.core.arrays import Float32
 from lightopt.core.errors import InputError, counted
 from lightopt.core.provenance import provenance
 from lightopt.core.run_context import RunContext, part_of
+from lightopt.core.threads import BackgroundTasks
 from lightopt.core.transforms import Posture
 from lightopt.images import ImageEntry, ImageSetWriter, Manifest, SourceFile
 from lightopt.optics import expose, image_rng
@@ -31,6 +32,9 @@ only grazes a face, rounding turns one now and then."""
 
 MOST_SUPERSAMPLE = 16
 """Rays a side of a pixel."""
+
+WRITTEN_AT_ONCE = 4_000_000
+"""Pixels of images that are written while the next posture is rendered; larger ones would be in memory twice."""
 
 LEAST_RAYS_ACROSS = 3
 """Rays across a defect from which on its share of a pixel is about right."""
@@ -93,8 +97,8 @@ def render_image_set(
 ) -> RenderedSet:
     """Render a part on a rig into a folder: EXR and PNG per light, geometry, patches, manifest.
 
-    Each file is on disk and in the manifest before the next is made; a run that was killed is resumed by running it
-    again.
+    Files are written one after the other while the next posture is rendered, each of them listed in the manifest when
+    it is on disk; a run that was killed is resumed by running it again.
 
     rig, part: Configurations, or the paths of their YAML files
     folder: Made where it does not exist
@@ -134,33 +138,37 @@ def render_image_set(
     if resumed == len(plan) and writer.file_done() and all(map(writer.geometry_done, scene.postures)):
         return RenderedSet(folder=Path(folder), images=len(plan), resumed=resumed, warnings=tuple(warnings))
     table = build_patches(scene, caster=caster, budget=options.patch_budget)
-    if not writer.file_done():
-        writer.add_patches(table.arrays())
     names = [light.name for light in rig.lights]
     rays = 0
-    for number, posture in enumerate(scene.postures):
-        todo = [key for key in plan if key[1] == posture and not writer.done(*key)]
-        if not todo and writer.geometry_done(posture):
-            continue
-        stage = run.stage(f"rendering {posture.elevation_deg:g},{posture.rotation_deg:g}")
-        images = render_posture(
-            scene,
-            posture,
-            caster=caster,
-            shadows=options.shadows,
-            supersample=options.supersample,
-            layers=options.layers,
-            patches=table.patches,
-            threads=run.threads,
-            progress=part_of(stage, number / len(scene.postures), (number + 1) / len(scene.postures)),
-        )
-        rays += images.rays
-        if images.back_faces > BACK_FACE_SHARE * images.geometry.hit.sum():
-            warn(
-                f"posture {posture}: {counted(images.back_faces, 'pixel')} on the back of a face, black; the mesh is "
-                "open or its winding is wrong there"
+    with BackgroundTasks() as disk:
+        if not writer.file_done():
+            disk.add(writer.add_patches, table.arrays())
+        for number, posture in enumerate(scene.postures):
+            todo = [key for key in plan if key[1] == posture and not writer.done(*key)]
+            if not todo and writer.geometry_done(posture):
+                continue
+            stage = run.stage(f"rendering {posture.elevation_deg:g},{posture.rotation_deg:g}")
+            images = render_posture(
+                scene,
+                posture,
+                caster=caster,
+                shadows=options.shadows,
+                supersample=options.supersample,
+                layers=options.layers,
+                patches=table.patches,
+                threads=run.threads,
+                progress=part_of(stage, number / len(scene.postures), (number + 1) / len(scene.postures)),
             )
-        _write_posture(writer, scene, images, options, names)
+            rays += images.rays
+            disk.wait()  # so that no more than two postures are in memory
+            if images.back_faces > BACK_FACE_SHARE * images.geometry.hit.sum():
+                warn(
+                    f"posture {posture}: {counted(images.back_faces, 'pixel')} on the back of a face, black; the mesh "
+                    "is open or its winding is wrong there"
+                )
+            _write_posture(disk, writer, scene, images, options, names)
+            if images.geometry.hit.size > WRITTEN_AT_ONCE:
+                disk.wait()
     return RenderedSet(
         folder=Path(folder),
         images=len(plan),
@@ -258,21 +266,30 @@ def _narrow_defects(scene: Scene, rig: RigConfig, supersample: int) -> tuple[str
 
 
 def _write_posture(
-    writer: ImageSetWriter, scene: Scene, images: PostureImages, options: RenderOptions, names: list[str]
+    disk: BackgroundTasks,
+    writer: ImageSetWriter,
+    scene: Scene,
+    images: PostureImages,
+    options: RenderOptions,
+    names: list[str],
 ) -> None:
-    """Write what the folder lacks of a posture: its geometry, and an image per light and exposure.
+    """Have written what the folder lacks of a posture: its geometry, and an image per light and exposure.
 
     names: Of the rig's lights, whose order numbers their noise
     """
     posture = images.posture
     if not writer.geometry_done(posture):
         facts = {"back_face_pixels": images.back_faces}
-        writer.add_geometry(posture, _geometry_channels(images.geometry), metadata=facts)
+        disk.add(_add_geometry, writer, images, facts)
     for light, image in zip(scene.lights, images.lights, strict=True):
         for exposure in options.exposures:
             if not writer.done(light.name, posture, exposure):
                 seeds = None if options.noise is None else (options.noise, names.index(light.name))
-                _add_image(writer, scene, images, light, image, exposure, seeds)
+                disk.add(_add_image, writer, scene, images, light, image, exposure, seeds)
+
+
+def _add_geometry(writer: ImageSetWriter, images: PostureImages, facts: dict[str, Any]) -> None:
+    writer.add_geometry(images.posture, _geometry_channels(images.geometry), metadata=facts)
 
 
 def _add_image(
