@@ -19,6 +19,9 @@ from hypothesis import settings
 
 from lightopt.cli._main import run
 from lightopt.core.threads import available_processors
+from lightopt.estimate.reflectance import _comparisons as _cross_check
+from lightopt.estimate.registration import _coarse_search as _coarse
+from lightopt.estimate.registration import _refinement
 from lightopt.geometry import _load_mesh
 from lightopt.geometry._step import read_step
 
@@ -214,6 +217,15 @@ def bench(tmp_path: Path) -> Bench:
 def shared_bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
     """A small rig and part that no test changes."""
     return Bench.make(tmp_path_factory.mktemp("shared") / "bench")
+
+
+@pytest.fixture
+def few_pixels_for_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Registration and second opinions on fits look at a third of their pixels: for tests of files and words."""
+    monkeypatch.setattr(_cross_check, "BUDGET", 80)
+    monkeypatch.setattr(_coarse, "PIXELS", 2000)
+    monkeypatch.setattr(_refinement, "INNER_PIXELS", 4000)
+    monkeypatch.setattr(_refinement, "FIRST_INNER_PIXELS", 1000)
 
 
 @pytest.fixture(scope="session")

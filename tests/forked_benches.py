@@ -1,5 +1,7 @@
 """Benches forked from a process that has imported all that they need, which saves each the two seconds of importing it.
 
+Before the first bench with a camera it renders a small scene, so that the kernels of rendering are loaded for all.
+
 The process of a bench is otherwise what `lightopt.rig.simulated` starts: a session, pipes and a temporary file of its
 own. How it is started from nothing is tested in tests/hardware/test_bench_process.py, which does not use this.
 
@@ -113,14 +115,28 @@ def _serve(requests: socket.socket) -> None:
     _ = embreex, trimesh, lightopt
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     gc.freeze()
+    has_rendered = False
     while True:
         message, descriptors, _, _ = socket.recv_fds(requests, MOST_BYTES, 4)
         if not message:
             return
+        if not has_rendered and "camera" in json.loads(json.loads(message)["spec"]):
+            _render_small_scene()
+            gc.freeze()
+            has_rendered = True
         if os.fork() == 0:
             _watch(json.loads(message), descriptors, requests)
         for descriptor in descriptors:
             os.close(descriptor)
+
+
+def _render_small_scene() -> None:
+    from lightopt.rendering import cast_rays_at, render_posture
+    from lightopt.scene import build_scene
+
+    scenes = Path(__file__).resolve().parent / "regression" / "golden" / "scenes"
+    scene = build_scene(scenes / "rig.yaml", scenes / "knob.yaml")
+    render_posture(scene, scene.postures[0], caster=cast_rays_at(scene), threads=1)
 
 
 def _watch(request: dict, descriptors: list[int], requests: socket.socket) -> None:

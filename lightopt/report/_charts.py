@@ -73,7 +73,7 @@ def label_whole_numbers(axis: Axis) -> None:
 
 def _label_decades(axis: Axis) -> None:
     """Ticks at the decades of a logarithmic axis, or at 1, 2 and 5 of each, or evenly spaced where it is short."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
     class Decades(LogLocator):
         def tick_values(self, vmin: float, vmax: float) -> Sequence[float]:
@@ -84,4 +84,4 @@ def _label_decades(axis: Axis) -> None:
 
     axis.set_major_locator(Decades())
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
+    axis.set_minor_locator(NullLocator())  # ticks have no length: what is laid out and drawn of them is nothing

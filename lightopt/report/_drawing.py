@@ -9,6 +9,7 @@ import math
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -89,6 +90,7 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() and font.get_char_index(ord(c)) else "\ufffd" for c in text)
 
 
+@lru_cache(maxsize=10_000)
 def text_width(text: str, size: float) -> int:
     """Width of a line of text of a size [px], rounded up [px]."""
     from matplotlib.backends.backend_agg import RendererAgg
@@ -273,8 +275,8 @@ _INK_COST, _SIDE_COST = 450.0, 16.0
 def _ink(picture: UInt8) -> Float64:
     # how much is drawn at each pixel, 0 to 1; pale areas are as good as paper
     red, green, blue = np.moveaxis(picture[..., :3], 2, 0)
-    darkness = 255.0 - np.minimum(np.minimum(red, green), blue)
-    return np.clip((darkness - 24.0) / 100.0, 0.0, 1.0)
+    darkness = 255.0 - np.arange(256.0)
+    return np.clip((darkness - 24.0) / 100.0, 0.0, 1.0)[np.minimum(np.minimum(red, green), blue)]
 
 
 def _best_box(label: Label, size: float, sums: Float64, bounds: Box, taken: Sequence[Box]) -> Box | None:

@@ -51,12 +51,15 @@ def open_kind(kind: str, port: str, *, timeout_s: float = 0.5, clock: Clock | No
 
 
 class Pool:
-    """Devices of their own for each test, made a batch at a time: a process for each test would take longer."""
+    """Devices of their own for each test, made a batch at a time: a process for each test would take longer.
+
+    A test takes no more devices of a kind than a batch has, so that at most two batches of a kind are in use.
+    """
 
     def __init__(self, batch: int = 16) -> None:
         self._batch = batch
         self._free: dict[str, list[str]] = {}
-        self._benches: list[BenchProcess] = []
+        self._benches: dict[str, list[BenchProcess]] = {}
         self._of: dict[str, BenchProcess] = {}
 
     def take(self, kind: str, wire: str = "pty") -> str:
@@ -66,7 +69,10 @@ class Pool:
             number = len(self._of)
             names = [f"{kind}-{wire}-{number + i}" for i in range(self._batch)]
             bench = BenchProcess({name: {**firmware(kind), "tcp": wire == "tcp"} for name in names})
-            self._benches.append(bench)
+            benches = self._benches.setdefault(f"{kind}-{wire}", [])
+            benches.append(bench)
+            if len(benches) > 2:  # each bench takes processor time for as long as it runs
+                benches.pop(0).close()
             self._of.update(dict.fromkeys(names, bench))
             free += reversed(names)
         return free.pop()
@@ -77,5 +83,6 @@ class Pool:
 
     def close(self) -> None:
         """End the processes."""
-        for bench in self._benches:
-            bench.close()
+        for benches in self._benches.values():
+            for bench in benches:
+                bench.close()

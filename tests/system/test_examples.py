@@ -16,6 +16,7 @@ def test_there_is_one_for_each_task():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("few_pixels_for_the_rest")
 @pytest.mark.parametrize("example", EXAMPLES, ids=[path.stem for path in EXAMPLES])
 def test_it_runs(example, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", [str(example), str(tmp_path / "out")])

@@ -9,9 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from lightopt.estimate.reflectance import _comparisons as _cross_check
-from lightopt.estimate.registration import _coarse_search as _coarse
-from lightopt.estimate.registration import _refinement
 from lightopt.report import _surface_still
 
 
@@ -73,12 +70,3 @@ def small_stills() -> Iterator[None]:
         patch.setattr(_surface_still, "WIDTH", _surface_still.WIDTH // 3)
         patch.setattr(_surface_still, "HEIGHT", _surface_still.HEIGHT // 3)
         yield
-
-
-@pytest.fixture
-def few_pixels_for_the_rest(monkeypatch):
-    """Registration and second opinions on fits look at a third of their pixels: for tests of files and words."""
-    monkeypatch.setattr(_cross_check, "BUDGET", 80)
-    monkeypatch.setattr(_coarse, "PIXELS", 2000)
-    monkeypatch.setattr(_refinement, "INNER_PIXELS", 4000)
-    monkeypatch.setattr(_refinement, "FIRST_INNER_PIXELS", 1000)

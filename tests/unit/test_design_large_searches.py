@@ -227,9 +227,9 @@ def levels(sizes, patches):
     rng = np.random.default_rng(0)
     made = [np.empty((n, patches), np.uint8) for n in sizes]
     for layer in made:
-        start = rng.integers(0, 256, patches)
+        start = rng.integers(0, 256, patches).astype(np.uint8)
         for k in range(len(layer)):
-            layer[k] = (start + {change} * k) % 256
+            np.add(start, np.uint8({change} * k % 256), out=layer[k])  # modulo 256
     return LuminanceMatrix(levels=tuple(made), areas=np.ones(patches))
 
 def peak():

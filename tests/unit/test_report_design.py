@@ -72,8 +72,9 @@ def blocks(done):
 
 @pytest.fixture
 def undrawn(monkeypatch):
-    """Pages without drawings of the rig, which take longer than all the rest."""
+    """Pages without drawings of the rig and without charts, which take longer than all the rest."""
     monkeypatch.setattr(_design_report, "drawing_blocks", lambda _: [])
+    monkeypatch.setattr(_design_report, "curve_blocks", lambda _: [])
 
 
 @pytest.fixture
