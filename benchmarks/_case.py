@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -60,6 +61,10 @@ def case_scene(size: Size) -> Scene:
 def spout_scene(size: Size) -> Scene:
     """The spout, which shades itself; coarser tolerances give its stronger curvature about as many triangles."""
     return _scene("spout", size, 3.0)
+
+
+SCENES: dict[str, Callable[[Size], Scene]] = {"cover knob": case_scene, "spout": spout_scene}
+"""The sample parts by name."""
 
 
 def _scene(part: str, size: Size, coarser: float) -> Scene:

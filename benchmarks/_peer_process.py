@@ -1,6 +1,6 @@
 """Each peer in a process of its own: a library that is missing, or that ends its process, takes no other peer along.
 
-As a program, ``python -m benchmarks._peer_process NAME SIZE`` reads ``build`` and ``images`` from standard input, one
+As a program, ``python -m benchmarks._peer_process NAME SIZE PART`` reads ``build`` and ``images`` from standard input, one
 a line, does it, and answers each with the seconds that it took; ``save PATH`` writes the images.
 """
 
@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks._case import FULL, QUICK, TOY, Size
+from benchmarks._case import FULL, QUICK, SCENES, TOY, Size
 
 Float32 = NDArray[np.float32]
 
@@ -81,10 +81,10 @@ class PeerProcess:
         Where it does not start, or ends later on.
     """
 
-    def __init__(self, name: str, size: Size, *, program: tuple[str, ...] | None = None) -> None:
+    def __init__(self, name: str, size: Size, part: str, *, program: tuple[str, ...] | None = None) -> None:
         self.name = name
         self._errors = tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")  # noqa: SIM115
-        own = (sys.executable, "-m", "benchmarks._peer_process", name, size.name)
+        own = (sys.executable, "-m", "benchmarks._peer_process", name, size.name, part)
         self._process = subprocess.Popen(
             program or own,
             stdin=subprocess.PIPE,
@@ -137,7 +137,7 @@ class PeerProcess:
         raise PeerError(f"{self.name} does not run here and is left out: {reason}")
 
 
-def _serve(name: str, size: Size) -> None:
+def _serve(name: str, size: Size, part: str) -> None:
     # libraries may print: what they print to standard output must not be taken for an answer
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
@@ -148,7 +148,7 @@ def _serve(name: str, size: Size) -> None:
 
     from benchmarks.peers import PEERS
 
-    peer = PEERS[name](size)
+    peer = PEERS[name](SCENES[part](size))
     built: object = None
     images: list[Float32] = []
     answer("ready")
@@ -166,4 +166,4 @@ def _serve(name: str, size: Size) -> None:
 
 
 if __name__ == "__main__":
-    _serve(sys.argv[1], {size.name: size for size in (FULL, QUICK, TOY)}[sys.argv[2]])
+    _serve(sys.argv[1], {size.name: size for size in (FULL, QUICK, TOY)}[sys.argv[2]], sys.argv[3])

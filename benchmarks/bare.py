@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from benchmarks._case import Size, case_scene
 from benchmarks._report import Report, Table, ratio_text, ratios, rounds
 from lightopt.geometry import RayCaster
-from lightopt.rendering import PostureImages, cast_rays_at, render_posture
+from lightopt.rendering import PostureImages, cast_rays_at, rays_of_images, render_posture
 from lightopt.scene import Scene
 
 THREADS = 2
@@ -97,7 +97,8 @@ def replay(rays: RecordedRays, *, block: int, threads: int = THREADS) -> Callabl
 
 def render_from_mesh(scene: Scene, *, threads: int = THREADS) -> PostureImages:
     """From the mesh in memory to float images of every light: the build of the BVH included."""
-    return render_posture(scene, scene.postures[0], caster=cast_rays_at(scene), threads=threads)
+    caster = cast_rays_at(scene, rays=rays_of_images(scene))
+    return render_posture(scene, scene.postures[0], caster=caster, threads=threads)
 
 
 def run(size: Size) -> Report:

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks._case import Size, case_scene
+from benchmarks._case import SCENES, Size
 from benchmarks._numpy_shading import render_numpy
 from benchmarks._peer_casters import Open3DCaster, TrimeshCaster
 from benchmarks._peer_mitsuba import MitsubaPeer
 from benchmarks._peer_process import MITSUBA, PeerError, PeerProcess
 from benchmarks._report import Report, Table, ratio_text, ratios
 from benchmarks.bare import THREADS
-from lightopt.rendering import cast_rays_at, render_posture
+from lightopt.rendering import cast_rays_at, rays_of_images, render_posture
 from lightopt.scene import Scene
 
 AGREEMENT = 0.99
@@ -32,34 +32,29 @@ class Peer:
     images: Callable[[object], list[Float32]]
 
 
-def _ours(size: Size) -> Peer:
-    scene = case_scene(size)
-
+def _ours(scene: Scene) -> Peer:
     def images(caster: object) -> list[Float32]:
         rendered = render_posture(scene, scene.postures[0], caster=caster, threads=THREADS)  # type: ignore[arg-type]
         return [light.level for light in rendered.lights]
 
-    return Peer(lambda: cast_rays_at(scene), images)
+    return Peer(lambda: cast_rays_at(scene, rays=rays_of_images(scene)), images)
 
 
-def _open3d(size: Size) -> Peer:
+def _open3d(scene: Scene) -> Peer:
     import open3d  # noqa: F401  (fails at once where it lacks a library)
 
-    scene = case_scene(size)
     return Peer(lambda: Open3DCaster(scene, threads=THREADS), _shaded_in_numpy(scene))
 
 
-def _mitsuba(size: Size) -> Peer:
+def _mitsuba(scene: Scene) -> Peer:
     import mitsuba
 
     mitsuba.set_variant("llvm_ad_mono")
     assert (mitsuba.Float(1) + 1)[0] == 2  # fails at once where there is no LLVM
-    scene = case_scene(size)
     return Peer(lambda: MitsubaPeer(scene, threads=THREADS), lambda peer: peer.render())  # type: ignore[attr-defined]
 
 
-def _trimesh(size: Size) -> Peer:
-    scene = case_scene(size)
+def _trimesh(scene: Scene) -> Peer:
     return Peer(lambda: TrimeshCaster(scene), _shaded_in_numpy(scene))
 
 
@@ -67,7 +62,7 @@ def _shaded_in_numpy(scene: Scene) -> Callable[[object], list[Float32]]:
     return lambda caster: render_numpy(scene, caster, threads=THREADS)  # type: ignore[arg-type]
 
 
-PEERS: dict[str, Callable[[Size], Peer]] = {
+PEERS: dict[str, Callable[[Scene], Peer]] = {
     "lightopt": _ours,
     "Open3D + NumPy": _open3d,
     MITSUBA: _mitsuba,
@@ -76,13 +71,13 @@ PEERS: dict[str, Callable[[Size], Peer]] = {
 """How each is made, in the process of its own."""
 
 
-def start_peers(size: Size) -> tuple[list[PeerProcess], list[str]]:
+def start_peers(size: Size, part: str) -> tuple[list[PeerProcess], list[str]]:
     """Processes of lightopt and of the peers that run here, and why the others do not."""
     there: list[PeerProcess] = []
     missing: list[str] = []
     for name in PEERS:
         try:
-            there.append(PeerProcess(name, size))
+            there.append(PeerProcess(name, size, part))
         except PeerError as error:  # noqa: PERF203  (each may fail)
             missing.append(str(error))
     return there, missing
@@ -97,8 +92,22 @@ def agreement(images: list[Float32], ours: list[Float32]) -> float:
 
 
 def run(size: Size) -> Report:
-    """Check that the pictures agree, then measure building and rendering."""
-    peers, missing = start_peers(size)
+    """Check that the pictures agree, then measure building and rendering, for each sample part."""
+    tables, notes = [], [f"{THREADS} threads, {size.repeats} rounds"]
+    numbers: dict[str, object] = {}
+    for part, scene_of in SCENES.items():
+        scene = scene_of(size)
+        shown, missing, numbers[part] = _measure(part, scene, size)
+        tables.append(shown)
+        notes += [note for note in missing if note not in notes]
+        camera = scene.camera
+        notes.append(f"{part}: {camera.width} × {camera.height} px, {len(scene.mesh.faces):,} triangles")
+    return Report("peers", tables, numbers, notes)
+
+
+def _measure(part: str, scene: Scene, size: Size) -> tuple[Table, list[str], dict[str, object]]:
+    # the table, why peers are missing, the numbers
+    peers, missing = start_peers(size, part)
     reference: list[Float32] = []
     first: dict[str, tuple[float, float]] = {}
     agreed: dict[str, float] = {}
@@ -119,38 +128,22 @@ def run(size: Size) -> Report:
             seconds.setdefault(f"{peer.name}: images", []).append(peer.images())
     for peer in peers:
         peer.close()
-    return _report(case_scene(size), size, [peer.name for peer in peers], missing, first, agreed, seconds)
-
-
-def _report(
-    scene: Scene,
-    size: Size,
-    names: Sequence[str],
-    missing: list[str],
-    first: Mapping[str, tuple[float, float]],
-    agreed: Mapping[str, float],
-    seconds: Mapping[str, list[float]],
-) -> Report:
+    names = [peer.name for peer in peers]
     whole = {name: _whole(name, seconds) for name in names}
-    return Report(
-        "peers",
-        [table(names, first, agreed, seconds)],
-        {
-            "agreement": dict(agreed),
-            "first_seconds": {name: {"build": a, "images": b} for name, (a, b) in first.items()},
-            "seconds": dict(seconds),
-            "whole_ratio": {name: ratios(times, whole["lightopt"]) for name, times in whole.items()},
-        },
-        [
-            f"{scene.camera.width} × {scene.camera.height} px, {len(scene.mesh.faces):,} triangles",
-            f"{len(scene.lights)} lights of {scene.lights[0].points} points, shadows",
-            f"{THREADS} threads, {size.repeats} rounds",
-            *missing,
-        ],
-    )
+    title = f"{part}, the same {len(scene.lights)} images of lights of {scene.lights[0].points} points, with shadows"
+    numbers: dict[str, object] = {
+        "triangles": len(scene.mesh.faces),
+        "agreement": agreed,
+        "first_seconds": {name: {"build": a, "images": b} for name, (a, b) in first.items()},
+        "seconds": seconds,
+        "whole_ratio": {name: ratios(times, whole["lightopt"]) for name, times in whole.items()},
+        "our_share": {name: ratios(whole["lightopt"], times) for name, times in whole.items()},
+    }
+    return table(title, names, first, agreed, seconds), missing, numbers
 
 
 def table(
+    title: str,
     names: Sequence[str],
     first: Mapping[str, tuple[float, float]],
     agreed: Mapping[str, float],
@@ -169,14 +162,14 @@ def table(
                 f"{sum(first[name]):.2f}",
                 f"{min(seconds[f'{name}: build']):.2f}",
                 f"{min(seconds[f'{name}: images']):.2f}",
-                f"{np.median(whole):.2f}",
-                *(ratio_text(whole, ours) if ok else ("–", "–")),
+                f"{min(whole):.2f}",
+                *(ratio_text(ours, whole) if ok else ("–", "–")),
             )
         )
-    columns = ("within 1e-3", "first s", "build s", "images s", "whole s", "whole / ours", "median ratio")
+    columns = ("within 1e-3", "first s", "build s", "images s", "whole s", "ours / its", "of medians")
     return Table(
-        "the same four images: share of lit pixels within 1e-3 of ours; the first time, compiling included;\n"
-        "then the least times to build and to make the images, and the median of the whole",
+        f"{title}:\nshare of lit pixels within 1e-3 of ours; the first time, compiling included;\n"
+        "the least times; lightopt's time over its own, of least times and of medians",
         ("", *columns),
         rows,
     )

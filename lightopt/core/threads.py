@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 from contextvars import ContextVar
+from queue import SimpleQueue
 from threading import Event
 from typing import Any, TypeVar
 
@@ -70,8 +70,7 @@ class BackgroundTasks:
     """
 
     def __init__(self) -> None:
-        self._pool = ThreadPoolExecutor(1)
-        self._waiting: deque[Future[None]] = deque()
+        self._pool = _Pool(1)
         self._failed = False
 
     def __enter__(self) -> BackgroundTasks:
@@ -82,18 +81,18 @@ class BackgroundTasks:
             if kind is None:
                 self.wait()
         finally:
-            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool.end()
 
     def add(self, function: Callable[..., None], *arguments: Any) -> None:
         """Do a task after those that were given before."""
-        while self._waiting and self._waiting[0].done():
-            self._waiting.popleft().result()
-        self._waiting.append(self._pool.submit(self._do, function, arguments))
+        while self._pool.has_finished():
+            self._pool.finish_one()
+        self._pool.start(self._do, function, arguments)
 
     def wait(self) -> None:
         """Return when all tasks are done."""
-        while self._waiting:
-            self._waiting.popleft().result()
+        while self._pool.running:
+            self._pool.finish_one()
 
     def _do(self, function: Callable[..., None], arguments: tuple[Any, ...]) -> None:
         if not self._failed:
@@ -118,20 +117,55 @@ def run_all(tasks: Iterable[Task], *, threads: int, done: Callable[[], None] | N
         return
     waiting_tasks = iter(tasks)
     stopped = Event()
-    with ThreadPoolExecutor(threads, initializer=_stopped.set, initargs=(stopped,)) as pool:
-        running: set[Future[None]] = set()
+    pool = _Pool(threads, initializer=_stopped.set, initargs=(stopped,))
+    try:
+        while True:
+            for function, arguments in itertools.islice(waiting_tasks, 2 * threads - pool.running):
+                pool.start(function, *arguments)
+            if not pool.running:
+                return
+            pool.finish_one()
+            if done is not None:
+                done()
+    except BaseException:
+        stopped.set()
+        raise
+    finally:
+        pool.end()
+
+
+class _Pool:
+    """Threads, and a queue that says which tasks have finished.
+
+    Not futures: an interrupt (Ctrl-C) while one is waited for may leave its lock to a thread that does not hold it.
+    """
+
+    def __init__(self, threads: int, **options: Any) -> None:
+        self._threads = ThreadPoolExecutor(threads, **options)
+        self._finished: SimpleQueue[BaseException | None] = SimpleQueue()
+        self.running = 0
+
+    def start(self, function: Callable[..., None], *arguments: Any) -> None:
+        self._threads.submit(self._do, function, arguments)
+        self.running += 1
+
+    def has_finished(self) -> bool:
+        return not self._finished.empty()
+
+    def finish_one(self) -> None:
+        # waits for a task, and raises what it raised
+        error = self._finished.get()
+        self.running -= 1
+        if error is not None:
+            raise error
+
+    def end(self) -> None:
+        self._threads.shutdown(wait=True, cancel_futures=True)
+
+    def _do(self, function: Callable[..., None], arguments: tuple[Any, ...]) -> None:
         try:
-            while True:
-                for function, arguments in itertools.islice(waiting_tasks, 2 * threads - len(running)):
-                    running.add(pool.submit(function, *arguments))
-                if not running:
-                    return
-                finished, running = wait(running, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    future.result()
-                    if done is not None:
-                        done()
-        except BaseException:
-            stopped.set()
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+            function(*arguments)
+        except BaseException as error:
+            self._finished.put(error)
+        else:
+            self._finished.put(None)

@@ -18,7 +18,7 @@ import threading
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float32, Float64, Int32, Int64
+from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.geometry._topology import merge_rows
@@ -70,18 +70,23 @@ class BlockerMaps:
         with self._lock:
             return self._is_closed()
 
-    def _is_closed(self) -> bool:
+    def _is_closed(self, threads: int | None = 1) -> bool:
         if self._closed is None:
-            _, welded = merge_rows(self._vertices.astype(np.float64))
-            planes = _planes(self._vertices, self._faces)
-            closed, folded = _closed_and_folded(self._vertices, self._faces, planes, welded)
-            self._closed = bool(closed)
-            if not closed:
+            planes, welded, body = _planes(self._vertices, self._faces), *_welded(self._vertices, self._faces)
+            self._closed, folded = _closed_and_folded(self._vertices, self._faces, planes, welded)
+            if not self._closed:
                 _log.info("the mesh is open or its faces disagree in direction: every shadow ray is cast")
-            if closed:
-                either = folded[self._faces].any(axis=1) | _near_other_bodies(self._vertices, self._faces, welded)
-                self._surface = planes, either
-        return bool(self._closed)
+            else:
+                doubtful = _near_other_bodies(self._vertices, self._faces, body)
+                _add_folds(self._faces, folded, doubtful)
+                self._surface = planes, doubtful
+        return self._closed
+
+    @property
+    def doubtful(self) -> Bool | None:
+        """Faces at folds, and those that may touch another body, shape (m,); None unless the mesh was found closed."""
+        with self._lock:
+            return self._surface[1] if self._surface is not None else None
 
     def unproven(self, targets: Float64, begins: Float64, candidates: Bool) -> Bool:
         """Which rays no map proves free, of the candidates; shape (t, n).
@@ -106,7 +111,7 @@ class BlockerMaps:
         targets: As in :meth:`find`
         """
         with self._lock:
-            if rays <= WORTHWHILE_SHARE * len(self._faces) or not self._is_closed():
+            if rays <= WORTHWHILE_SHARE * len(self._faces) or not self._is_closed(threads):
                 return
             assert self._surface is not None
             planes, either = self._surface
@@ -303,9 +308,14 @@ def _is_fold(
     return True
 
 
-def _near_other_bodies(vertices: Float32, faces: Int32, welded: Int32) -> Bool:
-    # triangles within the bounding box of a body that they do not belong to; bodies are connected through vertices
-    body = _bodies(welded[faces], int(welded.max()) + 1)
+def _welded(vertices: Float32, faces: Int32) -> tuple[Int32, Int32]:
+    # the first vertex at each place, and the body of each triangle; bodies are connected through vertices
+    _, welded = merge_rows(vertices.astype(np.float64))
+    return welded, _bodies(welded, faces)
+
+
+def _near_other_bodies(vertices: Float32, faces: Int32, body: Int32) -> Bool:
+    # triangles within the bounding box of a body that they do not belong to
     count = int(body.max()) + 1
     near = np.full(len(faces), count > MOST_BODIES)
     if not 1 < count <= MOST_BODIES:
@@ -319,23 +329,32 @@ def _near_other_bodies(vertices: Float32, faces: Int32, welded: Int32) -> Bool:
 
 
 @kernel
-def _bodies(faces: Int32, vertices: int) -> Int64:
-    parent = np.arange(vertices)
+def _add_folds(faces: Int32, folded: Bool, doubtful: Bool) -> None:
     for f in range(len(faces)):
-        for k in range(2):
-            a, b = faces[f, k], faces[f, k + 1]
-            while parent[a] != a:
-                parent[a] = parent[parent[a]]
-                a = parent[a]
+        doubtful[f] = doubtful[f] or folded[faces[f, 0]] or folded[faces[f, 1]] or folded[faces[f, 2]]
+
+
+@kernel
+def _bodies(welded: Int32, faces: Int32) -> Int32:
+    parent = np.arange(len(welded)).astype(np.int32)
+    for f in range(len(faces)):
+        a = welded[faces[f, 0]]
+        while parent[a] != a:
+            parent[a] = parent[parent[a]]
+            a = parent[a]
+        for k in range(1, 3):
+            b = welded[faces[f, k]]
             while parent[b] != b:
                 parent[b] = parent[parent[b]]
                 b = parent[b]
-            parent[max(a, b)] = min(a, b)
-    number = np.full(vertices, -1)
-    body = np.empty(len(faces), np.int64)
+            if a != b:
+                parent[max(a, b)] = min(a, b)
+                a = min(a, b)
+    number = np.full(len(welded), -1, np.int32)
+    body = np.empty(len(faces), np.int32)
     count = 0
     for f in range(len(faces)):
-        a = faces[f, 0]
+        a = welded[faces[f, 0]]
         while parent[a] != a:
             a = parent[a]
         if number[a] < 0:
@@ -346,7 +365,7 @@ def _bodies(faces: Int32, vertices: int) -> Int64:
 
 
 @kernel
-def _within_other_box(least: Float32, most: Float32, body: Int64, low: Float32, high: Float32, near: Bool) -> None:
+def _within_other_box(least: Float32, most: Float32, body: Int32, low: Float32, high: Float32, near: Bool) -> None:
     for f in range(len(near)):
         for other in range(len(low)):
             if other != body[f]:

@@ -1,7 +1,9 @@
-"""Embree's own functions, of the library that the embreex wheel brings, called by kernels; shadow rays in packets.
+"""Embree's own functions, of the library that the embreex wheel brings, called by kernels; rays in packets.
 
-embreex asks Embree for one ray after another. Shadow rays that follow each other take much the same way through the
-hierarchy, and Embree takes as many of them at once as the processor has lanes. The answers are the same.
+embreex asks Embree for one ray after another. Shadow rays to one target, and camera rays of neighbouring pixels, take
+much the same way through the hierarchy, and Embree takes as many of them at once as the processor has lanes. The
+answers are the same: Embree computes each ray's with the same arithmetic. Of triangles that are met at exactly the same
+distance, however, it takes any; where that may be, a ray is cast alone.
 """
 
 from __future__ import annotations
@@ -32,6 +34,8 @@ _FUNCTIONS: dict[str, tuple[Any, list[Any]]] = {
     "rtcSetSceneFlags": (None, [_POINTER, _INT]),
     "rtcNewGeometry": (_POINTER, [_POINTER, _INT]),
     "rtcReleaseGeometry": (None, [_POINTER]),
+    "rtcSetSceneBuildQuality": (None, [_POINTER, _INT]),
+    "rtcSetGeometryBuildQuality": (None, [_POINTER, _INT]),
     "rtcCommitGeometry": (None, [_POINTER]),
     "rtcAttachGeometry": (_UNSIGNED, [_POINTER, _POINTER]),
     "rtcSetSharedGeometryBuffer": (None, [_POINTER, _INT, _UNSIGNED, _INT, _POINTER, _SIZE, _SIZE, _SIZE]),
@@ -45,6 +49,7 @@ _TRIANGLES = 0
 _INDEX, _VERTEX = 0, 1
 _UINT3, _FLOAT3 = 0x5003, 0x9003
 _ROBUST = 4
+_LOW, _MEDIUM = 0, 1
 _COHERENT = 1 << 16
 _ALL_FEATURES = 0xFFFFFFFF
 _VERSION_MAJOR = 1
@@ -54,8 +59,11 @@ _NATIVE_WIDTHS = ((16, 34), (8, 33), (4, 32))
 # a packet is rows of one number of each ray: origin, nearest distance, direction, time, furthest distance, mask,
 # number, flags; then, of what it hits, normal, coordinates, triangle, geometry, instances
 _ROWS = 36
-_FURTHEST, _MASK, _TRIANGLE, _GEOMETRY = 8, 9, 17, 18
+_FURTHEST, _MASK, _U, _V, _TRIANGLE, _GEOMETRY = 8, 9, 15, 16, 17, 18
 _ALIGNMENT = 64
+
+EDGE_SHARE = np.float32(1e-6)
+"""Barycentric coordinate below which a ray may meet an edge exactly, and the triangle beyond it as well."""
 
 
 @kernel
@@ -118,32 +126,79 @@ def _blocked_ways(
 
 
 @kernel
-def _nearest(function: int, scene: int, arguments: int, origins: Float32, directions: Float32) -> Int32:
-    # the triangle that each ray meets first, −1 where none
-    n = len(origins)
-    found = np.empty(n, np.int32)
-    ray = _aligned(_ROWS)
+def _nearest(function: int, scene: int, arguments: int, ray: Float32, origin: Float32, direction: Float32) -> int:
+    # the triangle that a ray meets first, −1 where none
     number = ray.view(np.int32)
     number[_MASK] = -1
-    for i in range(n):
-        for axis in range(3):
-            ray[axis] = origins[i, axis]
-            ray[4 + axis] = directions[i, axis]
-        ray[_FURTHEST] = np.inf
-        number[_GEOMETRY] = -1
-        # a function of three pointers; the fourth is not looked at
-        call_address(function, scene, ray.ctypes.data, arguments, arguments)
-        found[i] = number[_TRIANGLE] if number[_GEOMETRY] != -1 else -1
+    for axis in range(3):
+        ray[axis] = origin[axis]
+        ray[4 + axis] = direction[axis]
+    ray[_FURTHEST] = np.inf
+    number[_GEOMETRY] = -1
+    # a function of three pointers; the fourth is not looked at
+    call_address(function, scene, ray.ctypes.data, arguments, arguments)
+    return number[_TRIANGLE] if number[_GEOMETRY] != -1 else -1
+
+
+@kernel
+def _nearest_of_each(function: int, scene: int, arguments: int, origins: Float32, directions: Float32) -> Int32:
+    found = np.empty(len(origins), np.int32)
+    ray = _aligned(_ROWS)
+    for i in range(len(origins)):
+        found[i] = _nearest(function, scene, arguments, ray, origins[i], directions[i])
+    return found
+
+
+@kernel
+def _nearest_in_packets(
+    packet: int,
+    single: int,
+    scene: int,
+    arguments: int,
+    width: int,
+    origins: Float32,
+    directions: Float32,
+    doubtful: Bool,
+) -> Int32:
+    n = len(origins)
+    found = np.empty(n, np.int32)
+    ray, alone = _aligned(_ROWS * width), _aligned(_ROWS)
+    number = ray.view(np.int32)
+    number[_MASK * width : (_MASK + 1) * width] = -1
+    valid = _aligned(width).view(np.int32)
+    for first in range(0, n, width):
+        for j in range(width):
+            i = min(first + j, n - 1)
+            valid[j] = -1 if first + j < n else 0
+            for axis in range(3):
+                ray[axis * width + j] = origins[i, axis]
+                ray[(4 + axis) * width + j] = directions[i, axis]
+            ray[_FURTHEST * width + j] = np.inf
+            number[_GEOMETRY * width + j] = -1
+        call_address(packet, valid.ctypes.data, scene, ray.ctypes.data, arguments)
+        for j in range(min(width, n - first)):
+            i = first + j
+            found[i] = -1
+            if number[_GEOMETRY * width + j] != -1:
+                found[i] = number[_TRIANGLE * width + j]
+                u, v = ray[_U * width + j], ray[_V * width + j]
+                if min(u, v, np.float32(1.0) - u - v) <= EDGE_SHARE or doubtful[found[i]]:
+                    found[i] = _nearest(single, scene, arguments, alone, origins[i], directions[i])
     return found
 
 
 class PacketScene:
-    """A hierarchy over triangles, queried through Embree's own functions."""
+    """A hierarchy over triangles, queried through Embree's own functions.
 
-    def __init__(self, vertices: Float32, faces: Int32) -> None:
+    few_rays: Whether building it takes longer than its queries: it is then built quicker, and queried slower
+    """
+
+    def __init__(self, vertices: Float32, faces: Int32, *, few_rays: bool = False) -> None:
         library, device, width = _embree(os.getpid())
         self._library, self._width = library, width
-        self._packet_query = _address(getattr(library, f"rtcOccluded{width}"))
+        self._single = _address(library.rtcIntersect1)
+        self._packet = _address(getattr(library, f"rtcIntersect{width}"))
+        self._shadow_packet = _address(getattr(library, f"rtcOccluded{width}"))
         # Embree reads these arrays as long as the scene is there, and 16 bytes at each vertex
         self._vertices = np.zeros(3 * len(vertices) + 4, np.float32)
         self._vertices[:-4] = vertices.ravel()
@@ -155,8 +210,11 @@ class PacketScene:
         geometry = library.rtcNewGeometry(device, _TRIANGLES)
         self._share(geometry, _VERTEX, _FLOAT3, self._vertices, len(vertices))
         self._share(geometry, _INDEX, _UINT3, self._faces, len(faces))
+        quality = _LOW if few_rays else _MEDIUM
+        library.rtcSetGeometryBuildQuality(geometry, quality)
         library.rtcCommitGeometry(geometry)
         self._scene: int = library.rtcNewScene(device)
+        library.rtcSetSceneBuildQuality(self._scene, quality)
         library.rtcSetSceneFlags(self._scene, _ROBUST)
         library.rtcAttachGeometry(self._scene, geometry)
         library.rtcReleaseGeometry(geometry)
@@ -171,18 +229,20 @@ class PacketScene:
         if scene := getattr(self, "_scene", None):
             self._library.rtcReleaseScene(scene)
 
-    def first_hit(self, origins: Float32, directions: Float32) -> Int32:
+    def first_hit(self, origins: Float32, directions: Float32, *, doubtful: Bool | None = None) -> Int32:
         """Index of the first triangle that each ray meets, −1 where none; shape (k,).
 
-        One after another: of triangles that share an edge which a ray meets, a packet takes one or the other by what
-        else is in it.
+        doubtful: Triangles that may be met at exactly the same distance as another one that does not share an edge
+            with them, shape (m,): then packets are cast; None casts the rays one by one
         """
-        function = _address(self._library.rtcIntersect1)
-        return _nearest(function, self._scene, self._argument_address, origins, directions)
+        if doubtful is None:
+            return _nearest_of_each(self._single, self._scene, self._argument_address, origins, directions)
+        functions = self._packet, self._single, self._scene, self._argument_address
+        return _nearest_in_packets(*functions, self._width, origins, directions, doubtful)
 
     def occluded(self, origins: Float32, directions: Float32) -> Int32:
         """0 where anything lies within the length of a direction, −1 where nothing does; shape (k,)."""
-        return _blocked(self._packet_query, self._scene, self._argument_address, self._width, origins, directions)
+        return _blocked(self._shadow_packet, self._scene, self._argument_address, self._width, origins, directions)
 
     def blocked(self, begins: Float64, targets: Float64, cast: Bool) -> Bool:
         """Whether anything lies on the way from points to targets, False for rays that are not to be cast; (t, n).
@@ -193,7 +253,7 @@ class PacketScene:
         found = np.zeros(cast.shape, np.bool_)
         for target, some, answer in zip(targets, cast, found, strict=True):
             _blocked_ways(
-                self._packet_query, self._scene, self._argument_address, self._width, begins, target, some, answer
+                self._shadow_packet, self._scene, self._argument_address, self._width, begins, target, some, answer
             )
         return found
 
@@ -204,9 +264,9 @@ def _address(function: Any) -> int:
     return address
 
 
-def packet_scene(vertices: Float32, faces: Int32) -> PacketScene | None:
+def packet_scene(vertices: Float32, faces: Int32, *, few_rays: bool = False) -> PacketScene | None:
     """A hierarchy that is queried with packets; None where this Embree or processor takes none."""
-    return PacketScene(vertices, faces) if _works(os.getpid()) else None
+    return PacketScene(vertices, faces, few_rays=few_rays) if _works(os.getpid()) else None
 
 
 @cache
@@ -217,10 +277,11 @@ def _works(_process: int) -> bool:
     down = np.array([[0, 0, -1], [0, 0, -1]], np.float32)
     try:
         scene = PacketScene(triangle, np.array([[0, 1, 2]], np.int32))
-        answers = scene.first_hit(origins, down).tolist(), scene.occluded(origins, down).tolist()
+        nearest = [scene.first_hit(origins, down, doubtful=some) for some in (None, np.zeros(1, np.bool_))]
+        answers = [answer.tolist() for answer in (*nearest, scene.occluded(origins, down))]
     except (OSError, AttributeError, NotImplementedError):  # no function of that name; numba compiles nothing
         return False
-    return answers == ([0, -1], [0, -1])
+    return answers == [[0, -1]] * 3
 
 
 _LOADING = threading.Lock()

@@ -58,7 +58,19 @@ class TriangleMesh:
         """Lowest and highest corner of the bounding box of all vertices [mm], shape (2, 3)."""
         if not len(self.vertices):
             raise InputError("mesh: no vertices, so no bounding box")
-        return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+        return bounding_box(self.vertices)
+
+
+@kernel
+def bounding_box(vertices: Float64) -> Float64:
+    """Lowest and highest corner of the bounding box of some points, shape (2, 3)."""
+    box = np.empty((2, 3))
+    box[0], box[1] = vertices[0], vertices[0]
+    for i in range(len(vertices)):
+        for axis in range(3):
+            box[0, axis] = min(box[0, axis], vertices[i, axis])
+            box[1, axis] = max(box[1, axis], vertices[i, axis])
+    return box
 
 
 def face_normals(mesh: TriangleMesh) -> Float64:

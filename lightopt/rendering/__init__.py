@@ -2,7 +2,7 @@
 
 from lightopt.rendering._converged_panel import converged_panel, highlight_level, shade_converged, shadow_targets
 from lightopt.rendering._image_set import RenderOptions, render_image_set, set_manifest
-from lightopt.rendering._images import PostureImages, cast_rays_at, render, render_posture
+from lightopt.rendering._images import PostureImages, cast_rays_at, rays_of_images, render, render_posture
 from lightopt.rendering._light_layer import LightLayer, light_layer
 from lightopt.rendering._patches import (
     DEFAULT_PATCH_BUDGET,
@@ -36,6 +36,7 @@ __all__ = [
     "build_patches",
     "camera_visibility",
     "cast_rays_at",
+    "rays_of_images",
     "converged_panel",
     "grain_of",
     "highlight_level",

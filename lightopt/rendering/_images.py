@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import monotonic
 
 import numpy as np
@@ -30,8 +31,13 @@ from lightopt.scene import PanelLight, PartView, Scene, screen_window, view_from
 
 _log = logging.getLogger("lightopt.rendering")
 
-BLOCK_SAMPLES = 65_536
-"""Image samples that a thread works on at once: bounds the memory, and is large enough to hide Python's overhead."""
+BLOCK_SAMPLES = 32_768
+"""Image samples that a thread works on at once: bounds the memory, whose most is in the processor's cache then, and is
+large enough to hide Python's overhead."""
+
+
+TILE = 4
+"""Rows and columns of the tiles of an image whose rays are cast together."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,16 +89,27 @@ class PostureImages:
     rays: int
 
 
-def cast_rays_at(scene: Scene) -> RayCaster:
-    """The ray caster of a scene's part, in the part's frame; serves all postures."""
-    return RayCaster(scene.mesh.vertices, scene.mesh.faces)
+def cast_rays_at(scene: Scene, *, rays: float = math.inf) -> RayCaster:
+    """The ray caster of a scene's part, in the part's frame; serves all postures.
+
+    rays: About how many will be cast, where that is known
+    """
+    return RayCaster(scene.mesh.vertices, scene.mesh.faces, rays=rays)
+
+
+def rays_of_images(scene: Scene, *, supersample: int = 1) -> float:
+    """About how many rays the images of all postures take, of a part that fills the view."""
+    if any(light.points == "auto" for light in scene.lights):
+        return math.inf
+    # blocker maps leave about as many shadow rays as there are camera rays
+    return 2.0 * len(scene.postures) * scene.camera.width * scene.camera.height * supersample**2
 
 
 def trace_posture(mesh: TriangleMesh, view: PartView, caster: RayCaster) -> Hits:
     """Where the rays through all pixel centres meet the part; part frame."""
     left, top, right, bottom = screen_window(view.camera, mesh)
     columns, rows = np.meshgrid(_centres(left, right), _centres(top, bottom))
-    return trace_hits(caster, mesh, view.camera, columns.ravel(), rows.ravel())
+    return trace_hits(caster, mesh, view.camera, columns.ravel(), rows.ravel(), neighbours=True)
 
 
 def render(
@@ -119,7 +136,7 @@ def render(
     >>> for images in render(scene):  # doctest: +SKIP
     ...     print(images.posture, images.lights[0].level.max())
     """
-    caster = cast_rays_at(scene)
+    caster = cast_rays_at(scene, rays=rays_of_images(scene, supersample=supersample))
     for posture in scene.postures:
         yield render_posture(
             scene,
@@ -254,8 +271,12 @@ class _PostureJob:
                 image.diffuse[target], image.specular[target] = diffuse, specular
 
     def _trace(self, columns: Float64, rows: Float64) -> tuple[Hits, SurfacePoints]:
-        x, y = np.meshgrid(columns, rows)
-        return trace_samples(self.caster, self.scene.mesh, self.view.camera, x.ravel(), y.ravel())
+        order = _tiles(len(rows), len(columns))
+        row, column = np.divmod(order, len(columns))
+        hits, surface = trace_samples(
+            self.caster, self.scene.mesh, self.view.camera, columns[column], rows[row], neighbours=True
+        )
+        return replace(hits, ray=order[hits.ray]), surface
 
     def _in_defects(self, surface: SurfacePoints) -> tuple[DefectSamples, ...]:
         return defect_samples(self.scene.defects, surface, self.scene.reflectance)
@@ -310,6 +331,20 @@ class _PostureJob:
             for some in marked:
                 label[some.index] = some.label
             g.defect[place] = label[inside]
+
+
+@kernel
+def _tiles(rows: int, columns: int) -> Int32:
+    # the raveled grid, tile by tile: rays that go nearly the same way follow each other
+    order = np.empty(rows * columns, np.int32)
+    k = 0
+    for top in range(0, rows, TILE):
+        for left in range(0, columns, TILE):
+            for row in range(top, min(top + TILE, rows)):
+                for column in range(left, min(left + TILE, columns)):
+                    order[k] = row * columns + column
+                    k += 1
+    return order
 
 
 @kernel

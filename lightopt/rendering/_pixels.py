@@ -64,7 +64,7 @@ def trace_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: 
         rows = np.arange(first, min(first + _BLOCK_ROWS, bottom), dtype=np.int32)
         column, row = (a.ravel() for a in np.meshgrid(columns, rows))
         x, y = column.astype(np.float64) + 0.5, row.astype(np.float64) + 0.5
-        hits, surface = trace_samples(caster, scene.mesh, view.camera, x, y)
+        hits, surface = trace_samples(caster, scene.mesh, view.camera, x, y, neighbours=True)
         return row[hits.ray], column[hits.ray], surface
 
     blocks = in_threads(block, range(top, bottom, _BLOCK_ROWS), threads)

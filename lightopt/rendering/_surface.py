@@ -60,24 +60,41 @@ class SurfacePoints:
         )
 
 
-def trace_hits(caster: RayCaster, mesh: TriangleMesh, camera: PinholeCamera, columns: Float64, rows: Float64) -> Hits:
-    """Where camera rays through image points meet the part, without what the surface is like there."""
+def trace_hits(
+    caster: RayCaster,
+    mesh: TriangleMesh,
+    camera: PinholeCamera,
+    columns: Float64,
+    rows: Float64,
+    *,
+    neighbours: bool = False,
+) -> Hits:
+    """Where camera rays through image points meet the part, without what the surface is like there.
+
+    Parameters as in :func:`trace_samples`.
+    """
     directions = pixel_directions(camera, columns, rows)
-    return resolve_hits(
-        caster.first_hit(camera.position, directions), camera.position, directions, mesh.vertices, mesh.faces
-    )
+    face = caster.first_hit(camera.position, directions, neighbours=neighbours)
+    return resolve_hits(face, camera.position, directions, mesh.vertices, mesh.faces)
 
 
 def trace_samples(
-    caster: RayCaster, mesh: TriangleMesh, camera: PinholeCamera, columns: Float64, rows: Float64
+    caster: RayCaster,
+    mesh: TriangleMesh,
+    camera: PinholeCamera,
+    columns: Float64,
+    rows: Float64,
+    *,
+    neighbours: bool = False,
 ) -> tuple[Hits, SurfacePoints]:
     """Cast camera rays through image points and describe the surface where they meet the part.
 
     caster, mesh: The part, in its own frame
     camera: Part frame
     columns, rows: Image points [px], shape (n,)
+    neighbours: Whether points that follow each other are close to each other: they are then traced together
     """
-    hits = trace_hits(caster, mesh, camera, columns, rows)
+    hits = trace_hits(caster, mesh, camera, columns, rows, neighbours=neighbours)
     smooth = mesh.normals is not None
     vertex_normals = mesh.normals if mesh.normals is not None else np.zeros((1, 3))
     found = _interpolate(

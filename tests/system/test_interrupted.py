@@ -207,12 +207,12 @@ def test_ctrl_c_while_rays_are_cast(cli, shared_bench, tmp_path, quick, snapshot
 
     first_hit, calls = RayCaster.first_hit, 0
 
-    def count(self, *arguments):
+    def count(self, *arguments, **options):
         nonlocal calls
         calls += 1
         if calls == 4:  # in a worker thread, while the second posture is rendered
             raise KeyboardInterrupt
-        return first_hit(self, *arguments)
+        return first_hit(self, *arguments, **options)
 
     with monkeypatch.context() as patch:
         patch.setattr(RayCaster, "first_hit", count)

@@ -16,26 +16,28 @@ MESHES = {
 }
 
 
-def both(mesh, monkeypatch):
+def both(mesh, monkeypatch, **options):
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32)
-    packets = RayCaster(vertices, faces)
+    packets = RayCaster(vertices, faces, **options)
     assert packets._packets is not None
-    monkeypatch.setattr(_caster, "packet_scene", lambda *_: None)
+    monkeypatch.setattr(_caster, "packet_scene", lambda *_, **__: None)
     single = RayCaster(vertices, faces)
     assert single._packets is None
     return packets, single
 
 
 @pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES.keys())
-@pytest.mark.parametrize("count", [1, 15, 16, 17, 3001])
-def test_packets_answer_as_single_rays(monkeypatch, mesh, count):
-    packets, single = both(mesh, monkeypatch)
+@pytest.mark.parametrize(("count", "rays"), [(1, 1.0), (15, np.inf), (16, 1.0), (17, np.inf), (3001, 1.0)])
+def test_packets_answer_as_single_rays(monkeypatch, mesh, count, rays):
+    packets, single = both(mesh, monkeypatch, rays=rays)
     rng = np.random.default_rng(count)
     eye = np.array([3.0, -4.0, 60.0])
     directions = mesh.bounds[0] + rng.random((count, 3)) * np.ptp(mesh.bounds, axis=0) - eye
     first = packets.first_hit(eye, directions)
     assert first.dtype == np.int32
     np.testing.assert_array_equal(first, single.first_hit(eye, directions))
+    assert packets.has_blocker_maps == mesh.is_watertight  # from then on, first hits are found in packets, too
+    np.testing.assert_array_equal(first, packets.first_hit(eye, directions, neighbours=True))
     points = mesh.triangles_center[rng.integers(0, len(mesh.faces), count)]
     normals = rng.normal(size=(count, 3))
     targets = rng.normal(size=(5, 3)) * 40.0
@@ -48,7 +50,7 @@ def test_packets_answer_as_single_rays(monkeypatch, mesh, count):
     if count > 1000:
         assert np.mean(first >= 0) > 0.02
         assert 0.02 < np.mean(blocked) < 0.98
-    assert packets.rays_cast == 2 * count
+    assert packets.rays_cast == 3 * count
 
 
 @pytest.mark.parametrize("height", [0.0, 0.5])
@@ -82,6 +84,35 @@ def test_answers_do_not_depend_on_the_other_rays(monkeypatch, height):
         np.testing.assert_array_equal(whole[:, order], answers(packets, order))
     pieces = [np.arange(k, min(k + 7, len(ends))) for k in range(0, len(ends), 7)]
     np.testing.assert_array_equal(whole, np.hstack([answers(packets, piece) for piece in pieces]))
+
+
+TIES = {
+    "edges": trimesh.creation.box((20, 20, 20)).subdivide().subdivide(),
+    # upper faces in one plane: bodies that overlap, and one body twice
+    "coplanar": trimesh.util.concatenate(
+        [
+            trimesh.creation.box(bounds=[[-10, -10, -10], [10, 10, 10]]).subdivide(),
+            trimesh.creation.box(bounds=[[-4, -6, -2], [7, 5, 10]]),
+        ]
+    ),
+    "twice": trimesh.util.concatenate([trimesh.creation.icosphere(2, 10.0)] * 2),
+}
+
+
+@pytest.mark.parametrize("mesh", TIES.values(), ids=TIES.keys())
+def test_of_triangles_at_the_same_distance_it_is_the_one_that_a_ray_alone_meets(monkeypatch, mesh):
+    packets, single = both(mesh, monkeypatch)
+    assert packets.has_blocker_maps
+    rng = np.random.default_rng(3)
+    ends = np.vstack([mesh.vertices, mesh.vertices[mesh.edges].mean(axis=1), mesh.triangles_center])
+    across = np.array([[x, y, 10.0] for x in np.arange(-10.0, 10.5, 0.5) for y in np.arange(-10.0, 10.5, 0.5)])
+    eye = np.array([0.0, 0.0, 50.0])
+    directions = np.vstack([ends, across]) - eye
+    alone = single.first_hit(eye, directions)
+    assert np.mean(alone >= 0) > 0.5
+    for _ in range(5):
+        order = rng.permutation(len(directions))
+        np.testing.assert_array_equal(alone[order], packets.first_hit(eye, directions[order], neighbours=True))
 
 
 def test_no_rays_are_no_answers(monkeypatch):
