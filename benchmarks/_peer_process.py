@@ -1,7 +1,7 @@
 """Each peer in a process of its own: a library that is missing, or that ends its process, takes no other peer along.
 
-As a program, ``python -m benchmarks._peer_process NAME SIZE PART`` reads ``build`` and ``images`` from standard input, one
-a line, does it, and answers each with the seconds that it took; ``save PATH`` writes the images.
+As a program, ``python -m benchmarks._peer_process NAME SIZE PART`` reads ``build`` and ``images`` from standard input,
+one a line, does it, and answers each with the seconds that it took; ``save PATH`` writes the images.
 """
 
 from __future__ import annotations

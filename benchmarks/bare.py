@@ -19,7 +19,7 @@ from lightopt.scene import Scene
 
 THREADS = 2
 BLOCK_SIZES = (2_048, 8_192, 32_768, 131_072, 524_288)
-TARGET = 1.5
+TARGET = 0.4
 
 Float32 = NDArray[np.float32]
 

@@ -165,7 +165,7 @@ class _Pool:
     def _do(self, function: Callable[..., None], arguments: tuple[Any, ...]) -> None:
         try:
             function(*arguments)
-        except BaseException as error:
+        except BaseException as error:  # noqa: BLE001  (raised where it is waited for)
             self._finished.put(error)
         else:
             self._finished.put(None)

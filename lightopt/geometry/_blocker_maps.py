@@ -70,17 +70,18 @@ class BlockerMaps:
         with self._lock:
             return self._is_closed()
 
-    def _is_closed(self, threads: int | None = 1) -> bool:
+    def _is_closed(self) -> bool:
         if self._closed is None:
             planes, welded, body = _planes(self._vertices, self._faces), *_welded(self._vertices, self._faces)
-            self._closed, folded = _closed_and_folded(self._vertices, self._faces, planes, welded)
-            if not self._closed:
+            closed, folded = _closed_and_folded(self._vertices, self._faces, planes, welded)
+            self._closed = bool(closed)
+            if not closed:
                 _log.info("the mesh is open or its faces disagree in direction: every shadow ray is cast")
             else:
                 doubtful = _near_other_bodies(self._vertices, self._faces, body)
                 _add_folds(self._faces, folded, doubtful)
                 self._surface = planes, doubtful
-        return self._closed
+        return bool(self._closed)
 
     @property
     def doubtful(self) -> Bool | None:
@@ -111,7 +112,7 @@ class BlockerMaps:
         targets: As in :meth:`find`
         """
         with self._lock:
-            if rays <= WORTHWHILE_SHARE * len(self._faces) or not self._is_closed(threads):
+            if rays <= WORTHWHILE_SHARE * len(self._faces) or not self._is_closed():
                 return
             assert self._surface is not None
             planes, either = self._surface

@@ -20,14 +20,7 @@ from lightopt.core.threads import BackgroundTasks
 from lightopt.core.transforms import Posture
 from lightopt.images import ImageEntry, ImageSetWriter, Manifest, SourceFile
 from lightopt.optics import expose, image_rng
-from lightopt.rendering._images import (
-    Geometry,
-    LightImage,
-    PostureImages,
-    cast_rays_at,
-    rays_of_images,
-    render_posture,
-)
+from lightopt.rendering._images import Geometry, LightImage, PostureImages, cast_rays_at, rays_of_images, render_posture
 from lightopt.rendering._patches import DEFAULT_PATCH_BUDGET, build_patches
 from lightopt.rendering._scene_checks import refuse_unusable_scene
 from lightopt.scene import PanelLight, Scene, build_scene, coarse_warnings, defect_facts, pixel_footprint
