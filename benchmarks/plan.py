@@ -125,7 +125,7 @@ def run(size: Size) -> Report:
             "peak_bytes": peak_bytes(),
             "share": cover.share,
             "bound": cover.bound_share,
-            "turns": choice.iterations,
+            "iterations": choice.iterations,
             "lights_best_for_postures": choice.exact and choice.converged,
             "placing_seconds": {k: took for k, (_, took, _) in placed.items()},
         }

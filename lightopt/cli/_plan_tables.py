@@ -32,7 +32,7 @@ def show_plan(result: PlanResult, folder: Path, *, verbose: bool) -> None:
         if verbose and "chosen_postures" not in document:
             echo(f"shares of exposures: of {planned['shares_of']}")
     if result.tolerances:
-        table = tolerance_table(document["trust"], [together(one.postures) for one in result.tolerances])
+        table = tolerance_table(document["tolerances"], [together(one.postures) for one in result.tolerances])
         show_table(table.header, table.rows)
     if result.commands:
         echo(f"to carry the plan out, in {folder}:")
@@ -98,7 +98,7 @@ def _travel(way: Section) -> str:
 def _show_spare(chosen: Section, text: partial[str]) -> None:
     # fewer postures than were requested, and postures that hardly add anything
     count, sufficient = len(chosen["postures"]), chosen["postures_to_a_tenth_of_a_point"]
-    if chosen["asked"] is not None and count < chosen["asked"] and chosen["target"] is None:
+    if chosen["requested"] is not None and count < chosen["requested"] and chosen["target"] is None:
         why = "there are no others" if count == chosen["candidates"] else "no other adds anything with these lights"
         echo(f"{chosen['asked']} postures were asked for: {why}")
     if sufficient < count:
@@ -119,7 +119,7 @@ def _show_proof(chosen: Section, text: partial[str], *, verbose: bool) -> None:
     if chosen["optimum"] == "proven":
         echo(f"proven of these patches: no {number} show more{whatever}")
     else:
-        local = "a local optimum: " if chosen["turns"] else ""
+        local = "a local optimum: " if chosen["iterations"] else ""
         bound = f"with these lights {sets_text(chosen)} more"
         bound += (
             whatever
@@ -127,14 +127,14 @@ def _show_proof(chosen: Section, text: partial[str], *, verbose: bool) -> None:
             else f" than {text(chosen['bound'])}{whatever}, so that these have {text(chosen['greedy_guarantee'])} of "
             "the best at least"
         )
-        echo(f"{local}{bound}" + "; other lights with other postures may show more" * bool(chosen["turns"]))
+        echo(f"{local}{bound}" + "; other lights with other postures may show more" * bool(chosen["iterations"]))
     if not verbose:
         return
     echo(f"all {chosen['candidates']} postures with these lights show {text(chosen['all_candidates'])}{whatever}")
     if chosen["fewest_possible"] is not None and chosen["target"] is not None:
         needed = counted(chosen["fewest_possible"], "posture")
         echo(f"{100.0 * chosen['target']:.9g} % takes at least {needed} with these lights")
-    if not chosen["turns"]:
+    if not chosen["iterations"]:
         return
     best = "; proven: in these postures no other positions show more" * chosen["lights_best_for_postures"]
     echo(f"lights: the same for all postures, placed together with them {search_text(chosen)}{best}")

@@ -137,7 +137,7 @@ def plan_document(result: PlanResult) -> dict[str, Any]:
     if result.brackets is not None:
         sections["exposures"] = _brackets_dict(result.brackets, result.shares_of)
     if result.tolerances:
-        sections["trust"] = [_tolerance_dict(one) for one in result.tolerances]
+        sections["tolerances"] = [_tolerance_dict(one) for one in result.tolerances]
     if result.commands:
         sections["commands"] = [command.text for command in result.commands]
         sections["rounds"] = [
@@ -156,7 +156,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
     before = chosen.choice.initial_if_moved
     return {
         "min_images": chosen.least,
-        "asked": chosen.requested,
+        "requested": chosen.requested,
         "target": chosen.target,
         "share": round(cover.share, 6),
         "shares_of": SHARES_OF,
@@ -184,7 +184,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
         "travel_pace": chosen.pace,
         "candidates": chosen.candidate_count,
         "left_out": [{**out.posture.as_dict(), "kind": out.kind, "reason": out.reason} for out in chosen.left_out],
-        "turns": chosen.choice.iterations,
+        "iterations": chosen.choice.iterations,
         "starts": chosen.choice.starts,
         "every_combination_tried": chosen.choice.exact,
         "turns_on_all_patches": chosen.choice.on_all_patches,

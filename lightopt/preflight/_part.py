@@ -20,7 +20,7 @@ from lightopt.geometry import (
     refine,
 )
 from lightopt.preflight._findings import CheckedScene, Finding, Level, percent
-from lightopt.rendering import visible_points
+from lightopt.rendering import BACK_FACE_SHARE, visible_points
 from lightopt.scene import guess_unit, is_absurd, view_size
 
 
@@ -49,11 +49,6 @@ def check_size(checked: CheckedScene) -> Iterator[Finding]:
         yield Finding("warning", "size", f"{text}: very {kind} for this camera", where, values)
     else:
         yield Finding("ok", "size", text, where, values)
-
-
-SILHOUETTE_SHARE = 1e-4
-"""Share of the part's pixels that may see back faces without a warning: rays that graze the silhouette of a closed mesh
-may slip through between two faces."""
 
 
 def check_mesh(checked: CheckedScene) -> Iterator[Finding]:
@@ -86,7 +81,7 @@ def check_back_faces(checked: CheckedScene) -> Iterator[Finding]:
     """How much of the part's image shows backs of faces, which are black."""
     for index, sample in enumerate(checked.samples):
         back = int(np.count_nonzero(~sample.surface.front))
-        if back <= SILHOUETTE_SHARE * len(sample.surface):
+        if back <= BACK_FACE_SHARE * len(sample.surface):
             continue
         pixels = back * sample.step**2
         share = back / len(sample.surface)

@@ -1,7 +1,7 @@
 """From a scene to what the camera would see, linear and exact; and the patches that optimisation works on."""
 
 from lightopt.rendering._converged_panel import converged_panel, highlight_level, shade_converged, shadow_targets
-from lightopt.rendering._image_set import RenderOptions, render_image_set, set_manifest
+from lightopt.rendering._image_set import BACK_FACE_SHARE, RenderOptions, render_image_set, set_manifest
 from lightopt.rendering._images import PostureImages, cast_rays_at, rays_of_images, render, render_posture
 from lightopt.rendering._light_layer import LightLayer, light_layer
 from lightopt.rendering._patches import (
@@ -22,6 +22,7 @@ from lightopt.rendering._surface import GRAZING_COSINE, GRAZING_DEG, SurfacePoin
 from lightopt.rendering._surface_variants import shade_variants, surface_variants
 
 __all__ = [
+    "BACK_FACE_SHARE",
     "DEFAULT_PATCH_BUDGET",
     "GRAZING_COSINE",
     "GRAZING_DEG",

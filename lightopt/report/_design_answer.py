@@ -142,7 +142,7 @@ def _plan_proof(chosen: Mapping[str, Any]) -> str:
     )
     whatever = ", at any of the exposures offered" * (len(chosen["bounds_with_any_of_exposures"]) > 1)
     bound = f"Proven: with these lights {sets} more{more}{whatever}."
-    if not chosen["turns"]:
+    if not chosen["iterations"]:
         return f"{bound} No light moves."
     if chosen["lights_best_for_postures"]:
         bound += " Proven: in these postures no other positions of the lights show more."

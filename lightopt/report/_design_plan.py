@@ -131,8 +131,8 @@ def _posture_facts(chosen: Mapping[str, Any], rounds: Sequence[Mapping[str, Any]
         facts.append(("with the lights as they stood", share))
     if sufficient < count:
         facts.append((f"the first {sufficient} chosen show", text(chosen["postures"][sufficient - 1]["share"])))
-    if chosen["asked"] is not None and chosen["target"] is None and count < chosen["asked"]:
-        facts.append(("postures that were asked for", str(chosen["asked"])))
+    if chosen["requested"] is not None and chosen["target"] is None and count < chosen["requested"]:
+        facts.append(("postures that were asked for", str(chosen["requested"])))
     if not chosen["proven_with_these_lights"]:
         guarantee = f"{text(chosen['greedy_guarantee'])} of the best with these lights"
         facts.append(("these postures have at least", guarantee))
@@ -176,7 +176,7 @@ def exposure_table(planned: Mapping[str, Any]) -> Table:
 
 def tolerance_blocks(output: DesignOutput) -> list[Block]:
     """How far the score falls when angles are off, and how wide each may be."""
-    tolerances = output.document.get("trust")
+    tolerances = output.document.get("tolerances")
     if not tolerances:
         return []
     offsets = output.document["provenance"]["options"]["tolerances"]
@@ -191,7 +191,7 @@ def tolerance_blocks(output: DesignOutput) -> list[Block]:
 
 
 def tolerance_table(tolerances: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Table:
-    """What misalignment leaves of the scores, from ``trust`` of result.json; `names` are the heads of its columns."""
+    """What misalignment leaves of the scores (``tolerances`` of result.json); `names` are the heads of its columns."""
     rows = [
         [
             "worst corner keeps",

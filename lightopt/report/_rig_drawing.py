@@ -17,10 +17,10 @@ from lightopt.report._drawing import Drawing, fixed_style
 from lightopt.report._images import check_png_path, write_picture
 from lightopt.report._part_picture import cast_part
 from lightopt.report._rig_elements import Pen, number
-from lightopt.report._rig_shapes import CameraShape, camera_shape, panel_corners, part_box, rig_size, square, table_grid
+from lightopt.report._rig_shapes import CameraShape, camera_shape, part_box, rig_size, square, table_grid
 from lightopt.report._rig_stage_and_numbers import SIDE_WIDTH, draw_stage, side_height, write_numbers
 from lightopt.report._view import ParallelView, fit_view
-from lightopt.scene import PanelLight, Scene
+from lightopt.scene import PanelLight, Scene, panel_corners
 
 MAIN_WIDTH, LEAST_HEIGHT, MARGIN = 1060, 1080, 40
 MOST_ARCS, FEW_ARCS = 6, 3

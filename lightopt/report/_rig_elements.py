@@ -10,9 +10,9 @@ import numpy as np
 from lightopt.core.arrays import Float64
 from lightopt.report._drawing import INK, SOFT, Drawing, Label, sub
 from lightopt.report._part_picture import PartPicture
-from lightopt.report._rig_shapes import CameraShape, foot_direction, nice_step, panel_corners, square
+from lightopt.report._rig_shapes import CameraShape, foot_direction, nice_step, square
 from lightopt.report._view import ORIGIN, ParallelView, X, Y, Z, arc
-from lightopt.scene import PanelLight, PinholeCamera, panel_grid
+from lightopt.scene import PanelLight, PinholeCamera, panel_corners, panel_grid
 
 GRID = "#dfe3e8"
 CAMERA, LIGHT, THETA, PHI, STAGE = "#45535f", "#b07d04", "#7a2f9b", "#0a8580", "#a8324a"

@@ -9,7 +9,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture, rigid_transform
-from lightopt.scene import PanelLight, PinholeCamera, Scene, pixel_directions
+from lightopt.scene import PanelLight, PinholeCamera, Scene, panel_corners, pixel_directions
 
 _BORDER_STEPS = 24
 """Points per side of the image's border; a distorted lens bends it on the table."""
@@ -64,17 +64,6 @@ def _border(camera: PinholeCamera) -> Float64:
     sides = [(1.0 - t) * corners[i] + t * corners[(i + 1) % 4] for i in range(4)]
     points = np.concatenate(sides)
     return pixel_directions(camera, points[:, 0], points[:, 1])
-
-
-def panel_corners(light: PanelLight) -> Float64:
-    """Corners of a panel in order around it [mm], shape (4, 3)."""
-    signs = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
-    return np.array(
-        [
-            light.centre + 0.5 * (sa * light.size[0] * light.across + sb * light.size[1] * light.along)
-            for sa, sb in signs
-        ]
-    )
 
 
 def foot_direction(light: PanelLight) -> Float64:

@@ -205,7 +205,9 @@ def test_the_report_of_a_plan(planned):
         # tolerances, of each posture and of all
         header, worst, *_ = table_under(seen, "How exact the angles must be")
         assert header[-1] == "all 2 postures"
-        assert worst[1:] == [share_text(one["worst_corner"]["share_of_score"], one["grain"]) for one in result["trust"]]
+        assert worst[1:] == [
+            share_text(one["worst_corner"]["share_of_score"], one["grain"]) for one in result["tolerances"]
+        ]
         # the commands that carry it out
         for command in result["commands"]:
             assert seen.page.get_by_text(command, exact=True).first.is_visible()

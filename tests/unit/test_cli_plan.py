@@ -170,10 +170,10 @@ def test_blind_spots_are_those_of_the_whole_plan(planned):
             assert total == pytest.approx(1.0, abs=1e-5)
 
 
-def test_trust_is_told_posture_by_posture_and_together(planned):
-    trust = result_of(planned.out)["trust"]
-    assert [len(one["postures"]) for one in trust] == [1, 1, 2]
-    for one in trust:
+def test_tolerances_are_reported_posture_by_posture_and_together(planned):
+    tolerances = result_of(planned.out)["tolerances"]
+    assert [len(one["postures"]) for one in tolerances] == [1, 1, 2]
+    for one in tolerances:
         assert 0.0 < one["worst_corner"]["share_of_score"] <= 1.0
         assert {angle: abs(by) for angle, by in one["worst_corner"]["part"].items()} == {
             "tilt_deg": 1.0,
@@ -250,7 +250,7 @@ def test_one_light_is_enough_where_postures_are_chosen(two, cli, reach):
     seen = result["chosen_postures"]["share"] * result["chosen_postures"]["inspectable_share_of_surface"]
     spots = result["blind_spots"]["chosen"]
     assert spots["seen"] * (1.0 - spots["left_out_of_surface"]) == pytest.approx(seen, abs=3e-6)
-    assert [len(one["postures"]) for one in result["trust"]] == [2]
+    assert [len(one["postures"]) for one in result["tolerances"]] == [2]
     assert result["overlaps"] == []
     page = (two.out / "report.html").read_text(encoding="utf-8")
     assert "highlights together" not in page
@@ -306,7 +306,7 @@ def test_more_postures_than_there_are_and_such_as_add_next_to_nothing_are_told(t
     assert ran.status == 0, ran.err
     assert "13 postures to choose from, fewer than the 30 that were asked for, 0 left out" in ran.out
     chosen = result_of(two.out)["chosen_postures"]
-    assert chosen["asked"] == 30
+    assert chosen["requested"] == 30
     number, first = len(chosen["postures"]), chosen["postures_to_a_tenth_of_a_point"]
     why = "there are no others" if number == 13 else "no other adds anything with these lights"
     assert f"30 postures were asked for: {why}" in ran.out
@@ -447,9 +447,9 @@ def test_exposures_that_the_target_takes_are_told(capsys, why, expected):
 def test_tolerances_of_another_objective(two, cli):
     ran = plan(cli, two, "--light-tolerance", "5", "--pose-tolerance", "2")
     assert ran.status == 0, ran.err
-    trust = result_of(two.out)["trust"]
+    tolerances = result_of(two.out)["tolerances"]
     areas = [result["objectives"][0]["score"] for result in result_of(two.out)["results"]]
-    assert [one["score"] for one in trust] == [*areas, sum(areas)]
+    assert [one["score"] for one in tolerances] == [*areas, sum(areas)]
     assert "worst corner keeps" in ran.out
     assert "commands" not in result_of(two.out)
 

@@ -383,7 +383,7 @@ def place(elevation: float, rotation: float) -> dict[str, float]:
 PLANNED = {
     "chosen_postures": {
         "min_images": 2,
-        "asked": 3,
+        "requested": 3,
         "target": 0.9,
         "share": 0.905,
         "bound": 0.931,
@@ -407,7 +407,7 @@ PLANNED = {
         "shares_of": "all that is seen",
         "optimum": "local",
         "starts": 4,
-        "turns": 2,
+        "iterations": 2,
         "every_combination_tried": True,
         "turns_on_all_patches": True,
         "lights_best_for_postures": True,
@@ -425,7 +425,7 @@ PLANNED = {
             {"posture": place(20, 90), "exposure": 0.25, "gain": 0.002, "planned": False, "planned_for": None},
         ],
     },
-    "trust": [
+    "tolerances": [
         {
             "postures": [place(0, 0)],
             "patches": 100,

@@ -27,7 +27,7 @@ from lightopt.design.responses._luminance_matrix import LevelThresholds, Luminan
 from lightopt.design.tolerances._misaligned_scores import Setup
 from lightopt.scene import PanelLight
 
-BLIND_SHARES_OF = "the part's surface but what the camera sees at a grazing angle only, × defects by weight"
+BLIND_SHARES_OF = "the part's surface without that seen at grazing angles only, × defects by weight"
 """What shares of blind spots are shares of."""
 
 BLIND_LIGHTS = ("chosen", "best for each defect")
