@@ -100,7 +100,7 @@ def _show_spare(chosen: Section, text: partial[str]) -> None:
     count, sufficient = len(chosen["postures"]), chosen["postures_to_a_tenth_of_a_point"]
     if chosen["requested"] is not None and count < chosen["requested"] and chosen["target"] is None:
         why = "there are no others" if count == chosen["candidates"] else "no other adds anything with these lights"
-        echo(f"{chosen['asked']} postures were asked for: {why}")
+        echo(f"{chosen['requested']} postures were asked for: {why}")
     if sufficient < count:
         share = text(chosen["postures"][sufficient - 1]["share"])
         echo(

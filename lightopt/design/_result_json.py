@@ -187,7 +187,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
         "iterations": chosen.choice.iterations,
         "starts": chosen.choice.starts,
         "every_combination_tried": chosen.choice.exact,
-        "turns_on_all_patches": chosen.choice.on_all_patches,
+        "iterations_on_all_patches": chosen.choice.on_all_patches,
         "lights_best_for_postures": chosen.choice.exact and chosen.choice.converged,
         "patches": {
             "drawn": chosen.drawn,

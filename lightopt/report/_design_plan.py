@@ -221,11 +221,11 @@ def search_text(chosen: Mapping[str, Any]) -> str:
     tried = "every combination" if chosen["every_combination_tried"] else "one light moved at a time"
     drawn, patches = chosen["patches"]["drawn"], chosen["patches"]["all"]
     where = f"on {drawn:,} of {patches:,} patches"
-    if chosen["turns_on_all_patches"]:
+    if chosen["iterations_on_all_patches"]:
         where = f"on all {patches:,} patches"
         if drawn != patches:
             where = f"on {drawn:,} patches, then {where}"
-    return f"in {counted(chosen['turns'], 'turn')}, the best of {counted(chosen['starts'], 'start')} ({tried}) {where}"
+    return f"in {counted(chosen['iterations'], 'iteration')}, the best of {counted(chosen['starts'], 'start')} ({tried}) {where}"
 
 
 def _bound(chosen: Mapping[str, Any], share: str) -> str:

@@ -409,7 +409,7 @@ PLANNED = {
         "starts": 4,
         "iterations": 2,
         "every_combination_tried": True,
-        "turns_on_all_patches": True,
+        "iterations_on_all_patches": True,
         "lights_best_for_postures": True,
         "patches": {"drawn": 100, "all": 800, "max_edge_mm": 1.25, "footprint_mm": 0.05, "grain": 0.0177},
         "inspectable_share_of_surface": 0.61,
@@ -488,7 +488,7 @@ def test_a_plan_is_shown_as_the_result_has_it(done, undrawn):
     (proof,) = (block.text for block in lead if isinstance(block, Note) and "roven" in block.text)
     assert "with these lights no 2 postures of the 12 show more than 93 %, at any of the exposures offered." in proof
     assert "in these postures no other positions of the lights show more" in proof
-    assert "in 2 turns, the best of 4 starts (every combination) on 100 patches, then on all 800 patches." in proof
+    assert "in 2 iterations, the best of 4 starts (every combination) on 100 patches, then on all 800 patches." in proof
     note, shots = sections["Exposures"]
     assert "94 % of the surface × defects is seen, with exposure 1 alone 90 %" in note.text
     assert [list(row) for row in shots.rows] == [
@@ -542,7 +542,7 @@ def test_exposures_that_the_target_takes_are_told(done, undrawn, why, expected):
 
 def test_where_one_image_is_enough_the_greedy_bound_is_told(done, undrawn):
     one = {**PLANNED["chosen_postures"], "min_images": 1, "every_combination_tried": False}
-    one |= {"lights_best_for_postures": False, "turns_on_all_patches": False}
+    one |= {"lights_best_for_postures": False, "iterations_on_all_patches": False}
     output = replace(done[1], document={**done[1].document, "chosen_postures": one})
     page = design_page(output)
     table, facts, *_ = next(s for s in page.sections if s.heading == "Postures").blocks
