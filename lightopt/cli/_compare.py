@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 
 
 threshold_option = partial(typer.Option, rich_help_panel="Thresholds")
-MOST_ROWS, MOST_NOTES = 8, 3
-"""Shown without ``--verbose``."""
+MOST_ROWS, MOST_NOTES = 8, 3  # shown without `--verbose`
 
 
 def compare(

@@ -36,8 +36,7 @@ class Output:
     verbose: bool
 
 
-MOST_DEFECTS = 6
-"""Rows of the table of defects without ``--verbose``; defects.csv has all of them."""
+MOST_DEFECTS = 6  # rows of the table of defects without `--verbose`; defects.csv has all of them
 
 
 def write_set(output: Output, folder: InspectionFolder, inspected: InspectedSet, *, summarised: bool) -> BatchRow:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+# flags that are not the parameter's name with dashes
 FLAGS = {
     "R_d_start": "--start-rd",
     "R_s_start": "--start-rs",
@@ -22,7 +23,6 @@ FLAGS = {
     "sigma_start": "--start-sigma",
     "step_deg": "--step",
 }
-"""Flags that are not the parameter's name with dashes."""
 
 
 def flag(name: str) -> str:

@@ -22,8 +22,7 @@ selection_option = partial(typer.Option, rich_help_panel="Selection")
 model_option = partial(typer.Option, rich_help_panel="Model")
 output_option = partial(typer.Option, rich_help_panel="Output")
 hardware_option = partial(typer.Option, rich_help_panel="Hardware")
-run_option = partial(typer.Option, rich_help_panel="Run")
-"""Headings of options in ``--help``."""
+run_option = partial(typer.Option, rich_help_panel="Run")  # headings of options in `--help`
 
 RigFile = Annotated[Path, typer.Argument(metavar="RIG", help="Rig file (YAML): camera, lights, stage.")]
 PartFile = Annotated[Path, typer.Argument(metavar="PART", help="Part file (YAML): mesh, postures, reflectance.")]
@@ -82,8 +81,7 @@ SerialLog = Annotated[
 ]
 
 
-LEAST_EXPOSURE, MOST_EXPOSURE = 1e-9, 1e9
-"""Relative to exposure 1; it is a part of file names."""
+LEAST_EXPOSURE, MOST_EXPOSURE = 1e-9, 1e9  # relative to exposure 1; it is a part of file names
 
 
 def make_folder(folder: Path) -> None:

@@ -14,8 +14,8 @@ from lightopt.cli._unexpected import DEFECT, report_unexpected
 
 INTERRUPTED = 130
 
+# a reader that went away; Windows calls it an invalid argument
 _GONE = {errno.EPIPE, errno.ECONNRESET, *((errno.EINVAL,) if sys.platform == "win32" else ())}
-"""A reader that went away; Windows calls it an invalid argument."""
 
 
 class _Output(io.FileIO):

@@ -17,19 +17,18 @@ from pathlib import Path
 
 from lightopt.core.errors import error_text
 
-DEFECT = 70
-"""Exit status of a defect of the program; EX_SOFTWARE of BSD's sysexits."""
+DEFECT = 70  # exit status of a defect of the program; EX_SOFTWARE of BSD's sysexits
 
 DEBUG = "LIGHTOPT_DEBUG"
 _PACKAGE = Path(__file__).parents[1]
 _MOST_CHARACTERS = 300
 
+# reasons of the operating system that are no defect, whether or not the error names a file
 _REFUSALS = {
     getattr(errno, name)
     for name in ("EACCES", "EDQUOT", "EFBIG", "EIO", "EMFILE", "ENFILE", "ENOSPC", "EPERM", "EROFS")
     if hasattr(errno, name)
 }
-"""Reasons of the operating system that are no defect, whether or not the error names a file."""
 
 
 def debugging() -> bool:

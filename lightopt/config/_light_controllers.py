@@ -15,11 +15,11 @@ _Channel = Annotated[int, Field(ge=1, le=64), expecting("a channel number as on 
 _Level = Annotated[int, Field(ge=1, le=65535), expecting("a whole intensity of the controller, from 1")]
 _MOST = {"ccs": {"top_level": 9999}, "sa": {"channels": 6, "top_level": 9999}}
 
+# description of the ports of controllers and stages
 PORT = (
     "Serial port (/dev/serial/by-id/…, COM3), pyserial URL (socket://host:port, rfc2217://…), or virtual: "
     "simulated firmware on this computer."
 )
-"""Description of the ports of controllers and stages."""
 
 FIELDS = ("channel", "channel0", "letter", "level")
 _WIDTH = re.compile(r"(0?[1-9]\d?)?d?")

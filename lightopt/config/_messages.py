@@ -13,14 +13,15 @@ from pydantic_core import ErrorDetails
 from lightopt.config._source import Keys
 from lightopt.config._strict_yaml import INVALID, Document, Problem, is_number
 
+# the kinds of error that the models can raise; any other gets a general message
 KNOWN_ERRORS = frozenset(
     {"absent", "complaint", "expected", "extra_forbidden", "missing", "model_type", "too_long", "too_short"}
     | {"tuple_type"}
 )
-"""The kinds of error that the models can raise; any other gets a general message."""
 
 _LONGEST = 60
 
+# names of units, by the end of the keys that carry them
 _UNITS = {
     "deg": "degrees",
     "rad": "radians",
@@ -31,7 +32,6 @@ _UNITS = {
     "inch": "inches",
     "px": "pixels",
 }
-"""Names of units, by the end of the keys that carry them."""
 
 
 def describe(value: object) -> str:

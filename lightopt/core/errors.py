@@ -5,8 +5,7 @@ Library code raises them; only :mod:`lightopt.cli` turns them into messages and 
 
 from __future__ import annotations
 
-_NOISE = 1e-9
-"""Shares that differ by less are the same."""
+_NOISE = 1e-9  # shares that differ by less are the same
 
 
 def counted(number: int, noun: str) -> str:

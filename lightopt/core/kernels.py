@@ -48,11 +48,8 @@ from numba.np import linalg
 
 _log = logging.getLogger("lightopt.core")
 
-_UNUSED_S = 90 * 86400.0
-"""Files of kernels that were not used for so long are removed [s]."""
-
-LOGGED_SECONDS = 0.1
-"""Compiling a kernel takes longer than this, loading it less."""
+_UNUSED_S = 90 * 86400.0  # files of kernels that were not used for so long are removed [s]
+LOGGED_SECONDS = 0.1  # compiling a kernel takes longer than this, loading it less
 
 _VERSIONS = repr((sys.version_info[:2], numba.__version__, llvmlite.__version__, np.__version__))
 
@@ -96,8 +93,8 @@ def _call(_typing: Any, _function: Any, _a: Any, _b: Any, _c: Any, _d: Any) -> A
     return types.void(*[types.int64] * 5), generate
 
 
+# call, from a kernel, a C function of four pointers that returns nothing; all five are given as addresses
 call_address: Any = intrinsic(_call)
-"""Call, from a kernel, a C function of four pointers that returns nothing; all five are given as addresses."""
 
 
 def fingerprint(compiled: Any) -> str:

@@ -15,29 +15,24 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float64
 
 TUKEY = 4.685
-HUBER = 1.345
-"""Residuals in units of their spread from which a pixel counts less: 95 % efficiency for Gaussian noise."""
+HUBER = 1.345  # residuals in units of their spread from which a pixel counts less: 95 % efficiency for Gaussian noise
 
 MOST_ITERATIONS = 40
-MOST_ROUNDS = 6
-"""Rounds with a spread of their own; each is of at most so many iterations as are left."""
+MOST_ROUNDS = 6  # rounds with a spread of their own; each is of at most so many iterations as are left
+SAME_SPREAD = 0.03  # a spread that changes by less than this share ends the rounds
 
-SAME_SPREAD = 0.03
-"""A spread that changes by less than this share ends the rounds."""
-
+# a solution has converged when the predicted decrease of the cost is less than this: 0.05 standard errors
 DECREASE_TOLERANCE = 1e-3
-"""A solution has converged when the predicted decrease of the cost is less than this: 0.05 standard errors."""
 
-STALLED_TOLERANCE = 0.05
-"""The same where no step lowers the cost: a step of 0.3 standard errors."""
+STALLED_TOLERANCE = 0.05  # the same where no step lowers the cost: a step of 0.3 standard errors
 
 LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING = 1e-9, 1e-4, 1e5
+# A direction that is held at nominal is released where its information is this many times what it must be. At the
+# start, where the spread is still that of a misfit, the information is less than in the end.
 RELEASE_FACTOR = 2.0
-"""A direction that is held at nominal is released where its information is this many times what it must be. At the
-start, where the spread is still that of a misfit, the information is less than in the end."""
 
+# a pixel that a trial step leaves without a prediction counts as a residual of this many spreads
 MISSING_RESIDUAL = 10.0
-"""A pixel that a trial step leaves without a prediction counts as a residual of this many spreads."""
 
 _HUGE = 1e12
 _TINY = 1e-12

@@ -32,11 +32,11 @@ from typing import Any
 
 from lightopt import __version__
 
+# packages that results depend on; llvmlite turns numba's code into that of the processor
 _PACKAGES = ("cascadio", "embreex", "llvmlite", "numba", "numpy", "OpenImageIO", "scipy", "trimesh")
-"""Packages that results depend on; llvmlite turns numba's code into that of the processor."""
 
+# folders of the package that compute no result: they parse, print and draw what the others found
 _PRESENTATION = ("cli", "report")
-"""Folders of the package that compute no result: they parse, print and draw what the others found."""
 
 _CODE_KEY = "code_sha256"
 _BLOCK_BYTES = 1 << 20

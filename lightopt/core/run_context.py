@@ -11,11 +11,8 @@ from lightopt.core.errors import InputError
 
 _log = logging.getLogger("lightopt.core")
 
-Share = Callable[[float], None]
-"""Called with the share that is done, 0 to 1; an exception that it raises ends the work."""
-
-StageShare = Callable[[str, float], None]
-"""Called with the stage of the work and the share of it that is done."""
+Share = Callable[[float], None]  # called with the share that is done, 0 to 1; an exception that it raises ends the work
+StageShare = Callable[[str, float], None]  # called with the stage of the work and the share of it that is done
 
 
 class RunContext:

@@ -12,12 +12,11 @@ from threading import Event
 from typing import Any, TypeVar
 
 T = TypeVar("T")
-Task = tuple[Callable[..., None], tuple[Any, ...]]
-"""A function and its arguments."""
+Task = tuple[Callable[..., None], tuple[Any, ...]]  # a function and its arguments
 
 
+# in a pool's thread: set where the pool's work was stopped
 _stopped: ContextVar[Event | None] = ContextVar("_stopped", default=None)
-"""In a pool's thread: set where the pool's work was stopped."""
 
 
 class _StoppedError(Exception):

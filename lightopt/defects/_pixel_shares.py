@@ -31,15 +31,12 @@ PIXEL_RATIOS: Float64 = np.exp2(np.arange(LEAST_OCTAVE * PER_OCTAVE, MOST_OCTAVE
 """Side of a pixel's footprint over the width of the defect, at which shares are worked out: 1/32 to 8."""
 
 TURN = math.radians(22.5)
-OFFSET = -0.3, 0.3
-"""Of the grid: its turn [rad], and how far one pixel's middle is off the defect's [px]."""
-
-SAMPLES = 20
-"""Across the defect's width; across a pixel there are not fewer nor more than these:"""
+OFFSET = -0.3, 0.3  # of the grid: its turn [rad], and how far one pixel's middle is off the defect's [px]
+SAMPLES = 20  # across the defect's width; across a pixel there are not fewer nor more than these:
 LEAST_SAMPLES, MOST_SAMPLES = 4, 64
 
+# pixels to each side of its middle at which a long defect is looked at: what lies further off is another place
 STRETCH = 1.75
-"""Pixels to each side of its middle at which a long defect is looked at: what lies further off is another place."""
 
 
 def pixel_shares(shape: DefectShape) -> Float64:

@@ -11,18 +11,16 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float64, Index, Int32
 from lightopt.defects._shape import DefectShape, height_gradient, radial_place
 
-LEAST_NORMAL_COSINE = 0.5
-"""Points whose normal is more than 60° from the defect's are another side of the part."""
+LEAST_NORMAL_COSINE = 0.5  # points whose normal is more than 60° from the defect's are another side of the part
 
+# points further off the tangent plane than this share of their distance along it are another surface: the height of an
+# arc whose normal has turned by 60°, over its chord's run
 STEEPEST_DEPARTURE = math.tan(math.radians(30.0))
-"""Points further off the tangent plane than this share of their distance along it are another surface: the height of
-an arc whose normal has turned by 60°, over its chord's run."""
 
-DEPARTURE_SLACK_MM = 0.01
-"""Facets of curved surfaces depart from them by about this much [mm]."""
+DEPARTURE_SLACK_MM = 0.01  # facets of curved surfaces depart from them by about this much [mm]
 
+# an X axis whose share in the tangent plane is less than this is no reference; the Y axis then is
 LEAST_REFERENCE = 0.1
-"""An X axis whose share in the tangent plane is less than this is no reference; the Y axis then is."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -31,11 +31,10 @@ DEFECT_KINDS: Final = (*SHAPE_KINDS, "stain", "haze")
 MAX_SLOPE: Final = math.radians(60.0)
 """Steeper walls would hide parts of themselves and cast shadows, which defects here do not [rad]."""
 
-BLISTER_TOP: Final = 0.6
-"""Share of a blister's radius that is flat."""
+BLISTER_TOP: Final = 0.6  # share of a blister's radius that is flat
 
+# shares of the radius over which the walls of pits and scratches are rounded at the bottom and at the rim
 BLEND: Final = 0.2
-"""Shares of the radius over which the walls of pits and scratches are rounded at the bottom and at the rim."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,8 +14,7 @@ from lightopt.design.exposures._selection import Brackets
 from lightopt.design.tolerances._analysis import Tolerances
 from lightopt.scene import travel_order, travel_s
 
-HOME = Posture(0.0, 0.0)
-"""Where the stage's way begins."""
+HOME = Posture(0.0, 0.0)  # where the stage's way begins
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -45,8 +45,8 @@ from lightopt.rendering import PatchTable, RenderOptions, render_image_set
 RANKING_NAME = "ranking.csv"
 IMAGES_NAME = "images"
 
+# a rig file with the new angles, the postures that it is for, and its text
 RigFile = tuple[Path, tuple[Posture, ...], str]
-"""A rig file with the new angles, the postures that it is for, and its text."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

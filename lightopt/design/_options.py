@@ -21,11 +21,8 @@ from lightopt.design.tolerances._analysis import Tolerances
 from lightopt.rendering import DEFAULT_PATCH_BUDGET
 from lightopt.scene import Scene
 
-DEFAULT_SHADE_SHARE = 10.0 / 255.0
-"""Share of full scale, above black, below which a level is shaded."""
-
-DEFECT_OBJECTIVE = "detectability"
-"""The objective whose pairs of patch and defect are planned for."""
+DEFAULT_SHADE_SHARE = 10.0 / 255.0  # share of full scale, above black, below which a level is shaded
+DEFECT_OBJECTIVE = "detectability"  # the objective whose pairs of patch and defect are planned for
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,8 +22,7 @@ from lightopt.design.tolerances._analysis import Tolerances, analyse_tolerances
 from lightopt.design.tolerances._misaligned_scores import ObjectiveAssessment, PairAssessment, Setup
 from lightopt.images import posture_folder
 
-Angles = tuple[tuple[float, float], ...]
-"""Elevation and azimuth of each light [°]."""
+Angles = tuple[tuple[float, float], ...]  # elevation and azimuth of each light [°]
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,8 +24,8 @@ REPORT_NAME = "report.html"
 PLANNED_PART_NAME = "part.planned.yaml"
 UNFINISHED_NAME = "unfinished.json"
 
+# files that a result may list beside rigs, images and maps; with option `force` no others are removed
 _FURTHER_NAMES = (REPORT_NAME, PLANNED_PART_NAME, *BLIND_NAMES)
-"""Files that a result may list beside rigs, images and maps; with option `force` no others are removed."""
 
 _FORMATS = {RESULT_NAME: "lightopt-optimum/", UNFINISHED_NAME: "lightopt-unfinished/"}
 

@@ -82,20 +82,19 @@ def angles_of(candidates: Candidates, ranked: Ranked) -> tuple[tuple[float, floa
     return tuple(angles[k] for angles, k in zip(candidates.angles, ranked.candidates, strict=True))
 
 
+# what the shares of a plan are shares of
 SHARES_OF = (
     f"the surface that the camera sees in any posture to choose from at up to {GRAZING_DEG:g}° to its normal × "
     "defects by weight"
 )
-"""What the shares of a plan are shares of."""
 
+# the same of exposures for a part's own postures
 OWN_SHARES_OF = (
     f"the surface that the camera sees in any of the postures at up to {GRAZING_DEG:g}° to its normal × defects by "
     "weight"
 )
-"""The same of exposures for a part's own postures."""
 
-NEGLIGIBLE_SHARE = 0.001
-"""Of the pairs: what further postures add together that is too little for an image."""
+NEGLIGIBLE_SHARE = 0.001  # of the pairs: what further postures add together that is too little for an image
 
 
 @dataclass(frozen=True, kw_only=True)

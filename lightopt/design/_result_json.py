@@ -25,8 +25,8 @@ from lightopt.design.search._ranking import Ranked
 from lightopt.design.tolerances._analysis import Offset
 from lightopt.images import Overlap
 
+# what the share of the initial light positions is of
 INITIAL_SHARE_OF = "the drawn patches, in postures chosen for these lights, at exposure 1"
-"""What the share of the initial light positions is of."""
 
 
 def result_document(

@@ -12,8 +12,7 @@ from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.objectives._objective import NEAR_PER_MILLE, Objective, share_of_whole, share_text
 from lightopt.rendering import GRAZING_DEG
 
-NOT_COUNTED = "not counted"
-"""Runner-up and ties where no other combination was scored."""
+NOT_COUNTED = "not counted"  # runner-up and ties where no other combination was scored
 
 
 def shown_text(value: int, objective: Objective, result: SetResult) -> str:

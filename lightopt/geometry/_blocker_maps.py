@@ -25,29 +25,20 @@ from lightopt.geometry._topology import merge_rows
 
 _log = logging.getLogger("lightopt.geometry")
 
-TEXELS = 256
-"""Texels of a map, along each side."""
-
-LEAST_DISTANCE = 1.5
-"""Of a target from the mesh's centre, in radii of the mesh; nearer ones get no map."""
-
-MOST_MAPS = 256
-"""Maps that are held at once: 64 MiB."""
-
-MOST_BODIES = 100
-"""Of a mesh; of more, all triangles are taken to touch another one."""
-
-WORTHWHILE_SHARE = 0.1
-"""A map is made where as many rays as this share of the triangles may go to its target."""
+TEXELS = 256  # texels of a map, along each side
+LEAST_DISTANCE = 1.5  # of a target from the mesh's centre, in radii of the mesh; nearer ones get no map
+MOST_MAPS = 256  # maps that are held at once: 64 MiB
+MOST_BODIES = 100  # of a mesh; of more, all triangles are taken to touch another one
+WORTHWHILE_SHARE = 0.1  # a map is made where as many rays as this share of the triangles may go to its target
 
 # in radii of the mesh, some hundred times the rounding of its float32 coordinates
 FACING_TOLERANCE = 1e-4
 DEPTH_TOLERANCE = 1e-4
 TEXEL_MARGIN = 0.05
 
+# a view's 12 numbers (its axes right, up and forward, the target's distance, the coordinate of its edge, texels per
+# unit), and the least depth in each texel, counted from the mesh's centre, shape (TEXELS, TEXELS)
 BlockerMap = tuple[Float32, Float32]
-"""A view's 12 numbers (its axes right, up and forward, the target's distance, the coordinate of its edge, texels per
-unit), and the least depth in each texel, counted from the mesh's centre, shape (TEXELS, TEXELS)."""
 
 
 class BlockerMaps:

@@ -25,8 +25,7 @@ _log = logging.getLogger("lightopt.geometry")
 UNITLESS_SUFFIXES: tuple[str, ...] = (".stl", ".ply", ".obj")
 """Formats that carry no unit, so that one has to be given."""
 
-MESH_SUFFIXES: tuple[str, ...] = (*UNITLESS_SUFFIXES, ".glb", ".step", ".stp")
-"""File name endings that can be loaded."""
+MESH_SUFFIXES: tuple[str, ...] = (*UNITLESS_SUFFIXES, ".glb", ".step", ".stp")  # file name endings that can be loaded
 
 _READERS = {".stl": read_stl, ".ply": read_ply, ".obj": read_obj, ".glb": read_glb}
 

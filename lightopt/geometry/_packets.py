@@ -41,8 +41,7 @@ _FUNCTIONS: dict[str, tuple[Any, list[Any]]] = {
     "rtcSetSharedGeometryBuffer": (None, [_POINTER, _INT, _UNSIGNED, _INT, _POINTER, _SIZE, _SIZE, _SIZE]),
 }
 
-_MAJOR = 4
-"""Version of Embree whose functions these are."""
+_MAJOR = 4  # version of Embree whose functions these are
 
 # numbers of its headers
 _TRIANGLES = 0
@@ -53,8 +52,8 @@ _LOW, _MEDIUM = 0, 1
 _COHERENT = 1 << 16
 _ALL_FEATURES = 0xFFFFFFFF
 _VERSION_MAJOR = 1
+# rays of a packet, and the property of a device that says whether the processor has so many lanes
 _NATIVE_WIDTHS = ((16, 34), (8, 33), (4, 32))
-"""Rays of a packet, and the property of a device that says whether the processor has so many lanes."""
 
 # a packet is rows of one number of each ray: origin, nearest distance, direction, time, furthest distance, mask,
 # number, flags; then, of what it hits, normal, coordinates, triangle, geometry, instances
@@ -62,8 +61,8 @@ _ROWS = 36
 _FURTHEST, _MASK, _U, _V, _TRIANGLE, _GEOMETRY = 8, 9, 15, 16, 17, 18
 _ALIGNMENT = 64
 
+# barycentric coordinate below which a ray may meet an edge exactly, and the triangle beyond it as well
 EDGE_SHARE = np.float32(1e-6)
-"""Barycentric coordinate below which a ray may meet an edge exactly, and the triangle beyond it as well."""
 
 
 @kernel

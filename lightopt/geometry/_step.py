@@ -27,11 +27,8 @@ _MM_PER_GLB_UNIT = 1000.0
 _COARSE_LINEAR, _COARSE_ANGULAR = 0.2, 0.5
 
 
-TIMEOUT_S = 300.0
-"""Time for both passes together [s]."""
-
-MEMORY_GB = 4.0
-"""Address space of the worker [10⁹ bytes]; not limited on Windows."""
+TIMEOUT_S = 300.0  # time for both passes together [s]
+MEMORY_GB = 4.0  # address space of the worker [10⁹ bytes]; not limited on Windows
 
 
 def read_step(

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     import OpenImageIO
 
 
-METADATA_KEY = "lightopt:json"
-"""The attribute that carries all metadata: the only kind that both EXR and PNG keep."""
+METADATA_KEY = "lightopt:json"  # the attribute that carries all metadata: the only kind that both EXR and PNG keep
 
 _PROBE_BYTES = 1 << 20
 _FORMAT_NAMES = {"openexr": "an OpenEXR image", "png": "a PNG image"}

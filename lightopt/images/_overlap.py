@@ -22,8 +22,7 @@ from lightopt.images._result_folder import ResultFolder
 
 ONE_COLOUR = (70, 110, 190)
 SEVERAL_COLOUR = (230, 60, 40)
-GREY_SHARE = 0.45
-"""The images' mean is shown this dim under the colours."""
+GREY_SHARE = 0.45  # the images' mean is shown this dim under the colours
 
 
 @dataclass(frozen=True)

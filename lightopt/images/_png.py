@@ -16,11 +16,11 @@ from lightopt.images._oiio import METADATA_KEY, metadata_json, open_input, openi
 
 Levels = UInt8 | NDArray[np.uint16]
 
+# of a noisy camera image of 1600 × 1200, on a busy machine: 21 ms and 0.71 MB; level 2 takes 43 ms for 0.69 MB
 _COMPRESSION_LEVEL = 1
-"""Of a noisy camera image of 1600 × 1200, on a busy machine: 21 ms and 0.71 MB; level 2 takes 43 ms for 0.69 MB."""
 
+# libpng's number. Choosing a filter row by row takes 76 ms instead of 21, and noise is packed no better by any.
 _NO_FILTER = 8
-"""libpng's number. Choosing a filter row by row takes 76 ms instead of 21, and noise is packed no better by any."""
 
 _END_CHUNK = b"\0\0\0\0IEND\xaeB`\x82"
 _COLOUR_TYPES = {0: "grey", 2: "RGB", 3: "palette", 4: "grey with alpha", 6: "RGB with alpha"}

@@ -35,9 +35,9 @@ COLUMNS = (
     *("greatest_contrast", "lights", "postures", "column_px", "row_px"),
 )
 
+# where the middle level of the part is less than this share of white, levels are raised to the power that takes it to
+# the second share, but to no less than the third
 DARK, LIFTED, LEAST_POWER = 0.1, 0.25, 0.2
-"""Where the middle level of the part is less than this share of white, levels are raised to the power that takes it to
-the second share, but to no less than the third."""
 
 
 def inspection_provenance(

@@ -15,14 +15,9 @@ from lightopt.core.threads import in_threads
 
 T = TypeVar("T")
 
-BLOCK_ROWS = 64
-"""Rows that a thread works on at once."""
-
-TILE_COLUMNS = 256
-"""Of as many columns of these."""
-
-REACH = 4.0
-"""Gaussians are cut off at so many standard deviations."""
+BLOCK_ROWS = 64  # rows that a thread works on at once
+TILE_COLUMNS = 256  # of as many columns of these
+REACH = 4.0  # gaussians are cut off at so many standard deviations
 
 
 def in_row_blocks(work: Callable[[slice], T], height: int, threads: int | None) -> list[T]:

@@ -33,11 +33,10 @@ from lightopt.inspection.prediction._prediction_cache import PredictionCache
 from lightopt.inspection.prediction._registered_set import RegisteredSet, nominal_pixels, register_set
 from lightopt.scene import part_postures, place_defects
 
+# a posture with more regions than this is not a part with so many defects: its model does not describe it
 MOST_REGIONS = 1000
-"""A posture with more regions than this is not a part with so many defects: its model does not describe it."""
 
-MOST_DARK_SHARE = 0.01
-"""A black level that is further off than this share of the sensor's range is reported."""
+MOST_DARK_SHARE = 0.01  # a black level that is further off than this share of the sensor's range is reported
 
 
 def inspect_set(

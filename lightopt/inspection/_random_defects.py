@@ -26,26 +26,16 @@ from lightopt.images import write_text_atomic
 from lightopt.rendering import PosturePixels, cast_rays_at, trace_pixels
 from lightopt.scene import Scene, build_catalogue, build_scene, pixel_footprint, project
 
-TRIES = 48
-"""Places that are tried for each defect in a round."""
+TRIES = 48  # places that are tried for each defect in a round
+ROUNDS = 8  # rounds of tries for the defects that are not placed yet
+MOST_DEFECTS = 500  # as many as a part file may name
+GAP = 0.25  # between the circles around two defects there is at least this share of their radii
+MARGIN_PX = 2.0  # so much around the outline of a defect must be visible, too
 
-ROUNDS = 8
-"""Rounds of tries for the defects that are not placed yet."""
-
-MOST_DEFECTS = 500
-"""As many as a part file may name."""
-
-GAP = 0.25
-"""Between the circles around two defects there is at least this share of their radii."""
-
-MARGIN_PX = 2.0
-"""So much around the outline of a defect must be visible, too."""
-
+# the surface bends by no more than this over a defect: beyond, the tangent plane is a poor approximation
 LEAST_COSINE = math.cos(math.radians(30.0))
-"""The surface bends by no more than this over a defect: beyond, the tangent plane is a poor approximation."""
 
-NEAR_PX = 4.0
-"""A place is the one that a pixel sees where they are no further apart than this."""
+NEAR_PX = 4.0  # a place is the one that a pixel sees where they are no further apart than this
 
 _POSITION_DIGITS = 4
 _ANGLE_DIGITS = 1

@@ -84,12 +84,11 @@ class Sensor:
 Levels = Float32 | Float64
 Quantised = UInt8 | NDArray[np.uint16]
 
+# Pixels worked on at a time: bounds the float64 copies. Noise is drawn block by block, so changing it changes noise.
 _BLOCK_PIXELS = 1 << 18
-"""Pixels worked on at a time: bounds the float64 copies. Noise is drawn block by block, so changing it
-changes noise."""
 
+# means below this are drawn by inversion; of those more than 80 counts have a probability under 1e-20
 _FEW_ELECTRONS, _MOST_OF_FEW = 20.0, 80
-"""Means below this are drawn by inversion; of those more than 80 counts have a probability under 1e-20."""
 
 
 def expose(

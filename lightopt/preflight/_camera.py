@@ -8,11 +8,10 @@ from lightopt.preflight._findings import CheckedRig, CheckedScene, Finding, Leve
 from lightopt.rendering import too_few_pixels
 from lightopt.scene import Framing, frame_part, pixel_footprint, view_size
 
+# a black level or a saturation level that costs more than this share of the full scale is worth a warning
 LOST_RANGE = 0.25
-"""A black level or a saturation level that costs more than this share of the full scale is worth a warning."""
 
-SMALL_WELL = 1000.0
-"""Electrons at saturation below which shot noise alone is over 3 % of the level."""
+SMALL_WELL = 1000.0  # electrons at saturation below which shot noise alone is over 3 % of the level
 
 SIDES = ("left", "top", "right", "bottom")
 TABLE_TOLERANCE_MM = 1e-3

@@ -16,11 +16,10 @@ from lightopt.geometry import Hits, RayCaster
 from lightopt.rendering import SurfacePoints, cast_rays_at, trace_samples
 from lightopt.scene import PanelLight, PartView, PinholeCamera, Scene, screen_window, view_from_part
 
+# from best to worst: as it should be; good to know; will probably disappoint; impossible
 Level = Literal["ok", "note", "warning", "error"]
-"""From best to worst: as it should be; good to know; will probably disappoint; impossible."""
 
-SAMPLES = 60_000
-"""Camera rays per posture at most: counts of pixels are estimates from these."""
+SAMPLES = 60_000  # camera rays per posture at most: counts of pixels are estimates from these
 
 
 @dataclass(frozen=True)

@@ -30,11 +30,10 @@ from lightopt.scene import COARSE_SHARE, PanelLight, coarse_points, like_panels,
 
 NEGLIGIBLE_ERROR = 0.015
 
+# normals that are off by this share of σ change the level on a highlight's flank by about half: facets show
 VISIBLE_ERROR = 0.5
-"""Normals that are off by this share of σ change the level on a highlight's flank by about half: facets show."""
 
-LEAST_BEND = 0.05
-"""Edges where the normal turns by less than this share of σ are flat to this lobe and do not count."""
+LEAST_BEND = 0.05  # edges where the normal turns by less than this share of σ are flat to this lobe and do not count
 
 
 def check_points(checked: CheckedScene) -> Iterator[Finding]:

@@ -13,8 +13,7 @@ from lightopt.preflight._findings import CheckedRig, CheckedScene, Finding, perc
 from lightopt.rendering import panels_in_part
 from lightopt.scene import PanelLight, build_lights, image_area, panel_corners, rectangles_meet, segments_blocked
 
-STEP_DEG = 5.0
-"""A light's ranges are tried at least this finely where the camera's view is concerned."""
+STEP_DEG = 5.0  # a light's ranges are tried at least this finely where the camera's view is concerned
 
 
 def check_lights_in_view(checked: CheckedRig) -> Iterator[Finding]:

@@ -26,14 +26,9 @@ from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._vectors import Vector, dot, vector_at
 from lightopt.scene import PanelLight, Scene, panel_grid
 
-DIFFUSE_TOLERANCE = 1e-4
-"""Error of the diffuse quadrature per unit of R_d: 0.025 level of 255."""
-
-PROBE_INSET = 0.98
-"""The rays to the corners go this far from the panel's centre towards them."""
-
-PENUMBRA_BATCH = 2048
-"""Penumbra pixels that are shaded at once: some 10 MiB of rays."""
+DIFFUSE_TOLERANCE = 1e-4  # error of the diffuse quadrature per unit of R_d: 0.025 level of 255
+PROBE_INSET = 0.98  # the rays to the corners go this far from the panel's centre towards them
+PENUMBRA_BATCH = 2048  # penumbra pixels that are shaded at once: some 10 MiB of rays
 
 # what the coarse rays of a pixel to a light show
 _DARK, _CLEAR, _HIDDEN, _MIXED = 0, 1, 2, 3

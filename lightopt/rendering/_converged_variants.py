@@ -31,8 +31,7 @@ from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._vectors import Vector, cross, dot, minus, vector_at
 from lightopt.scene import panel_grid
 
-CELLS = 4
-"""Cells along a side of a panel of which a part hides some."""
+CELLS = 4  # cells along a side of a panel of which a part hides some
 
 
 class VariantNumbers(NamedTuple):

@@ -30,14 +30,12 @@ BACK_FACE_SHARE = 1e-4
 only grazes a face, rounding turns one now and then."""
 
 
-MOST_SUPERSAMPLE = 16
-"""Rays a side of a pixel."""
+MOST_SUPERSAMPLE = 16  # rays a side of a pixel
 
+# pixels of images that are written while the next posture is rendered; larger ones would be in memory twice
 WRITTEN_AT_ONCE = 4_000_000
-"""Pixels of images that are written while the next posture is rendered; larger ones would be in memory twice."""
 
-LEAST_RAYS_ACROSS = 3
-"""Rays across a defect from which on its share of a pixel is about right."""
+LEAST_RAYS_ACROSS = 3  # rays across a defect from which on its share of a pixel is about right
 
 
 @dataclass(frozen=True, kw_only=True)

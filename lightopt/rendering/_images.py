@@ -31,13 +31,12 @@ from lightopt.scene import PanelLight, PartView, Scene, screen_window, view_from
 
 _log = logging.getLogger("lightopt.rendering")
 
+# image samples that a thread works on at once: bounds the memory, whose most is in the processor's cache then, and is
+# large enough to hide Python's overhead
 BLOCK_SAMPLES = 32_768
-"""Image samples that a thread works on at once: bounds the memory, whose most is in the processor's cache then, and is
-large enough to hide Python's overhead."""
 
 
-TILE = 4
-"""Rows and columns of the tiles of an image whose rays are cast together."""
+TILE = 4  # rows and columns of the tiles of an image whose rays are cast together
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,17 +21,15 @@ from lightopt.rendering._panel_light import PanelNumbers, half_diagonal, panel_p
 from lightopt.rendering._point_lights import point_terms
 from lightopt.rendering._vectors import Vector, cross, divided, dot, length, minus, plus, scaled
 
+# most Gauss–Legendre nodes along a side; only a view or a light that grazes the surface asks for as many
 MAX_NODES = 48
-"""Most Gauss–Legendre nodes along a side; only a view or a light that grazes the surface asks for as many."""
 
-NEGLIGIBLE_EXPONENT = 45.0
-"""A rectangle where the lobe is nowhere above e⁻⁴⁵ = 3e-20 of R_s gets no specular light."""
+NEGLIGIBLE_EXPONENT = 45.0  # a rectangle where the lobe is nowhere above e⁻⁴⁵ = 3e-20 of R_s gets no specular light
 
+# the window ends where the lobe has fallen to e⁻¹⁴ = 8e-7 of its greatest value on the rectangle
 WINDOW_EXPONENT = 14.0
-"""The window ends where the lobe has fallen to e⁻¹⁴ = 8e-7 of its greatest value on the rectangle."""
 
-WINDOW_MARGIN = 1.15
-"""The window is widened by this, since the exponent is only nearly quadratic."""
+WINDOW_MARGIN = 1.15  # the window is widened by this, since the exponent is only nearly quadratic
 
 _GRAZING = 1e-3
 _LINEARISATIONS = 3
@@ -50,8 +48,8 @@ def _gauss_legendre() -> tuple[Float64, Float64]:
     return nodes, weights
 
 
+# of the Gauss–Legendre rules on [0, 1]; row n has the rule of n nodes, shape (MAX_NODES + 1, MAX_NODES)
 NODES, WEIGHTS = _gauss_legendre()
-"""Of the Gauss–Legendre rules on [0, 1]; row n has the rule of n nodes, shape (MAX_NODES + 1, MAX_NODES)."""
 
 
 class Rectangle(NamedTuple):

@@ -33,17 +33,12 @@ from lightopt.rendering._penumbra_cells import (
 )
 from lightopt.rendering._surface import SurfacePoints
 
+# cells along each side of the panel; of a cell where the edge is bent; and of such a cell of that finer grid
 GRIDS = (8, 4, 4)
-"""Cells along each side of the panel; of a cell where the edge is bent; and of such a cell of that finer grid."""
 
-SQUARES_AT_ONCE = 4096
-"""Squares whose rays are cast at once, some 10 MiB of them."""
-
-LEVEL_TOLERANCE, RELATIVE_TOLERANCE = 0.05, 0.0005
-"""Error of a penumbra that is aimed at: 0.05 level + 0.05 %."""
-
-LEAST_BISECTIONS = 2
-"""Rays that at least halve the side of a cell in search of the shadow's edge."""
+SQUARES_AT_ONCE = 4096  # squares whose rays are cast at once, some 10 MiB of them
+LEVEL_TOLERANCE, RELATIVE_TOLERANCE = 0.05, 0.0005  # error of a penumbra that is aimed at: 0.05 level + 0.05 %
+LEAST_BISECTIONS = 2  # rays that at least halve the side of a cell in search of the shadow's edge
 
 
 @dataclass(frozen=True)

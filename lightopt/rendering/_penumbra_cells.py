@@ -26,20 +26,18 @@ from lightopt.rendering._panel_light import PanelNumbers
 from lightopt.rendering._panel_quadrature import Rectangle, out_of_reach, rectangle_diffuse, rectangle_specular
 from lightopt.rendering._vectors import dot, vector_at
 
+# what a surface point sees at a place of the panel: its own horizon's far side, the panel, or an obstacle
 BELOW, VISIBLE, BLOCKED = 1, 2, 3
-"""What a surface point sees at a place of the panel: its own horizon's far side, the panel, or an obstacle."""
 
+# the edge is found to within a cell's side divided by this and by what is at stake in the cell, in tolerances
 SIDE_SHARE = 8.0
-"""The edge is found to within a cell's side divided by this and by what is at stake in the cell, in tolerances."""
 
-MOST_BISECTIONS = 12
-"""The edge is not sought more finely than this many halvings of a side."""
+MOST_BISECTIONS = 12  # the edge is not sought more finely than this many halvings of a side
 
+# strips per square root of what is at stake in a cell: their error falls as the square of their number
 STRIP_SHARE = 0.5
-"""Strips per square root of what is at stake in a cell: their error falls as the square of their number."""
 
-LEAST_STRIPS, MOST_STRIPS = 2, 16
-"""Strips that the visible area of a crossed cell is integrated in."""
+LEAST_STRIPS, MOST_STRIPS = 2, 16  # strips that the visible area of a crossed cell is integrated in
 
 
 class ConvergedLight(NamedTuple):

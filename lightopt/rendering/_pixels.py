@@ -19,14 +19,14 @@ from lightopt.scene import PanelLight, PartView, Scene, screen_window, view_from
 UNLIT, WHOLE, LEFT_OUT = 0, 1, 2
 """What a pixel sees of a panel: nothing, all of it, or (penumbrae) something that is not predicted here."""
 
+# a neighbouring point further from the tangent plane than this share of its distance lies across a silhouette
 STEEPEST_STEP = 0.6
-"""A neighbouring point further from the tangent plane than this share of its distance lies across a silhouette."""
 
+# normals of neighbouring pixels that differ by more than 10° are those of a crease or of a silhouette
 CREASE_COSINE = 0.985
-"""Normals of neighbouring pixels that differ by more than 10° are those of a crease or of a silhouette."""
 
+# pixels next to those that are left out are left out, too: the part never lies exactly where the model has it
 MARGIN_PX = 2
-"""Pixels next to those that are left out are left out, too: the part never lies exactly where the model has it."""
 
 _BLOCK_ROWS = 64
 _CHUNK = 32_768

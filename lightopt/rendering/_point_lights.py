@@ -16,11 +16,10 @@ from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._vectors import Vector, dot, minus, plus, scaled, vector_at
 from lightopt.scene import PanelLight, panel_grid
 
+# pairs of surface point and point light that are shaded at once: some 60 MiB, and 0.2 s that Ctrl-C waits
 PAIRS_AT_ONCE = 1 << 20
-"""Pairs of surface point and point light that are shaded at once: some 60 MiB, and 0.2 s that Ctrl-C waits."""
 
-_AT_ONCE = 1024
-"""Points whose terms are in the processor's nearest cache together."""
+_AT_ONCE = 1024  # points whose terms are in the processor's nearest cache together
 
 
 @kernel

@@ -13,11 +13,8 @@ from lightopt.geometry import RayCaster, points_inside
 from lightopt.rendering._surface import trace_hits
 from lightopt.scene import PartView, Scene, panel_grid, pixel_footprint, screen_window, unit_hint, view_from_part
 
-PANEL_POINTS = 25
-"""Points of a panel that are tried."""
-
-LEAST_PIXELS = 16
-"""Least number of pixels that see the part, in the posture that shows it best."""
+PANEL_POINTS = 25  # points of a panel that are tried
+LEAST_PIXELS = 16  # least number of pixels that see the part, in the posture that shows it best
 
 BLOCK_RAYS = 65_536
 

@@ -32,11 +32,11 @@ from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._vectors import cross, dot, minus, plus, scaled, vector_at
 from lightopt.scene import PanelLight, panel_grid
 
+# surface points under a converged panel that are shaded at once: some 0.1 s, the longest that Ctrl-C waits
 CONVERGED_AT_ONCE = 1 << 13
-"""Surface points under a converged panel that are shaded at once: some 0.1 s, the longest that Ctrl-C waits."""
 
+# lobes are left out of variants where they are nowhere more than this [grey level]: 0.26 of a level of 16 bits
 NEGLIGIBLE_LEVEL = 1e-3
-"""Lobes are left out of variants where they are nowhere more than this [grey level]: 0.26 of a level of 16 bits."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -37,17 +37,13 @@ RED = "#{:02x}{:02x}{:02x}".format(*SATURATED_COLOUR)
 EMPTY = "#f1f3f5"
 
 MARGIN, GAP = 36, 18
-TITLE, HEAD, TEXT = 32, 20, 15
-"""Sizes of text [px]."""
+TITLE, HEAD, TEXT = 32, 20, 15  # sizes of text [px]
+LINE = round(LINE_HEIGHT * TEXT)  # distance of lines of small text [px]
 
-LINE = round(LINE_HEIGHT * TEXT)
-"""Distance of lines of small text [px]."""
-
+# sides of a thumbnail [px]: many columns make them smaller, until they could not be told apart any more
 LARGEST, SMALLEST = 420, 240
-"""Sides of a thumbnail [px]: many columns make them smaller, until they could not be told apart any more."""
 
-SHEET_WIDTH = 4000
-"""Width that all thumbnails of a row may share before they become smaller [px]."""
+SHEET_WIDTH = 4000  # width that all thumbnails of a row may share before they become smaller [px]
 
 
 def add_contact_sheets(

@@ -83,8 +83,7 @@ def scores_table(output: DesignOutput) -> Table:
     )
 
 
-COUNTS = ("left out", "runner-up", "ties / near best", "combinations")
-"""Columns beside the scores."""
+COUNTS = ("left out", "runner-up", "ties / near best", "combinations")  # columns beside the scores
 
 
 def _sentence(text: str) -> str:

@@ -37,11 +37,8 @@ SHARES = (
 
 BACKGROUND = (255, 255, 255)
 
-LEAST_SHADE = 0.8
-"""Brightness of a surface that is seen edge on; one that faces the camera has its legend's colour."""
-
-BLOCK_ROWS = 64
-"""Of a picture, traced at once."""
+LEAST_SHADE = 0.8  # brightness of a surface that is seen edge on; one that faces the camera has its legend's colour
+BLOCK_ROWS = 64  # of a picture, traced at once
 
 
 def blind_pictures(result: DesignResult) -> dict[Posture, UInt8]:

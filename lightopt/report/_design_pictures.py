@@ -20,11 +20,8 @@ from lightopt.report._page import Block, Gallery, Note, Picture
 from lightopt.report._rig_drawing import rig_image
 from lightopt.scene import PanelLight
 
-SIDE = 300
-"""Longest side of an image in the report [px]."""
-
-MOST_DRAWINGS = 4
-"""Rigs that are drawn; of more sets only the first are, all angles are in the table."""
+SIDE = 300  # longest side of an image in the report [px]
+MOST_DRAWINGS = 4  # rigs that are drawn; of more sets only the first are, all angles are in the table
 
 
 def image_blocks(output: DesignOutput) -> list[Block]:

@@ -225,7 +225,8 @@ def search_text(chosen: Mapping[str, Any]) -> str:
         where = f"on all {patches:,} patches"
         if drawn != patches:
             where = f"on {drawn:,} patches, then {where}"
-    return f"in {counted(chosen['iterations'], 'iteration')}, the best of {counted(chosen['starts'], 'start')} ({tried}) {where}"
+    iterations, starts = counted(chosen["iterations"], "iteration"), counted(chosen["starts"], "start")
+    return f"in {iterations}, the best of {starts} ({tried}) {where}"
 
 
 def _bound(chosen: Mapping[str, Any], share: str) -> str:

@@ -14,9 +14,9 @@ from lightopt.report._design_blind_spots import blind_layers
 from lightopt.report._page import Block, Note, SurfaceView, Table
 from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer, first_view
 
+# images that must show a patch usably, and may show it saturated: the paper's section 5.1, as the objective `coverage`
+# has it
 LEAST_USABLE, MOST_SATURATED = 2, 1
-"""Images that must show a patch usably, and may show it saturated: the paper's section 5.1, as the objective
-``coverage`` has it."""
 
 # colours that stay apart with any colour vision: Okabe and Ito, Color Universal Design (2008)
 LEVEL_CLASSES = (

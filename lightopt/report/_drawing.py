@@ -29,28 +29,16 @@ if TYPE_CHECKING:
 
 INK, SOFT, FAINT = "#1c1f24", "#5c636e", "#d4d8de"
 
-DPI = 64
-"""Of all figures. A power of two: whole pixels remain whole when they are expressed in inches."""
-
-POINT = 72 / DPI
-"""Length of a pixel [pt]."""
-
-FONT = "DejaVu Sans"
-"""Comes with matplotlib."""
-
-CAP_HEIGHT, DESCENT, LINE_HEIGHT = 0.73, 0.24, 1.35
-"""Of the font, per em."""
-
-SMALLEST_LEGEND, LARGEST_LEGEND = 13, 26
-"""Sizes of a legend's text [px]; in between a fiftieth of the picture's width."""
+DPI = 64  # Of all figures. A power of two: whole pixels remain whole when they are expressed in inches.
+POINT = 72 / DPI  # length of a pixel [pt]
+FONT = "DejaVu Sans"  # comes with matplotlib
+CAP_HEIGHT, DESCENT, LINE_HEIGHT = 0.73, 0.24, 1.35  # of the font, per em
+SMALLEST_LEGEND, LARGEST_LEGEND = 13, 26  # sizes of a legend's text [px]; in between a fiftieth of the picture's width
 
 _MATH = "$\\mathdefault{"
 
-Points = Float64
-"""Places on the picture [px], x to the right and y down, shape (n, 2)."""
-
-Box = tuple[float, float, float, float]
-"""Left, top, right, bottom [px]."""
+Points = Float64  # places on the picture [px], x to the right and y down, shape (n, 2)
+Box = tuple[float, float, float, float]  # left, top, right, bottom [px]
 
 
 @contextmanager
@@ -257,19 +245,16 @@ class Drawing:
         artist.draw(self._canvas.get_renderer())
 
 
+# distances from a label to its anchor that are tried [px], each in so many directions
 _RADII = (6, 12, 20, 30, 44, 62, 85, 115, 155, 210, 280, 370, 480, 620, 800)
-"""Distances from a label to its anchor that are tried [px], each in so many directions."""
 
 _DIRECTIONS = 24
 
-_SPACE = 4
-"""Least distance of two labels [px]."""
+_SPACE = 4  # least distance of two labels [px]
+_LEADER = 34  # from this distance on a thin line leads from the anchor to the label [px]
 
-_LEADER = 34
-"""From this distance on a thin line leads from the anchor to the label [px]."""
-
+# what a label wholly on lines, or on the side opposite to the preferred one, costs in px of distance
 _INK_COST, _SIDE_COST = 450.0, 16.0
-"""What a label wholly on lines, or on the side opposite to the preferred one, costs in px of distance."""
 
 
 def _ink(picture: UInt8) -> Float64:

@@ -19,11 +19,10 @@ if TYPE_CHECKING:
 
     from lightopt.estimate.reflectance import FitResult, PaperDiffuse, PaperSpecular
 
-RESIDUAL_SCALE = 0.08
-"""Difference of the full colours, as a share of the sensor's full scale: 20 of 255 levels."""
+RESIDUAL_SCALE = 0.08  # difference of the full colours, as a share of the sensor's full scale: 20 of 255 levels
 
+# where R_s runs away, no highlight of that width fits [grey level]; such points of the ridge are not drawn
 RUNAWAY = 1e11
-"""Where R_s runs away, no highlight of that width fits [grey level]; such points of the ridge are not drawn."""
 
 LEGEND_HEIGHT = 24
 

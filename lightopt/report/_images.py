@@ -40,11 +40,10 @@ def png_bytes(image: Image.Image) -> bytes:
     return data.getvalue()
 
 
-SATURATED_COLOUR = (225, 29, 42)
-"""Of a cell all of whose pixels are saturated."""
+SATURATED_COLOUR = (225, 29, 42)  # of a cell all of whose pixels are saturated
 
+# how much of that colour a cell with hardly any saturated pixels gets, so that a single one still shows
 FAINTEST_MARK = 0.4
-"""How much of that colour a cell with hardly any saturated pixels gets, so that a single one still shows."""
 
 
 @dataclass(frozen=True)

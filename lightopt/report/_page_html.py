@@ -29,13 +29,12 @@ from lightopt.report._page import (
 from lightopt.report._surface import SurfaceLayer, simplified, surface_data, surface_head
 from lightopt.report._surface_still import surface_still
 
+# the browser itself then refuses every request
 POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
-"""The browser itself then refuses every request."""
 
 KEYS = "Drag to turn, wheel to zoom, right button to move; keys on the picture: arrows, + and −, Home."
 
-WIDE = 8
-"""Tables of more columns have narrow margins, and their cells may take several lines."""
+WIDE = 8  # tables of more columns have narrow margins, and their cells may take several lines
 
 FALLBACK = (
     '<p class="note fallback" hidden>This browser shows no WebGL: the picture is a still one'

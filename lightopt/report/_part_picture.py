@@ -15,19 +15,13 @@ from lightopt.report._drawing import Drawing
 from lightopt.report._view import ParallelView
 from lightopt.scene import PinholeCamera, Scene
 
-FINE = 3
-"""The part is cast at so many times the resolution of the drawing."""
+FINE = 3  # the part is cast at so many times the resolution of the drawing
 
 _BASE = (206.0, 212.0, 220.0)
 _EDGE = (58.0, 66.0, 78.0)
-_FAR = 1e4
-"""Distance of the eye in radii of the part: as good as infinite."""
-
-_BLOCK = 200_000
-"""Rays at once: bounds the memory."""
-
-_CREASE_COS = 0.94
-"""Neighbouring pixels whose normals differ by more than 20° have an edge between them."""
+_FAR = 1e4  # distance of the eye in radii of the part: as good as infinite
+_BLOCK = 200_000  # rays at once: bounds the memory
+_CREASE_COS = 0.94  # neighbouring pixels whose normals differ by more than 20° have an edge between them
 
 
 @dataclass(frozen=True)

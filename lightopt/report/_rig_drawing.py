@@ -23,11 +23,10 @@ from lightopt.report._view import ParallelView, fit_view
 from lightopt.scene import PanelLight, Scene, panel_corners
 
 MAIN_WIDTH, LEAST_HEIGHT, MARGIN = 1060, 1080, 40
+# of more lights than that only a few get arcs, which would hide each other; all angles are in the table
 MOST_ARCS, FEW_ARCS = 6, 3
-"""Of more lights than that only a few get arcs, which would hide each other; all angles are in the table."""
 
-_ARC = 0.4
-"""Radius of elevation arcs, relative to the light's distance."""
+_ARC = 0.4  # radius of elevation arcs, relative to the light's distance
 
 
 def rig_drawing(scene: Scene, path: str | Path, *, annotate: bool = True, overwrite: bool = True) -> Path:

@@ -11,11 +11,8 @@ from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture, rigid_transform
 from lightopt.scene import PanelLight, PinholeCamera, Scene, panel_corners, pixel_directions
 
-_BORDER_STEPS = 24
-"""Points per side of the image's border; a distorted lens bends it on the table."""
-
-_FARTHEST = 1.5
-"""Rays that rise from the table or graze it are cut at this many camera distances."""
+_BORDER_STEPS = 24  # points per side of the image's border; a distorted lens bends it on the table
+_FARTHEST = 1.5  # rays that rise from the table or graze it are cut at this many camera distances
 
 
 @dataclass(frozen=True)

@@ -16,20 +16,11 @@ from lightopt.report._view import X, Y, Z, arc, fit_view
 from lightopt.scene import Scene, pixel_footprint
 
 SIDE_WIDTH, EDGE = 500, 30
-HEAD, TEXT, LABEL = 20, 16, 17
-"""Sizes of text [px]."""
-
-LINE = round(LINE_HEIGHT * TEXT)
-"""Distance of lines [px]."""
-
-STAGE_HEIGHT = 400
-"""Least height of the picture of the stage [px]."""
-
-MOST_POSTURES = 12
-"""More than that are only counted."""
-
-_LIGHT_COLUMNS = (190, 250, 315, 440)
-"""Where the columns of numbers in the table of lights end [px]."""
+HEAD, TEXT, LABEL = 20, 16, 17  # sizes of text [px]
+LINE = round(LINE_HEIGHT * TEXT)  # distance of lines [px]
+STAGE_HEIGHT = 400  # least height of the picture of the stage [px]
+MOST_POSTURES = 12  # more than that are only counted
+_LIGHT_COLUMNS = (190, 250, 315, 440)  # where the columns of numbers in the table of lights end [px]
 
 _VIEW = (np.radians(22.0), np.radians(292.0))
 

@@ -22,14 +22,11 @@ from lightopt.core.arrays import Float64, Int32, UInt8
 from lightopt.core.errors import InputError
 from lightopt.scene import PinholeCamera
 
-FIELD_OF_VIEW = math.radians(30.0)
-"""Of the first view, from the lower to the upper edge; viewer.js has the same."""
+FIELD_OF_VIEW = math.radians(30.0)  # of the first view, from the lower to the upper edge; viewer.js has the same
+_STEPS = 32767  # of a vertex's place in the data, to either side of the middle
 
-_STEPS = 32767
-"""Of a vertex's place in the data, to either side of the middle."""
-
+# of more than these a report shows a simplified surface, so that the file stays small and the view turns smoothly
 MOST_TRIANGLES = 500_000
-"""Of more than these a report shows a simplified surface, so that the file stays small and the view turns smoothly."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,8 +13,8 @@ from lightopt.report._surface import FIELD_OF_VIEW, ColouredSurface, eye_distanc
 
 WIDTH, HEIGHT, FINE = 900, 600, 2
 _BLOCK_ROWS = 128
+# as in viewer.js: enough to tell the shape, and so little that colours are those of the legend
 _AMBIENT, _LAMP = 0.7, 0.3
-"""As in viewer.js: enough to tell the shape, and so little that colours are those of the legend."""
 
 
 def surface_still(surface: ColouredSurface) -> Image.Image:

@@ -16,8 +16,8 @@ def _fixed(x: float, y: float, z: float) -> Float64:
     return vector
 
 
+# the world frame's origin and axes
 ORIGIN, X, Y, Z = _fixed(0, 0, 0), _fixed(1, 0, 0), _fixed(0, 1, 0), _fixed(0, 0, 1)
-"""The world frame's origin and axes."""
 
 
 @dataclass(frozen=True, kw_only=True)

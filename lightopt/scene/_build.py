@@ -40,11 +40,11 @@ from lightopt.scene._part_size import guess_unit, view_size
 from lightopt.scene._scene import Placement, Scene, view_from_part
 
 CHORD_TOLERANCE_MM = 0.01
+# CAD surfaces are tessellated to within the smaller of 10 µm and a fifth of a pixel's footprint
 CHORD_TOLERANCE_FOOTPRINTS = 0.2
-"""CAD surfaces are tessellated to within the smaller of 10 µm and a fifth of a pixel's footprint."""
 
+# largest angle between neighbouring triangles along an edge, and where a coarser chord asks for more, up to [rad]
 ANGULAR_TOLERANCE, MOST_ANGULAR_TOLERANCE = 0.1, 0.5
-"""Largest angle between neighbouring triangles along an edge, and where a coarser chord asks for more, up to [rad]."""
 
 
 def build_scene(

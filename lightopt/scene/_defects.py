@@ -19,14 +19,9 @@ from lightopt.geometry import RayCaster, SurfaceFinder, SurfacePlace, resolve_hi
 from lightopt.scene._camera import pixel_directions
 from lightopt.scene._scene import Placement, Scene, view_from_part
 
-SNAP_MM = 0.5
-"""A position in mm is moved to the nearest place of the surface, by at most this much."""
-
-SNAP_SHARE = 0.02
-"""And by at most this share of the part's greatest extent."""
-
-LEAST_SIGMA, MOST_SIGMA = 1e-5, 0.5
-"""Widths of the lobe that part files may give [rad]."""
+SNAP_MM = 0.5  # a position in mm is moved to the nearest place of the surface, by at most this much
+SNAP_SHARE = 0.02  # and by at most this share of the part's greatest extent
+LEAST_SIGMA, MOST_SIGMA = 1e-5, 0.5  # widths of the lobe that part files may give [rad]
 
 _DIGITS = 6
 

@@ -15,11 +15,8 @@ from lightopt.scene._camera import PinholeCamera, pixel_directions, project
 
 _NEAR_MM = 1e-3
 
-_CHORDS = 32
-"""Of an edge that a lens bends, each drawn as a straight line."""
-
-_LEAST_AREA = 1e-6
-"""Bent outlines that run along the image's border leave less than this by rounding [px²]."""
+_CHORDS = 32  # of an edge that a lens bends, each drawn as a straight line
+_LEAST_AREA = 1e-6  # bent outlines that run along the image's border leave less than this by rounding [px²]
 
 
 @dataclass(frozen=True, kw_only=True)

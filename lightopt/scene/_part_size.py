@@ -10,11 +10,10 @@ from lightopt.config import PartConfig
 from lightopt.core.units import MM_PER_UNIT
 from lightopt.scene._camera import PinholeCamera, pixel_directions
 
+# a part whose longest side is not between these shares of the view's shorter side is suspected of a wrong unit
 ABSURD = (1.0 / 15.0, 2.5)
-"""A part whose longest side is not between these shares of the view's shorter side is suspected of a wrong unit."""
 
-SENSIBLE = (0.15, 1.3)
-"""A unit is proposed where it brings the part's longest side between these shares."""
+SENSIBLE = (0.15, 1.3)  # a unit is proposed where it brings the part's longest side between these shares
 
 
 @dataclass(frozen=True)

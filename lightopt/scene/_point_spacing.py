@@ -15,9 +15,9 @@ from lightopt.scene._panel_light import PanelLight
 COARSE_SHARE = 0.1
 """A saturated area that is off by more than this share causes a warning."""
 
+# The area is compared where the highlight is saturated, from this share of its brightest level: the paper's knob is
+# overexposed about 50 times at its highlight's peak. Anything from 0.005 to 0.2 gives nearly the same errors.
 SATURATION_SHARE = 0.02
-"""The area is compared where the highlight is saturated, from this share of its brightest level: the paper's knob is
-overexposed about 50 times at its highlight's peak. Anything from 0.005 to 0.2 gives nearly the same errors."""
 
 _STEPS_PER_SIGMA = 16
 _LARGEST_GAP = 60.0

@@ -10,8 +10,7 @@ from lightopt.core.arrays import UInt8
 from lightopt.design.blind_spots._blind_spots import BlindReason, BlindSpots
 from lightopt.design.objectives._objective import share_text
 
-Colour = tuple[int, int, int]
-"""Red, green and blue, 0 to 255."""
+Colour = tuple[int, int, int]  # red, green and blue, 0 to 255
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from lightopt.config import LightConfig, RigConfig
 from lightopt.core.errors import InputError
 
-MOST_POSITIONS = 100_000
-"""Candidate positions of a light; more are refused."""
+MOST_POSITIONS = 100_000  # candidate positions of a light; more are refused
 
 
 def can_move(light: LightConfig) -> bool:

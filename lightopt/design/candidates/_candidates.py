@@ -156,8 +156,7 @@ def _panels(
     return build_lights(rig.model_copy(update={"lights": moved}), None, points)
 
 
-Reason = tuple[str, str, float | None]
-"""Text, kind and amount of a :class:`LeftOut`."""
+Reason = tuple[str, str, float | None]  # text, kind and amount of a `LeftOut`
 
 
 def _grouped(left_out: Sequence[ExcludedPosition]) -> list[str]:

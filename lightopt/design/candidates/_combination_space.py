@@ -10,8 +10,7 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Int64
 
-Rows = tuple[Int64, ...]
-"""Candidates of each light, ascending: all their combinations are meant."""
+Rows = tuple[Int64, ...]  # candidates of each light, ascending: all their combinations are meant
 
 
 def _no_clashes() -> Mapping[tuple[int, int], Bool]:

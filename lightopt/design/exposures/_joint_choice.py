@@ -26,8 +26,7 @@ from lightopt.design.postures._light_positions import best_positions, position_c
 from lightopt.design.postures._multi_start_search import choose_postures
 from lightopt.scene import PanelLight
 
-MOST_ITERATIONS = 2
-"""Of the lights for the images as they are planned, at the end."""
+MOST_ITERATIONS = 2  # of the lights for the images as they are planned, at the end
 
 
 def choose_with_exposures(

@@ -19,8 +19,7 @@ from lightopt.scene import PanelLight
 DEFAULT_EXPOSURE_GAIN = 1.0
 """Points (hundredths of the pairs) that a further exposure of a posture has to add by default."""
 
-MOST_IMAGE_BYTES = 1_500_000_000
-"""Of what all postures' images show at all exposures, which is held at a time."""
+MOST_IMAGE_BYTES = 1_500_000_000  # of what all postures' images show at all exposures, which is held at a time
 
 
 def check_exposures(exposures: Sequence[float], gain_points: float) -> list[str]:

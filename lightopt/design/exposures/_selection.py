@@ -27,9 +27,9 @@ from lightopt.design.postures._counts import (
 )
 from lightopt.design.responses._packed_bits import Words
 
+# a further exposure is planned: it adds as much as one has to; it does with another, the two twice as much; or less,
+# and the target was not reached without it
 Reason = Literal["gain", "pair", "target"]
-"""A further exposure is planned: it adds as much as one has to; it does with another, the two twice as much; or less,
-and the target was not reached without it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,9 +73,9 @@ class Brackets:
         return tuple(sorted([1.0, *further], reverse=True))
 
 
+# flags of the pairs that the images of a posture show, shape (lights, p, words); where one image is enough, of all
+# together, shape (1, p, words)
 Images = Words
-"""Flags of the pairs that the images of a posture show, shape (lights, p, words); where one image is enough, of all
-together, shape (1, p, words)."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -28,20 +28,16 @@ from lightopt.design.objectives._scores_by_level_classes import run_products, ru
 from lightopt.design.objectives._scores_by_packed_bits import bit_scores
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, area_units, level_range
 
-LEAST_USABLE = 2
-"""Images that must show a patch usably."""
-
-MOST_SATURATED = 1
-"""Images that may show it saturated."""
+LEAST_USABLE = 2  # images that must show a patch usably
+MOST_SATURATED = 1  # images that may show it saturated
 
 RULE = LEAST_USABLE, MOST_SATURATED
 
+# a patch goes to the packed bits when its classes make more than 1/512 of the table's number of cells: there the two
+# ways take about the same time
 BITS_SHARE = 512
-"""A patch goes to the packed bits when its classes make more than 1/512 of the table's number of cells: there the two
-ways take about the same time."""
 
-BOUND_PATCHES = 1 << 16
-"""Patches whose bound is computed at once."""
+BOUND_PATCHES = 1 << 16  # patches whose bound is computed at once
 
 
 @dataclass(frozen=True)

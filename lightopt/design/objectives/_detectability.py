@@ -31,8 +31,7 @@ from lightopt.design.responses._luminance_matrix import LevelThresholds, Luminan
 from lightopt.design.responses._packed_bits import Words, unpack_flags
 from lightopt.design.responses._visibility import Visibility
 
-FLAG_BYTES = 1 << 27
-"""Of the flags that the packed bits are given at once."""
+FLAG_BYTES = 1 << 27  # of the flags that the packed bits are given at once
 
 
 def bit_run_scores(
@@ -95,11 +94,11 @@ def _by_bits(
     return table
 
 
+# what the number is, beside it in result.json
 SCORE_IS = (
     "sum over patches and defects that are seen of area [µm²] × weight of the defect; where all are seen it is "
     "area_um2 × weight_of_all_defects"
 )
-"""What the number is, beside it in result.json."""
 
 
 def min_images_problem(min_images: int) -> str | None:

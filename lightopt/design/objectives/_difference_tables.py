@@ -15,8 +15,7 @@ import numpy as np
 
 from lightopt.core.arrays import Int64
 
-MOST_DIFFERENCES = 1 << 25
-"""Most numbers in the arrays of all threads: 256 MiB."""
+MOST_DIFFERENCES = 1 << 25  # most numbers in the arrays of all threads: 256 MiB
 
 
 class Differences:

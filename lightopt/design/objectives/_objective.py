@@ -12,16 +12,16 @@ from lightopt.core.run_context import Share
 from lightopt.design.responses._luminance_matrix import AREA_UNIT_MM2, LevelThresholds, LuminanceMatrix
 from lightopt.rendering import GRAZING_DEG
 
+# what shares of area are shares of
 INSPECTABLE_SURFACE = (
     f"the surface that the camera sees in the posture at up to {GRAZING_DEG:g}° to its normal; of several postures, "
     "added up"
 )
-"""What shares of area are shares of."""
 
 
+# how near to the best a score is near [thousandths of the inspectable area, where a score is an area; else of the best
+# score]: half a point, less than what placement and reflectance are known to
 NEAR_PER_MILLE = 5
-"""How near to the best a score is near [thousandths of the inspectable area, where a score is an area; else of the best
-score]: half a point, less than what placement and reflectance are known to."""
 
 
 def share_of_whole(objective: Objective, score: int, area: int) -> float | None:

@@ -43,17 +43,13 @@ from lightopt.design.responses._luminance_matrix import (
     usable_sums,
 )
 
-BLOCK_LEVELS = 1 << 24
-"""Levels that are capped at once: the only copies of levels that are made."""
+BLOCK_LEVELS = 1 << 24  # levels that are capped at once: the only copies of levels that are made
+LEAST_PATCHES = 512  # of a block, however many candidates there are
 
-LEAST_PATCHES = 512
-"""Of a block, however many candidates there are."""
-
+# looking at the least and the greatest level of a combination takes about as long as that many tables of minima
 DIRECT_COST = 2.5
-"""Looking at the least and the greatest level of a combination takes about as long as that many tables of minima."""
 
-MOST_LIGHTS_IN_SETS = 16
-"""Of more lights there are too many sets."""
+MOST_LIGHTS_IN_SETS = 16  # of more lights there are too many sets
 
 
 @dataclass(frozen=True)

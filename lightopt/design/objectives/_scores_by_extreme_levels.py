@@ -23,15 +23,15 @@ from lightopt.core.run_context import WorkCounter
 from lightopt.core.threads import Task, blocks
 from lightopt.design.responses._luminance_matrix import Levels
 
+# patches that a kernel works on at once: the rows of one light stay in the second-level cache, and 32 bits hold the sum
+# of twice as many 16-bit levels
 CACHE_PATCHES = 8192
-"""Patches that a kernel works on at once: the rows of one light stay in the second-level cache, and 32 bits hold the
-sum of twice as many 16-bit levels."""
 
+# levels that a task of minima reads, at most: some 0.1 s of a thread, so that Ctrl-C is heard
 TASK_LEVELS = 2_000_000_000
-"""Levels that a task of minima reads, at most: some 0.1 s of a thread, so that Ctrl-C is heard."""
 
+# levels that a task of least and greatest levels reads, at most: less than 0.1 s, so that Ctrl-C is heard
 WALK_LEVELS = 500_000_000
-"""Levels that a task of least and greatest levels reads, at most: less than 0.1 s, so that Ctrl-C is heard."""
 
 
 @dataclass(frozen=True, kw_only=True)

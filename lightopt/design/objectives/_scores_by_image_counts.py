@@ -27,15 +27,13 @@ from lightopt.core.threads import blocks, run_all
 from lightopt.design.objectives._difference_tables import Differences
 from lightopt.design.responses._packed_bits import Words, add_image, word_weight
 
-CHUNK_PATCHES = 1 << 12
-"""Patches of one task of a thread: some 0.01 s."""
+CHUNK_PATCHES = 1 << 12  # patches of one task of a thread: some 0.01 s
 
+# a word whose flags change at more places than this is left out; so is one with more than half as many as there are
+# combinations, where trying them all takes about as long
 MOST_NODES = 1 << 18
-"""A word whose flags change at more places than this is left out; so is one with more than half as many as there are
-combinations, where trying them all takes about as long."""
 
-LEAST_NODES = 1 << 10
-"""However few combinations there are."""
+LEAST_NODES = 1 << 10  # however few combinations there are
 
 
 def at_least(least: int) -> Int64:

@@ -18,17 +18,10 @@ from lightopt.core.threads import run_all
 from lightopt.design.objectives._difference_tables import Differences
 from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds
 
-SATURATED = 1 << 16
-"""Added to a cell's count of usable images for each image in which it is saturated."""
-
-CHUNK_PATCHES = 1 << 14
-"""Most patches of one task of a thread."""
-
-CHUNK_LEVELS = 1 << 24
-"""Most of their levels, which are copied."""
-
-CHUNK_BOXES = 1e6
-"""Most of their boxes: less than 0.1 s, so that Ctrl-C is heard."""
+SATURATED = 1 << 16  # added to a cell's count of usable images for each image in which it is saturated
+CHUNK_PATCHES = 1 << 14  # most patches of one task of a thread
+CHUNK_LEVELS = 1 << 24  # most of their levels, which are copied
+CHUNK_BOXES = 1e6  # most of their boxes: less than 0.1 s, so that Ctrl-C is heard
 
 
 def run_products(levels: Sequence[Levels], thresholds: LevelThresholds) -> Float64:

@@ -19,14 +19,9 @@ from lightopt.core.threads import Task, blocks, run_all
 from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds
 from lightopt.design.responses._packed_bits import Words, common_bits, count_flags, pack_flags
 
-BLOCK_LEVELS = 1 << 25
-"""Levels that are packed at once."""
-
-LEAST_PATCHES = 4096
-"""Of a block, however many candidates there are."""
-
-TASK_WORDS = 100_000_000
-"""Words that a task reads, at most: some 0.1 s of a thread, so that Ctrl-C is heard."""
+BLOCK_LEVELS = 1 << 25  # levels that are packed at once
+LEAST_PATCHES = 4096  # of a block, however many candidates there are
+TASK_WORDS = 100_000_000  # words that a task reads, at most: some 0.1 s of a thread, so that Ctrl-C is heard
 
 
 def bit_scores(

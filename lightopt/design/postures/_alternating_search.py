@@ -23,11 +23,10 @@ from lightopt.design.postures._image_evaluator import ImageEvaluator
 from lightopt.design.postures._light_positions import LightPositions, best_positions
 from lightopt.scene import PanelLight
 
+# of the counts that are cached: for recent lights, and for all positions in the last postures
 CACHED_BYTES = 400_000_000
-"""Of the counts that are cached: for recent lights, and for all positions in the last postures."""
 
-Lights = tuple[int, ...] | None
-"""Candidate of each light; None for the rig's own positions."""
+Lights = tuple[int, ...] | None  # candidate of each light; None for the rig's own positions
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,12 +23,10 @@ from lightopt.design.postures._counts import (
     zero_counts,
 )
 
+# of one search: words of flags that are read, 10,000 gains of 200,000 patches; some ten seconds of two processors
 MOST_WORK = 2_000_000_000
-"""Of one search: words of flags that are read, 10,000 gains of 200,000 patches; some ten seconds of two
-processors."""
 
-BATCH = 16
-"""Candidates whose gains are computed at once, whatever the number of threads."""
+BATCH = 16  # candidates whose gains are computed at once, whatever the number of threads
 
 
 def best_set(

@@ -22,11 +22,10 @@ from lightopt.design.objectives._scores_by_image_counts import at_least, count_r
 from lightopt.design.postures._counts import Counts, PairWeights, add_counts, zero_counts
 from lightopt.design.responses._packed_bits import Words, word_weight
 
-PositionCounts = UInt64
-"""Counts of every place of a light, shape (places, k, p, words)."""
+PositionCounts = UInt64  # counts of every place of a light, shape (places, k, p, words)
 
+# words that a task of plain additions reads, at most: some 0.1 s of a thread, so that Ctrl-C is heard
 TASK_WORDS = 100_000_000
-"""Words that a task of plain additions reads, at most: some 0.1 s of a thread, so that Ctrl-C is heard."""
 
 
 def combination_sums(

@@ -24,8 +24,7 @@ from lightopt.design.responses._defect_hypotheses import DefectHypothesis
 from lightopt.design.responses._packed_bits import Words, add_counts, add_image, word_weight
 from lightopt.design.responses._visibility import weight_planes
 
-Counts = UInt64
-"""Shape (k, p, words): flag l says that a pair is seen in l + 1 images or more."""
+Counts = UInt64  # shape (k, p, words): flag l says that a pair is seen in l + 1 images or more
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

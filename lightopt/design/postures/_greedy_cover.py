@@ -152,8 +152,7 @@ class _Greedy:
         return min(here + sum(heapq.nlargest(size, gains)) for here, gains in self.seen)
 
 
-Merit = tuple[int, int]
-"""Covered weight, benefit: see :mod:`lightopt.design.postures._counts`."""
+Merit = tuple[int, int]  # covered weight, benefit: see `lightopt.design.postures._counts`
 
 
 def improve_by_exchange(

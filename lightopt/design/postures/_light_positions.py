@@ -26,8 +26,8 @@ from lightopt.design.search._exact_search import DEFAULT_LIMIT, TABLE_CELLS
 
 Rows = Sequence[Int64]
 
+# of the counts of all candidate postures, and of all positions of the lights, that are held at a time
 MOST_COUNT_BYTES = 1_500_000_000
-"""Of the counts of all candidate postures, and of all positions of the lights, that are held at a time."""
 
 
 @dataclass(frozen=True, kw_only=True)

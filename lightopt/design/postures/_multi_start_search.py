@@ -24,11 +24,8 @@ from lightopt.design.postures._image_evaluator import ImageEvaluator
 from lightopt.design.postures._light_positions import MOST_COUNT_BYTES, first_allowed, position_counts_fit
 from lightopt.scene import PanelLight
 
-MOST_ITERATIONS, MOST_FINAL_ITERATIONS = 6, 3
-"""Of the alternating search, on drawn patches and on all."""
-
-DRAWN_MARGIN = 0.01
-"""Share by which what drawn patches show may fall short of a target and still be tried on all."""
+MOST_ITERATIONS, MOST_FINAL_ITERATIONS = 6, 3  # of the alternating search, on drawn patches and on all
+DRAWN_MARGIN = 0.01  # share by which what drawn patches show may fall short of a target and still be tried on all
 
 
 def choose_postures(

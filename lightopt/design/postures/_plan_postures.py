@@ -35,8 +35,7 @@ from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.rendering import PatchTable, build_patches, cast_rays_at
 from lightopt.scene import Scene, build_catalogue, build_lights, build_scene, pace_text
 
-NEAR_SHARE = 0.01
-"""The message names how many postures come this near to all of them."""
+NEAR_SHARE = 0.01  # the message names how many postures come this near to all of them
 
 
 @dataclass(frozen=True, kw_only=True)

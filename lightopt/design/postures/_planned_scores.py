@@ -17,12 +17,12 @@ from lightopt.design.search._curves import Curve, score_curves
 from lightopt.design.search._ranking import Ranked
 from lightopt.scene import PanelLight
 
+# among what the lights of a plan are the best, or not known to be
 PROVEN_OF = "positions of the lights in these postures at these exposures; for the postures see chosen_postures"
-"""Among what the lights of a plan are the best, or not known to be."""
 
 
+# among what another objective's lights are the best where its own positions could not be searched
 PROVEN_OF_ONE = "the positions that the first objective chose, the only ones that were scored"
-"""Among what another objective's lights are the best where its own positions could not be searched."""
 
 
 @dataclass(frozen=True)

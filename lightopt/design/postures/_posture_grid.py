@@ -12,15 +12,14 @@ from lightopt.core.transforms import Posture
 from lightopt.rendering import panels_in_part
 from lightopt.scene import PanelLight, Scene, frame_part, part_postures, view_from_part
 
+# of tilt and rotation [°], by default: a stage of ±45° and a full turn then has 80 postures
 DEFAULT_POSTURE_STEP = 22.5
-"""Of tilt and rotation [°], by default: a stage of ±45° and a full turn then has 80 postures."""
 
+# How far the part may leave the view in a posture to choose from [px] by default: no further than a part may be off its
+# place, so that its rim is near the image's border anyway. What is outside is not seen in that posture.
 DEFAULT_OUTSIDE_PX = 10.0
-"""How far the part may leave the view in a posture to choose from [px] by default: no further than a part
-may be off its place, so that its rim is near the image's border anyway. What is outside is not seen in that posture."""
 
-MOST_POSTURES = 2000
-"""More candidate postures are refused."""
+MOST_POSTURES = 2000  # more candidate postures are refused
 
 _SIDES = ("left", "top", "right", "bottom")
 

@@ -12,8 +12,7 @@ from lightopt.defects import MAX_SLOPE, SHAPE_KINDS, CatalogueEntry, DefectKind
 DIRECTIONS = 8
 """Directions around that a wall may lean to."""
 
-MOST_TRIALS = 1024
-"""More are refused: each costs a bit per patch and position of a light."""
+MOST_TRIALS = 1024  # more are refused: each costs a bit per patch and position of a light
 
 
 @dataclass(frozen=True, kw_only=True)

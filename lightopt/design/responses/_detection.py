@@ -40,10 +40,10 @@ from lightopt.optics import Sensor
 from lightopt.rendering import SurfacePoints, converged_panel, shade_variants, surface_variants
 from lightopt.scene import PanelLight, Scene, pixel_footprint, view_from_part
 
+# Default multiple of the noise by which a level must be off. Of the two million pixels of an image noise alone takes
+# one for a defect at 5, and five thousand at 3. Rose found the same 5 for what people make out in pictures (J. Opt.
+# Soc. Am. 38, 1948, doi:10.1364/JOSA.38.000196).
 DEFAULT_CONTRAST = 5.0
-"""Default multiple of the noise by which a level must be off. Of the two million pixels of an image noise alone
-takes one for a defect at 5, and five thousand at 3. Rose found the same 5 for what people make out in pictures (J. Opt.
-Soc. Am. 38, 1948, doi:10.1364/JOSA.38.000196)."""
 
 
 LEAST_RATIO, GREATEST_RATIO = float(PIXEL_RATIOS[0]), float(PIXEL_RATIOS[-1])

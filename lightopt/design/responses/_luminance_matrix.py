@@ -16,8 +16,7 @@ from lightopt.design.responses._visibility import Visibility, select_rows
 
 Levels = NDArray[np.uint8 | np.uint16]
 
-AREA_UNIT_MM2 = 1e-6
-"""Areas are counted in whole square micrometres, so that sums are exact in any order."""
+AREA_UNIT_MM2 = 1e-6  # areas are counted in whole square micrometres, so that sums are exact in any order
 
 
 @dataclass(frozen=True, kw_only=True)

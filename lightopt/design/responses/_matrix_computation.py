@@ -29,12 +29,11 @@ from lightopt.optics import expose
 from lightopt.rendering import PatchTable, SurfacePoints, converged_panel, shade_converged, shade_points, shadow_targets
 from lightopt.scene import PanelLight, Scene, view_from_part
 
-BLOCK_PATCHES = 1 << 15
-"""Patches that a thread works on at once."""
+BLOCK_PATCHES = 1 << 15  # patches that a thread works on at once
 
+# of the levels that are held at a time: with a part of some hundred thousand triangles, its patches and the search the
+# process then stays below 2 GB
 MOST_BYTES = 1_000_000_000
-"""Of the levels that are held at a time: with a part of some hundred thousand triangles, its patches and the
-search the process then stays below 2 GB."""
 
 
 def patch_points(scene: Scene, table: PatchTable, posture: Posture) -> tuple[SurfacePoints, Index]:

@@ -107,6 +107,7 @@ COARSE_SHARE = 0.15
 
 MATRIX_NAME = "matrix.npz"
 
+# what of a part no level depends on; the hypotheses of the catalogue's defects have a key of their own
 _NOT_OF_LEVELS: Any = {
     "name": True,
     "postures": True,
@@ -115,7 +116,6 @@ _NOT_OF_LEVELS: Any = {
     "defect_catalogue": True,
     "inspection": True,
 }
-"""What of a part no level depends on; the hypotheses of the catalogue's defects have a key of their own."""
 
 
 @dataclass(eq=False)

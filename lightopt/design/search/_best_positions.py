@@ -25,8 +25,7 @@ from lightopt.design.search._curves import score_curves
 from lightopt.design.search._exact_search import SearchResult, search
 from lightopt.rendering import GRAZING_DEG, grain_of
 
-PIECE_PATCHES = 1 << 15
-"""Patches for which an objective's definition is evaluated at once."""
+PIECE_PATCHES = 1 << 15  # patches for which an objective's definition is evaluated at once
 
 
 def search_objectives(

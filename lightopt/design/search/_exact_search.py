@@ -26,17 +26,12 @@ from lightopt.design.objectives._objective import Objective, near_margin
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, area_units, usable_sums
 from lightopt.design.search._ranking import NearBest, Ranked, Ranking, rank
 
-TABLE_CELLS = 1 << 22
-"""Most combinations that are enumerated at once: 32 MiB of scores."""
+TABLE_CELLS = 1 << 22  # most combinations that are enumerated at once: 32 MiB of scores
+MOST_COMBINATIONS = 10**300  # larger spaces are refused: a light or two fewer would not help either
+BOX_COST = 20_000  # combinations that take about as long to score as a box takes to halve; counts against the limit
 
-MOST_COMBINATIONS = 10**300
-"""Larger spaces are refused: a light or two fewer would not help either."""
-
-BOX_COST = 20_000
-"""Combinations that take about as long to score as a box takes to halve; counts against the limit."""
-
+# default number of combinations to score before the search stops with a bound; bounds count, too
 DEFAULT_LIMIT = 200_000_000
-"""Default number of combinations to score before the search stops with a bound; bounds count, too."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,8 +11,7 @@ import numpy as np
 from lightopt.core.arrays import Bool, Int64
 from lightopt.design.candidates._combination_space import Rows
 
-MOST_NEAR = 1 << 24
-"""Scores near the best that are held at a time: 128 MiB."""
+MOST_NEAR = 1 << 24  # scores near the best that are held at a time: 128 MiB
 
 
 @dataclass(frozen=True, order=True)

@@ -19,21 +19,17 @@ from lightopt.core.arrays import Int64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share
 
-Offset = tuple[float, float]
-"""Elevation and azimuth of a light, or tilt and rotation of the part, off by so much [°]."""
+Offset = tuple[float, float]  # elevation and azimuth of a light, or tilt and rotation of the part, off by so much [°]
 
+# scores of all combinations of offsets, the last light's varying fastest, for an offset of the part, the same in all
+# postures, and offsets of each light
 ScoreFunction = Callable[[Offset, Sequence[Sequence[Offset]]], Int64]
-"""Scores of all combinations of offsets, the last light's varying fastest, for an offset of the part, the same in all
-postures, and offsets of each light."""
 
-DEFAULT_TOLERANCE_TARGET = 0.95
-"""Share of the score that the widest tolerances keep by default."""
+DEFAULT_TOLERANCE_TARGET = 0.95  # share of the score that the widest tolerances keep by default
+LARGEST_TOLERANCE = 16.0  # the widest tolerance that is tried, and the largest that may be requested [°]
 
-LARGEST_TOLERANCE = 16.0
-"""The widest tolerance that is tried, and the largest that may be requested [°]."""
-
+# Of which all corners are tried: 4 per light, some million in all. Two lights more would be sixteen times as many.
 MOST_LIGHTS = 10
-"""Of which all corners are tried: 4 per light, some million in all. Two lights more would be sixteen times as many."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,14 +96,14 @@ def draws(lights: int, tolerances: Tolerances) -> Iterator[tuple[Offset, list[Of
 
 QUANTILE = 0.05
 
+# steps of the widest tolerances: they are multiples of 0.05°, and a step more does not keep the score
 STEPS_PER_DEG = 20
-"""Steps of the widest tolerances: they are multiples of 0.05°, and a step more does not keep the score."""
 
+# tolerances that are tried before the first that costs too much is bisected [°]
 RUNGS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, LARGEST_TOLERANCE)
-"""Tolerances that are tried before the first that costs too much is bisected [°]."""
 
+# what is off, in which angle, and which light that is: the index, None for all of them or the part
 Angle = tuple[str, str, int | None]
-"""What is off, in which angle, and which light that is: the index, None for all of them or the part."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,8 +29,7 @@ from lightopt.scene import PanelLight, build_lights, view_from_part
 
 EXACT: Offset = (0.0, 0.0)
 
-ImageKey = tuple[int, Offset, int, Offset]
-"""A posture, the offset of the part, a light, and its offset."""
+ImageKey = tuple[int, Offset, int, Offset]  # a posture, the offset of the part, a light, and its offset
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,15 +26,14 @@ from lightopt.estimate.reflectance._criterion import (
 from lightopt.estimate.reflectance._likelihood import lagrange
 from lightopt.estimate.reflectance._samples import Samples
 
+# widths of lobes that are tried [rad]: somewhat beyond the documented range, so that an edge is seen as one
 LEAST_SIGMA, MOST_SIGMA = 0.0007, 0.3
-"""Widths of lobes that are tried [rad]: somewhat beyond the documented range, so that an edge is seen as one."""
 
 NODES = 121
+# nodes of ln σ over that range, and how many of them an interpolation takes: its error is some 1e-6 of the lobe
 WINDOW = 5
-"""Nodes of ln σ over that range, and how many of them an interpolation takes: its error is some 1e-6 of the lobe."""
 
-LEAST_MEAN_SQUARE = 1.0 / 12.0
-"""That of rounding to whole levels: no model can be nearer."""
+LEAST_MEAN_SQUARE = 1.0 / 12.0  # that of rounding to whole levels: no model can be nearer
 
 _CHUNK = 65_536
 

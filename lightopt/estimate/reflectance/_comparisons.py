@@ -15,15 +15,11 @@ from lightopt.estimate.reflectance._result import FitResult, FittedValue
 from lightopt.estimate.reflectance._samples import Samples, evenly_lit, subsample
 from lightopt.estimate.reflectance._setup import FitSetup
 
-BUDGET = 250
-"""Pixels per octave, light and posture of a second opinion."""
-
-LEAST_RATIO = 100.0
-"""Twice the logarithm of the likelihoods' ratio that is reported."""
+BUDGET = 250  # pixels per octave, light and posture of a second opinion
+LEAST_RATIO = 100.0  # twice the logarithm of the likelihoods' ratio that is reported
 
 LEAST_DIFFERENCE = 0.005
-LEAST_PAPER_DIFFERENCE = 0.05
-"""Of ln R_s or ln σ; the paper's σ is a multiple of a step."""
+LEAST_PAPER_DIFFERENCE = 0.05  # of ln R_s or ln σ; the paper's σ is a multiple of a step
 
 
 def evenly_lit_warnings(setup: FitSetup, samples: Samples, found: Estimate) -> tuple[str, ...]:

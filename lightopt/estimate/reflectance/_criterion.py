@@ -14,8 +14,8 @@ from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.estimate.reflectance._samples import Samples
 
+# places in the vector of parameters: R_d, ln R_s, ln σ, dark level, then ln gain per light, ln τ², logit ε
 R_D, LOG_R_S, LOG_SIGMA, DARK, FIRST_GAIN = 0, 1, 2, 3, 4
-"""Places in the vector of parameters: R_d, ln R_s, ln σ, dark level, then ln gain per light, ln τ², logit ε."""
 
 
 @dataclass(frozen=True)

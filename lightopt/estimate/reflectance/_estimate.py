@@ -11,11 +11,10 @@ from lightopt.estimate.reflectance._criterion import LOG_R_S, LOG_SIGMA, R_D, Cr
 from lightopt.estimate.reflectance._lack_of_fit import LackOfFit
 from lightopt.estimate.reflectance._newton import Maximum
 
-Interval = tuple[float | None, float | None]
-"""95 %; None for an end that the images do not bound."""
+Interval = tuple[float | None, float | None]  # 95 %; None for an end that the images do not bound
 
+# 95 % quantile of χ² with one degree of freedom: twice the log-likelihood may fall by this (Wilks 1938)
 CHI2_95 = 3.841458820694124
-"""95 % quantile of χ² with one degree of freedom: twice the log-likelihood may fall by this (Wilks 1938)."""
 
 
 @dataclass(frozen=True, kw_only=True)

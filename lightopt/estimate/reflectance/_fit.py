@@ -52,15 +52,13 @@ from lightopt.estimate.reflectance._validation import (
 from lightopt.images import ImageSet
 from lightopt.scene import coarse_points
 
-HIGHLIGHT_LEVEL = 0.1
-"""Pixels that a highlight lights by less than this are diffuse only [grey level at exposure 1]."""
+HIGHLIGHT_LEVEL = 0.1  # pixels that a highlight lights by less than this are diffuse only [grey level at exposure 1]
 
+# for that, the lobe is taken this much wider than it was found, as far as any pixels are left: real lobes have heavier
+# tails than a Gaussian, and what is left of them goes into R_d
 WIDENINGS = (2.0, 1.5, 1.2, 1.0)
-"""For that, the lobe is taken this much wider than it was found, as far as any pixels are left: real lobes have heavier
-tails than a Gaussian, and what is left of them goes into R_d."""
 
-LEAST_PIXELS = 200
-"""So many pixels must be left."""
+LEAST_PIXELS = 200  # so many pixels must be left
 
 LEAST_R_S = 1e-3
 

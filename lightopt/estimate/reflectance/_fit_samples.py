@@ -26,8 +26,8 @@ from lightopt.estimate.reflectance._samples import Samples, subsample
 from lightopt.estimate.reflectance._sigma_scan import scan_budget, scan_sigma
 from lightopt.optics import Reflectance
 
+# the likelihood's answer is only taken where it predicts the scan's pixels about as well as least squares [rms]
 WORSE_PREDICTION = 1.03
-"""The likelihood's answer is only taken where it predicts the scan's pixels about as well as least squares [rms]."""
 
 
 def fit_reflectance(

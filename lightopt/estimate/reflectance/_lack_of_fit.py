@@ -15,21 +15,20 @@ from lightopt.estimate.reflectance._noise import image_noise
 from lightopt.estimate.reflectance._samples import Samples
 
 RINGS = 3
+# pixels of one exposure are compared with those of a like geometry: rings per octave of the angle from the mirror
+# direction, and steps of the diffuse light
 DIFFUSE_STEPS = 10
-"""Pixels of one exposure are compared with those of a like geometry: rings per octave of the angle from the mirror
-direction, and steps of the diffuse light."""
 
 LEAST_ALIKE = 20
+# a pixel is dust where its residual is so many deviations, and at least this share of the full scale, from the middle
+# of the pixels of a like geometry
 DUST_SPREADS, DUST_LEVELS = 8.0, 0.06
-"""A pixel is dust where its residual is so many deviations, and at least this share of the full scale, from the middle
-of the pixels of a like geometry."""
 
-MOST_DUST = 0.1
-"""Where more of a geometry's pixels than this are far off, that is the model's fault."""
+MOST_DUST = 0.1  # where more of a geometry's pixels than this are far off, that is the model's fault
 
+# the model describes the images while the residual of least squares is no more than this many times the noise [rms]:
+# what the model gets wrong is then less than three quarters of the noise
 MOST_MISFIT = 1.25
-"""The model describes the images while the residual of least squares is no more than this many times the noise [rms]:
-what the model gets wrong is then less than three quarters of the noise."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,15 +23,15 @@ from lightopt.estimate.reflectance._samples import Samples
 from lightopt.estimate.reflectance._sigma_scan import SigmaScan, optimum_of, scan_points
 from lightopt.estimate.reflectance._uncertainty import criterion_drop
 
+# Groups of images: lights, where there are so many, else lights by posture, else blocks of the images. Further lights
+# share a group.
 LEAST_GROUPS, MOST_GROUPS = 4, 24
-"""Groups of images: lights, where there are so many, else lights by posture, else blocks of the images. Further lights
-share a group."""
 
+# standard error of a parameter that the images do not determine, such as the σ of a lobe without light
 UNDETERMINED = 1e3
-"""Standard error of a parameter that the images do not determine, such as the σ of a lobe without light."""
 
+# how far from the best the drop of the criterion is taken [standard errors]; the first that is within range
 ERROR_STEPS = (1.0, 0.3, 0.1)
-"""How far from the best the drop of the criterion is taken [standard errors]; the first that is within range."""
 
 
 def least_squares_estimate(samples: Samples, scan: SigmaScan) -> Estimate:

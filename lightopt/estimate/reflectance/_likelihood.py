@@ -33,9 +33,9 @@ from lightopt.estimate.reflectance._criterion import (
 from lightopt.estimate.reflectance._samples import ImageFacts, Samples
 from lightopt.optics import Sensor
 
+# share of the unexplained pixels that are black, and of those that are saturated: dust and glints; the rest is spread
+# evenly over the levels between
 EXTREME_SHARE = 0.05
-"""Share of the unexplained pixels that are black, and of those that are saturated: dust and glints; the rest is spread
-evenly over the levels between."""
 
 _CHUNK = 16_384
 _SQRT_HALF = math.sqrt(0.5)

@@ -30,11 +30,10 @@ from lightopt.estimate.reflectance._sigma_scan import (
 )
 from lightopt.estimate.reflectance._uncertainty import uncertainty
 
-SUBSET_SHARE = 4
-"""By how much fewer pixels than least squares the likelihood scans: it starts where least squares end."""
+SUBSET_SHARE = 4  # by how much fewer pixels than least squares the likelihood scans: it starts where least squares end
 
+# peaks and points of the scan within this of the best [nat] are evaluated on all samples, which decide
 CLOSE_CALL = 20.0
-"""Peaks and points of the scan within this of the best [nat] are evaluated on all samples, which decide."""
 
 MOST_RESTARTS = 3
 
@@ -42,9 +41,9 @@ TABLE_NODES, WIDE_TABLE_NODES = 5, 9
 MOST_TABLES = 8
 USUAL_TABLE = 0.06
 NARROWEST_TABLE, WIDEST_TABLE = 0.003, 0.24
+# the likelihood's specular light is tabulated at ln σ this many standard errors around the estimate, without and with
+# what the model gets wrong, so that it is a smooth function of σ whatever quadrature is behind it
 TABLE_DEVIATIONS, TABLE_INTERVALS = 6.0, 3.0
-"""The likelihood's specular light is tabulated at ln σ this many standard errors around the estimate, without and with
-what the model gets wrong, so that it is a smooth function of σ whatever quadrature is behind it."""
 
 
 @dataclass(frozen=True)

@@ -27,25 +27,17 @@ from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene
 
 LEAST_SHIFT_PX = 0.5
+# a part is reported as displaced when moving it by half a pixel or more takes away half of the squared residual beyond
+# the noise: a wrong reflectance is not blamed on the place
 LEAST_EXPLAINED = 0.5
-"""A part is reported as displaced when moving it by half a pixel or more takes away half of the squared residual beyond
-the noise: a wrong reflectance is not blamed on the place."""
 
-LEAST_EXCESS = 0.1
-"""Residuals beyond the noise count from this share of its variance on."""
-
-LEAST_CERTAIN = 3.0
-"""A displacement counts from this many of its standard errors on."""
-
-BUDGET = 250
-"""Pixels per octave, light and posture that are compared at both places."""
-
-TRIAL_LIGHTS = 6
-"""Lights whose images a displaced part is searched in."""
+LEAST_EXCESS = 0.1  # residuals beyond the noise count from this share of its variance on
+LEAST_CERTAIN = 3.0  # a displacement counts from this many of its standard errors on
+BUDGET = 250  # pixels per octave, light and posture that are compared at both places
+TRIAL_LIGHTS = 6  # lights whose images a displaced part is searched in
 
 FLIP_BUDGET = 150
-MOST_LIGHTS = 8
-"""Exchanged lights are only tried where there are no more than these."""
+MOST_LIGHTS = 8  # exchanged lights are only tried where there are no more than these
 
 
 @dataclass(frozen=True, kw_only=True)

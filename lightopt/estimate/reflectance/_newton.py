@@ -11,8 +11,8 @@ from lightopt.core.arrays import Bool, Float64
 from lightopt.core.kernels import kernel
 from lightopt.estimate.reflectance._criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Criterion, Evaluation
 
+# a maximum is found when the next step's predicted gain is less than this [nat]: a hundredth of a standard error
 TOLERANCE = 1e-4
-"""A maximum is found when the next step's predicted gain is less than this [nat]: a hundredth of a standard error."""
 
 LEAST_LOG_TAU2, MOST_LOG_TAU2 = np.log(1e-4), np.log(1e10)
 LEAST_LOGIT, MOST_LOGIT = -14.0, 2.0
@@ -20,15 +20,14 @@ LEAST_LOG_R_S, MOST_LOG_R_S = np.log(1e-3), np.log(1e12)
 MOST_LOG_GAIN = np.log(100.0)
 FREE_DAMPING = 1e-3
 STALLED = 1e8
+# A climb whose steps had to be damped this much has nowhere to go. It has converged where an undamped step promises
+# less than this [nat], a fifth of a standard error: a clipped level bends the criterion at single pixels.
 STALL_TOLERANCE = 0.02
-"""A climb whose steps had to be damped this much has nowhere to go. It has converged where an undamped step promises
-less than this [nat], a fifth of a standard error: a clipped level bends the criterion at single pixels."""
 
+# least squares have converged where no parameter has a step left of more than this share of its standard error
 SETTLED = 0.1
-"""Least squares have converged where no parameter has a step left of more than this share of its standard error."""
 
-LONGEST_STEP = 1.5
-"""No logarithm changes by more than this in one step."""
+LONGEST_STEP = 1.5  # no logarithm changes by more than this in one step
 
 
 @dataclass(frozen=True, kw_only=True)

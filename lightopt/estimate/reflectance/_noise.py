@@ -13,15 +13,14 @@ from lightopt.estimate.reflectance._samples import Samples
 from lightopt.optics import Sensor
 
 LEVEL_BINS, LEAST_PER_BIN = 12, 150
+# levels nearer than this many deviations to black or to saturation are clipped, and show less noise than there is
 CLEAR_OF_ENDS = 4.0
-"""Levels nearer than this many deviations to black or to saturation are clipped, and show less noise than there is."""
 
+# residuals beyond this many deviations are dust; what is left of a Gaussian's variance within
 TRIM, TRIMMED_VARIANCE = 3.0, 0.97334
-"""Residuals beyond this many deviations are dust; what is left of a Gaussian's variance within."""
 
 SIGNIFICANT = 3.0
-WELL_KNOWN = 0.3
-"""A figure is determined where its standard error is no more than this share of it."""
+WELL_KNOWN = 0.3  # a figure is determined where its standard error is no more than this share of it
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,8 +22,7 @@ MOST_ITERATIONS = 500
 MOST_R_S = 1e15
 MOST_STEPS = 1000
 
-WIDE_RANGE = 1.5
-"""Where the σ of the sweep within λ_s2 reach over more than this factor, it is reported."""
+WIDE_RANGE = 1.5  # where the σ of the sweep within λ_s2 reach over more than this factor, it is reported
 
 
 @dataclass(frozen=True, kw_only=True)

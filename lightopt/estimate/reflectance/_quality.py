@@ -17,20 +17,17 @@ from lightopt.estimate.reflectance._samples import Samples
 
 POOR_EPSILON = 0.02
 POOR_NOISE = 3.0
+# residuals beyond this many times the sensor's noise, and unexplained pixels beyond this share, are reported
 MORE_NOISE = 1.5
-"""Residuals beyond this many times the sensor's noise, and unexplained pixels beyond this share, are reported."""
 
 WIDE_INTERVAL = 0.02
 STRONG_CORRELATION = 0.95
 
+# widths of lobes that the model is meant for [rad]: Ward found these on real surfaces (paper, section 4.3)
 SIGMA_RANGE = 0.001, 0.2
-"""Widths of lobes that the model is meant for [rad]: Ward found these on real surfaces (paper, section 4.3)."""
 
-MOST_R_S = 1e11
-"""Beyond this, R_s runs away along the ridge [grey level]."""
-
-EDGE = 1.01
-"""A value within this factor of an edge is at it."""
+MOST_R_S = 1e11  # beyond this, R_s runs away along the ridge [grey level]
+EDGE = 1.01  # a value within this factor of an edge is at it
 
 
 @dataclass(frozen=True, kw_only=True)

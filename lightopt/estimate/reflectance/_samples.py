@@ -19,15 +19,14 @@ from lightopt.rendering import UNLIT, WHOLE, LightLayer, PosturePixels, light_la
 from lightopt.scene import Scene
 
 FIRST_OCTAVE_RAD = 0.001
+# pixels are kept by octave of the least angle between normal and half vector: up to 1 mrad, 2 mrad, … so that a lobe of
+# any width has pixels on its flanks
 OCTAVES = 11
-"""Pixels are kept by octave of the least angle between normal and half vector: up to 1 mrad, 2 mrad, … so that a lobe
-of any width has pixels on its flanks."""
 
+# blocks along the longer side of the image: what the model gets wrong is taken as alike within each of them
 BLOCKS = 24
-"""Blocks along the longer side of the image: what the model gets wrong is taken as alike within each of them."""
 
-UNLIT_SHARE = 0.25
-"""Pixels that no light reaches determine the dark level; this share of an octave's budget is plenty."""
+UNLIT_SHARE = 0.25  # pixels that no light reaches determine the dark level; this share of an octave's budget is plenty
 
 
 @dataclass(frozen=True, kw_only=True)

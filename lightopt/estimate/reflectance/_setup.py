@@ -35,8 +35,7 @@ Points: TypeAlias = "int | Literal['auto']"
 
 MOST_PER_OCTAVE = 20_000
 PLACING_PER_OCTAVE = 800
-PAPER_PIXELS = 150_000
-"""Pixels per image that the paper's procedure counts."""
+PAPER_PIXELS = 150_000  # pixels per image that the paper's procedure counts
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -31,35 +31,26 @@ from lightopt.estimate.reflectance._likelihood import predicted
 from lightopt.estimate.reflectance._newton import Maximum, maximise
 from lightopt.estimate.reflectance._samples import Samples, subsample
 
-SCAN_SAMPLES = 50_000
-"""Pixels of the scan over σ, in all."""
-
-SCAN_STRIDE = 5
-"""The scan takes each fifth node of the specular table: 25 σ, each 1.29 times the one before."""
-
-WEAK_START = 0.1
-"""Share of the R_s that saturates as many pixels as measured, from which least squares climb as well."""
+SCAN_SAMPLES = 50_000  # pixels of the scan over σ, in all
+SCAN_STRIDE = 5  # the scan takes each fifth node of the specular table: 25 σ, each 1.29 times the one before
+WEAK_START = 0.1  # share of the R_s that saturates as many pixels as measured, from which least squares climb as well
 
 MOST_PEAKS = 4
-SAME_PEAK = 0.02
-"""Climbs that end within this of ln σ have found the same peak."""
+SAME_PEAK = 0.02  # climbs that end within this of ln σ have found the same peak
+HELD_SIGMA = 0.05  # width of a lobe that is neither fitted nor given [rad]
 
-HELD_SIGMA = 0.05
-"""Width of a lobe that is neither fitted nor given [rad]."""
-
+# σ of a peak of the profile [rad], and where the climb from it ended; the best first
 Climbs = list[tuple[float, Maximum]]
-"""σ of a peak of the profile [rad], and where the climb from it ended; the best first."""
 
-LEAST_DIFFUSE = 0.1
-"""R_d is guessed where at least this much light arrives per unit of it."""
+LEAST_DIFFUSE = 0.1  # r_d is guessed where at least this much light arrives per unit of it
 
 START_EPSILON = 0.03
+# a climb begins with wide shoulders [sensor level], so that pixels far from the first guess still pull at it
 START_DEVIATION = 4.0
-"""A climb begins with wide shoulders [sensor level], so that pixels far from the first guess still pull at it."""
 
 SCAN_STEPS, FIRST_STEPS = 30, 5
+# A scan only has to separate basins [nat]. Of several starts that which is best after the first steps goes on.
 SCAN_TOLERANCE = 0.1
-"""A scan only has to separate basins [nat]. Of several starts that which is best after the first steps goes on."""
 
 
 @dataclass(frozen=True)

@@ -18,29 +18,26 @@ from lightopt.estimate.reflectance._estimate import Estimate, Optimum
 from lightopt.estimate.reflectance._likelihood import Likelihood
 from lightopt.estimate.reflectance._newton import bounds, maximise
 
-STEP = 0.3
-"""Differences of the gradient are taken this many (conditional) standard errors to either side."""
-
-LONGEST_DIFFERENCE = 0.1
-"""But no logarithm is moved by more than this for it."""
+STEP = 0.3  # differences of the gradient are taken this many (conditional) standard errors to either side
+LONGEST_DIFFERENCE = 0.1  # but no logarithm is moved by more than this for it
 
 AT_BOUND = 1e-6
+# a noise parameter with less information than this [nat] is as good as at its bound: others do not depend on it
 LEAST_INFORMATION = 0.05
-"""A noise parameter with less information than this [nat] is as good as at its bound: others do not depend on it."""
 
+# a variance between blocks of the image that is this many standard deviations above what chance makes of a right model
+# begins to count, and counts wholly
 BY_CHANCE, SURELY = 3.0, 6.0
-"""A variance between blocks of the image that is this many standard deviations above what chance makes of a right
-model begins to count, and counts wholly."""
 
 ROUNDS = 16
+# an end is found when the likelihood falls by what it should to within this share, a hundredth of the interval
 CLOSE = 0.02
-"""An end is found when the likelihood falls by what it should to within this share, a hundredth of the interval."""
 
+# regions with a gap of less than this share of the longer one between them are one: ends are known no better
 SAME_REGION = 0.02
-"""Regions with a gap of less than this share of the longer one between them are one: ends are known no better."""
 
+# an end that is this many standard errors away and still not found is not there: the images do not bound that side
 FARTHEST = 12.0
-"""An end that is this many standard errors away and still not found is not there: the images do not bound that side."""
 
 
 def determined_parameters(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> list[int]:

@@ -26,16 +26,14 @@ from lightopt.optics import Reflectance, Sensor, saturated_region
 from lightopt.rendering import render_posture
 from lightopt.scene import Scene
 
-BUDGET = 1500
-"""Pixels per octave, light and posture that the fits without a light use."""
+BUDGET = 1500  # pixels per octave, light and posture that the fits without a light use
 
 MOST_BORDER_PIXELS = 4000
 
-POOR_SHARE = 5.0 / 255.0
-"""A prediction that is further off than this share of the sensor's full scale is reported."""
+POOR_SHARE = 5.0 / 255.0  # a prediction that is further off than this share of the sensor's full scale is reported
 
+# gets each image that was left out and the sensor levels that were predicted for it
 SavePrediction = Callable[[Observation, Float32], None]
-"""Gets each image that was left out and the sensor levels that were predicted for it."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,25 +16,19 @@ from lightopt.geometry import RayCaster
 from lightopt.scene import Scene, screen_window, view_from_part
 
 PIXELS = 6000
-MOST_LIGHTS = 8
-"""Pixels per posture, and lights, that are searched with."""
+MOST_LIGHTS = 8  # pixels per posture, and lights, that are searched with
+MARGIN_MM = 3.0  # pixels up to this far around the part's nominal outline are used
+FIRST_SHIFT_MM = 2.5  # the search begins at the best of the nominal place and of eight this far around it
 
-MARGIN_MM = 3.0
-"""Pixels up to this far around the part's nominal outline are used."""
-
-FIRST_SHIFT_MM = 2.5
-"""The search begins at the best of the nominal place and of eight this far around it."""
-
+# residuals beyond this share of a typical lit level count alike: highlights are not modelled while searching
 TRUNCATED = 0.4
-"""Residuals beyond this share of a typical lit level count alike: highlights are not modelled while searching."""
 
 LEAST_DIFFUSE = 0.2
 LEAST_LIT = 50
 FIRST_STEP_MM, FIRST_STEP_RAD = 1.0, math.radians(1.0)
 SEARCH_STEPS = 80
 LIKELY_TURN_RAD = math.radians(2.0)
-TURN_PULL = 1e-4
-"""Penalty of a rotation by this much: it decides where the images do not, for a body of revolution."""
+TURN_PULL = 1e-4  # penalty of a rotation by this much: it decides where the images do not, for a body of revolution
 
 
 def coarse_pixels(scene: Scene, observations: Sequence[Observation]) -> list[PixelSet]:

@@ -24,29 +24,23 @@ from lightopt.scene import Scene
 Array = NDArray[np.floating]
 
 CLEAR = 3.5
+# images are black where fewer pixels than this share are this many standard deviations of noise above black
 LEAST_BRIGHT_SHARE = 1e-3
-"""Images are black where fewer pixels than this share are this many standard deviations of noise above black."""
 
+# a residual beyond the noise of more than this share of the predicted levels (root mean squares) is that of another
+# part, another place or another rig: a wrong reflectance of the right part leaves less once the lights' gains are
+# adjusted
 MISMATCH_SHARE = 0.45
-"""A residual beyond the noise of more than this share of the predicted levels (root mean squares) is that of another
-part, another place or another rig: a wrong reflectance of the right part leaves less once the lights' gains are
-adjusted."""
 
-SUSPICIOUS = 0.15
-"""From this share on, the images of a nearly symmetric part may be mirrored or turned …"""
-
-BETTER_SHARE = 0.5
-"""… and are where that leaves less than this share of the squared residual."""
+SUSPICIOUS = 0.15  # from this share on, the images of a nearly symmetric part may be mirrored or turned …
+BETTER_SHARE = 0.5  # … and are where that leaves less than this share of the squared residual
 
 LEVEL_CAP = 0.15
 """Residuals count as at most this share of the camera's range where models are compared: a defect or dust decides
 nothing."""
 
-BLACK_SHARE = 0.02
-"""Images with less than this share of the light that is predicted are black."""
-
-MOST_SATURATED = 0.5
-"""Images of which more pixels than this share are saturated are refused for that."""
+BLACK_SHARE = 0.02  # images with less than this share of the light that is predicted are black
+MOST_SATURATED = 0.5  # images of which more pixels than this share are saturated are refused for that
 
 _ALL, _REVERSED = slice(None), slice(None, None, -1)
 

@@ -15,8 +15,8 @@ from lightopt.rendering import UNLIT, WHOLE, PosturePixels, light_layer, panel_v
 from lightopt.scene import PartView, Scene, view_from_part
 
 _LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
+# additive recurrences that fill a pixel evenly: Roberts's R₂, by the plastic number, and quadratic irrationals
 _OFFSETS = np.array([0.6180339887498949, 0.4142135623730951])
-"""Additive recurrences that fill a pixel evenly: Roberts's R₂, by the plastic number, and quadratic irrationals."""
 
 
 @dataclass(frozen=True, kw_only=True)

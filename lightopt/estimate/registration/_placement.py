@@ -14,12 +14,11 @@ from lightopt.scene import Scene, move_part, pixel_footprint
 
 GREATEST_SHIFT_MM = 5.0
 GREATEST_TURN_RAD = math.radians(6.0)
+# reach of the search from the file placement: along x and y the larger of both, and about the vertical axis
 GREATEST_SHIFT_PX = 16.0
-"""Reach of the search from the file placement: along x and y the larger of both, and about the vertical axis."""
 
 MOST_ERROR_PX = 1.0
-MOST_TURN_ERROR_RAD = math.radians(0.5)
-"""A shift or a rotation is determined where its standard error is below this."""
+MOST_TURN_ERROR_RAD = math.radians(0.5)  # a shift or a rotation is determined where its standard error is below this
 
 
 @dataclass(frozen=True, kw_only=True)

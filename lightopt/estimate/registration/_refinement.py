@@ -19,46 +19,39 @@ from lightopt.rendering import PosturePixels, trace_pixels
 from lightopt.scene import Scene
 
 INNER_PIXELS, FIRST_INNER_PIXELS = 12_000, 3_000
+# pixels per posture: away from silhouettes and creases, also in the first stage, and across silhouettes
 OUTLINE_PIXELS = 800
-"""Pixels per posture: away from silhouettes and creases, also in the first stage, and across silhouettes."""
 
-MOST_ENTRIES = 15_000_000
-"""Entries of the Jacobian; with many images fewer pixels of each are used."""
+MOST_ENTRIES = 15_000_000  # entries of the Jacobian; with many images fewer pixels of each are used
 
 OUTLINE_HALF_WIDTH_PX = 2
-OUTLINE_RAYS = 9
-"""Rays of a pixel that the outline crosses."""
+OUTLINE_RAYS = 9  # rays of a pixel that the outline crosses
 
+# an edge pixel is this share of the contrast off its prediction, since images are sampled at points or blurred
 OUTLINE_SHARE = 0.3
-"""An edge pixel is this share of the contrast off its prediction, since images are sampled at points or blurred."""
 
-OUTLINE_PX = 0.3
-"""Accuracy of what the outline alone determines, however many pixels it crosses: they are off together."""
-
-LEAST_CORRELATION = 0.5
-"""An outline is used where predicted and measured levels across it correlate by more than this."""
-
-CLEAR = 3.5
-"""Only pixels are used that the model has this many standard deviations clear of black and of saturation."""
+OUTLINE_PX = 0.3  # accuracy of what the outline alone determines, however many pixels it crosses: they are off together
+LEAST_CORRELATION = 0.5  # an outline is used where predicted and measured levels across it correlate by more than this
+CLEAR = 3.5  # only pixels are used that the model has this many standard deviations clear of black and of saturation
 
 GAIN_SPREAD = 0.3
 DARK_SPREAD = 3.0
 """Lights are about as bright as the rig says, within this share, and black is as black within these sensor levels: only
 images that show it move them."""
 
+# parameters: pose, ln R_d, ln R_s, ln σ, ln of each light's gain, dark level [sensor level]
 POSE, R_D, R_S, SIGMA, GAINS = slice(0, 3), 3, 4, 5, 6
-"""Parameters: pose, ln R_d, ln R_s, ln σ, ln of each light's gain, dark level [sensor level]."""
 
 _INNER_STEP = 0.5
+# differences are taken so far to both sides [px]: an outline must cross some rays; and over much less, the facets of a
+# round part would seem to determine its turn
 _OUTLINE_STEP = 0.7
-"""Differences are taken so far to both sides [px]: an outline must cross some rays; and over much less, the facets of a
-round part would seem to determine its turn."""
 
 _SIGMA_STEP = 0.003
 
 _CACHE_PX = 0.1
+# derivatives by the pose, which take six evaluations, are reused for parameters so near to where they were taken
 _CACHE_LOG_SIGMA = 0.02
-"""Derivatives by the pose, which take six evaluations, are reused for parameters so near to where they were taken."""
 
 
 def choose_pixels(

@@ -42,20 +42,14 @@ from lightopt.scene import Scene
 
 _log = logging.getLogger("lightopt.estimate")
 
-STAGES = 4
-"""Pixels are chosen anew where the part moved, so many times at most."""
+STAGES = 4  # pixels are chosen anew where the part moved, so many times at most
 
+# of the stages, so many use the outline at least, once it is used: more than `STAGES` where it is late
 OUTLINE_STAGES = 2
-"""Of the stages, so many use the outline at least, once it is used: more than :data:`STAGES` where it is late."""
 
-STAGE_ITERATIONS = 15
-"""Steps of each: images that show this part take about ten, others never settle."""
-
-SETTLED_PX = 0.5
-"""A part that moved by less than this keeps its pixels."""
-
-ALONG_AXIS = 0.9
-"""A direction is named by a parameter that has this share of it."""
+STAGE_ITERATIONS = 15  # steps of each: images that show this part take about ten, others never settle
+SETTLED_PX = 0.5  # a part that moved by less than this keeps its pixels
+ALONG_AXIS = 0.9  # a direction is named by a parameter that has this share of it
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,26 +20,25 @@ from lightopt.geometry import RayCaster
 from lightopt.rendering import trace_samples
 from lightopt.scene import Scene
 
+# rotations to compare [rad]: within the reach of a registration, and all round, by the golden angle
 ROTATIONS = np.concatenate([np.radians([1.9, 3.7, 6.0, 11.0]), np.radians(137.50776) * np.arange(5, 17)])
-"""Rotations to compare [rad]: within the reach of a registration, and all round, by the golden angle."""
 
+# facets of a body of revolution are off it by up to one chord error, two of them by up to 1.7 (measured, 24 to 720
+# sections); those of spheres of even triangles by up to 2.6
 DEPTH_FACTOR = 3.0
-"""Facets of a body of revolution are off it by up to one chord error, two of them by up to 1.7 (measured, 24 to 720
-sections); those of spheres of even triangles by up to 2.6."""
 
+# interpolated normals are off by up to a third of the angle that a facet spans about the axis (measured likewise)
 NORMAL_FACTOR = 0.5
-"""Interpolated normals are off by up to a third of the angle that a facet spans about the axis (measured likewise)."""
 
+# and, where facets are of unequal shapes, by up to a tenth of the angle between the normals of their corners (measured
+# on a torus and on fillets of a knob as they are found in the wild)
 CURVED_FACTOR = 0.15
-"""And, where facets are of unequal shapes, by up to a tenth of the angle between the normals of their corners (measured
-on a torus and on fillets of a knob as they are found in the wild)."""
 
+# differences of depth [px] and of normals [rad] up to these are none: light depends on normals, on depth by parallax
+# alone
 LEAST_DEPTH_PX, LEAST_ANGLE = 0.1, math.radians(0.05)
-"""Differences of depth [px] and of normals [rad] up to these are none: light depends on normals, on depth by parallax
-alone."""
 
-AXIS_PRIOR = 1e-4
-"""Weight of the part's middle for the axis, against normals: flat surface has no axis of its own."""
+AXIS_PRIOR = 1e-4  # weight of the part's middle for the axis, against normals: flat surface has no axis of its own
 
 
 def unobservable_rotation(

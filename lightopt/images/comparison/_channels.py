@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from lightopt.core.arrays import Bool, Float64
 from lightopt.core.errors import InputError
 
+# percentiles of |a − b| that are reported, by their key in reports
 PERCENTILES: Mapping[str, float] = MappingProxyType({"p50": 50, "p95": 95, "p99": 99, "p99_9": 99.9})
-"""Percentiles of |a − b| that are reported, by their key in reports."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,16 +18,15 @@ from lightopt.core.errors import InputError
 from lightopt.images import read_exr, read_exr_metadata, read_png, read_png_metadata
 from lightopt.images.comparison._channels import ChannelDifference, ComparisonThresholds, compare_arrays
 
-LEVELS = "levels"
-"""Name given to a grey PNG's only channel."""
+LEVELS = "levels"  # name given to a grey PNG's only channel
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 _PNG_MAGIC = b"\x89PNG"
 _DEFAULT_FULL_SCALE = 255.0
 _SATURATING = frozenset({LEVELS, "Y"})
 _DEFAULTS = ComparisonThresholds()
+# what NumPy raises for files that are no readable .npz
 _NPZ_ERRORS = (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error)
-"""What NumPy raises for files that are no readable .npz."""
 
 
 @dataclass(frozen=True)

@@ -28,11 +28,8 @@ from lightopt.inspection.detection._detectors import DETECTORS
 from lightopt.inspection.prediction._registered_set import ExposuresByLight, exposures_text
 
 CALIBRATION_NAME: Final = "calibration.json"
-LEAST: Final = 3.0
-"""No threshold is below this: of so many pixels, some have a chance of one in a thousand."""
-
-CONFIDENCE: Final = 0.95
-"""Probability with which a threshold holds its rate."""
+LEAST: Final = 3.0  # no threshold is below this: of so many pixels, some have a chance of one in a thousand
+CONFIDENCE: Final = 0.95  # probability with which a threshold holds its rate
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,14 +14,12 @@ from lightopt.core.arrays import Bool, Float32, Int32
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._residual_score import SCALES_PX, smoothed_deviations
 
-LEAST_SHARE = 0.5
-"""At least this share of the good sets must show a pixel, else nothing is learned of it."""
+LEAST_SHARE = 0.5  # at least this share of the good sets must show a pixel, else nothing is learned of it
 
+# the spread of a pixel is that of its surroundings, Gaussian of this width: few sets determine little of one pixel
 POOLED_PX = 3.0
-"""The spread of a pixel is that of its surroundings, Gaussian of this width: few sets determine little of one pixel."""
 
-GREATEST_Z = 100.0
-"""Deviations are clipped here: a single outlier does not outweigh the other sets."""
+GREATEST_Z = 100.0  # deviations are clipped here: a single outlier does not outweigh the other sets
 
 
 @dataclass(frozen=True, kw_only=True)

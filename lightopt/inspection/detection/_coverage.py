@@ -27,8 +27,7 @@ from lightopt.scene import Scene
 CONTRASTS: Final = (0.05, 0.1, 0.2, 0.4)
 """Shares of the light that a defect takes away, for which the sensitivity is reported."""
 
-REFERENCE_DISC_PX = 5.0
-"""Diameter of the even disc that it is reported for."""
+REFERENCE_DISC_PX = 5.0  # diameter of the even disc that it is reported for
 
 REFERENCE_CONTRAST: Final = 0.2
 REFERENCE_DEFECT: Final = (

@@ -24,9 +24,9 @@ KIND_COLOURS: Final[Mapping[Kind, tuple[int, int, int]]] = {
 """Red, green and blue of each kind, wherever it is drawn."""
 
 NEAR_MM = 1.0
+# detections in several postures are of one defect where points of both are within this distance, on surfaces whose
+# normals differ by less than 60°
 FACING = 0.5
-"""Detections in several postures are of one defect where points of both are within this distance, on surfaces whose
-normals differ by less than 60°."""
 
 
 @dataclass(frozen=True, kw_only=True)

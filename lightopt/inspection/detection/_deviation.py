@@ -14,27 +14,26 @@ from lightopt.core.threads import in_threads
 from lightopt.inspection._image_blocks import in_image_blocks
 from lightopt.inspection.prediction._posture_view import PostureView
 
+# the part is known to lie within about this much of where the model has it: steep edges are off by so much
 REGISTRATION_PX = 0.1
-"""The part is known to lie within about this much of where the model has it: steep edges are off by so much."""
 
+# what is predicted to be less than this many standard deviations above black is dark: rounding and clipping at black
+# make as much of a deviation there as noise does, so that only more than this many indicate a defect
 DARK = 3.0
-"""What is predicted to be less than this many standard deviations above black is dark: rounding and clipping at black
-make as much of a deviation there as noise does, so that only more than this many indicate a defect."""
 
+# a step between pixels of so many times the steps before and after it is the edge of the shadow of a point light: a ray
+# per pixel has it a pixel further or not, however little the part is off
 HARD = 4.0
-"""A step between pixels of so many times the steps before and after it is the edge of the shadow of a point light: a
-ray per pixel has it a pixel further or not, however little the part is off."""
 
 LOCAL_PX = 14.0
+# the typical deviation of a pixel's surroundings, Gaussian of this width, each clipped: where that is more than noise
+# makes, the model is wrong there, and the noise counts for more
 CLIPPED = 4.0
-"""The typical deviation of a pixel's surroundings, Gaussian of this width, each clipped: where that is more than noise
-makes, the model is wrong there, and the noise counts for more."""
 
+# surroundings are added up in blocks of this side first, of which there are whole ones in the rows of a thread
 BLOCK_PX = 4
-"""Surroundings are added up in blocks of this side first, of which there are whole ones in the rows of a thread."""
 
-MEAN_OF_NORMAL = 0.7979
-"""Mean magnitude of a standard normal deviate."""
+MEAN_OF_NORMAL = 0.7979  # mean magnitude of a standard normal deviate
 
 
 @dataclass(frozen=True)

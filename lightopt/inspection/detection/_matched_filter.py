@@ -18,13 +18,12 @@ TEMPLATES = len(DOT_PX) + LINE_DIRECTIONS
 """Dots: the negative Laplacian of Gaussians of these widths; lines: the second derivative across Gaussians of this
 width and length, in so many directions."""
 
+# the response is measured in units of what its surroundings show, as deviations of the other detector are
 LOCAL_PX = 18.0
-"""The response is measured in units of what its surroundings show, as deviations of the other detector are."""
 
 MEDIAN_PX = 3
 
-BORDER_PX = 3.0
-"""Nothing is scored within this distance of the border of the mask."""
+BORDER_PX = 3.0  # nothing is scored within this distance of the border of the mask
 
 
 def templates() -> tuple[Float64, ...]:

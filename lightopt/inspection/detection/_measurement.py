@@ -16,18 +16,15 @@ from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.inspection.prediction._registered_set import world_to_mesh_file
 from lightopt.scene import Scene
 
+# lighter and darker places of which the weaker has this share of the stronger's deviation are those of a shape, …
 LEAST_OPPOSITE = 0.35
-"""Lighter and darker places of which the weaker has this share of the stronger's deviation are those of a shape, …"""
 
+# … and so are those of which the weaker is this many standard deviations off: beside a glint, of hundreds of them, what
+# another wall loses is a small share, and no noise
 CLEAR_OPPOSITE_Z = 8.0
-"""… and so are those of which the weaker is this many standard deviations off: beside a glint, of hundreds of them,
-what another wall loses is a small share, and no noise."""
 
-EVEN_CONTRAST = 0.35
-"""A stain changes the light of every panel by the same share, within this share of it."""
-
-MOST_BRIGHTER = 0.5
-"""What makes a surface brighter than this is no stain: it spreads a highlight."""
+EVEN_CONTRAST = 0.35  # a stain changes the light of every panel by the same share, within this share of it
+MOST_BRIGHTER = 0.5  # what makes a surface brighter than this is no stain: it spreads a highlight
 
 
 def measure_regions(

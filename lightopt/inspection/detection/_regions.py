@@ -14,25 +14,20 @@ from lightopt.inspection._image_blocks import gaussian_taps
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._residual_score import SCALES_PX, smoothed_deviations
 
-LOW_SHARE = 0.5
-"""A region spreads from where it is certain to where its score is above this share of the threshold."""
+LOW_SHARE = 0.5  # a region spreads from where it is certain to where its score is above this share of the threshold
+GAP_PX = 3  # pixels this near to each other belong to one defect: a dent shows at its walls, and not in its middle
 
-GAP_PX = 3
-"""Pixels this near to each other belong to one defect: a dent shows at its walls, and not in its middle."""
-
+# of a region remains what is above this share of the greatest score around, and its core: sums over Gaussians spread a
+# strong defect beyond its outline …
 PEAK_SHARE = 0.08
-"""Of a region remains what is above this share of the greatest score around, and its core: sums over Gaussians spread
-a strong defect beyond its outline …"""
 
-SPREAD_PX = 10
-"""… as far as this, the widest."""
+SPREAD_PX = 10  # … as far as this, the widest
 
+# a defect reaches to where, under any light, the sum over the narrowest Gaussian is this share of the greatest of its
+# sign around: what a wall darkens counts beside the glint of the wall across
 OUTLINE_SHARE = 0.35
-"""A defect reaches to where, under any light, the sum over the narrowest Gaussian is this share of the greatest of its
-sign around: what a wall darkens counts beside the glint of the wall across."""
 
-SHOWN_Z = 4.0
-"""A light shows a defect where a sum over a Gaussian is this many standard deviations off."""
+SHOWN_Z = 4.0  # a light shows a defect where a sum over a Gaussian is this many standard deviations off
 
 _DISC = np.hypot(*np.mgrid[-GAP_PX : GAP_PX + 1, -GAP_PX : GAP_PX + 1]) <= GAP_PX + 0.5
 

@@ -23,19 +23,17 @@ from lightopt.inspection.detection._deviation import Deviations
 SCALES_PX = (1.0, 2.0, 3.5)
 """Widths of the Gaussians that deviations are added up with: small and large defects have one that suits them."""
 
-LEAST_SHARE = 0.5
-"""A sum counts where at least this share of the variance that it would have is of usable pixels."""
+LEAST_SHARE = 0.5  # a sum counts where at least this share of the variance that it would have is of usable pixels
 
+# Sums over wide Gaussians are for faint wide defects. What is further off by itself counts as this much in them: the
+# sum over the narrowest has it, and it would spread far beyond its outline.
 STRONGEST_Z = 6.0
-"""Sums over wide Gaussians are for faint wide defects. What is further off by itself counts as this much in them: the
-sum over the narrowest has it, and it would spread far beyond its outline."""
 
+# Probabilities beyond this are too small for a number. Scores go on from there by the normal law's leading term, since
+# how strong a defect is decides how far its sums spread beyond it.
 TABLED_Z = 25.0
-"""Probabilities beyond this are too small for a number. Scores go on from there by the normal law's leading term, since
-how strong a defect is decides how far its sums spread beyond it."""
 
-TABLE_STEPS = 256
-"""Scores are tabulated in steps of 1/256 of a standard deviation."""
+TABLE_STEPS = 256  # scores are tabulated in steps of 1/256 of a standard deviation
 
 _LN_10 = math.log(10.0)
 

@@ -21,24 +21,23 @@ from lightopt.images import ImageSet
 from lightopt.inspection._results import InspectionResult
 from lightopt.inspection.evaluation._ground_truth import true_labels
 
-SLACK_PX = 2
-"""A region that comes this near to a labelled pixel is that defect's."""
+SLACK_PX = 2  # a region that comes this near to a labelled pixel is that defect's
 
 MOST_TIMES = 10.0
+# A region finds a defect only if it has at most this many times the defect's pixels, and this many more: one all over
+# the part finds nothing. Defects of few pixels look larger, since they are found in sums over Gaussians.
 MOST_MORE_PX = 50
-"""A region finds a defect only if it has at most this many times the defect's pixels, and this many more: one all over
-the part finds nothing. Defects of few pixels look larger, since they are found in sums over Gaussians."""
 
 _DISC = np.hypot(*np.mgrid[-SLACK_PX : SLACK_PX + 1, -SLACK_PX : SLACK_PX + 1]) <= SLACK_PX + 0.5
 
 WANTED = 0.9
+# twice the fall of the log-likelihood at a one-sided bound of 95 %: the square of the normal quantile 1.645
 ONE_SIDED_95 = 2.7055
-"""Twice the fall of the log-likelihood at a one-sided bound of 95 %: the square of the normal quantile 1.645."""
 
 LEAST_DEFECTS = 8
 STEEPEST = 200.0
+# bounds beyond this many times the largest size are none; so many sizes are tried to begin with
 FURTHEST, PLACES = 30.0, 120
-"""Bounds beyond this many times the largest size are none; so many sizes are tried to begin with."""
 
 
 @dataclass(frozen=True, kw_only=True)

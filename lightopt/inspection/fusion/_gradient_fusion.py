@@ -22,20 +22,15 @@ Fusion = Literal["paper", "median", "minimum", "second-largest"]
 FUSIONS: Final = ("paper", "median", "minimum", "second-largest")
 """Rules of fusion; :func:`fuse_gradients` has their definitions."""
 
+# differences to the pixel to the right, shape (H, W − 1), and to the one below, shape (H − 1, W)
 Gradients = list[Float64]
-"""Differences to the pixel to the right, shape (H, W − 1), and to the one below, shape (H − 1, W)."""
 
+# an image with less than this share of the weight of the best one at a place is not used there
 LEAST_WEIGHT_SHARE = 0.25
-"""An image with less than this share of the weight of the best one at a place is not used there."""
 
-SUPPORT = 0.5
-"""The paper's rule keeps a gradient where another image has one of at least this share of its size nearby."""
-
-NOISE_SLACK = 2.0
-"""Gradients count as equal within this many standard deviations of noise."""
-
-REACH_PX = 1
-"""How far away the other image's gradient may be."""
+SUPPORT = 0.5  # the paper's rule keeps a gradient where another image has one of at least this share of its size nearby
+NOISE_SLACK = 2.0  # gradients count as equal within this many standard deviations of noise
+REACH_PX = 1  # how far away the other image's gradient may be
 
 
 @dataclass(frozen=True)

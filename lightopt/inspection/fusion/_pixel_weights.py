@@ -8,11 +8,8 @@ from lightopt.core.arrays import Bool, Float32
 from lightopt.core.kernels import kernel
 from lightopt.inspection._image_blocks import in_image_blocks
 
-BLOOMING_PX = 2
-"""Pixels this near to a saturated one do not count: charge, glare and lens spread there."""
-
-LIT = 3.0
-"""A pixel that is predicted to be less than this many standard deviations of noise above black is in shadow."""
+BLOOMING_PX = 2  # pixels this near to a saturated one do not count: charge, glare and lens spread there
+LIT = 3.0  # a pixel that is predicted to be less than this many standard deviations of noise above black is in shadow
 
 
 def pixel_weights(

@@ -25,16 +25,14 @@ from lightopt.core.errors import LightoptError
 from lightopt.core.kernels import kernel
 from lightopt.inspection._image_blocks import mask_window
 
-TOLERANCE = 1e-10
-"""Residual that is left, as a share of the right side's."""
+TOLERANCE = 1e-10  # residual that is left, as a share of the right side's
 
 MOST_STEPS = 400
 SMALLEST_SIDE = 3
 COARSEST_SWEEPS = 12
 SWEEPS = 2
 
-Grid = NDArray[Any]
-"""float64 or float32."""
+Grid = NDArray[Any]  # float64 or float32
 
 
 @dataclass(frozen=True)

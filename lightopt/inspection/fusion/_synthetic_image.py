@@ -18,26 +18,25 @@ from lightopt.inspection.fusion._pixel_weights import pixel_weights
 from lightopt.inspection.fusion._poisson import poisson_grid
 from lightopt.inspection.prediction._posture_view import PostureView
 
+# rules that average the gradients of images; the others choose one of them, by noise as much as by shading
 AVERAGING: Final = ("paper",)
-"""Rules that average the gradients of images; the others choose one of them, by noise as much as by shading."""
 
+# weight of an edge at which no image is used: its difference is that of the good part, or 0 where that is not known,
+# unless the others want otherwise
 FILL_WEIGHT = 1e-3
-"""Weight of an edge at which no image is used: its difference is that of the good part, or 0 where that is not known,
-unless the others want otherwise."""
 
-MARGIN_PX = 2
-"""Around the pixels of the mask, as far as the rules reach."""
+MARGIN_PX = 2  # around the pixels of the mask, as far as the rules reach
 
 PROBES = 4
 PROBE_TOLERANCE = 1e-4
+# the uncertainty is the spread of so many images made from levels with noise added, smoothed over so many pixels; what
+# noise makes of a rule is the mean of as many made from the prediction
 SPREAD_PX = 4.0
-"""The uncertainty is the spread of so many images made from levels with noise added, smoothed over so many pixels; what
-noise makes of a rule is the mean of as many made from the prediction."""
 
 PRIOR_PX = 15.0
+# a gradient at which no image is used is taken to be about as large as those around, Gaussian of this width, which are
+# added up in blocks of this side first
 BLOCK_PX = 4
-"""A gradient at which no image is used is taken to be about as large as those around, Gaussian of this width, which are
-added up in blocks of this side first."""
 
 
 @dataclass(frozen=True)

@@ -22,25 +22,21 @@ from lightopt.inspection.prediction._predict import Prediction
 from lightopt.rendering import render_posture
 from lightopt.scene import Scene, pixel_footprint, project, view_from_part
 
+# for the differences the part is rendered this far to either side, for a shift in x and y and a rotation
 STEP_PX = 0.25
-"""For the differences the part is rendered this far to either side, for a shift in x and y and a rotation."""
 
-PIXELS = 10_000
-"""Of each image: half of them where its level changes most with the place, half anywhere."""
+PIXELS = 10_000  # of each image: half of them where its level changes most with the place, half anywhere
+STEEP_SHARE = 0.1  # of the pixels, those where it changes most
 
-STEEP_SHARE = 0.1
-"""Of the pixels, those where it changes most."""
-
+# Steps that predictions are extrapolated to; beyond, the part is searched for. All steps are those of
+# `difference_steps`.
 FURTHEST = 1.5
-"""Steps that predictions are extrapolated to; beyond, the part is searched for. All steps are those of
-:func:`difference_steps`."""
 
+# by how much the typical deviation of steep pixels may exceed that of the part that was predicted: with derivatives
+# from shifted images, which only decide whether better ones are rendered, and with those
 LOOSE, TIGHT = 2.0, 1.3
-"""By how much the typical deviation of steep pixels may exceed that of the part that was predicted: with derivatives
-from shifted images, which only decide whether better ones are rendered, and with those."""
 
-REACH = 4.0
-"""Steps that an offset is fitted up to; beyond :data:`FURTHEST` the part is not near."""
+REACH = 4.0  # steps that an offset is fitted up to; beyond `FURTHEST` the part is not near
 
 CLEAR = 3.5
 _LEAST_PIXELS = 200

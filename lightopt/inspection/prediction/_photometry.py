@@ -14,16 +14,14 @@ from lightopt.core.threads import in_threads
 from lightopt.estimate.registration import DARK_SPREAD, GAIN_SPREAD, LEVEL_CAP, Observation
 from lightopt.scene import Scene
 
-PIXELS_PER_IMAGE = 40_000
-"""About so many pixels of an image are used: all of them would hardly improve the fit."""
+PIXELS_PER_IMAGE = 40_000  # about so many pixels of an image are used: all of them would hardly improve the fit
 
 HUBER = 1.5
 ROUNDS = 12
+# black is no lighter than that share of an image's pixels, and so many times the noise of black
 DARK_QUANTILE, DARK_NOISE = 0.05, 4.0
-"""Black is no lighter than that share of an image's pixels, and so many times the noise of black."""
 
-MOST_GAIN = 4.0
-"""Gains further from those of the rig, up or down, are not accepted."""
+MOST_GAIN = 4.0  # gains further from those of the rig, up or down, are not accepted
 
 
 @dataclass(frozen=True, kw_only=True)

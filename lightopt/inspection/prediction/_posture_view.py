@@ -22,8 +22,8 @@ from lightopt.scene import Scene
 
 _ARRAYS = ("level", "predicted", "deviation", "rounding", "limit", "saturated")
 
+# noise of this variance [sensor level²] before rounding makes the mean of rounded levels the light's, to 0.002
 EVEN_VARIANCE = 0.3
-"""Noise of this variance [sensor level²] before rounding makes the mean of rounded levels the light's, to 0.002."""
 
 
 @dataclass(frozen=True, kw_only=True)

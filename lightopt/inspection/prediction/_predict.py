@@ -20,11 +20,10 @@ from lightopt.rendering import (
 )
 from lightopt.scene import PinholeCamera, Scene, pixel_directions, view_from_part
 
-TRACE = 1e-6
-"""Least R_d that is rendered: far below what a camera detects."""
+TRACE = 1e-6  # least R_d that is rendered: far below what a camera detects
 
+# about so many patches that the camera sees stand for the surface, whatever the resolution of the images
 PATCHES = 50_000
-"""About so many patches that the camera sees stand for the surface, whatever the resolution of the images."""
 
 
 @dataclass(frozen=True, kw_only=True)

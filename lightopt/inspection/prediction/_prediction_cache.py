@@ -25,16 +25,14 @@ from lightopt.inspection.prediction._predict import Prediction, SurfaceMap, map_
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene
 
-Key = tuple[Posture, tuple[str, ...]]
-"""A posture and the lights that there are images of."""
+Key = tuple[Posture, tuple[str, ...]]  # a posture and the lights that there are images of
 
 SAME_PLACE_MM = 0.002
-SAME_TURN_RAD = 5e-5
-"""A part that was found this near to the previous one takes over its prediction as it is."""
+SAME_TURN_RAD = 5e-5  # a part that was found this near to the previous one takes over its prediction as it is
 
+# Derivatives are stored up to this size: six images for each image of a set. Where they are larger, each part is
+# searched for.
 MOST_BYTES = 1 << 30
-"""Derivatives are stored up to this size: six images for each image of a set. Where they are larger, each part is
-searched for."""
 
 
 @dataclass

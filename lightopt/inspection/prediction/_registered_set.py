@@ -29,8 +29,8 @@ from lightopt.inspection.prediction._prediction_cache import PredictionCache, ob
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene, build_scene, project, view_from_part
 
+# by light the exposure and the number of frames of each image
 ExposuresByLight = dict[str, tuple[tuple[float, int], ...]]
-"""By light the exposure and the number of frames of each image."""
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ from lightopt.report._page import Block, Facts, Note, Picture, Table
 
 LINE_COLOURS = (*COLOURS[1:], COLOURS[0])
 POINTS = 60
-MARGIN = 1.3
-"""Curves are drawn from the smallest size over this to the largest times this."""
+MARGIN = 1.3  # curves are drawn from the smallest size over this to the largest times this
 
 
 def truth_blocks(summary: Mapping[str, Any]) -> list[Block]:

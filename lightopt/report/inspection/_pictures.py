@@ -27,22 +27,19 @@ from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer
 
 BOX_MARGIN_PX = 3
 LABEL_SIZE, LABEL_GAP_PX = 15, 3
+# numbers are at least this share of the picture's width, lines of boxes about this: a wide picture is looked at from
+# afar
 LABEL_SHARE, LINE_SHARE = 1 / 43, 1 / 800
-"""Numbers are at least this share of the picture's width, lines of boxes about this: a wide picture is looked at from
-afar."""
 
+# lighter, to be read on black
 LABEL_COLOURS: Final[Mapping[Kind, tuple[int, int, int]]] = {
     "shape": (255, 120, 100),
     "stain": (130, 185, 255),
     "unknown": (255, 195, 70),
 }
-"""Lighter, to be read on black."""
 
-OVERLAY_PX, SMALL_PX = 1600, 480
-"""No side of a picture in the report is longer."""
-
-COLUMN_PX = 896
-"""A picture of smaller images is made larger by whole factors up to the width that the page gives it."""
+OVERLAY_PX, SMALL_PX = 1600, 480  # no side of a picture in the report is longer
+COLUMN_PX = 896  # a picture of smaller images is made larger by whole factors up to the width that the page gives it
 
 
 def defect_overlay(path: Path, posture: InspectedPosture, defects: Sequence[FoundDefect]) -> Path:
@@ -177,8 +174,8 @@ def _small(image: Image.Image, limit: int) -> bytes:
 PART_COLOUR = "#c9ced6"
 WORDS: Final[Mapping[Kind, str]] = {"shape": "shape", "stain": "stain", "unknown": "shape or stain: could not be told"}
 
+# a ball's radius is at least this share of the part's size, so that the smallest defect is seen from afar
 LEAST_SHARE = 0.015
-"""A ball's radius is at least this share of the part's size, so that the smallest defect is seen from afar."""
 
 RINGS, SECTORS = 8, 12
 

@@ -18,8 +18,8 @@ from lightopt.rig.capture._software_cameras import FolderCamera
 from lightopt.rig.capture._timing import Timing, utc
 from lightopt.rig.devices import Event, Frame, frame_limit_s
 
+# a camera whose exposure time differs from the requested one by more than this share is refused
 EXPOSURE_TOLERANCE = 0.005
-"""A camera whose exposure time differs from the requested one by more than this share is refused."""
 
 
 @dataclass(frozen=True, kw_only=True)

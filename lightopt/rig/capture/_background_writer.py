@@ -9,8 +9,7 @@ from typing import Any
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.capture._timing import Timing
 
-MOST_LINEARS = 2
-"""Linear images that wait or are being written, at most: their exposures are held in memory until then."""
+MOST_LINEARS = 2  # linear images that wait or are being written, at most: their exposures are held in memory until then
 
 
 class BackgroundWriter:

@@ -21,8 +21,7 @@ from lightopt.rig.capture._timing import Timing
 from lightopt.rig.devices import Camera
 from lightopt.scene import build_scene
 
-Connect = Callable[[CapturePlan], Devices]
-"""Opens the devices of a plan."""
+Connect = Callable[[CapturePlan], Devices]  # opens the devices of a plan
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,19 +15,13 @@ from lightopt.optics import Sensor
 
 Levels = UInt8 | NDArray[np.uint16]
 
-LEAST_LEVEL = 1.5
-"""Pixels count that should be at least so far above black in the shorter exposure [sensor level]."""
+LEAST_LEVEL = 1.5  # pixels count that should be at least so far above black in the shorter exposure [sensor level]
 
 LEAST_PIXELS = 30
 
-MOST_PIXELS = 200_000
-"""Of larger images a grid of about so many pixels is compared: the next exposure waits for it."""
-
-TOLERANCE = 0.1
-"""Share by which the exposures may differ: exposure times of cameras are not exact."""
-
-TOLERANCE_LEVELS = 0.4
-"""Levels by which they may differ in addition: clipping at level 0, an inexact black level."""
+MOST_PIXELS = 200_000  # of larger images a grid of about so many pixels is compared: the next exposure waits for it
+TOLERANCE = 0.1  # share by which the exposures may differ: exposure times of cameras are not exact
+TOLERANCE_LEVELS = 0.4  # levels by which they may differ in addition: clipping at level 0, an inexact black level
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,7 @@ from lightopt.rig.capture._exposures import ExposureImage, exposure_mismatch
 from lightopt.rig.capture._light_checks import PredictedImages, check_light, find_light_left_on, predict
 from lightopt.scene import Scene
 
-AMBIENT_LEVELS = 0.5
-"""Ambient light that shifts levels by more than this causes a warning [sensor level]."""
+AMBIENT_LEVELS = 0.5  # ambient light that shifts levels by more than this causes a warning [sensor level]
 
 
 class ImageChecker:

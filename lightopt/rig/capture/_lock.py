@@ -15,8 +15,7 @@ from lightopt.images import make_folder
 
 LOCK_NAME = ".capture.lock"
 
-_FAR = 1 << 20
-"""Windows keeps others from reading what is locked, so that a byte behind the text is."""
+_FAR = 1 << 20  # Windows keeps others from reading what is locked, so that a byte behind the text is
 
 
 @contextmanager

@@ -19,8 +19,7 @@ from lightopt.rig.capture._virtual_bench import STAGE
 from lightopt.rig.capture._wiring import Wiring
 from lightopt.rig.devices import Frame, frame_limit_s
 
-_DARKENING_S = 0.3
-"""A light is switched off so long before it reaches its `max_on_s`."""
+_DARKENING_S = 0.3  # a light is switched off so long before it reaches its `max_on_s`
 
 
 @dataclass(frozen=True, kw_only=True)

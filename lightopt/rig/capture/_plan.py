@@ -14,16 +14,14 @@ from lightopt.rig.capture._limits import exposure_problems, light_problems, post
 from lightopt.rig.capture._wiring import Wiring, wiring_of
 from lightopt.scene import part_postures, travel_order, travel_s
 
-MOST_FRAMES = 1000
-"""Frames that one image is the mean of, at most."""
+MOST_FRAMES = 1000  # frames that one image is the mean of, at most
 
 StepKind = Literal["home", "move", "settle", "light on", "expose", "light off"]
 
-_COMMAND_S = 0.03
-"""Setting a light and reading it back: four short dialogues, measured with ccs."""
+_COMMAND_S = 0.03  # setting a light and reading it back: four short dialogues, measured with ccs
 
+# from the end of an exposure to the frame being here: the virtual camera's noise, two bytes at 1 Gbit/s
 _TRANSFER_S_PER_PIXEL = {"virtual": 80e-9, "folder": 10e-9, "aravis": 20e-9, "genicam": 20e-9}
-"""From the end of an exposure to the frame being here: the virtual camera's noise, two bytes at 1 Gbit/s."""
 
 _HOME = Posture(0.0, 0.0)
 

@@ -21,33 +21,18 @@ from lightopt.rendering import cast_rays_at
 from lightopt.rig.capture._light_checks import PredictedImages, cells, predict
 from lightopt.scene import Scene
 
-STEP_DEG = 0.5
-"""Predictions this far to both sides give the change of the image per degree."""
-
-FINER = 3
-"""Rays across a cell of the predictions: outlines cross cells."""
-
-REPORTED_DEG = 0.1
-"""Least angle that is reported."""
-
-UNOBSERVABLE_DEG = 0.5
-"""An axis that could deviate by more than this unnoticed is reported as unobservable."""
-
-CERTAIN = 5.0
-"""Least multiple of its standard error at which an angle is reported: an axis of symmetry shows nothing."""
-
-LIT = 0.2
-"""The part's brightness is that of cells predicted brighter than this share of the median."""
-
-HIGHLIGHT = 1.5
-"""Cells brighter than this multiple of the brightest diffuse light show something else."""
-
-MOST_DEG = 10.0
-"""Greatest angle that is found: the prediction is linear, from half a degree to both sides."""
+STEP_DEG = 0.5  # predictions this far to both sides give the change of the image per degree
+FINER = 3  # rays across a cell of the predictions: outlines cross cells
+REPORTED_DEG = 0.1  # least angle that is reported
+UNOBSERVABLE_DEG = 0.5  # an axis that could deviate by more than this unnoticed is reported as unobservable
+CERTAIN = 5.0  # least multiple of its standard error at which an angle is reported: an axis of symmetry shows nothing
+LIT = 0.2  # the part's brightness is that of cells predicted brighter than this share of the median
+HIGHLIGHT = 1.5  # cells brighter than this multiple of the brightest diffuse light show something else
+MOST_DEG = 10.0  # greatest angle that is found: the prediction is linear, from half a degree to both sides
 
 LEAST_CELLS = 50
+# differences beyond this share of the part's brightness pull no more than these: highlights are not well predicted
 BOUNDED = 0.1
-"""Differences beyond this share of the part's brightness pull no more than these: highlights are not well predicted."""
 
 
 @dataclass(frozen=True, kw_only=True)

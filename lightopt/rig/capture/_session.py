@@ -22,11 +22,8 @@ from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._timing import Timing
 from lightopt.scene import Scene
 
-DISK_WARNING_S = 1.0
-"""Longest silent wait for the disk at the end [s]; then a warning is given."""
-
-Dark = dict[float, Float32]
-"""Frames without light of a posture by relative exposure."""
+DISK_WARNING_S = 1.0  # longest silent wait for the disk at the end [s]; then a warning is given
+Dark = dict[float, Float32]  # frames without light of a posture by relative exposure
 
 
 class CaptureSession:

@@ -8,8 +8,7 @@ from lightopt.config import AxisConfig, ControllerConfig, PartConfig, RigConfig
 from lightopt.rig.capture._wiring import VIRTUAL, Wiring
 from lightopt.rig.simulated import AxisWire, BenchProcess, BenchTruth, CameraSetup, LightWire
 
-STAGE = "stage"
-"""Name of the stage among the devices of a virtual bench; controllers have the names of the rig file."""
+STAGE = "stage"  # name of the stage among the devices of a virtual bench; controllers have the names of the rig file
 
 
 def start_bench(

@@ -15,11 +15,8 @@ from lightopt.config import (
 )
 from lightopt.scene import VIRTUAL_DEG_PER_S
 
-VIRTUAL = "virtual"
-"""Port of a device that is simulated on this computer."""
-
-VIRTUAL_EXPOSURE_US = 10_000.0
-"""Exposure time of exposure 1 where all is virtual and the rig does not give one."""
+VIRTUAL = "virtual"  # port of a device that is simulated on this computer
+VIRTUAL_EXPOSURE_US = 10_000.0  # exposure time of exposure 1 where all is virtual and the rig does not give one
 
 _CHANNELS_EACH = 4
 _VIRTUAL_LEVEL = 200

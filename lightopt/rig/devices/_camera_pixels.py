@@ -138,6 +138,7 @@ def _groups(data: UInt8, size: int) -> NDArray[np.uint16]:
     return groups
 
 
+# Formats of grey levels by name, unpacked before packed. The third byte of a code is what a pixel takes.
 PIXEL_FORMATS: dict[str, PixelFormat] = {
     name: PixelFormat(name=name, code=code, bits=bits, stored=code >> 16 & 0xFF, unpack=unpack)
     for name, code, bits, unpack in (
@@ -152,4 +153,3 @@ PIXEL_FORMATS: dict[str, PixelFormat] = {
         ("Mono12Packed", 0x010C0006, 12, _packed_12),
     )
 }
-"""Formats of grey levels by name, unpacked before packed. The third byte of a code is what a pixel takes."""

@@ -18,11 +18,10 @@ from lightopt.core.transforms import Posture
 if TYPE_CHECKING:
     from lightopt.rig.simulated._optics import BenchOptics, Levels
 
-Response = tuple[dict[str, Any], bytes]
-"""A JSON object, and bytes that follow it; often none."""
+Response = tuple[dict[str, Any], bytes]  # a JSON object, and bytes that follow it; often none
 
+# Answers a request; runs in a thread of the asking connection. A ValueError or KeyError becomes the asker's.
 Handler = Callable[[Mapping[str, Any]], Response]
-"""Answers a request; runs in a thread of the asking connection. A ValueError or KeyError becomes the asker's."""
 
 Brightness = Callable[[str], Mapping[int, float]]
 Positions = Callable[[str], Mapping[str, float]]

@@ -24,6 +24,7 @@ from lightopt.rig.simulated._faults import Trigger, trigger
 
 Image = NDArray[np.integer[Any]]
 
+# number and bits by name
 FORMATS: dict[str, tuple[int, int]] = {
     "Mono8": (0x01080001, 8),
     "Mono10": (0x01100003, 10),
@@ -34,7 +35,6 @@ FORMATS: dict[str, tuple[int, int]] = {
     "Mono12Packed": (0x010C0006, 12),
     "Mono16": (0x01100007, 16),
 }
-"""Number and bits by name."""
 
 _DENSE = {0x010A0046: 10, 0x010C0047: 12}
 _PAIRED = {0x010C0004: 2, 0x010C0006: 4}
@@ -58,9 +58,9 @@ def packed(levels: Image, code: int) -> bytes:
     return flat.astype(np.uint8 if code >> 16 & 0xFF == 8 else "<u2").tobytes()
 
 
+# what is seen at an exposure time [µs] and a gain [dB]; whether the frame was triggered or followed another; whether it
+# will arrive, so that it counts
 Expose = Callable[[float, float, bool, bool], Image]
-"""What is seen at an exposure time [µs] and a gain [dB]; whether the frame was triggered or followed another; whether
-it will arrive, so that it counts."""
 
 _ADDRESS = "127.0.0.1"
 _CONTROL_PORT = 3956
