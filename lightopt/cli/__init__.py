@@ -4,8 +4,6 @@ The one place that turns errors into messages and exit statuses. Importing it mu
 they need when they run.
 """
 
-from __future__ import annotations
-
 __all__ = ["main"]
 
 

@@ -1,7 +1,5 @@
 """Options in messages: the library names them as its own parameters, the command line as its flags."""
 
-from __future__ import annotations
-
 import re
 
 # flags that are not the parameter's name with dashes

@@ -1,7 +1,5 @@
 """How commands show their options."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import typer.core

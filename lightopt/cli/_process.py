@@ -1,7 +1,5 @@
 """The command line as a process: its streams, its threads, its exit status. Of the standard library only."""
 
-from __future__ import annotations
-
 import errno
 import io
 import os

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from typing import Annotated
 
 from lightopt.cli._inputs import load_inputs

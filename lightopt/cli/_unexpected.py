@@ -3,8 +3,6 @@
 Of the standard library and lightopt.core.errors only, because the import of anything else may be what failed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

@@ -1,7 +1,5 @@
 """The camera in a rig file: its geometry, its sensor, and the device behind it."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator

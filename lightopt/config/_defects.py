@@ -1,7 +1,5 @@
 """Defects in a part file: the kinds to plan for, and those that are on this part."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Annotated

@@ -1,7 +1,5 @@
 """Change values in a YAML file and nothing else, or copy it elsewhere: comments, order and layout stay."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The hardware section of a rig file: devices behind camera, lights and stage, and whether they fit together."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches

@@ -1,7 +1,5 @@
 """Light controllers in a rig file: protocol, port, channels, and commands of controllers that have no driver."""
 
-from __future__ import annotations
-
 import re
 import string
 from typing import Annotated, Literal

@@ -1,7 +1,5 @@
 """The lights in a rig file."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Annotated, Literal
 

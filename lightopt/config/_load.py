@@ -1,7 +1,5 @@
 """Read rig and part files: everything wrong with a file at once, each with its line."""
 
-from __future__ import annotations
-
 import hashlib
 from difflib import get_close_matches
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The lights of a rig whose file is wrong elsewhere: its ``hardware`` section, as far as it can be read."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Messages about what is wrong with a configuration."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches

@@ -1,7 +1,5 @@
 """A part file: mesh, placement, postures, reflectance and defects."""
 
-from __future__ import annotations
-
 import os.path
 from collections.abc import Iterator
 from difflib import get_close_matches

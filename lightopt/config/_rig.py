@@ -1,7 +1,5 @@
 """A rig file: camera, lights, stage and hardware."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any, Literal
 

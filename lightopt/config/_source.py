@@ -1,7 +1,5 @@
 """Where a configuration came from, so that later errors can still name the file and the line."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

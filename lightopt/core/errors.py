@@ -3,8 +3,6 @@
 Library code raises them; only :mod:`lightopt.cli` turns them into messages and an exit status.
 """
 
-from __future__ import annotations
-
 _NOISE = 1e-9  # shares that differ by less are the same
 
 

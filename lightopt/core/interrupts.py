@@ -5,8 +5,6 @@ interrupt is lost, the lock stays taken, and the next kernel waits for ever. Ker
 function of numba's, and make a SystemError of what it raises.
 """
 
-from __future__ import annotations
-
 import _thread
 import signal
 import threading

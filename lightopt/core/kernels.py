@@ -13,8 +13,6 @@ numba's own cache is not used: it keys a kernel by the one file that it stands i
 from other files, and two processes that write to the same index may exchange each other's kernels.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dis
 import hashlib

@@ -5,8 +5,6 @@ cost. Steps are bounded, and so is the distance from the nominal parameters. Wha
 nominal.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 

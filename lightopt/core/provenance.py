@@ -18,8 +18,6 @@ Results of equal provenance are the same. Whatever is reused (a set that is resu
 calibration) is reused only where its provenance is that of the run.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import json

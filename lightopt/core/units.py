@@ -1,7 +1,5 @@
 """Length units of files; inside the package everything is millimetres and radians."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 """The defects to plan for where a part names none."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -15,8 +15,6 @@ midway between along and diagonal, and off the defect's middle by (−0.3, 0.3) 
 pixel to six pixels wide it comes near the median of F and of A over all places and turns, which a test draws.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

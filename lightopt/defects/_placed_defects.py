@@ -1,7 +1,5 @@
 """Defects on a surface: the coordinates of their tangent planes, and what they do to the points that lie in them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -11,8 +11,6 @@ scratch   the same across: a V with a rounded bottom and rounded lips
 ========  =====================================================================
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Final, Literal

@@ -1,7 +1,5 @@
 """What is wrong with a request, before any ray is cast."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from lightopt.config import PartConfig, RigConfig

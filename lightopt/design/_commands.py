@@ -1,7 +1,5 @@
 """Commands: the one that requests a plan, and those that carry it out, with the stage's way in each."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Rig and part files with new angles and postures: the user's own text, comments kept."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -4,8 +4,6 @@
 there; :func:`finish_design` writes these.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Postures (where they are to be chosen) → candidate positions and their respons
 exposures, tolerances, blind spots.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What to optimise, what to plan beside the lights, and the provenance of a run."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ removes; it goes when ``result.json`` is there. So a folder never has a ``result
 it, and what an interrupted run left is known to the next one.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import suppress

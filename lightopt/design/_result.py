@@ -1,7 +1,5 @@
 """The result of a design: light positions per objective, the plan, and all that files, report and terminal show."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

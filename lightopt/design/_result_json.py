@@ -1,7 +1,5 @@
 """How a design reads as JSON and CSV."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Mapping, Sequence

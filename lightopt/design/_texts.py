@@ -1,7 +1,5 @@
 """Texts about a result that terminal and report share."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -10,8 +10,6 @@ touch, it may start inside a solid, which it then leaves without having entered 
 that may touch another body, are in the maps whichever way they face.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 import threading

@@ -1,7 +1,5 @@
 """Ray casting: the first face that a ray meets, and whether the way to a target is blocked (Embree)."""
 
-from __future__ import annotations
-
 import logging
 import math
 import threading

@@ -1,7 +1,5 @@
 """Binary glTF 2.0 (GLB): its structure, and the triangles of the GLB files that the STEP worker writes."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Load a part's mesh from a file: read, check, repair, and give it normals."""
 
-from __future__ import annotations
-
 import logging
 import math
 from dataclasses import dataclass

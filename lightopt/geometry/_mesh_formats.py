@@ -5,8 +5,6 @@ commands have to compute. What it would pass over in silence (a file cut off, co
 header, an index out of range) is found here first, so that the message can say what is wrong with the file.
 """
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Callable

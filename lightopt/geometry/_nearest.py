@@ -1,7 +1,5 @@
 """The place of a mesh's surface that is nearest to a point."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Vertex normals: smooth ones for faceted formats, and those that a file carries."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lightopt.core.arrays import Float64, Int32

@@ -6,8 +6,6 @@ answers are the same: Embree computes each ray's with the same arithmetic. Of tr
 distance, however, it takes any; where that may be, a ray is cast alone.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import threading

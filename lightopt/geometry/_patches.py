@@ -1,7 +1,5 @@
 """Patches: the faces of a mesh cut into triangles no longer than the pixel's footprint."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
 from typing import Any

@@ -1,7 +1,5 @@
 """STEP files as triangles with the CAD surface's normals, through a worker process around cascadio."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

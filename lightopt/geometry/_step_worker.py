@@ -8,8 +8,6 @@ It stands in a process of its own because the CAD kernel can run for hours, take
 file, and none of that can be stopped from inside Python.
 """
 
-from __future__ import annotations
-
 import sys
 
 EXIT_READ = 3

@@ -1,7 +1,5 @@
 """Which vertices coincide and which edges two faces share: what repairing and smoothing stand on."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

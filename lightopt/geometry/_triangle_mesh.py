@@ -1,7 +1,5 @@
 """The triangle mesh that everything above casts rays at."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Make all faces of a surface wind the same way, and closed surfaces face outwards."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

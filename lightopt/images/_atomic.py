@@ -1,7 +1,5 @@
 """Writing files whole or not at all (temporary name, flush, fsync, rename); making folders and removing files."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import zipfile

@@ -1,7 +1,5 @@
 """The image set that a folder already holds: of the same run, to be continued, or of another one, to be removed."""
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import replace
 from pathlib import Path

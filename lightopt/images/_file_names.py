@@ -1,7 +1,5 @@
 """Names of the files of an image set."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from pathlib import PurePosixPath, PureWindowsPath

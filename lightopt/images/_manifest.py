@@ -1,7 +1,5 @@
 """The manifest of an image set: what was imaged, under which light, posture and exposure, into which file."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

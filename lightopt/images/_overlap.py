@@ -1,7 +1,5 @@
 """Overlap of the saturated regions of several images (paper, figure 11): table by pairs of lights, and maps."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

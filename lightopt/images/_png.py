@@ -1,7 +1,5 @@
 """PNG images of camera levels (grey, 8 or 16 bit) and of illustrations (RGB)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A folder of a result's files, with a JSON file that lists them and their provenance."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """Writing an image set file by file, so that a killed run leaves a valid set and can be resumed."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import replace

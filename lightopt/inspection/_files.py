@@ -1,7 +1,5 @@
 """The files of an inspection: defects as JSON, CSV and PLY, synthetic images (also as grey pictures) and scores."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

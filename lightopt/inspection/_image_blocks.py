@@ -1,7 +1,5 @@
 """Images in blocks: rows that threads work on, boxes around masks, a Gaussian filter of tiles that fit a cache."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any, TypeVar

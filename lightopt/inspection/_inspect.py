@@ -1,7 +1,5 @@
 """Inspect image sets of parts: from rig, part and images to defects, inspected surface, verdict and warnings."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext

@@ -1,7 +1,5 @@
 """How to inspect: what a user chooses."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from typing import Any
 

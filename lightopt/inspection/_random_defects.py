@@ -3,8 +3,6 @@
 That file is the part's own text with a list at its end.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

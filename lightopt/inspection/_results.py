@@ -1,7 +1,5 @@
 """What an inspection found, and the verdict by the limits of the part file."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """The saturated region of an image: how large it is and how long its border."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

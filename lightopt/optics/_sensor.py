@@ -1,7 +1,5 @@
 """The sensor: its levels, saturation and noise, and how it quantises what the camera sees."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, TypeVar, overload

@@ -1,7 +1,5 @@
 """What the camera resolves and delivers, and where the part lies in its image and on the table."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from lightopt.preflight._findings import CheckedRig, CheckedScene, Finding, Level, percent

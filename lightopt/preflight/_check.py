@@ -1,7 +1,5 @@
 """All checks, in the order of their findings."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 
 from lightopt.config import PartConfig, RigConfig

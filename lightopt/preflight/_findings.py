@@ -1,7 +1,5 @@
 """The rig and scene that are checked, with samples of what the camera sees, and the findings of the checks."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

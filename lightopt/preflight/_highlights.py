@@ -13,8 +13,6 @@ which is κ'·h²/8 for exact normals, zero on a sphere, and also finds normals 
 triangles.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Where the lights stand, now and over their ranges: in the view, under the table, in collision."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator

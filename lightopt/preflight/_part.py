@@ -1,7 +1,5 @@
 """The mesh: its size and unit, repairs, back faces, and the surface that no camera ray reaches."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -5,8 +5,6 @@ themselves and with those of the neighbouring pixels, the panel is wholly visibl
 remain are worked out by :mod:`lightopt.rendering._penumbra`.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass, replace
 

@@ -5,8 +5,6 @@ The lobe is integrated for those variants alone that it can reach. Where a part 
 taken in 4 × 4 cells, each seen or hidden as its centre is.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

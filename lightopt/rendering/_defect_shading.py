@@ -5,8 +5,6 @@ in, on a surface without defects; only its normal, R_d, R_s and σ are others. W
 camera the sample keeps its diffuse light and has no highlight.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """From two YAML files to an image set on disk."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

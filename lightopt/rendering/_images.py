@@ -1,7 +1,5 @@
 """Render a posture: blocks of image rows on a pool of threads, every light per block."""
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Iterator

@@ -3,8 +3,6 @@
 A light kind is described by such functions alone; kernels that add up its light know no more of it.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -8,8 +8,6 @@ varies little: neither needs many nodes.
 Surface points p [mm], unit normals n and unit view directions v are vectors in the part's frame.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

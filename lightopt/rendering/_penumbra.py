@@ -6,8 +6,6 @@ middle of that chord test this; a cell where the edge is bent is divided into a 
 depends on the light that is at stake in a cell: a cell of a tenth of a level is not refined.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any

@@ -13,8 +13,6 @@ stake: Of crossed cells, the light of the whole cell in units of the error allow
 terms: Diffuse and specular light so far, per unit of R_d and R_s, of a panel of weight 1; shape (k, 2)
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

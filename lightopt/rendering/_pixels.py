@@ -1,7 +1,5 @@
 """The pixels of a posture whose light can be predicted: off silhouettes, creases and the edges of shadows."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import TypeVar
 

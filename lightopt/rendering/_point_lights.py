@@ -1,7 +1,5 @@
 """The panel as m point lights (paper, section 4.1, equation 4)."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

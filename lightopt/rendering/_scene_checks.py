@@ -1,7 +1,5 @@
 """Checks before rendering: no panel is inside the part, and enough pixels see the part."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ once for all variants: towards every light that the facet faces, since a leaning
 does not.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Vectors in kernels: numbers and not arrays, since counting references to arrays costs more than the arithmetic."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The answer of a design: angles, score, proof; and the scores under every objective."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The part coloured by why defects on it stay invisible: as layers of the report, and as the camera sees it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lightopt.core.arrays import UInt8

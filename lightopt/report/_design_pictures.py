@@ -1,7 +1,5 @@
 """Pictures of a design: the images of the best set, the rig, and the score against the angles."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What was planned beside the lights, from result.json: defects, blind spots, postures, exposures, tolerances."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial

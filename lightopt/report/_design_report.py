@@ -1,7 +1,5 @@
 """The report of ``lightopt optimize``: the answer first, then what it is based on, last what all figures depend on."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

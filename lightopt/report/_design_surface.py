@@ -1,7 +1,5 @@
 """The part coloured by what the images of the best set show of each patch, and of defects on it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pictures as PNG, the same picture as the same bytes; camera images made small without losing their highlights."""
 
-from __future__ import annotations
-
 import io
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What a page of a report is made of: plain values, no markup. :func:`page_html` makes it a file."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A page as one HTML file: style, scripts, pictures and surfaces are in it, and it asks the network for nothing."""
 
-from __future__ import annotations
-
 import base64
 import io
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The part itself in a drawing: ray cast, softly shaded, with its outline and its edges."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A drawing of the rig as the program understands it."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

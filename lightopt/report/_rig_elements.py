@@ -1,7 +1,5 @@
 """The things of a rig, drawn in a parallel view."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

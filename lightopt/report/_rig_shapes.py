@@ -1,7 +1,5 @@
 """The shapes of a rig in the world frame [mm], before any view of them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

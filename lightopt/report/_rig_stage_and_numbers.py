@@ -1,7 +1,5 @@
 """Beside the drawing of a rig: its numbers, and the part on its stage."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

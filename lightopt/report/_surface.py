@@ -6,8 +6,6 @@ layer. Corners and vertices are written column after column, each value as the d
 packs well.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import math

@@ -1,7 +1,5 @@
 """The still picture of a coloured surface: what paper and browsers without WebGL show."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A parallel view of the world: what is parallel stays parallel, and lengths along a direction keep their ratio."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From rig and part files to the scene: camera, lights, mesh and its placement, checked against each other."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The defects of a part file, put on the part's surface."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

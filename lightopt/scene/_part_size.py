@@ -1,7 +1,5 @@
 """Whether the unit of a mesh file can be right: the part's size against what the camera sees."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Whether a panel's point lights are close enough together for the lobe that looks at them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The scene, and camera and lights as the part sees them in a posture."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The order of postures in which the stage travels least, and how fast it goes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from itertools import permutations
 

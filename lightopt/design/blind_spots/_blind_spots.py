@@ -15,8 +15,6 @@ What is seen at a grazing angle only counts neither as seen nor as blind: shares
 share left out is given separately.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum

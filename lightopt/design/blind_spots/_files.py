@@ -1,7 +1,5 @@
 """Blind spots as files: a table, and a coloured surface in the coordinates of the part's file."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Mapping

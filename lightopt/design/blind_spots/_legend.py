@@ -1,7 +1,5 @@
 """Colours and legend of blind spots, the same in pictures, ``blind.csv``, ``blind.ply`` and report."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The angles that a light may take: its ranges at a step."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

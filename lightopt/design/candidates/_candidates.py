@@ -1,7 +1,5 @@
 """Candidate positions of the lights: which are possible, which are excluded and why, and which collide."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

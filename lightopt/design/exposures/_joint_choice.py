@@ -7,8 +7,6 @@ gain for each further exposure. Each exposure of the first plan adds as much as 
 less than the plan without further exposures.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

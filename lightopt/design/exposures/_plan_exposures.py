@@ -1,7 +1,5 @@
 """Further exposures of chosen postures: images that show enough more are planned."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -11,8 +11,6 @@ times along the candidates of a light: see :mod:`._scores_by_level_classes`. Pat
 are left to :mod:`._scores_by_packed_bits`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -10,8 +10,6 @@ defect) pairs that are seen. The bits change a few times along the candidates of
 all combinations come from these changes, or where they are many from packed bits.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Where a number c fills the box [a, b) × [a', b') × … of a table, the array o
 corners and 0 elsewhere. So a box costs a few numbers, however many cells it has.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager

@@ -19,8 +19,6 @@ even n the term of all n lights cancels likewise. There are 2ⁿ sets: with many
 is the cheaper way, in which lights with one candidate only are read once. The way that reads fewer levels is taken.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The objectives by name: add an objective here."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 

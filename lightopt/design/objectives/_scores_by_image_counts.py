@@ -13,8 +13,6 @@ array of its mixed differences along the lights' candidates, ±1 at the place of
 rise at the same places cost no more than one. Lights with one candidate only shift v for the hypotheses they show.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -4,8 +4,6 @@ Along the candidates of a light a patch is shaded, usable or saturated in runs. 
 constant on boxes, the products of runs: see :mod:`lightopt.design.objectives._difference_tables`.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 

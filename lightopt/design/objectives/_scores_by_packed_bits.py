@@ -4,8 +4,6 @@
 weights of covered patches are added up bit by bit, each bit of the weights being a plane of words of its own.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator, Sequence

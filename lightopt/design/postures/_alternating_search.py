@@ -5,8 +5,6 @@ lights by greedy cover and exchanges. No step shows less than the one before, so
 optimum, which depends on the start.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial

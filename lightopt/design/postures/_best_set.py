@@ -7,8 +7,6 @@ gain; a branch whose bound is no more than what the best known set covers is cut
 without a proof.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -7,8 +7,6 @@ Patches whose counts change nearly everywhere are added up combination by combin
 light's positions share the sum of the others.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

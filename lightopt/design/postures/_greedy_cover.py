@@ -11,8 +11,6 @@ A greedy choice is never revised. :func:`improve_by_exchange` then tries each ch
 and makes the best exchange, until no single exchange covers more; the set is not proven to be the best of its size.
 """
 
-from __future__ import annotations
-
 import heapq
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

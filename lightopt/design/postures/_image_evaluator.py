@@ -1,7 +1,5 @@
 """Which pairs of patch and defect are shown by images with given lights, postures and exposures."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -4,8 +4,6 @@ Every combination is tried, a table of so many after the other; where there are 
 time until that gains nothing.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -9,8 +9,6 @@ A target is reached by the fewest postures whose choice by number reaches it, so
 as many give the same plan.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

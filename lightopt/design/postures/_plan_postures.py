@@ -1,7 +1,5 @@
 """Choose the postures of a plan, or say why a target is out of reach: the entry to this package."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """The optimisation's answers for chosen postures, scored by what all images of the plan show together."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

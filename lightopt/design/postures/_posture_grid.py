@@ -1,7 +1,5 @@
 """The candidate postures: a grid over the stage's ranges, without postures that cannot be used."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

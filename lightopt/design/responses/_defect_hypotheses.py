@@ -1,7 +1,5 @@
 """The defects that an inspection is planned for: one hypothesis per slope and direction, stain and haze."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

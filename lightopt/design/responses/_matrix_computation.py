@@ -8,8 +8,6 @@ for images, then exposed at exposure 1 without noise: a level here is what the c
 Where images are tested for defects, the same rays decide which defects each image shows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

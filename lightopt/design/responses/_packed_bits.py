@@ -1,7 +1,5 @@
 """Bool packed into words of 64: counted over images, weighted, and counted where two rows share them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lightopt.core.arrays import Bool, Int64, UInt8, UInt64

@@ -18,8 +18,6 @@ A cached matrix is an ``.npz`` with the arrays
     With them: indices of the patches, shape (p,), and of those that the camera sees at a grazing angle.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

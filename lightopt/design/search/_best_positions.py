@@ -1,7 +1,5 @@
 """The best light positions for every objective, compared under all; or for the others beside one placed before."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

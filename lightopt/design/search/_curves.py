@@ -1,7 +1,5 @@
 """Score along one angle, all others as in the best set: shows how flat the optimum is."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -6,8 +6,6 @@ rotation. Three results: the worst *corner*, where every angle is off by the ful
 the widest tolerance that keeps the score.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

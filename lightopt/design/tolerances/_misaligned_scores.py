@@ -4,8 +4,6 @@ Each image is computed once: of a posture, with the part off by so much, under o
 scores of all combinations are composed of them.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Second opinions on a fit: evenly lit panels instead of point lights, the likelihood's view of the paper's answer."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """The criterion that a fit maximises, as a function of all parameters, and what its two kinds share."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

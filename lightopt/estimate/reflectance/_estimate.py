@@ -1,7 +1,5 @@
 """The estimate: where the criterion is greatest, and its uncertainty."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """The files of a fit: the part and the rig with the fitted values, and all figures as JSON."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

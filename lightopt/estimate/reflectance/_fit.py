@@ -1,7 +1,5 @@
 """The two fits, diffuse and specular: from a rig, a part and images to reflectance."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

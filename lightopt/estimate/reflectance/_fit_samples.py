@@ -5,8 +5,6 @@ where it does, the likelihood of noise and outliers is maximised, which is sharp
 not, least squares are the answer, since they predict images best, and intervals come from the scatter between lights.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Does the model describe the images? Its least squares against the noise, without dust."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

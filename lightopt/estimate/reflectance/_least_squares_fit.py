@@ -4,8 +4,6 @@ What the model gets wrong is alike in all pixels of a light, so that pixels show
 one group of images each scatter as it takes (Efron and Stein 1981, doi:10.1214/aos/1176345462).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

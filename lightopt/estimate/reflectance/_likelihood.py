@@ -7,8 +7,6 @@ noise figures are exact. The mean of N frames has an N-th of the sensor's varian
 as well, may show anything at all: dust, scratches, glints.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ A subset of the samples is scanned over σ, from where least squares ended. Ever
 then on all samples, which decide between peaks.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

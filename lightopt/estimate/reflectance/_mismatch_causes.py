@@ -3,8 +3,6 @@
 The fit is repeated for each, since a reflectance that was fitted to wrong images is another one.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Climb to the greatest likelihood by damped Newton steps."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

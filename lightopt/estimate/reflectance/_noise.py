@@ -1,7 +1,5 @@
 """The noise that the images show."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -5,8 +5,6 @@ would start over for ever; σ is swept over its range, at each σ the saturated 
 by equation 10, and the σ is kept whose total specular brightness is closest to the measured one.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """How well the model describes the images, and warnings and refusals of fits."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The result of a fit."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ It finds every peak of the profile over σ, and whether the model describes the 
 all other parameters at each of a row of σ, from several starts.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 A profile shows how far a parameter can be moved while all others are refitted.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ Validation leaves one light out, fits the others and predicts its images. The pa
 regions for each number of point lights per panel.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Registration, step 1: search by outline and diffuse light, whatever the reflectance."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -5,8 +5,6 @@ wrong reflectance leaves. The share of variance that the model explains would be
 there is no variance to explain.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

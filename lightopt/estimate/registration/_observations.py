@@ -1,7 +1,5 @@
 """Observations: the images of a set, checked against the rig, less what their dark frames show."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

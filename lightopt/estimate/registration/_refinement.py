@@ -1,7 +1,5 @@
 """Registration, step 2: the least-squares problem of inner pixels and of the outline."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

@@ -11,8 +11,6 @@ Input: a scene with the part at its file placement, and observations of it. Outp
    the placement. `_revolution` finds out beforehand whether a rotation is observable at all.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Callable, Sequence

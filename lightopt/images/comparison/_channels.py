@@ -1,7 +1,5 @@
 """The difference between two arrays of values, in numbers, and whether it is too large."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass

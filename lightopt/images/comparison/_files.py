@@ -1,7 +1,5 @@
 """Comparing two image files or two patch tables."""
 
-from __future__ import annotations
-
 import math
 import zipfile
 import zlib

@@ -1,7 +1,5 @@
 """A picture of where two images differ."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

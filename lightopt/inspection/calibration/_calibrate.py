@@ -1,7 +1,5 @@
 """Learn from good parts: what they have in common, and the highest scores that they reach."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field

@@ -6,8 +6,6 @@ Beta(k, n − k + 1) over all ways to draw the sets (Wilks 1941, doi:10.1214/aom
 tolerance limit.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -1,7 +1,5 @@
 """A calibration as files: numbers as JSON, and beside them the maps of each posture."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping

@@ -3,8 +3,6 @@
 Of the pixels of each posture first, then of the part's surface over all postures, each place of it counted once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from enum import IntEnum

@@ -1,7 +1,5 @@
 """Defects: detections in the images of one posture, merged over the postures that show them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The detectors to choose from."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final

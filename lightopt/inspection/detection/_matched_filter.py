@@ -1,7 +1,5 @@
 """Defects in the synthetic image: matched filters for dots and lines (paper, section 2.2)."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

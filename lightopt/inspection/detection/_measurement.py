@@ -1,7 +1,5 @@
 """Measure a region of high scores: place on the part, size, contrast under each light, kind."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

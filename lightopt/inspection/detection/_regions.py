@@ -1,7 +1,5 @@
 """Connected regions of high scores, split where wide Gaussians joined neighbouring defects."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import cast

@@ -1,7 +1,5 @@
 """From deviations under several lights to one score per pixel, with a law for false alarms."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

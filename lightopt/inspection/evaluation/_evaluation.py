@@ -4,8 +4,6 @@ Probability of detection against size is a hit/miss analysis as in MIL-HDBK-1823
 size, by maximum likelihood, and the bound of the size that is found 90 % of the time from the ratio of likelihoods.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

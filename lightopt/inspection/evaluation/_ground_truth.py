@@ -1,7 +1,5 @@
 """Ground truth: which defects are on the part of an image set, and which pixels show them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal

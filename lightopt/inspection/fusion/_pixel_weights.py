@@ -1,7 +1,5 @@
 """How much each pixel of an image shows the surface: nothing in highlights, on their flanks and in shadows."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lightopt.core.arrays import Bool, Float32

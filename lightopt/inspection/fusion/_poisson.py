@@ -10,8 +10,6 @@ a pixel with the one to its right (`wx`) or below it (`wy`), and is kept at the 
 a mask is nothing but zeros, and the border of the mask is a natural one.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """The synthetic image of a posture: its images fused into one without highlights, and its uncertainty."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import partial

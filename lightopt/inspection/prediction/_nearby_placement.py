@@ -4,8 +4,6 @@ The derivatives of a prediction with respect to the placement move it by a fract
 moved is fitted to few pixels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

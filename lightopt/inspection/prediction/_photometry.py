@@ -1,7 +1,5 @@
 """Gains of the lights and the dark level, fitted to the images of a posture."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

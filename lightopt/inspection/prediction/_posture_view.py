@@ -1,7 +1,5 @@
 """The images of a posture beside the predicted good part: the input of fusion and detection."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

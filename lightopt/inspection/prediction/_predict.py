@@ -1,7 +1,5 @@
 """The good part as predicted for a posture: its images, the pixels that can be judged, its surface patches."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

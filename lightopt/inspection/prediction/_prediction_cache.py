@@ -1,7 +1,5 @@
 """What a batch reuses from set to set: meshes, predictions, their derivatives with respect to the placement."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 

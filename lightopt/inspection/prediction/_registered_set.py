@@ -3,8 +3,6 @@
 Also the way back from where the part lies to where its file has it: mesh file coordinates and nominal pixels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

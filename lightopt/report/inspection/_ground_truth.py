@@ -1,7 +1,5 @@
 """Evaluation of an inspection against ground truth: recall, false alarms, curves of detection."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any

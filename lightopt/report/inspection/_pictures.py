@@ -1,7 +1,5 @@
 """Pictures of an inspection: defects over what the camera saw, the image without highlights, a ball at each defect."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

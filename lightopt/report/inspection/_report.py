@@ -1,7 +1,5 @@
 """The reports of ``lightopt inspect``: of one part, the verdict first; of a batch, a row for each part."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

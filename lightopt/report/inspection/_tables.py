@@ -1,7 +1,5 @@
 """What an inspection found and what it could see, as tables: the same cells on the terminal and in the report."""
 
-from __future__ import annotations
-
 from lightopt.core.errors import percent
 from lightopt.estimate.registration import Placement
 from lightopt.inspection import CONTRASTS, InspectionResult, PostureCoverage, SurfaceCoverage, Verdict

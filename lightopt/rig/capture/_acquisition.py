@@ -1,7 +1,5 @@
 """Expose: switch lights, let them settle, take frames that began after the change, record how each was taken."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor

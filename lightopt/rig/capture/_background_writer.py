@@ -1,7 +1,5 @@
 """Write images in background threads, while the stage moves and lights settle."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import Any

@@ -1,7 +1,5 @@
 """Capture an image set: plan, open set and devices in the order that keeps both safe, take what is missing."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from contextlib import ExitStack

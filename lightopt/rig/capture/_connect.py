@@ -1,7 +1,5 @@
 """Open the devices that a plan needs: real ones, or those of the virtual bench."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Generator, Mapping
 from contextlib import ExitStack, contextmanager

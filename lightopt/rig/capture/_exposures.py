@@ -1,7 +1,5 @@
 """Exposures of an image: the mean of frames, agreement of two exposures, and one linear image from all."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Check the images of a run as they come: dark frames must be dark, the others lit by their light."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any

@@ -4,8 +4,6 @@ The image is compared at low resolution with a prediction for each light of the 
 right: only which prediction it correlates with most counts, and by how much.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Switch all lights off, and open light controllers so that what can be reached goes dark and the rest is named."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Limits of stage, camera and lights, checked before any device is opened, lit or moved."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 
 from lightopt.config import PartConfig, RigConfig

@@ -1,7 +1,5 @@
 """Manual control of single devices: their state, a light, a posture, a frame."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The plan of a capture, as data: every move, every light and every exposure, checked before anything is opened."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

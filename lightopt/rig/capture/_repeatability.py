@@ -6,8 +6,6 @@ prediction of how the image changes per degree. The angle is rough and rather to
 where they were predicted.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

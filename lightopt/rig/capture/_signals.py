@@ -1,7 +1,5 @@
 """Signals that end a run: each unwinds it as Ctrl-C does, and none interrupts switching off."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Generator

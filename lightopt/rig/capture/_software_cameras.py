@@ -1,7 +1,5 @@
 """Cameras without hardware: one replays the images of a set, one takes frames from the virtual bench."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

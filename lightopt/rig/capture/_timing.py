@@ -1,7 +1,5 @@
 """Where the time of a capture went."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Generator
 from contextlib import contextmanager

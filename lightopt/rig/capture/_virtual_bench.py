@@ -1,7 +1,5 @@
 """Start a virtual bench that simulates the devices of a rig."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from lightopt.config import AxisConfig, ControllerConfig, PartConfig, RigConfig

@@ -1,7 +1,5 @@
 """Limits how long lights stay on at a stretch, even while everything else hangs or fails."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import defaultdict

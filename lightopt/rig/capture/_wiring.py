@@ -1,7 +1,5 @@
 """Which device plays which role on a rig: those of its file, or the virtual bench where the file has none."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from lightopt.config import (

@@ -1,7 +1,5 @@
 """A machine-vision camera on any SDK: configured for measurement, triggered, frames checked and taken again."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from contextlib import suppress

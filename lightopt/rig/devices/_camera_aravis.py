@@ -1,7 +1,5 @@
 """GigE Vision and USB3 Vision cameras through Aravis, without a maker's software. The one home of PyGObject."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from importlib import import_module

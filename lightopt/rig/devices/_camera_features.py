@@ -1,7 +1,5 @@
 """Setting a camera's features so that its levels measure light; what is set is read back."""
 
-from __future__ import annotations
-
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices._camera_pixels import PixelFormat, choose_format
 from lightopt.rig.devices._camera_sdk import CameraSdk, CameraSettings, first_of, offset_of

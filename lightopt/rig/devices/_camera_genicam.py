@@ -1,7 +1,5 @@
 """Cameras of any maker through the maker's GenTL producer. The one home of harvesters and genicam."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Callable

@@ -4,8 +4,6 @@ Names and layouts are those of the GenICam Pixel Format Naming Convention (PFNC 
 ``Packed``, of GigE Vision 1.2, which came before it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

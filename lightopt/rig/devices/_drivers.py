@@ -3,8 +3,6 @@
 Lights: `light_drivers`; stages: `stage_drivers`; cameras: `camera_drivers`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial

@@ -5,8 +5,6 @@ by the channel's letter, by ``A`` or ``a``, or by ``!``; all are taken, and what
 checksum.
 """
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -1,7 +1,5 @@
 """How a dialogue with a device fails, and commands sent again: only those that may be repeated, each reported."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Protocol, TypeVar
 

@@ -5,8 +5,6 @@ Light controllers derive from :class:`~lightopt.rig.devices.LightController` (``
 drivers can be tested on one wire, and a wire replaced without a driver noticing.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 

@@ -4,8 +4,6 @@ The one home of pyserial. A reply is read byte by byte against one deadline for 
 would let a device that sends slowly hold up the caller for ever.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import select

@@ -1,7 +1,5 @@
 """Log of the serial links: every byte in a file, and irregularities as they happen."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """The serial ports that this computer has, and why one cannot be opened."""
 
-from __future__ import annotations
-
 import errno
 import re
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A stage: moves that are checked, watched and verified, whatever language the device speaks."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

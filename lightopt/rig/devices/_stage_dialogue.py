@@ -1,7 +1,5 @@
 """What the driver of a stage implements (:class:`Dialogue`), and its axes: angles of the rig, units of the device."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

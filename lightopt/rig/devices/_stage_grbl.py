@@ -12,8 +12,6 @@ get no ``ok``. What a driver must know:
 - ``$H`` is known only with ``$22=1``, and no report is given while it lasts.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import time

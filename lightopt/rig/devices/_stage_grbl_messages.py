@@ -3,8 +3,6 @@
 Source: the interface description and the code tables that come with Grbl 1.1, and dialogues recorded from a Grbl 1.1h.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

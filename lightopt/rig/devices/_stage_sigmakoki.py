@@ -15,8 +15,6 @@ Sources: the docstrings that ``elerac/optosigma`` took from the GSC-01 and GSC-0
 ``SigmaKokiPy``, which agree on what is used here.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ person clears them with ``warnings clear``.
 Source: the protocol's public description; the checksums in the tests are those that Zaber's own library sends.
 """
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """``python -m lightopt.rig.simulated SPEC``: serve the devices of a JSON description until standard input ends."""
 
-from __future__ import annotations
-
 import json
 import sys
 

@@ -4,8 +4,6 @@ An axis has a count, which its controller believes, and a place where it really 
 both in device units. They agree once it has been homed and while no step is lost.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Control and stream are those of Aravis, packet by packet; in a frame is what the bench sees when it is triggered.
 """
 
-from __future__ import annotations
-
 import ctypes
 import ctypes.util
 import re

@@ -1,7 +1,5 @@
 """The devices of a virtual bench: firmware, its wire, and what happens on it."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections import deque

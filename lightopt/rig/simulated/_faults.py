@@ -3,8 +3,6 @@
 A fault strikes by count or by seeded chance, so that a failed test can be run again.
 """
 
-from __future__ import annotations
-
 import random
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 Firmware is written from the tables of its protocol, not from the driver: the two meet on the wire only.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from importlib import import_module
 from typing import Any, Protocol, cast, runtime_checkable

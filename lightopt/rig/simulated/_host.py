@@ -3,8 +3,6 @@
 It takes requests about the devices over a control socket: JSON lines on the loopback.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hmac
 import json

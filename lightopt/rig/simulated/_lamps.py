@@ -1,7 +1,5 @@
 """What the channels of a simulated light controller hold and really shine, the faults of its lamps included."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

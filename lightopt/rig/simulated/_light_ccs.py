@@ -5,8 +5,6 @@ the unit, two upper-case hexadecimal digits of the sum of all bytes before them,
 understood, mixed.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from typing import Any

@@ -5,8 +5,6 @@
 and no checksum.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """Simulated firmware of a controller that a rig file describes by templates of commands and patterns of replies."""
 
-from __future__ import annotations
-
 import re
 import string
 from collections.abc import Iterator, Mapping

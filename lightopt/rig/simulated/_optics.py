@@ -1,7 +1,5 @@
 """Frames of the virtual bench's camera: the part under the current light levels, in the current posture."""
 
-from __future__ import annotations
-
 import hashlib
 import struct
 import threading

@@ -6,8 +6,6 @@ realtime bytes; silence after ALARM:1 and ALARM:2 until a reset, and the withhel
 locked start with homing enabled; a machine space from 0 down to −$130; no reports during homing.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The little of G-code that a stage needs, as Grbl 1.1 reads it, and the settings ``$0`` to ``$132``."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field

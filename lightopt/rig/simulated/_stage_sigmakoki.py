@@ -5,8 +5,6 @@ only, and knows relative moves only; ACK1 of the next ``Q:`` shows whether a com
 power-up, wherever the axes stand.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from typing import Any, ClassVar

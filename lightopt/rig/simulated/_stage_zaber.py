@@ -4,8 +4,6 @@ A command is ``/``, optionally device, axis and message number, words, optionall
 A command with a wrong checksum is not answered. Each reply reports whether the axis moves, and its gravest warning.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from typing import Any

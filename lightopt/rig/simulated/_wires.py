@@ -1,7 +1,5 @@
 """The wires between simulated devices and their clients: pseudo-terminals, and TCP where there are none."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import socket
