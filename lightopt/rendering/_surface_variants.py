@@ -224,16 +224,21 @@ def _point_kernel(
     count, tries = len(points), len(lean)
     diffuse, specular = np.zeros(count), np.zeros(count)
     varied = np.zeros((count, tries))
-    # of each light that a point sees: light's and half vector's components in the point's frame, and its weight
-    seen = np.empty((len(grid), 7))
+    # the processor takes several variants at once in loops without branches over numbers that lie side by side
+    c0, c1, c2 = lean[:, 0].copy(), lean[:, 1].copy(), lean[:, 2].copy()
+    least_chord = most / inverse
+    n_dot_v, n_dot_l, chord = np.empty(tries), np.empty(tries), np.empty(tries)
+    d_sums, s_sums, near = np.empty(tries), np.empty(tries), np.empty(tries, np.bool_)
     for i in range(count):
         if not clear[:, i].any():
             continue
         p, n, r, v = (vector_at(points, i), vector_at(normals, i), vector_at(references, i), vector_at(views, i))
         a = cross(n, r)
         v0, v1, v2 = dot(n, v), dot(r, v), dot(a, v)
+        for t in range(tries):
+            n_dot_v[t] = c0[t] * v0 + c1[t] * v1 + c2[t] * v2
+            d_sums[t] = s_sums[t] = 0.0
         d_sum = s_sum = 0.0
-        j = 0
         for k in range(len(grid)):
             if not clear[k, i]:
                 continue
@@ -246,27 +251,27 @@ def _point_kernel(
             light = scaled(light, 1.0 / math.sqrt(r2))
             half = plus(light, v)
             h = 1.0 / math.sqrt(dot(half, half))
-            seen[j, 0], seen[j, 1], seen[j, 2] = dot(n, light), dot(r, light), dot(a, light)
-            seen[j, 3], seen[j, 4], seen[j, 5] = dot(n, half) * h, dot(r, half) * h, dot(a, half) * h
-            seen[j, 6] = attenuated(weight, panel, r2, dot(panel.outward, light))
-            j += 1
-        lit = j
+            # components of light and half vector in the point's frame
+            l0, l1, l2 = dot(n, light), dot(r, light), dot(a, light)
+            h0, h1, h2 = dot(n, half) * h, dot(r, half) * h, dot(a, half) * h
+            arriving = attenuated(weight, panel, r2, dot(panel.outward, light))
+            some = False
+            for t in range(tries):
+                n_dot_l[t] = c0[t] * l0 + c1[t] * l1 + c2[t] * l2
+            for t in range(tries):
+                d_sums[t] += arriving * lambert(n_dot_l[t])
+            for t in range(tries):
+                # |N − H|² of unit vectors; in float64 it is off by 1e-16 where it is 1e-6 and more that matter
+                chord[t] = max(0.0, 2.0 - 2.0 * (c0[t] * h0 + c1[t] * h1 + c2[t] * h2))
+            some = 0
+            for t in range(tries):
+                near[t] = (n_dot_l[t] > 0.0) & (n_dot_v[t] > 0.0) & (chord[t] < least_chord[t])
+                some += near[t]
+            if some > 0:
+                for t in range(tries):
+                    if near[t]:
+                        s_sums[t] += arriving * specular_lobe(chord[t], inverse[t])
         diffuse[i], specular[i] = d_sum, s_sum
         for t in range(tries):
-            c0, c1, c2 = lean[t, 0], lean[t, 1], lean[t, 2]
-            n_dot_v = c0 * v0 + c1 * v1 + c2 * v2
-            least_chord = most[t] / inverse[t]
-            d_sum = s_sum = 0.0
-            for j in range(lit):
-                n_dot_l = c0 * seen[j, 0] + c1 * seen[j, 1] + c2 * seen[j, 2]
-                if n_dot_l <= 0.0:
-                    continue
-                d_sum += seen[j, 6] * lambert(n_dot_l)
-                if n_dot_v <= 0.0:
-                    continue
-                # |N − H|² of unit vectors; in float64 it is off by 1e-16 where it is 1e-6 and more that matter
-                chord = max(0.0, 2.0 - 2.0 * (c0 * seen[j, 3] + c1 * seen[j, 4] + c2 * seen[j, 5]))
-                if chord < least_chord:
-                    s_sum += seen[j, 6] * specular_lobe(chord, inverse[t])
-            varied[i, t] = R_d[t] * d_sum + R_s[t] * s_sum / specular_cosine(n_dot_v)
+            varied[i, t] = R_d[t] * d_sums[t] + R_s[t] * s_sums[t] / specular_cosine(n_dot_v[t])
     return diffuse, specular, varied
