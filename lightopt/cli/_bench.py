@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lightopt.cli._inputs import load_inputs
-from lightopt.cli._options import Force, RigFile, SerialLog, parse_exposure
-from lightopt.cli._parser import HeadedCommand
+from lightopt.cli import _common as common
 from lightopt.cli._terminal import echo, echo_warning, show_table
 from lightopt.core.errors import HardwareError, InputError, LightoptError
 from lightopt.core.run_context import RunContext
@@ -26,8 +24,8 @@ bench = typer.Typer(
 )
 
 
-@bench.command(cls=HeadedCommand)
-def status(rig: RigFile, serial_log: SerialLog = None) -> None:
+@bench.command(cls=common.HeadedCommand)
+def status(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
     """Print the state of every device; nothing is switched or moved."""
     from lightopt.rig.capture import device_statuses
 
@@ -40,9 +38,9 @@ def status(rig: RigFile, serial_log: SerialLog = None) -> None:
         raise HardwareError(*(f"{row.name}: {row.text}" for row in failed))
 
 
-@bench.command(cls=HeadedCommand)
+@bench.command(cls=common.HeadedCommand)
 def light(
-    rig: RigFile,
+    rig: common.RigFile,
     name: Annotated[str, typer.Argument(metavar="NAME", help="Light of the rig.")],
     level: Annotated[
         int | None, typer.Argument(metavar="[LEVEL]", help="Intensity; the rig's level where it is left out.")
@@ -50,14 +48,14 @@ def light(
     seconds: Annotated[
         float | None, typer.Option(metavar="S", min=0.0, help="Time; otherwise until Enter is pressed.")
     ] = None,
-    serial_log: SerialLog = None,
+    serial_log: common.SerialLog = None,
 ) -> None:
     """Light one panel until Enter is pressed, or for some seconds; more than its max_on_s is refused."""
     from lightopt.rig.capture import check_level, check_on_time, hold_light, wiring_of
 
     if seconds is None and not sys.stdin.isatty():
         raise InputError("--seconds: expected, because nobody can press Enter here")
-    loaded, _ = load_inputs(rig, None)
+    loaded, _ = common.load_inputs(rig, None)
     wiring = wiring_of(loaded)
     chosen = check_level(wiring, loaded, name, level)
     if seconds is not None:
@@ -76,8 +74,8 @@ def light(
     )
 
 
-@bench.command(cls=HeadedCommand)
-def off(rig: RigFile, serial_log: SerialLog = None) -> None:
+@bench.command(cls=common.HeadedCommand)
+def off(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
     """Switch every channel of every controller off, whatever state stage, camera and the rest of the file are in.
 
     Only the controllers have to be readable in the file; other problems of it are reported afterwards.
@@ -101,8 +99,8 @@ def off(rig: RigFile, serial_log: SerialLog = None) -> None:
         echo(f"all lights of {lights.name} are off {which}")
 
 
-@bench.command(cls=HeadedCommand)
-def home(rig: RigFile, serial_log: SerialLog = None) -> None:
+@bench.command(cls=common.HeadedCommand)
+def home(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
     """Home the stage."""
     _, devices = _open(rig, serial_log, needs_stage=True)
     with devices:
@@ -113,9 +111,9 @@ def home(rig: RigFile, serial_log: SerialLog = None) -> None:
     echo(f"the stage stands at {state.posture}")
 
 
-@bench.command(cls=HeadedCommand)
+@bench.command(cls=common.HeadedCommand)
 def move(
-    rig: RigFile,
+    rig: common.RigFile,
     elevation: Annotated[
         float | None, typer.Option(metavar="θ", help="Tilt [deg]; unchanged where it is left out.")
     ] = None,
@@ -123,7 +121,7 @@ def move(
         float | None, typer.Option(metavar="φ", help="Rotation [deg]; unchanged where it is left out.")
     ] = None,
     home: Annotated[bool, typer.Option("--home", help="Home the stage first.")] = False,
-    serial_log: SerialLog = None,
+    serial_log: common.SerialLog = None,
 ) -> None:
     """Move the stage and verify where it stands. The virtual bench is always homed first: it was just switched on."""
     from lightopt.core.transforms import Posture
@@ -131,7 +129,7 @@ def move(
 
     if elevation is None and rotation is None:
         raise InputError("expected --elevation, --rotation or both")
-    loaded, _ = load_inputs(rig, None)
+    loaded, _ = common.load_inputs(rig, None)
     check_angles(loaded, elevation=elevation, rotation=rotation)
     loaded, devices = _open(rig, serial_log, needs_stage=True)
     with devices:
@@ -150,9 +148,9 @@ def move(
     echo(f"the stage stands at {state.posture}")
 
 
-@bench.command(cls=HeadedCommand)
+@bench.command(cls=common.HeadedCommand)
 def snap(
-    rig: RigFile,
+    rig: common.RigFile,
     file: Annotated[Path, typer.Argument(metavar="FILE", help="PNG to write.")],
     light: Annotated[
         str | None, typer.Option(metavar="NAME", help="Light this panel for the frame; none otherwise.")
@@ -161,15 +159,15 @@ def snap(
     part: Annotated[
         Path | None, typer.Option(metavar="PART", help="What lies on the virtual bench; needed for its camera only.")
     ] = None,
-    serial_log: SerialLog = None,
-    force: Force = False,
+    serial_log: common.SerialLog = None,
+    force: common.Force = False,
 ) -> None:
     """Take one frame where the stage stands."""
     from lightopt.rig.capture import check_exposure, check_level, check_on_time, connect_devices, snap_on_s, wiring_of
     from lightopt.rig.capture import snap as take
 
-    relative = parse_exposure(exposure)
-    loaded, loaded_part = load_inputs(rig, part)
+    relative = common.parse_exposure(exposure)
+    loaded, loaded_part = common.load_inputs(rig, part)
     wiring = wiring_of(loaded)
     if wiring.camera_is_virtual and loaded_part is None:
         raise InputError("--part: the virtual camera needs to know which part lies on the bench")
@@ -186,7 +184,7 @@ def snap(
     echo(f"{file}")
 
 
-@bench.command("devices", cls=HeadedCommand)
+@bench.command("devices", cls=common.HeadedCommand)
 def list_devices(
     rig: Annotated[Path | None, typer.Argument(metavar="[RIG]", help="Print also what this rig expects.")] = None,
 ) -> None:
@@ -204,7 +202,7 @@ def list_devices(
     from lightopt.rig.capture import wiring_of
     from lightopt.rig.devices import port_problem
 
-    loaded, _ = load_inputs(rig, None)
+    loaded, _ = common.load_inputs(rig, None)
     hardware = wiring_of(loaded).hardware
     producer = hardware.camera.producer
     cameras = _show_cameras(None if producer is None else loaded.source.resolve(producer))
@@ -266,7 +264,7 @@ def _open(
 ) -> tuple[RigConfig, Devices]:
     from lightopt.rig.capture import connect_devices, wiring_of
 
-    loaded, _ = load_inputs(rig, None)
+    loaded, _ = common.load_inputs(rig, None)
     wiring = wiring_of(loaded)
     if needs_stage and wiring.hardware.stage is None:
         raise InputError(f"{loaded.source.at('hardware')}: this rig has no stage")

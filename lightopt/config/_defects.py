@@ -16,8 +16,7 @@ from lightopt.config._fields import (
     complaint,
     exactly_one,
     expecting,
-    repeated,
-    value_of,
+    repeated_names,
 )
 from lightopt.defects import MAX_SLOPE, SHAPE_KINDS, DefectKind, DefectShape, depth_of_slope, slope_of_depth
 
@@ -174,9 +173,8 @@ class DefectConfig(CatalogueEntryConfig):
 
 def same_names(entries: list[object] | tuple[object, ...], where: str) -> Iterator[Complaint]:
     """Complaints about entries of a list that have the name of a previous one."""
-    names = [name if isinstance(name := value_of(entry, "name"), str) else None for entry in entries]
-    for i, first in repeated(names):
-        yield (i, "name"), names[i], complaint(f'the name of {where}[{first}], too: "{names[i]}"')
+    for i, name, first, _ in repeated_names(entries):
+        yield (i, "name"), name, complaint(f'the name of {where}[{first}], too: "{name}"')
 
 
 def _extents(size: float | tuple[float, float]) -> tuple[float, float]:

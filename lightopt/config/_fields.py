@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Iterable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast
 
 from pydantic import (
@@ -109,6 +109,21 @@ def repeated(keys: Iterable[Hashable | None]) -> Iterator[tuple[int, int]]:
 def value_of(entry: object, key: str) -> Any:
     """Value of an entry's key, whether it was read from a file or is a model already."""
     return entry.get(key) if isinstance(entry, dict) else getattr(entry, key, None)
+
+
+def mapping(value: object) -> Mapping[str, Any]:
+    """A value of a file as a mapping; empty where it is none."""
+    return cast("Mapping[str, Any]", value) if isinstance(value, Mapping) else {}
+
+
+def repeated_names(entries: Iterable[object], key: Callable[[str], str] = str) -> Iterator[tuple[int, str, int, str]]:
+    """Index and name of each entry that has the name of a previous one, and the index and name of that one.
+
+    key: What is the same of names that count as the same
+    """
+    names = [name if isinstance(name := value_of(entry, "name"), str) else None for entry in entries]
+    for i, first in repeated(None if name is None else key(name) for name in names):
+        yield i, str(names[i]), first, str(names[first])
 
 
 def with_complaints(value: object, handler: ValidatorFunctionWrapHandler, complaints: Iterable[Complaint]) -> Any:

@@ -3,12 +3,23 @@
 import re
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
-from typing import Annotated, Any, Literal, cast, get_args
+from typing import Annotated, Literal, cast, get_args
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from lightopt.config._camera import CameraConfig, CameraDeviceConfig
-from lightopt.config._fields import Complaint, FileName, Frozen, Positive, Text, absent, complaint, expecting, repeated
+from lightopt.config._fields import (
+    Complaint,
+    FileName,
+    Frozen,
+    Positive,
+    Text,
+    absent,
+    complaint,
+    expecting,
+    mapping,
+    repeated,
+)
 from lightopt.config._light_controllers import PORT, Baud, ChannelConfig, ControllerConfig
 
 _Seconds = Annotated[float, Field(ge=0, le=600), expecting("seconds, from 0 to 600")]
@@ -131,10 +142,10 @@ def misfits(hardware: object, lights: tuple[str, ...] | None, camera: CameraConf
         yield from _names(channels, lights)
     if controllers is not None and channels is not None:
         for name, channel in channels.items():
-            yield from _plug(name, _mapping(channel), controllers)
+            yield from _plug(name, mapping(channel), controllers)
         yield from _shared(channels)
-    yield from _same_port(controllers or {}, _mapping(section.get("stage")))
-    device = _mapping(section.get("camera"))
+    yield from _same_port(controllers or {}, mapping(section.get("stage")))
+    device = mapping(section.get("camera"))
     if camera is not None and camera.exposure_us is None and device.get("driver") in _REAL_CAMERAS:
         yield (
             ("camera",),
@@ -177,7 +188,7 @@ def _plug(name: str, channel: Mapping[str, object], controllers: Mapping[str, ob
         reason = f'no controller is called "{wanted}"; there is {there}'
         yield ("lights", name, "controller"), wanted, complaint(reason)
         return
-    controller = _mapping(controllers[wanted])
+    controller = mapping(controllers[wanted])
     count = _whole(controller.get("channels", _CHANNELS))
     if count is not None and number is not None and number > count:
         reason = f"expected a channel from 1 to {count}, which {wanted} has, found {number}"
@@ -194,7 +205,7 @@ def _shared(channels: Mapping[str, object]) -> Iterator[Complaint]:
     names = list(channels)
     places: list[tuple[str, int] | None] = []
     for entry in channels.values():
-        controller, number = _mapping(entry).get("controller"), _whole(_mapping(entry).get("channel"))
+        controller, number = mapping(entry).get("controller"), _whole(mapping(entry).get("channel"))
         places.append((controller, number) if isinstance(controller, str) and number is not None else None)
     for i, first in repeated(places):
         controller, number = places[i] or ("", 0)
@@ -205,7 +216,7 @@ def _shared(channels: Mapping[str, object]) -> Iterator[Complaint]:
 def _same_port(controllers: Mapping[str, object], stage: Mapping[str, object]) -> Iterator[Complaint]:
     """Devices at the port of another device."""
     paths: list[tuple[str, ...]] = [*(("controllers", name) for name in controllers), ("stage",)]
-    ports = [_mapping(entry).get("port") for entry in (*controllers.values(), stage)]
+    ports = [mapping(entry).get("port") for entry in (*controllers.values(), stage)]
     for i, first in repeated(map(_port_key, ports)):
         reason = f'port "{ports[i]}" is already that of {".".join(paths[first])}; each device has its own'
         yield (*paths[i], "port"), ports[i], complaint(reason)
@@ -220,10 +231,6 @@ def _port_key(port: object) -> str | None:
 
 def _entries(value: object) -> dict[str, object] | None:
     return dict(cast("Mapping[str, object]", value)) if isinstance(value, Mapping) else None
-
-
-def _mapping(value: object) -> Mapping[str, Any]:
-    return cast("Mapping[str, Any]", value) if isinstance(value, Mapping) else {}
 
 
 def _whole(value: object) -> int | None:

@@ -13,7 +13,7 @@ import pytest
 from planned import CATALOGUE, FEW, LIGHTS, PLAN, made_once, prepared
 
 from lightopt.cli._main import run
-from lightopt.cli._plan_tables import show_plan
+from lightopt.cli._optimize_tables import show_plan
 from lightopt.config import load_part, load_rig
 from lightopt.core.transforms import Posture
 from lightopt.design import PlanResult, share_text
@@ -319,7 +319,8 @@ def test_more_postures_than_there_are_and_such_as_add_next_to_nothing_are_told(t
     # no digit that the patches do not support, in any table
     assert not re.search(r"\d\.\d+ %", ran.out)
     points = f"{100.0 * chosen['patches']['grain']:.1g} points"
-    assert f"each seen or not as its middle is: shares may be off by some {points}" in ran.out
+    assert "each patch counts as its middle does: " in ran.out
+    assert f"shares may be off by some {points}" in ran.out
     assert 0.01 < chosen["patches"]["grain"] < 0.1
 
 
@@ -374,14 +375,14 @@ def test_what_is_planned_is_rendered_as_it_is_planned(two, cli):
     captures = [one["command"] for one in result["rounds"]]
     assert captures == [text for text in result["commands"] if text.startswith("lightopt capture")]
     assert len(captures) == 2
-    for number, one in enumerate(result["rounds"], start=1):
+    for one in result["rounds"]:
         words = shlex.split(one["command"])[2:]
         words[:2] = [str(two.out / word) for word in words[:2]]
         ran_dry = cli("capture", *words, "--dry-run")
         assert f", {one['travel_s']:.1f} s of them travel" in ran_dry.out
-        assert f"stage, capture {number}: " in ran.out
     total = sum(one["travel_s"] for one in result["rounds"])
-    assert f"together {total:.1f} s of travel" in ran.out
+    each = " + ".join(f"{one['travel_s']:.1f}" for one in result["rounds"])
+    assert f"take {each} = {total:.1f} s, each from (0°, 0°) on" in ran.out
     # nothing of it stays where another plan has other image sets
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *asked, "--force")
     assert ran.status == 0, ran.err

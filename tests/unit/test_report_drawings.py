@@ -17,10 +17,9 @@ from lightopt.optics import Reflectance, Sensor
 from lightopt.rendering import cast_rays_at
 from lightopt.report import rig_drawing
 from lightopt.report._drawing import Drawing, fixed_style, text_width
-from lightopt.report._part_picture import FINE, cast_part
-from lightopt.report._rig_shapes import camera_shape, nice_step, part_box, round_up
-from lightopt.report._rig_stage_and_numbers import draw_stage
-from lightopt.report._view import fit_view
+from lightopt.report._rig_drawing import draw_stage
+from lightopt.report._rig_elements import camera_shape, nice_step, part_box, round_up
+from lightopt.report._view import FINE, cast_part, fit_view
 from lightopt.scene import PanelLight, Scene, panel_corners, place_camera, place_light, project
 from lightopt.scene._camera import Distortion
 

@@ -16,8 +16,8 @@ from lightopt.inspection.detection._defects import Detection
 from lightopt.inspection.evaluation._evaluation import KnownDefect
 from lightopt.report._page import Facts, Note, Picture, Table
 from lightopt.report.inspection import batch_report
-from lightopt.report.inspection._ground_truth import truth_blocks
 from lightopt.report.inspection._pictures import LABEL_COLOURS, _ball, overlay_image
+from lightopt.report.inspection._tables import truth_blocks
 
 
 def true_set(sizes, found):

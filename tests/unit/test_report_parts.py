@@ -24,10 +24,10 @@ from lightopt.report._drawing import (
     fixed_style,
     sub,
     text_width,
-    with_legend,
 )
 from lightopt.report._images import SATURATED_COLOUR, check_png_path, thumbnail, thumbnail_size, write_picture
 from lightopt.report._view import arc, fit_view
+from lightopt.report.design._surface import _with_legend
 
 
 @given(st.integers(1, 300), st.integers(1, 300), st.integers(8, 120))
@@ -286,7 +286,7 @@ def test_a_legend_stands_below_the_picture_which_stays(height: int, width: int) 
         LegendRow(label="seen", share=0.25, amount="25.0 %", colours=((86, 180, 233),)),
         LegendRow(label="contrast under noise", share=0.75, amount="75.0 %", colours=((240, 228, 66), (247, 241, 160))),
     )
-    found = with_legend(picture, "a title that is wider than a small picture", rows)
+    found = _with_legend(picture, "a title that is wider than a small picture", rows)
     np.testing.assert_array_equal(found[:height, :width], picture)
     assert (found[:height, width:] == 255).all()
     below = found[height:]

@@ -6,11 +6,9 @@ from typing import Any
 from lightopt.config import InspectionConfig
 from lightopt.core.errors import counted, percent
 from lightopt.inspection import REFERENCE_CONTRAST, REFERENCE_DEFECT, BatchRow, InspectionResult, Verdict
-from lightopt.report._page import Answer, Facts, Note, Page, Section, Table, Warnings
-from lightopt.report._page_html import page_html
-from lightopt.report.inspection._ground_truth import truth_blocks
+from lightopt.report._page import Answer, Facts, Note, Page, Section, Table, Warnings, page_html
 from lightopt.report.inspection._pictures import image_blocks, marked_part
-from lightopt.report.inspection._tables import dark_text, defect_table, placement_text, surface_table
+from lightopt.report.inspection._tables import dark_text, defect_table, placement_text, surface_table, truth_blocks
 
 
 def inspection_report(

@@ -11,11 +11,11 @@ from lightopt.design import Curve, DesignOutput, DetectabilityObjective, SetResu
 from lightopt.images import ImageSet, read_image_set, read_png
 from lightopt.report._charts import COLOURS, chart, name_lines
 from lightopt.report._contact_sheet import degrees, entry_thumbnail, light_position, saturation_text
-from lightopt.report._design_answer import postures_text
 from lightopt.report._drawing import figure_image, fixed_style, printable
 from lightopt.report._images import png_bytes, shrunk
 from lightopt.report._page import Block, Gallery, Note, Picture
 from lightopt.report._rig_drawing import rig_image
+from lightopt.report.design._plan import postures_text
 from lightopt.scene import PanelLight
 
 SIDE = 300  # longest side of an image in the report [px]
@@ -94,7 +94,7 @@ def drawing_blocks(output: DesignOutput) -> list[Block]:
             Picture(
                 png=png_bytes(rig_image(replace(output.result.scene, lights=lights, postures=postures))),
                 alt=f"The rig: {angles}",
-                caption=f"For {', '.join(postures_text(result) for result in results)}: {angles}.",
+                caption=f"For {', '.join(postures_text(result.postures) for result in results)}: {angles}.",
             )
         )
     if len(sets) > MOST_DRAWINGS:
@@ -126,7 +126,7 @@ def curve_blocks(output: DesignOutput) -> list[Block]:
 @fixed_style()
 def _chart(result: SetResult, axis: str, curves: list[Curve]) -> Picture:
     best = result.answers[0]
-    where = postures_text(result)
+    where = postures_text(result.postures)
     area = best.objective.share_of is not None
     surface = f"inspectable surface{' × defects' * isinstance(best.objective, DetectabilityObjective)}"
     label = f"% of the {surface}" if area else best.objective.unit
