@@ -128,6 +128,15 @@ class CameraConfig(Frozen):
         return focal
 
 
+# of keys that only one driver has: the driver, and the message where it lacks the key
+_OWNERS = {
+    "folder": ("folder", 'missing key "folder": an image set to replay, for driver: folder'),
+    "producer": ("genicam", 'missing key "producer": the .cti file of the camera\'s maker, for driver: genicam'),
+    "packet_size": ("aravis", None),
+    "packet_delay_ns": ("aravis", None),
+}
+
+
 class CameraDeviceConfig(Frozen):
     """The device that takes the images."""
 
@@ -182,22 +191,11 @@ class CameraDeviceConfig(Frozen):
         default=None, description="aravis: pause between a camera's packets [ns]; as it is if absent."
     )
 
-    @field_validator("folder")
+    @field_validator("folder", "producer", "packet_size", "packet_delay_ns")
     @classmethod
-    def _of_folder(cls, folder: str | None, info: ValidationInfo) -> str | None:
-        missing = 'missing key "folder": an image set to replay, for driver: folder'
-        return only_of_driver("folder", folder, info, missing=missing)
-
-    @field_validator("producer")
-    @classmethod
-    def _of_genicam(cls, producer: str | None, info: ValidationInfo) -> str | None:
-        missing = 'missing key "producer": the .cti file of the camera\'s maker, for driver: genicam'
-        return only_of_driver("genicam", producer, info, missing=missing)
-
-    @field_validator("packet_size", "packet_delay_ns")
-    @classmethod
-    def _of_aravis(cls, value: int | None, info: ValidationInfo) -> int | None:
-        return only_of_driver("aravis", value, info, what="this")
+    def _of_one_driver(cls, value: object, info: ValidationInfo) -> object:
+        owner, missing = _OWNERS[str(info.field_name)]
+        return only_of_driver(owner, value, info, missing=missing)
 
     @field_validator("port", "pixel_format", "offset_px", "gain", "trigger", "fixed_exposure_us")
     @classmethod
@@ -207,11 +205,6 @@ class CameraDeviceConfig(Frozen):
             raise complaint(
                 f"only driver: aravis and driver: genicam have this, and the driver is {driver}; leave this out"
             )
-        return value
-
-    @field_validator("port")
-    @classmethod
-    def _simulated(cls, port: str | None, info: ValidationInfo) -> str | None:
-        if port == "virtual" and info.data.get("driver") == "genicam":
+        if info.field_name == "port" and value == "virtual" and driver == "genicam":
             raise complaint("only driver: aravis has a simulated camera (or driver: virtual)")
-        return port
+        return value

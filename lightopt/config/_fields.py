@@ -75,15 +75,13 @@ def expecting(what: str) -> WrapValidator:
     return WrapValidator(check)
 
 
-def only_of_driver(
-    owner: str, value: Value, info: ValidationInfo, *, what: str = "one", missing: str | None = None
-) -> Value:
+def only_of_driver(owner: str, value: Value, info: ValidationInfo, *, missing: str | None) -> Value:
     """A value that only one driver has, and which that driver needs where there is a message for its absence."""
     driver = info.data.get("driver")
     if driver == owner and value is None and missing is not None:
         raise absent(missing, str(info.field_name))
     if driver not in (None, owner) and value is not None:
-        raise complaint(f"only driver: {owner} has {what}, and the driver is {driver}; leave this out")
+        raise complaint(f"only driver: {owner} has this, and the driver is {driver}; leave this out")
     return value
 
 
