@@ -125,13 +125,13 @@ def inspect(
     if problems:
         raise InputError(*problems)
     loaded_rig, loaded_part = common.load_inputs(rig, part)
+    output = _Output(rig=loaded_rig, part=loaded_part, report=report, threads=threads, quiet=quiet, verbose=verbose)
     sets = [read_image_set(path) for path in images]
     if calibrate:
-        _calibrate(loaded_rig, loaded_part, sets, out, options, threads=threads, force=force, quiet=quiet)
+        _calibrate(output, sets, out, options, force=force)
         return
     if learned is not None:
         learned.require_match(loaded_rig, loaded_part, options)
-    output = _Output(rig=loaded_rig, part=loaded_part, report=report, threads=threads, quiet=quiet, verbose=verbose)
     rows = _inspect(output, sets, out, options, learned, evaluate=evaluate, force=force)
     bad = rejections(sets, rows) if fail_on_defect else []
     if refused := [row.name for row in rows if row.verdict is None]:
@@ -232,28 +232,19 @@ def _inspect(
     return rows
 
 
-def _calibrate(
-    rig: RigConfig,
-    part: PartConfig,
-    sets: list[ImageSet],
-    out: Path,
-    options: InspectOptions,
-    *,
-    threads: int | None,
-    force: bool,
-    quiet: bool,
-) -> None:
+def _calibrate(output: _Output, sets: list[ImageSet], out: Path, options: InspectOptions, *, force: bool) -> None:
     from lightopt.images import make_folder
     from lightopt.inspection import CalibrationFolder, calibrate, inspection_provenance, require_good_sets
 
+    rig, part = output.rig, output.part
     require_good_sets(len(sets), options)
     folder = CalibrationFolder(out, inspection_provenance(rig, part, sets, options), force=force)
     make_folder(out)
-    with show_progress(quiet=quiet) as progress:
-        run = RunContext(threads=threads, progress=progress, warn=echo_warning)
+    with show_progress(quiet=output.quiet) as progress:
+        run = RunContext(threads=output.threads, progress=progress, warn=echo_warning)
         calibration = calibrate(rig, part, sets, options=options, run=run)
     path = folder.write(calibration)
-    if not quiet:
+    if not output.quiet:
         _show_calibration(calibration, options.false_alarms)
         echo(f"{path}")
 
@@ -340,6 +331,8 @@ def _show_calibration(calibration: Calibration, rate: float) -> None:
 
 def _show_evaluation(summary: Mapping[str, Any], *, verbose: bool) -> None:
     # recall, false alarms and the size that is detected, from lightopt.inspection.summarise
+    from lightopt.report.inspection import detection_table
+
     alarms, hidden, area = summary["false_alarms_per_posture"], summary["hidden"], summary["roc_auc"]
     why = " (out of view, at an edge, or narrower than a pixel)" if hidden else ""
     echo(
@@ -347,18 +340,8 @@ def _show_evaluation(summary: Mapping[str, Any], *, verbose: bool) -> None:
         f"{alarms:g} false alarm{'' if alarms == 1.0 else 's'} per posture; area under the pixels' ROC "
         f"{'-' if area is None else area}"
     )
-    if not verbose:
-        return
-    rows = [
-        [
-            kind,
-            f"{curve['found']} of {curve['defects']}",
-            "-" if curve["a90"] is None else f"{curve['a90']:.3g}",
-            "-" if curve["a90_95"] is None else f"{curve['a90_95']:.3g}",
-        ]
-        for kind, curve in summary["detection"].items()
-    ]
-    show_table(["kind", "found", "a90 [mm]", "a90/95 [mm]"], rows)
+    if verbose:
+        show_page_table(detection_table(summary))
 
 
 def _show_inspection(result: InspectionResult, verdict: Verdict, *, verbose: bool) -> None:

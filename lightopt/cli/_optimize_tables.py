@@ -141,8 +141,8 @@ def show_overlaps(overlaps: Sequence[Overlap]) -> None:
 
 def show_plan(result: PlanResult, folder: Path, *, verbose: bool) -> None:
     """The plan, and the commands that carry it out; with `verbose` also what the figures mean and how far they hold."""
-    from lightopt.design import plan_document, share_text
-    from lightopt.report.design import exposure_table, tolerance_table
+    from lightopt.design import plan_document
+    from lightopt.report.design import exposure_note, exposure_table, tolerance_table
 
     document = plan_document(result)
     if "chosen_postures" in document:
@@ -150,7 +150,7 @@ def show_plan(result: PlanResult, folder: Path, *, verbose: bool) -> None:
     if "exposures" in document:
         planned = document["exposures"]
         show_page_table(exposure_table(planned))
-        _explain_exposures(planned, partial(share_text, grain=planned["grain"]))
+        echo(exposure_note(planned))
         if verbose and "chosen_postures" not in document:
             echo(f"shares of exposures: of {planned['shares_of']}")
     if "tolerances" in document:
@@ -200,16 +200,3 @@ def _show_spare(chosen: Section, text: partial[str]) -> None:
             f"the first {sufficient} chosen show {share}, the others less than 0.1 points more: "
             f"--choose-postures {sufficient} does nearly as well"
         )
-
-
-def _explain_exposures(planned: Section, text: partial[str]) -> None:
-    shots = planned["shots"]
-    why = {shot["planned_for"] for shot in shots}
-    adding = f"{100.0 * planned['least_gain']:g} % or more"
-    adding += ", or two that add twice that together" * ("pair" in why)
-    adding += ", or needed for the target" * ("target" in why)
-    number = counted(sum(shot["planned"] for shot in shots), "further exposure")
-    echo(
-        f"{number} planned, each adding {adding}: {text(planned['share_without'])} of the surface × defects becomes "
-        f"{text(planned['share'])}"
-    )

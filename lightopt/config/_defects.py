@@ -33,6 +33,10 @@ _Turn = Annotated[float, Field(ge=-360, le=360), expecting("a number from -360 t
 _PixelIndex = Annotated[int, Field(ge=0, le=65535)]
 
 
+# kinds of defect that a key belongs to
+_OWNERS = {"slope_deg": SHAPE_KINDS, "depth_mm": SHAPE_KINDS, "R_d_factor": ("stain",), "sigma_factor": ("haze",)}
+
+
 class PixelPlaceConfig(Frozen):
     """A place on the part as a pixel of the rig's camera sees it."""
 
@@ -88,16 +92,17 @@ class CatalogueEntryConfig(Frozen):
             raise complaint("expected [length, width] of a scratch, the length above the width")
         return size
 
-    @field_validator("slope_deg")
+    @field_validator("slope_deg", "depth_mm", "R_d_factor", "sigma_factor")
     @classmethod
-    def _of_a_shape(cls, slope: float | None, info: ValidationInfo) -> float | None:
-        _refuse_where_foreign(slope, info, SHAPE_KINDS)
-        return slope
+    def _of_its_kinds(cls, value: float | None, info: ValidationInfo) -> float | None:
+        kind, owners = info.data.get("kind"), _OWNERS[str(info.field_name)]
+        if value is not None and kind is not None and kind not in owners:
+            raise complaint(f"a {kind} has none; it belongs to {', '.join(owners)}; remove this key")
+        return value
 
     @field_validator("depth_mm")
     @classmethod
     def _one_of_two(cls, depth: float | None, info: ValidationInfo) -> float | None:
-        _refuse_where_foreign(depth, info, SHAPE_KINDS)
         kind, size = info.data.get("kind"), info.data.get("size_mm")
         if kind not in SHAPE_KINDS or "slope_deg" not in info.data:
             return depth
@@ -116,10 +121,9 @@ class CatalogueEntryConfig(Frozen):
 
     @field_validator("R_d_factor", "sigma_factor")
     @classmethod
-    def _of_its_kind(cls, factor: float | None, info: ValidationInfo) -> float | None:
+    def _needed_by_its_kind(cls, factor: float | None, info: ValidationInfo) -> float | None:
         name = str(info.field_name)
-        owner = "stain" if name == "R_d_factor" else "haze"
-        _refuse_where_foreign(factor, info, (owner,))
+        (owner,) = _OWNERS[name]
         if info.data.get("kind") == owner and factor is None:
             raise absent(f'missing key "{name}": a {owner} is nothing without it', name)
         if factor == 1.0:
@@ -179,9 +183,3 @@ def same_names(entries: list[object] | tuple[object, ...], where: str) -> Iterat
 
 def _extents(size: float | tuple[float, float]) -> tuple[float, float]:
     return size if isinstance(size, tuple) else (size, size)
-
-
-def _refuse_where_foreign(value: float | None, info: ValidationInfo, owners: tuple[str, ...]) -> None:
-    kind = info.data.get("kind")
-    if value is not None and kind is not None and kind not in owners:
-        raise complaint(f"a {kind} has none; it belongs to {', '.join(owners)}; remove this key")

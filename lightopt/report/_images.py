@@ -56,12 +56,6 @@ class Thumbnail:
     pixels: int
 
 
-def thumbnail_size(width: int, height: int, limit: int) -> tuple[int, int]:
-    """Width and height that :func:`thumbnail` gives an image of `width` × `height` pixels [px]."""
-    shrink, enlarge = _factors(width, height, limit)
-    return math.ceil(width / shrink) * enlarge, math.ceil(height / shrink) * enlarge
-
-
 def thumbnail(level: NDArray[np.floating], saturated: Bool, *, limit: int) -> Thumbnail:
     """Shrink an image by averaging square cells of whole pixels; small images are enlarged by repeating pixels.
 

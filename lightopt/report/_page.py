@@ -156,14 +156,11 @@ def page_html(page: Page) -> str:
         parts += [_block(block) for block in section.blocks]
         parts += ["</section>"]
     parts += ["</main>"]
-    if any(isinstance(block, SurfaceView) for block in _blocks(page)):
+    blocks = (*page.lead, *(block for section in page.sections for block in section.blocks))
+    if any(isinstance(block, SurfaceView) for block in blocks):
         parts += [f"<script>\n{_asset(name)}</script>" for name in ("three.bundle.min.js", "viewer.js")]
     parts += ["</body>", "</html>", ""]
     return "\n".join(parts)
-
-
-def _blocks(page: Page) -> list[Block]:
-    return [*page.lead, *(block for section in page.sections for block in section.blocks)]
 
 
 def _asset(name: str) -> str:

@@ -57,7 +57,7 @@ _LIGHT_COLUMNS = (190, 250, 315, 440)  # where the columns of numbers in the tab
 _STAGE_VIEW = (np.radians(22.0), np.radians(292.0))  # elevation and azimuth [rad]
 
 
-def rig_drawing(scene: Scene, path: str | Path, *, annotate: bool = True, overwrite: bool = True) -> Path:
+def rig_drawing(scene: Scene, path: str | Path, *, overwrite: bool = True) -> Path:
     """Draw camera, panels, table, part and stage at their true places, with the angles that the rig file gives.
 
     A parallel view, true to scale: the world's axes, the camera with its viewing pyramid down to the table, each
@@ -65,16 +65,15 @@ def rig_drawing(scene: Scene, path: str | Path, *, annotate: bool = True, overwr
     beside it the part with the stage's axes, and the numbers.
 
     path: The PNG to make or to replace, in a folder that exists; it is returned.
-    annotate: Whether angles and axes are drawn and named.
     overwrite: Whether a file of other content may be replaced.
     Raises InputError: The file cannot be written, or one of other content is there and `overwrite` is False.
     """
     path = check_png_path(path)
-    return write_picture(path, rig_image(scene, annotate=annotate), overwrite=overwrite)
+    return write_picture(path, rig_image(scene), overwrite=overwrite)
 
 
 @fixed_style()
-def rig_image(scene: Scene, *, annotate: bool = True) -> Image.Image:
+def rig_image(scene: Scene) -> Image.Image:
     """The picture that :func:`rig_drawing` writes."""
     posture = scene.postures[0] if scene.postures else Posture(0.0, 0.0)
     caster = cast_rays_at(scene)
@@ -82,11 +81,9 @@ def rig_image(scene: Scene, *, annotate: bool = True) -> Image.Image:
     height = max(LEAST_HEIGHT, _side_height(scene))
     drawing = Drawing(MAIN_WIDTH + SIDE_WIDTH, height)
     pen = Pen(drawing, _view(scene, shape, posture, height), [])
-    _draw_rig(scene, caster, shape, posture, pen, annotate=annotate)
-    draw_stage(scene, caster, posture, drawing, MAIN_WIDTH, annotate=annotate)
-    _write_numbers(
-        drawing, scene, MAIN_WIDTH, grid=number(table_grid(scene, posture)[1]), arcs=_arcs(scene) if annotate else None
-    )
+    _draw_rig(scene, caster, shape, posture, pen)
+    draw_stage(scene, caster, posture, drawing, MAIN_WIDTH)
+    _write_numbers(drawing, scene, MAIN_WIDTH, grid=number(table_grid(scene, posture)[1]))
     drawing.labels(pen.labels, size=19, bounds=(8.0, 8.0, MAIN_WIDTH - 8.0, height - 8.0))
     return drawing.image()
 
@@ -131,9 +128,7 @@ def _axis_lengths(scene: Scene, half: float) -> tuple[float, float, float]:
     return 1.08 * half, 1.08 * half, 0.45 * rig_size(scene)
 
 
-def _draw_rig(
-    scene: Scene, caster: RayCaster, shape: CameraShape, posture: Posture, pen: Pen, *, annotate: bool
-) -> None:
+def _draw_rig(scene: Scene, caster: RayCaster, shape: CameraShape, posture: Posture, pen: Pen) -> None:
     half, step = table_grid(scene, posture)
     pen.grid(half, step)
     pen.footprint(shape)
@@ -141,7 +136,7 @@ def _draw_rig(
     # what lies on the table is drawn around the part, what stands up may pass in front of it
     pen = replace(pen, part=part)
     pen.axes(_axis_lengths(scene, half))
-    arcs = scene.lights[: _arcs(scene)] if annotate else ()
+    arcs = scene.lights[: _arcs(scene)]
     reach = max(0.5 * half, *(float(np.hypot(*light.centre[:2])) for light in scene.lights), 0.0)
     for i, light in enumerate(arcs):
         pen.azimuth_arc(light, reach * (0.42 + 0.45 * (i + 1) / len(arcs)), spoke=_ARC * light.distance)
@@ -149,12 +144,12 @@ def _draw_rig(
     devices = [*((light.centre, light) for light in scene.lights), (scene.camera.position, None)]
     for _, light in sorted(devices, key=lambda device: float(pen.view.nearness(device[0]))):
         if light is None:
-            pen.camera(scene.camera, shape, annotate=annotate)
+            pen.camera(scene.camera, shape)
             continue
         pen.panel(light)
         if light in arcs:
             pen.elevation_arc(light, _ARC * light.distance)
-    if annotate and scene.lights:
+    if scene.lights:
         pen.panel_frame(_most_open(scene.lights, pen.view), 0.24 * rig_size(scene))
 
 
@@ -178,7 +173,7 @@ def _stage_top(scene: Scene) -> int:
     return EDGE + round((lines + 6.5) * LINE)
 
 
-def _write_numbers(drawing: Drawing, scene: Scene, left: int, *, grid: str, arcs: int | None) -> None:
+def _write_numbers(drawing: Drawing, scene: Scene, left: int, *, grid: str) -> None:
     """Write the numbers of a rig into the column that starts at `left` [px]."""
     drawing.line(np.array([(left, EDGE), (left, drawing.height - EDGE)]), colour=FAINT, width=1.0)
     x = left + EDGE
@@ -192,8 +187,8 @@ def _write_numbers(drawing: Drawing, scene: Scene, left: int, *, grid: str, arcs
         size = f"{number(light.size[0])} × {number(light.size[1])}"
         drawing.text(x, y, fit_text(light.name, TEXT, _LIGHT_COLUMNS[0] - 70), size=TEXT, colour=SOFT)
         _write_cells(drawing, x, y, (degrees(light.elevation), degrees(light.azimuth), number(light.distance), size))
-    some = arcs is not None and arcs < len(scene.lights)
-    note = f"grid {grid} mm" + (f"; arcs of the first {arcs} lights" if some else "")
+    arcs = _arcs(scene)
+    note = f"grid {grid} mm" + (f"; arcs of the first {arcs} lights" if arcs < len(scene.lights) else "")
     y = _write_lines(drawing, x, y + 4, [note]) - 4 + 2 * LINE
     drawing.text(x, y, "Part and stage", size=HEAD)
     _write_lines(drawing, x, y, _part_lines(scene))
@@ -248,9 +243,7 @@ def _angle(degrees: float) -> str:
     return f"{number(degrees)}°"
 
 
-def draw_stage(
-    scene: Scene, caster: RayCaster, posture: Posture, drawing: Drawing, left: int, *, annotate: bool
-) -> Box:
+def draw_stage(scene: Scene, caster: RayCaster, posture: Posture, drawing: Drawing, left: int) -> Box:
     """Draw the part at a posture with the stage's axes, in the column from `left` [px] on; the box that it fills."""
     box = (left + EDGE, _stage_top(scene), left + SIDE_WIDTH - EDGE, drawing.height - EDGE)
     corners = part_box(scene, posture)
@@ -269,8 +262,7 @@ def draw_stage(
     part = cast_part(scene, caster, posture, view)
     part.draw(drawing)
     pen = Pen(drawing, view, pen.labels, part)
-    if annotate:
-        _draw_axes(pen, scene, posture, reach)
+    _draw_axes(pen, scene, posture, reach)
     length = pen.scale_bar(box[0], box[3] - 8, radius)
     pen.labels.append(Label(text=length, anchor=(box[0] + 4, box[3] - 14), colour=SOFT, away=(0.3, -1.0)))
     drawing.labels(pen.labels, size=LABEL, bounds=box)

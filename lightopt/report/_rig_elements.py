@@ -1,5 +1,6 @@
 """The things of a rig: their shapes in the world frame [mm], and how a parallel view shows them."""
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -74,8 +75,7 @@ def foot_direction(light: PanelLight) -> Float64:
 
 def part_box(scene: Scene, posture: Posture) -> Float64:
     """Corners of the part's own bounding box at a posture [mm], shape (8, 3)."""
-    low, high = scene.mesh.bounds
-    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    corners = np.array(list(itertools.product(*scene.mesh.bounds.T)))
     return rigid_transform(corners, posture.matrix, scene.pivot)
 
 
@@ -205,7 +205,7 @@ class Pen:
             self.arrow(np.stack([light.centre, tip]), colour, 2.6)
             self.label(sub("e", letter), tip, colour, away_from=light.centre)
 
-    def camera(self, camera: PinholeCamera, shape: CameraShape, *, annotate: bool) -> None:
+    def camera(self, camera: PinholeCamera, shape: CameraShape) -> None:
         """Draw the camera, its viewing pyramid down to the table and the directions of its image."""
         for corner in shape.corners:
             self.line(np.stack([camera.position, corner]), CAMERA, 1.1, dash=(7, 4))
@@ -217,8 +217,6 @@ class Pen:
         for face in sorted(sides, key=lambda f: float(self.view.nearness(f.mean(axis=0)))):
             self.polygon(face, fill="#45535f30", outline=CAMERA, width=1.5)
         self.label("camera", back.mean(axis=0), CAMERA, away_from=camera.position)
-        if not annotate:
-            return
         for name, vector in (("image right", camera.right), ("image up", camera.up)):
             tip = camera.position + shape.arrow * vector
             self.arrow(np.stack([camera.position, tip]), CAMERA, 2.6)

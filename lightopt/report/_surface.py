@@ -12,6 +12,7 @@ import base64
 import json
 import math
 import zlib
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,6 +47,12 @@ class SurfaceClass:
     label: str
     colour: str
     amount: str = ""
+
+
+def surface_classes(kinds: Iterable[tuple[str, str]], amounts: Iterable[str]) -> tuple[SurfaceClass, ...]:
+    """Classes of these labels and colours, and how much of the surface each is."""
+    pairs = zip(kinds, amounts, strict=True)
+    return tuple(SurfaceClass(label=label, colour=colour, amount=amount) for (label, colour), amount in pairs)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -425,9 +425,9 @@ def test_a_target_within_reach_takes_no_more_than_it_needs(two, cli):
 @pytest.mark.parametrize(
     ("why", "expected"),
     [
-        ("gain", "each adding 1 % or more: 90.0 %"),
-        ("pair", "each adding 1 % or more, or two that add twice that together: 90.0 %"),
-        ("target", "each adding 1 % or more, or needed for the target: 90.0 %"),
+        ("gain", "adds 1 % or more."),
+        ("pair", "adds 1 % or more, or with another twice that."),
+        ("target", "adds 1 % or more, or where the target takes it."),
     ],
 )
 def test_exposures_that_the_target_takes_are_told(capsys, why, expected):
@@ -435,7 +435,8 @@ def test_exposures_that_the_target_takes_are_told(capsys, why, expected):
     brackets = Brackets(before=0.9, after=0.904, further=shots, least_gain=0.01, grain=0.005)
     show_plan(PlanResult(brackets=brackets), Path("out"), verbose=False)
     told = capsys.readouterr().out
-    assert f"1 further exposure planned, {expected}" in told
+    assert "with exposure 1 alone 90.0 %" in told
+    assert f"One is planned where it {expected}" in told
     assert "0.4 % " in told
     # no digit that the patches do not support
     show_plan(PlanResult(brackets=replace(brackets, grain=0.02)), Path("out"), verbose=True)

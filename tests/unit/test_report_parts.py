@@ -25,7 +25,7 @@ from lightopt.report._drawing import (
     sub,
     text_width,
 )
-from lightopt.report._images import SATURATED_COLOUR, check_png_path, thumbnail, thumbnail_size, write_picture
+from lightopt.report._images import SATURATED_COLOUR, check_png_path, thumbnail, write_picture
 from lightopt.report._view import arc, fit_view
 from lightopt.report.design._surface import _with_legend
 
@@ -36,7 +36,9 @@ def test_thumbnail_fits_and_keeps_shape_and_mean(width: int, height: int, limit:
     level = rng.random((height, width)).astype(np.float32)
     small = thumbnail(level, np.zeros(level.shape, bool), limit=limit)
     rows, columns, _ = small.picture.shape
-    assert (columns, rows) == thumbnail_size(width, height, limit)
+    longest = max(width, height)
+    shrink, enlarge = max(1, math.ceil(longest / limit)), max(1, limit // longest)
+    assert (columns, rows) == (math.ceil(width / shrink) * enlarge, math.ceil(height / shrink) * enlarge)
     assert max(rows, columns) <= limit
     assert 2 * max(rows, columns) > limit or max(rows, columns) == 1 or limit > 2 * max(width, height) / 1.0 - 1
     assert small.picture[..., 0].min() >= math.floor(255 * level.min())

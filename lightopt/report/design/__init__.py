@@ -3,6 +3,7 @@
 from lightopt.report.design._plan import (
     blind_tables,
     defect_tables,
+    exposure_note,
     exposure_table,
     plan_proof,
     posture_facts,
@@ -17,6 +18,7 @@ __all__ = [
     "blind_tables",
     "defect_tables",
     "design_report",
+    "exposure_note",
     "exposure_table",
     "plan_proof",
     "posture_facts",

@@ -16,7 +16,6 @@ from lightopt.report._images import png_bytes, shrunk
 from lightopt.report._page import Block, Gallery, Note, Picture
 from lightopt.report._rig_drawing import rig_image
 from lightopt.report.design._plan import postures_text
-from lightopt.scene import PanelLight
 
 SIDE = 300  # longest side of an image in the report [px]
 MOST_DRAWINGS = 4  # rigs that are drawn; of more sets only the first are, all angles are in the table
@@ -83,7 +82,7 @@ def drawing_blocks(output: DesignOutput) -> list[Block]:
             sets.setdefault(result.answers[0].found.best.candidates, []).append(result)
     blocks: list[Block] = []
     for best, results in list(sets.items())[:MOST_DRAWINGS]:
-        lights = _lights(output, best)
+        lights = tuple(panels[k] for panels, k in zip(output.result.candidates.panels, best, strict=True))
         postures = tuple(posture for result in results for posture in result.postures)
         angles = "; ".join(
             f"{light.name} {degrees(round(float(np.degrees(light.elevation)), 9))}, "
@@ -100,10 +99,6 @@ def drawing_blocks(output: DesignOutput) -> list[Block]:
     if len(sets) > MOST_DRAWINGS:
         blocks.append(Note(text=f"The other {len(sets) - MOST_DRAWINGS} sets are in the table above."))
     return blocks
-
-
-def _lights(output: DesignOutput, best: tuple[int, ...]) -> tuple[PanelLight, ...]:
-    return tuple(panels[k] for panels, k in zip(output.result.candidates.panels, best, strict=True))
 
 
 def curve_blocks(output: DesignOutput) -> list[Block]:

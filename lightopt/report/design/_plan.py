@@ -146,17 +146,21 @@ def exposure_blocks(output: DesignOutput) -> list[Block]:
     planned = output.document.get("exposures")
     if planned is None:
         return []
+    blocks: list[Block] = [Note(text=exposure_note(planned)), exposure_table(planned)]
+    return blocks if "chosen_postures" in output.document else [*blocks, *_commands(output.document)]
+
+
+def exposure_note(planned: Mapping[str, Any]) -> str:
+    """What the planned exposures show, and what was planned, from ``exposures`` of result.json."""
     text = partial(share_text, grain=planned["grain"])
     why = {shot["planned_for"] for shot in planned["shots"]}
     needed = ", or with another twice that" * ("pair" in why)
     needed += ", or where the target takes it" * ("target" in why)
-    note = (
+    return (
         f"With the planned exposures {text(planned['share'])} of the surface × defects is seen, with exposure 1 "
         f"alone {text(planned['share_without'])}. One is planned where it adds "
         f"{100.0 * planned['least_gain']:g} % or more{needed}."
     )
-    blocks: list[Block] = [Note(text=note), exposure_table(planned)]
-    return blocks if "chosen_postures" in output.document else [*blocks, *_commands(output.document)]
 
 
 def exposure_table(planned: Mapping[str, Any]) -> Table:
@@ -208,10 +212,12 @@ def tolerance_table(tolerances: Sequence[Mapping[str, Any]]) -> Table:
 
 def plan_proof(chosen: Mapping[str, Any]) -> str:
     """What is proven of the postures and lights, from ``chosen_postures`` of result.json."""
+    number = counted(len(chosen["postures"]), "posture")
     if chosen["optimum"] == "proven":
-        number = counted(len(chosen["postures"]), "posture")
         return f"Proven of these patches: no {number} of the {chosen['candidates']} show more."
-    sets = _sets_text(chosen, of=f" of the {chosen['candidates']}")
+    sets = f"no {number} of the {chosen['candidates']} show"
+    if chosen["best_of_sets"] is not None:
+        sets = f"none of the {chosen['best_of_sets']:,} sets of {number} shows"
     more = (
         "" if chosen["proven_with_these_lights"] else f" than {share_text(chosen['bound'], chosen['patches']['grain'])}"
     )
@@ -225,14 +231,6 @@ def plan_proof(chosen: Mapping[str, Any]) -> str:
         f"{bound} A local optimum: other postures with other lights may show more; the lights were placed for the "
         f"postures, and the postures chosen for the lights, {_search_text(chosen)}."
     )
-
-
-def _sets_text(chosen: Mapping[str, Any], of: str = "") -> str:
-    """Which sets of as many postures are known to show no more; the sentence goes on with "more"."""
-    number = counted(len(chosen["postures"]), "posture")
-    if chosen["best_of_sets"] is None:
-        return f"no {number}{of} show"
-    return f"none of the {chosen['best_of_sets']:,} sets of {number} shows"
 
 
 def _search_text(chosen: Mapping[str, Any]) -> str:

@@ -32,7 +32,7 @@ from lightopt.design import (
 from lightopt.rendering import GRAZING_DEG, grain_of, trace_samples
 from lightopt.report._drawing import CAP_HEIGHT, SOFT, Drawing, fixed_style, text_width
 from lightopt.report._page import Block, Note, SurfaceView, Table
-from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer, first_view
+from lightopt.report._surface import ColouredSurface, SurfaceLayer, first_view, surface_classes
 from lightopt.scene import view_from_part
 
 # images that must show a patch usably, and may show it saturated: the paper's section 5.1, as the objective `coverage`
@@ -163,11 +163,8 @@ def _postures(output: DesignOutput) -> list[PostureClasses]:
 def _layer(shown: PostureClasses) -> SurfaceLayer:
     counted = sum(shown.areas)
     amounts = [*(share_text(area / max(1, counted), shown.grain) for area in shown.areas), "", ""]
-    kinds = tuple(
-        SurfaceClass(label=label, colour=colour, amount=amount)
-        for (label, colour), amount in zip(LEVEL_CLASSES, amounts, strict=True)
-    )
-    return SurfaceLayer(name=f"posture {shown.posture}", classes=kinds, of_face=shown.classes)
+    classes = surface_classes(LEVEL_CLASSES, amounts)
+    return SurfaceLayer(name=f"posture {shown.posture}", classes=classes, of_face=shown.classes)
 
 
 def _best_classes(shown: list[PostureClasses]) -> UInt8:
@@ -177,12 +174,9 @@ def _best_classes(shown: list[PostureClasses]) -> UInt8:
 
 def _combined_layer(output: DesignOutput, shown: list[PostureClasses]) -> SurfaceLayer:
     best = _best_classes(shown)
-    shares = _shares(output, best)
-    kinds = tuple(
-        SurfaceClass(label=label, colour=colour, amount="" if k == _LEFT_OUT else shares[k])
-        for k, (label, colour) in enumerate(LEVEL_CLASSES)
-    )
-    return SurfaceLayer(name="the best of all postures", classes=kinds, of_face=best)
+    amounts = ["" if k == _LEFT_OUT else share for k, share in enumerate(_shares(output, best))]
+    classes = surface_classes(LEVEL_CLASSES, amounts)
+    return SurfaceLayer(name="the best of all postures", classes=classes, of_face=best)
 
 
 def _shares(output: DesignOutput, classes: UInt8) -> list[str]:
@@ -280,11 +274,7 @@ def share_layer(name: str, spots: BlindSpots) -> SurfaceLayer:
     kinds = [*((label, colour) for _, label, colour in SHARES), *((one.label, _hex(one)) for one in apart)]
     areas = np.bincount(of_face, weights=spots.areas, minlength=len(kinds)) / spots.counted
     amounts = [*(share_text(float(area), spots.grain) for area in areas[:-1]), ""]
-    classes = tuple(
-        SurfaceClass(label=label, colour=colour, amount=amount)
-        for (label, colour), amount in zip(kinds, amounts, strict=True)
-    )
-    return SurfaceLayer(name=name, classes=classes, of_face=of_face)
+    return SurfaceLayer(name=name, classes=surface_classes(kinds, amounts), of_face=of_face)
 
 
 def blind_layer(name: str, spots: BlindSpots) -> SurfaceLayer:
@@ -296,10 +286,8 @@ def blind_layer(name: str, spots: BlindSpots) -> SurfaceLayer:
     shares = {row.label: "" if row.label == left_out else row.amount for row in blind_legend(spots)}
     of_face = blind_classes(spots)
     shown = [k for k, one in enumerate(BLIND_CLASSES) if one.label in shares or (of_face == k).any()]
-    classes = tuple(
-        SurfaceClass(label=one.label, colour=_hex(one), amount=shares.get(one.label, ""))
-        for one in (BLIND_CLASSES[k] for k in shown)
-    )
+    kinds = [(BLIND_CLASSES[k].label, _hex(BLIND_CLASSES[k])) for k in shown]
+    classes = surface_classes(kinds, [shares.get(label, "") for label, _ in kinds])
     return SurfaceLayer(name=name, classes=classes, of_face=np.searchsorted(shown, of_face).astype(np.uint8))
 
 

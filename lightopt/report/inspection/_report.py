@@ -18,7 +18,7 @@ def inspection_report(
     part: str,
     rig: str,
     provenance: Mapping[str, Any],
-    truth: Mapping[str, Any] | None = None,
+    truth: Mapping[str, Any] | None,
 ) -> str:
     """The report of an inspection as HTML.
 
@@ -99,7 +99,7 @@ def _rate(rate: float, *, calibrated: bool) -> str:
 
 
 def batch_report(
-    rows: Sequence[BatchRow], *, part: str, rig: str, version: str, truth: Mapping[str, Any] | None = None
+    rows: Sequence[BatchRow], *, part: str, rig: str, version: str, truth: Mapping[str, Any] | None
 ) -> str:
     """The report of several parts as HTML: a row each, in the order of the sets.
 

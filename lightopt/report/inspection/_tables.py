@@ -145,7 +145,12 @@ def truth_blocks(summary: Mapping[str, Any]) -> list[Block]:
         ],
         caption="Size is the square root of length times width.",
     )
-    curves = Table(
+    return [facts, recall, detection_table(summary), _chart(summary)]
+
+
+def detection_table(summary: Mapping[str, Any]) -> Table:
+    """A row for each kind of defect: how many were found, and of what size on."""
+    return Table(
         header=["kind", "defects", "found", "a90 [mm]", "a90/95 [mm]"],
         rows=[
             [kind, str(curve["defects"]), str(curve["found"]), *map(_shown, (curve["a90"], curve["a90_95"]))]
@@ -154,7 +159,6 @@ def truth_blocks(summary: Mapping[str, Any]) -> list[Block]:
         caption="a90 is the size found 90 % of the time by logistic regression on ln size, a90/95 its upper bound of "
         "95 % confidence; - where hits and misses do not tell it.",
     )
-    return [facts, recall, curves, _chart(summary)]
 
 
 @fixed_style()
