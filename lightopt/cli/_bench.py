@@ -27,10 +27,12 @@ bench = typer.Typer(
 @bench.command(cls=common.HeadedCommand)
 def status(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
     """Print the state of every device; nothing is switched or moved."""
+    from lightopt.config import load_rig
     from lightopt.rig.capture import device_statuses
 
     unreachable: dict[str, LightoptError] = {}
-    loaded, devices = _open(rig, serial_log, touch_lights=False, unreachable=unreachable)
+    loaded = load_rig(rig)
+    devices = _open(loaded, serial_log, touch_lights=False, unreachable=unreachable)
     with devices:
         rows = list(device_statuses(devices, loaded, unreachable))
     show_table(("device", "state"), [(row.name, row.text) for row in rows], numbers_from=2)
@@ -51,19 +53,19 @@ def light(
     serial_log: common.SerialLog = None,
 ) -> None:
     """Light one panel until Enter is pressed, or for some seconds; more than its max_on_s is refused."""
+    from lightopt.config import load_rig
     from lightopt.rig.capture import check_level, check_on_time, hold_light, wiring_of
 
     if seconds is None and not sys.stdin.isatty():
         raise InputError("--seconds: expected, because nobody can press Enter here")
-    loaded, _ = common.load_inputs(rig, None)
+    loaded = load_rig(rig)
     wiring = wiring_of(loaded)
     chosen = check_level(wiring, loaded, name, level)
     if seconds is not None:
         check_on_time(wiring, loaded, name, seconds)
     longest = wiring.light(name).max_on_s
     at_most = "" if longest is None else f", {longest:g} s at most (max_on_s)"
-    loaded, devices = _open(rig, serial_log)
-    with devices:
+    with _open(loaded, serial_log) as devices:
         echo(
             f"{name} is on at level {chosen}"
             + (f" until Enter is pressed{at_most}" if seconds is None else f" for {seconds:g} s")
@@ -102,8 +104,9 @@ def off(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
 @bench.command(cls=common.HeadedCommand)
 def home(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
     """Home the stage."""
-    _, devices = _open(rig, serial_log, needs_stage=True)
-    with devices:
+    from lightopt.config import load_rig
+
+    with _open(load_rig(rig), serial_log, needs_stage=True) as devices:
         devices.step = "homing the stage"
         devices.home()
         assert devices.stage is not None
@@ -124,27 +127,24 @@ def move(
     serial_log: common.SerialLog = None,
 ) -> None:
     """Move the stage and verify where it stands. The virtual bench is always homed first: it was just switched on."""
+    from lightopt.config import load_rig
     from lightopt.core.transforms import Posture
     from lightopt.rig.capture import check_angles
 
     if elevation is None and rotation is None:
         raise InputError("expected --elevation, --rotation or both")
-    loaded, _ = common.load_inputs(rig, None)
+    loaded = load_rig(rig)
     check_angles(loaded, elevation=elevation, rotation=rotation)
-    loaded, devices = _open(rig, serial_log, needs_stage=True)
-    with devices:
+    with _open(loaded, serial_log, needs_stage=True) as devices:
         assert devices.stage is not None
         if home or devices.wiring.stage_is_virtual:
             devices.step = "homing the stage"
             devices.home()
         devices.step = "moving the stage"
         here = devices.stage.state().posture
-        state = devices.move_to(
-            Posture(
-                here.elevation_deg if elevation is None else elevation,
-                here.rotation_deg if rotation is None else rotation,
-            )
-        )
+        tilt = here.elevation_deg if elevation is None else elevation
+        turn = here.rotation_deg if rotation is None else rotation
+        state = devices.move_to(Posture(tilt, turn))
     echo(f"the stage stands at {state.posture}")
 
 
@@ -199,10 +199,11 @@ def list_devices(
     if rig is None:
         _show_cameras(None)
         return
+    from lightopt.config import load_rig
     from lightopt.rig.capture import wiring_of
     from lightopt.rig.devices import port_problem
 
-    loaded, _ = common.load_inputs(rig, None)
+    loaded = load_rig(rig)
     hardware = wiring_of(loaded).hardware
     producer = hardware.camera.producer
     cameras = _show_cameras(None if producer is None else loaded.source.resolve(producer))
@@ -255,21 +256,20 @@ def _camera_state(config: CameraDeviceConfig, cameras: list[CameraInfo]) -> str:
 
 
 def _open(
-    rig: Path,
+    rig: RigConfig,
     serial_log: Path | None,
     *,
     needs_stage: bool = False,
     touch_lights: bool = True,
     unreachable: dict[str, LightoptError] | None = None,
-) -> tuple[RigConfig, Devices]:
+) -> Devices:
     from lightopt.rig.capture import connect_devices, wiring_of
 
-    loaded, _ = common.load_inputs(rig, None)
-    wiring = wiring_of(loaded)
+    wiring = wiring_of(rig)
     if needs_stage and wiring.hardware.stage is None:
-        raise InputError(f"{loaded.source.at('hardware')}: this rig has no stage")
-    return loaded, connect_devices(
-        loaded,
+        raise InputError(f"{rig.source.at('hardware')}: this rig has no stage")
+    return connect_devices(
+        rig,
         wiring,
         camera=False,
         serial_log=serial_log,
