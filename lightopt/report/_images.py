@@ -97,10 +97,4 @@ def _cell_means(values: NDArray[np.floating] | Bool, side: int) -> Float64:
     columns = np.arange(0, values.shape[1], side)
     cells = np.add.reduceat(values.astype(np.float64), rows, axis=0)
     sums: Float64 = np.add.reduceat(cells, columns, axis=1)
-    counts = np.outer(_widths(values.shape[0], side), _widths(values.shape[1], side))
-    return sums / counts
-
-
-def _widths(length: int, side: int) -> Float64:
-    """Widths of the cells along a border of `length` pixels; the last one may be narrower."""
-    return np.minimum(side, length - np.arange(0.0, length, side))
+    return sums / np.outer(np.diff(rows, append=values.shape[0]), np.diff(columns, append=values.shape[1]))

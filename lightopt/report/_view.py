@@ -169,26 +169,15 @@ def _shade(view: ParallelView, nearness: Float64, normals: Float64) -> UInt8:
 
 def _edges(hit: Bool, nearness: Float64, normals: Float64, *, step: float) -> Bool:
     # outline, jumps in depth and creases, FINE pixels wide
+    from scipy.ndimage import binary_dilation  # takes long to import
+
     edge = np.zeros(hit.shape, dtype=bool)
     depth = np.where(hit, nearness, 0.0)
     for axis in (0, 1):
-        a, b = _neighbours(hit.shape, axis)
-        both = hit[a] & hit[b]
-        facing = np.einsum("ijk,ijk->ij", normals[a], normals[b])
+        edges, hits, depths, facets = (np.swapaxes(values, 0, axis) for values in (edge, hit, depth, normals))
+        both = hits[:-1] & hits[1:]
+        facing = np.einsum("ijk,ijk->ij", facets[:-1], facets[1:])
         # what lies farther back than the slope of the surface explains is another surface
-        jump = np.abs(depth[a] - depth[b]) > 12.0 * step
-        edge[a] |= (hit[a] != hit[b]) | (both & ((facing < _CREASE_COS) | jump))
-    wide = edge.copy()
-    for axis in (0, 1):
-        a, b = _neighbours(hit.shape, axis)
-        grown = wide.copy()
-        grown[a] |= wide[b]
-        grown[b] |= wide[a]
-        wide = grown
-    return wide
-
-
-def _neighbours(shape: tuple[int, ...], axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    before, after = [slice(None)] * 2, [slice(None)] * 2
-    before[axis], after[axis] = slice(0, shape[axis] - 1), slice(1, shape[axis])
-    return (before[0], before[1]), (after[0], after[1])
+        jump = np.abs(depths[:-1] - depths[1:]) > 12.0 * step
+        edges[:-1] |= (hits[:-1] != hits[1:]) | (both & ((facing < _CREASE_COS) | jump))
+    return binary_dilation(edge, np.ones((FINE, FINE), bool))
