@@ -83,10 +83,10 @@ def fit_diffuse(
     options = _options(
         "diffuse", method, free, points, paper, pixels=pixels, register=register, write_noise=write_noise
     )
-    fitted = _run(
-        "diffuse", (rig, part, images), out, options, force=force, threads=threads, quiet=quiet, verbose=verbose
-    )
-    _require_converged(fitted, allow_unconverged)
+    _run(
+        "diffuse", rig, part, images, out, options, allow_unconverged=allow_unconverged, force=force, threads=threads,
+        quiet=quiet, verbose=verbose,
+    )  # fmt: skip
 
 
 def fit_specular(
@@ -145,28 +145,30 @@ def fit_specular(
         "specular", method, free, points, paper, pixels=pixels, joint=joint, register=register, validate=validate,
         write_noise=write_noise,
     )  # fmt: skip
-    fitted = _run(
-        "specular", (rig, part, images), out, options, force=force, threads=threads, quiet=quiet, verbose=verbose
-    )
-    _require_converged(fitted, allow_unconverged)
+    _run(
+        "specular", rig, part, images, out, options, allow_unconverged=allow_unconverged, force=force, threads=threads,
+        quiet=quiet, verbose=verbose,
+    )  # fmt: skip
 
 
 def _run(
     kind: Literal["diffuse", "specular"],
-    inputs: tuple[Path, Path, Path],
+    rig: Path,
+    part: Path,
+    images: Path,
     out: Path,
     options: FitOptions,
     *,
+    allow_unconverged: bool,
     force: bool,
     threads: int | None,
     quiet: bool,
     verbose: bool,
-) -> FitResult:
+) -> None:
     from lightopt.estimate.reflectance import FitFolder, fit_diffuse, fit_provenance, fit_specular
     from lightopt.images import make_folder, read_image_set
     from lightopt.report import fit_chart
 
-    rig, part, images = inputs
     loaded_rig, loaded_part = common.load_inputs(rig, part)
     image_set = read_image_set(images)
     arguments: dict[str, Any] = {**vars(options), "kind": kind, "paper": options.paper.as_dict()}
@@ -186,10 +188,6 @@ def _run(
         _show(result, verbose)
         for path in (*written, *([chart] if chart else [])):
             echo(f"{path}")
-    return result
-
-
-def _require_converged(result: FitResult, allow_unconverged: bool) -> None:
     if not result.converged and not allow_unconverged:
         raise CheckFailed(
             "the fit did not converge; its files are written all the same. --allow-unconverged takes it as it is"

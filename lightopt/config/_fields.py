@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast
+from typing import Annotated, Any, Literal, TypeVar, cast
 
 from pydantic import (
     AfterValidator,
@@ -36,10 +36,6 @@ def points_problem(points: int | str) -> str | None:
     else:
         near = f"; at most {MOST_POINTS}" if isinstance(points, int) and points > MOST_POINTS else ""
     return f"expected a square (1, 4, 9, 16, …) or auto, found {points}{near}"
-
-
-if TYPE_CHECKING:
-    from typing_extensions import LiteralString
 
 
 Complaint = tuple[tuple[str | int, ...], object, PydanticCustomError]
@@ -131,7 +127,7 @@ def with_complaints(value: object, handler: ValidatorFunctionWrapHandler, compla
         result = handler(value)
     except ValidationError as error:
         for e in error.errors(include_url=False):
-            kind = PydanticCustomError(cast("LiteralString", e["type"]), cast("LiteralString", e["msg"]), e.get("ctx"))
+            kind = PydanticCustomError(cast("Any", e["type"]), cast("Any", e["msg"]), e.get("ctx"))
             more.append(InitErrorDetails(type=kind, loc=e["loc"], input=e["input"]))
         raise ValidationError.from_exception_data("configuration", more) from None
     if more:

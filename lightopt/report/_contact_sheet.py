@@ -9,7 +9,6 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from PIL import Image
 
-from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError, counted
 from lightopt.core.transforms import Posture
 from lightopt.images import ImageEntry, ImageSet, ImageSetWriter, Manifest, read_image_set, sheet_name
@@ -253,28 +252,25 @@ def _draw_legend(drawing: Drawing, manifest: Manifest) -> None:
     _draw_rule(drawing, y, FAINT)
     levels = f"level {manifest.black_level:g} to {manifest.max_level}"
     averaged = "averaged over cells of pixels"
-    ramp = np.linspace(0.0, 1.0, 180)
-    tint = shade_of_saturation(ramp)[:, None]
-    bars: tuple[tuple[Float64, tuple[str, str]], ...] = (
+    ramp = np.linspace(0.0, 1.0, 180)[:, None]
+    tint = shade_of_saturation(ramp)
+    # each with a long text and one for narrow sheets
+    bars = (
         (
-            np.repeat(255.0 * ramp[:, None], 3, axis=1),
-            (
-                f"grey: {levels} shown linearly as black to white (screen values 0 to 255), {averaged}",
-                f"grey: {levels}, linear, {averaged}",
-            ),
+            np.repeat(255.0 * ramp, 3, axis=1),
+            f"grey: {levels} shown linearly as black to white (screen values 0 to 255), {averaged}",
+            f"grey: {levels}, linear, {averaged}",
         ),
         (
             tint * np.array(SATURATED_COLOUR) + (1.0 - tint) * 128.0,
-            (
-                "red: share of saturated pixels in a cell, from a single one to all of them",
-                "red: saturated pixels in a cell, from one to all",
-            ),
+            "red: share of saturated pixels in a cell, from a single one to all of them",
+            "red: saturated pixels in a cell, from one to all",
         ),
     )
     height = round(CAP_HEIGHT * TEXT) + 4
     top = y + GAP - 2
     room = drawing.width - 2 * MARGIN
-    for colours, texts in bars:
+    for colours, *texts in bars:
         bar = np.broadcast_to(np.floor(colours + 0.5), (height, len(ramp), 3)).astype(np.uint8)
         drawing.picture(bar, MARGIN, top)
         beside = room - len(ramp) - GAP
