@@ -159,6 +159,8 @@ def show_plan(result: PlanResult, folder: Path, *, verbose: bool) -> None:
         echo(f"to carry the plan out, in {folder}:")
         for command in document["commands"]:
             echo(f"  {command}")
+        if verbose and len(document["rounds"]) > 1:
+            _show_rounds(document["rounds"])
 
 
 def _show_postures(document: Section, *, verbose: bool) -> None:
@@ -186,6 +188,16 @@ def _show_postures(document: Section, *, verbose: bool) -> None:
         echo(f"left out: posture {Posture.from_dict(out)}: {out['reason']}")
     for name, value in posture_facts(chosen, document.get("rounds", ())):
         echo(f"{name}: {value}")
+
+
+def _show_rounds(rounds: Sequence[Section]) -> None:
+    from lightopt.core.transforms import Posture
+
+    for number, one in enumerate(rounds, start=1):
+        order = " → ".join(str(Posture.from_dict(posture)) for posture in one["order_of_travel"])
+        echo(f"stage, capture {number}: {order}, {one['travel_s']:.1f} s of travel")
+    total = sum(one["travel_s"] for one in rounds)
+    echo(f"together {total:.1f} s of travel, without the ways back to (0°, 0°)")
 
 
 def _show_spare(chosen: Section, text: partial[str]) -> None:

@@ -375,14 +375,14 @@ def test_what_is_planned_is_rendered_as_it_is_planned(two, cli):
     captures = [one["command"] for one in result["rounds"]]
     assert captures == [text for text in result["commands"] if text.startswith("lightopt capture")]
     assert len(captures) == 2
-    for one in result["rounds"]:
+    for number, one in enumerate(result["rounds"], start=1):
         words = shlex.split(one["command"])[2:]
         words[:2] = [str(two.out / word) for word in words[:2]]
         ran_dry = cli("capture", *words, "--dry-run")
         assert f", {one['travel_s']:.1f} s of them travel" in ran_dry.out
+        assert f"stage, capture {number}: " in ran.out
     total = sum(one["travel_s"] for one in result["rounds"])
-    each = " + ".join(f"{one['travel_s']:.1f}" for one in result["rounds"])
-    assert f"take {each} = {total:.1f} s, each from (0°, 0°) on" in ran.out
+    assert f"together {total:.1f} s of travel" in ran.out
     # nothing of it stays where another plan has other image sets
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *asked, "--force")
     assert ran.status == 0, ran.err
