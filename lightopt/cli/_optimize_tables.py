@@ -179,9 +179,9 @@ def _show_postures(document: Section, *, verbose: bool) -> None:
     )
     _show_spare(chosen, text)
     echo(plan_proof(chosen))
-    if not chosen["proven_with_these_lights"]:
-        echo(f"these postures have at least {text(chosen['greedy_guarantee'])} of the best with these lights")
     if not verbose:
+        if not chosen["proven_with_these_lights"]:
+            echo(f"these postures have at least {text(chosen['greedy_guarantee'])} of the best with these lights")
         return
     echo(table.caption)
     for out in chosen["left_out"]:

@@ -1,7 +1,7 @@
 """Defects in a part file: the kinds to plan for, and those that are on this part."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Annotated
 
 from pydantic import Field, ValidationInfo, field_validator
@@ -23,7 +23,12 @@ _PixelIndex = Annotated[int, Field(ge=0, le=65535)]
 
 
 # kinds of defect that a key belongs to
-_OWNERS = {"slope_deg": SHAPE_KINDS, "depth_mm": SHAPE_KINDS, "R_d_factor": ("stain",), "sigma_factor": ("haze",)}
+_OWNERS: Mapping[str, tuple[str, ...]] = {
+    "slope_deg": SHAPE_KINDS,
+    "depth_mm": SHAPE_KINDS,
+    "R_d_factor": ("stain",),
+    "sigma_factor": ("haze",),
+}
 
 
 class PixelPlaceConfig(fields.Frozen):

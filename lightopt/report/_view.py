@@ -174,10 +174,11 @@ def _edges(hit: Bool, nearness: Float64, normals: Float64, *, step: float) -> Bo
     edge = np.zeros(hit.shape, dtype=bool)
     depth = np.where(hit, nearness, 0.0)
     for axis in (0, 1):
-        edges, hits, depths, facets = (np.swapaxes(values, 0, axis) for values in (edge, hit, depth, normals))
+        edges, hits = edge.swapaxes(0, axis), hit.swapaxes(0, axis)
+        depths, facets = depth.swapaxes(0, axis), normals.swapaxes(0, axis)
         both = hits[:-1] & hits[1:]
         facing = np.einsum("ijk,ijk->ij", facets[:-1], facets[1:])
         # what lies farther back than the slope of the surface explains is another surface
         jump = np.abs(depths[:-1] - depths[1:]) > 12.0 * step
         edges[:-1] |= (hits[:-1] != hits[1:]) | (both & ((facing < _CREASE_COS) | jump))
-    return binary_dilation(edge, np.ones((FINE, FINE), bool))
+    return np.asarray(binary_dilation(edge, np.ones((FINE, FINE), bool)), bool)
