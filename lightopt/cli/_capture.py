@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -121,16 +122,14 @@ def capture(
 def _show_plan(plan: CapturePlan) -> None:
     if not plan.wiring.given:
         echo("no hardware section in the rig: the virtual bench")
-    rows: list[tuple[str, str, str]] = []
-    at = 0.0
-    for step in plan.steps():
-        rows.append((f"{at:.2f}", f"{step.seconds:.2f}", str(step)))
-        at += step.seconds
+    steps = list(plan.steps())
+    *starts, end = itertools.accumulate((step.seconds for step in steps), initial=0.0)
+    rows = [(f"{at:.2f}", f"{step.seconds:.2f}", str(step)) for at, step in zip(starts, steps, strict=True)]
     show_table(("at [s]", "takes [s]", "step"), rows, numbers_from=3)
     renders = "; opening and rendering come on top" if plan.wiring.camera_is_virtual else ""
-    travel = sum(step.seconds for step in plan.steps() if step.kind == "move")
+    travel = sum(step.seconds for step in steps if step.kind == "move")
     way = f", {travel:.1f} s of them travel" if plan.wiring.hardware.stage is not None else ""
-    echo(f"{counted(len(plan.keys), 'image')} in {at:.0f} s{way}{renders}; nothing was opened or moved")
+    echo(f"{counted(len(plan.keys), 'image')} in {end:.0f} s{way}{renders}; nothing was opened or moved")
 
 
 def _show_result(done: CaptureResult) -> None:

@@ -35,15 +35,13 @@ if TYPE_CHECKING:
 MOST_DEFECTS = 6  # rows of the table of defects without `--verbose`; defects.csv has all of them
 calibration_option = partial(typer.Option, rich_help_panel="Calibration with good parts")
 
-Images = Annotated[
-    list[Path], typer.Argument(metavar="IMAGES…", help="Image sets of one part each: folder or manifest.json.")
-]
-
 
 def inspect(
     rig: common.RigFile,
     part: common.PartFile,
-    images: Images,
+    images: Annotated[
+        list[Path], typer.Argument(metavar="IMAGES…", help="Image sets of one part each: folder or manifest.json.")
+    ],
     out: common.Out,
     detector: Annotated[
         str,

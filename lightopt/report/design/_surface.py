@@ -118,7 +118,7 @@ def surface_blocks(output: DesignOutput) -> list[Block]:
         alt=f"{output.result.part.name}, coloured by what the images of the best set show of it",
         caption=" ".join(_captions(output)),
     )
-    return [view, *([_table(shown), *_combined_note(output, shown)] if shown else [])]
+    return [view, *([_table(shown), _combined_note(output, shown)] if shown else [])]
 
 
 def _captions(output: DesignOutput) -> list[str]:
@@ -210,16 +210,14 @@ def _table(shown: list[PostureClasses]) -> Table:
     )
 
 
-def _combined_note(output: DesignOutput, shown: list[PostureClasses]) -> list[Block]:
+def _combined_note(output: DesignOutput, shown: list[PostureClasses]) -> Note:
     shares = _shares(output, _best_classes(shown))
     which = "The posture shows" if len(shown) == 1 else f"The {len(shown)} postures together show"
-    return [
-        Note(
-            text=f"{which} {shares[0]} of the part's surface in two usable images or more; "
-            f"{shares[_UNSEEN]} the camera never sees. {shares[_LEFT_OUT]} of the whole surface, "
-            "which it sees at a grazing angle only, is left out of these shares."
-        )
-    ]
+    return Note(
+        text=f"{which} {shares[0]} of the part's surface in two usable images or more; "
+        f"{shares[_UNSEEN]} the camera never sees. {shares[_LEFT_OUT]} of the whole surface, "
+        "which it sees at a grazing angle only, is left out of these shares."
+    )
 
 
 def blind_pictures(result: DesignResult) -> dict[Posture, UInt8]:
