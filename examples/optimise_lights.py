@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lightopt import load_part, load_rig
 from lightopt.design import OptimizeOptions, angles_of, finish_design, optimize, write_design
-from lightopt.report import design_report
+from lightopt.report.design import design_report
 
 HERE = Path(__file__).parent
 

@@ -16,8 +16,19 @@ from numpy.typing import NDArray
 from lightopt.core.transforms import azimuth_tangent, direction, elevation_tangent, posture_rotation
 from lightopt.report._drawing import CAP_HEIGHT, INK, LINE_HEIGHT, SOFT, Box, Drawing, Label, fixed_style, sub
 from lightopt.report._images import check_png_path, write_picture
-from lightopt.report._rig_elements import AXIS_COLOURS, CAMERA, LIGHT, PHI, STAGE, THETA, Pen
-from lightopt.report._rig_shapes import camera_shape, foot_direction, panel_corners, square
+from lightopt.report._rig_elements import (
+    AXIS_COLOURS,
+    CAMERA,
+    LIGHT,
+    PHI,
+    STAGE,
+    THETA,
+    Pen,
+    camera_shape,
+    foot_direction,
+    panel_corners,
+    square,
+)
 from lightopt.report._view import ORIGIN, X, Y, Z, arc, fit_view
 from lightopt.scene import panel_grid, pixel_directions, place_camera, place_light, project
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import typer
 
+from lightopt.cli._common import heading
 from lightopt.cli._main import app
-from lightopt.cli._parser import heading
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "command-line.md"
 INTRO = """# Command line

@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lightopt.cli._inputs import load_inputs
-from lightopt.cli._options import Force, RigFile, SerialLog, parse_exposure
-from lightopt.cli._parser import HeadedCommand
+from lightopt.cli import _common as common
 from lightopt.cli._terminal import echo, echo_warning, show_table
 from lightopt.core.errors import HardwareError, InputError, LightoptError
 from lightopt.core.run_context import RunContext
@@ -26,13 +24,15 @@ bench = typer.Typer(
 )
 
 
-@bench.command(cls=HeadedCommand)
-def status(rig: RigFile, serial_log: SerialLog = None) -> None:
+@bench.command(cls=common.HeadedCommand)
+def status(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
     """Print the state of every device; nothing is switched or moved."""
+    from lightopt.config import load_rig
     from lightopt.rig.capture import device_statuses
 
     unreachable: dict[str, LightoptError] = {}
-    loaded, devices = _open(rig, serial_log, touch_lights=False, unreachable=unreachable)
+    loaded = load_rig(rig)
+    devices = _open(loaded, serial_log, touch_lights=False, unreachable=unreachable)
     with devices:
         rows = list(device_statuses(devices, loaded, unreachable))
     show_table(("device", "state"), [(row.name, row.text) for row in rows], numbers_from=2)
@@ -40,9 +40,9 @@ def status(rig: RigFile, serial_log: SerialLog = None) -> None:
         raise HardwareError(*(f"{row.name}: {row.text}" for row in failed))
 
 
-@bench.command(cls=HeadedCommand)
+@bench.command(cls=common.HeadedCommand)
 def light(
-    rig: RigFile,
+    rig: common.RigFile,
     name: Annotated[str, typer.Argument(metavar="NAME", help="Light of the rig.")],
     level: Annotated[
         int | None, typer.Argument(metavar="[LEVEL]", help="Intensity; the rig's level where it is left out.")
@@ -50,22 +50,22 @@ def light(
     seconds: Annotated[
         float | None, typer.Option(metavar="S", min=0.0, help="Time; otherwise until Enter is pressed.")
     ] = None,
-    serial_log: SerialLog = None,
+    serial_log: common.SerialLog = None,
 ) -> None:
     """Light one panel until Enter is pressed, or for some seconds; more than its max_on_s is refused."""
+    from lightopt.config import load_rig
     from lightopt.rig.capture import check_level, check_on_time, hold_light, wiring_of
 
     if seconds is None and not sys.stdin.isatty():
         raise InputError("--seconds: expected, because nobody can press Enter here")
-    loaded, _ = load_inputs(rig, None)
+    loaded = load_rig(rig)
     wiring = wiring_of(loaded)
     chosen = check_level(wiring, loaded, name, level)
     if seconds is not None:
         check_on_time(wiring, loaded, name, seconds)
     longest = wiring.light(name).max_on_s
     at_most = "" if longest is None else f", {longest:g} s at most (max_on_s)"
-    loaded, devices = _open(rig, serial_log)
-    with devices:
+    with _open(loaded, serial_log) as devices:
         echo(
             f"{name} is on at level {chosen}"
             + (f" until Enter is pressed{at_most}" if seconds is None else f" for {seconds:g} s")
@@ -76,8 +76,8 @@ def light(
     )
 
 
-@bench.command(cls=HeadedCommand)
-def off(rig: RigFile, serial_log: SerialLog = None) -> None:
+@bench.command(cls=common.HeadedCommand)
+def off(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
     """Switch every channel of every controller off, whatever state stage, camera and the rest of the file are in.
 
     Only the controllers have to be readable in the file; other problems of it are reported afterwards.
@@ -101,11 +101,12 @@ def off(rig: RigFile, serial_log: SerialLog = None) -> None:
         echo(f"all lights of {lights.name} are off {which}")
 
 
-@bench.command(cls=HeadedCommand)
-def home(rig: RigFile, serial_log: SerialLog = None) -> None:
+@bench.command(cls=common.HeadedCommand)
+def home(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
     """Home the stage."""
-    _, devices = _open(rig, serial_log, needs_stage=True)
-    with devices:
+    from lightopt.config import load_rig
+
+    with _open(load_rig(rig), serial_log, needs_stage=True) as devices:
         devices.step = "homing the stage"
         devices.home()
         assert devices.stage is not None
@@ -113,9 +114,9 @@ def home(rig: RigFile, serial_log: SerialLog = None) -> None:
     echo(f"the stage stands at {state.posture}")
 
 
-@bench.command(cls=HeadedCommand)
+@bench.command(cls=common.HeadedCommand)
 def move(
-    rig: RigFile,
+    rig: common.RigFile,
     elevation: Annotated[
         float | None, typer.Option(metavar="θ", help="Tilt [deg]; unchanged where it is left out.")
     ] = None,
@@ -123,36 +124,33 @@ def move(
         float | None, typer.Option(metavar="φ", help="Rotation [deg]; unchanged where it is left out.")
     ] = None,
     home: Annotated[bool, typer.Option("--home", help="Home the stage first.")] = False,
-    serial_log: SerialLog = None,
+    serial_log: common.SerialLog = None,
 ) -> None:
     """Move the stage and verify where it stands. The virtual bench is always homed first: it was just switched on."""
+    from lightopt.config import load_rig
     from lightopt.core.transforms import Posture
     from lightopt.rig.capture import check_angles
 
     if elevation is None and rotation is None:
         raise InputError("expected --elevation, --rotation or both")
-    loaded, _ = load_inputs(rig, None)
+    loaded = load_rig(rig)
     check_angles(loaded, elevation=elevation, rotation=rotation)
-    loaded, devices = _open(rig, serial_log, needs_stage=True)
-    with devices:
+    with _open(loaded, serial_log, needs_stage=True) as devices:
         assert devices.stage is not None
         if home or devices.wiring.stage_is_virtual:
             devices.step = "homing the stage"
             devices.home()
         devices.step = "moving the stage"
         here = devices.stage.state().posture
-        state = devices.move_to(
-            Posture(
-                here.elevation_deg if elevation is None else elevation,
-                here.rotation_deg if rotation is None else rotation,
-            )
-        )
+        tilt = here.elevation_deg if elevation is None else elevation
+        turn = here.rotation_deg if rotation is None else rotation
+        state = devices.move_to(Posture(tilt, turn))
     echo(f"the stage stands at {state.posture}")
 
 
-@bench.command(cls=HeadedCommand)
+@bench.command(cls=common.HeadedCommand)
 def snap(
-    rig: RigFile,
+    rig: common.RigFile,
     file: Annotated[Path, typer.Argument(metavar="FILE", help="PNG to write.")],
     light: Annotated[
         str | None, typer.Option(metavar="NAME", help="Light this panel for the frame; none otherwise.")
@@ -161,15 +159,15 @@ def snap(
     part: Annotated[
         Path | None, typer.Option(metavar="PART", help="What lies on the virtual bench; needed for its camera only.")
     ] = None,
-    serial_log: SerialLog = None,
-    force: Force = False,
+    serial_log: common.SerialLog = None,
+    force: common.Force = False,
 ) -> None:
     """Take one frame where the stage stands."""
     from lightopt.rig.capture import check_exposure, check_level, check_on_time, connect_devices, snap_on_s, wiring_of
     from lightopt.rig.capture import snap as take
 
-    relative = parse_exposure(exposure)
-    loaded, loaded_part = load_inputs(rig, part)
+    relative = common.parse_exposure(exposure)
+    loaded, loaded_part = common.load_inputs(rig, part)
     wiring = wiring_of(loaded)
     if wiring.camera_is_virtual and loaded_part is None:
         raise InputError("--part: the virtual camera needs to know which part lies on the bench")
@@ -186,7 +184,7 @@ def snap(
     echo(f"{file}")
 
 
-@bench.command("devices", cls=HeadedCommand)
+@bench.command("devices", cls=common.HeadedCommand)
 def list_devices(
     rig: Annotated[Path | None, typer.Argument(metavar="[RIG]", help="Print also what this rig expects.")] = None,
 ) -> None:
@@ -201,10 +199,11 @@ def list_devices(
     if rig is None:
         _show_cameras(None)
         return
+    from lightopt.config import load_rig
     from lightopt.rig.capture import wiring_of
     from lightopt.rig.devices import port_problem
 
-    loaded, _ = load_inputs(rig, None)
+    loaded = load_rig(rig)
     hardware = wiring_of(loaded).hardware
     producer = hardware.camera.producer
     cameras = _show_cameras(None if producer is None else loaded.source.resolve(producer))
@@ -257,21 +256,20 @@ def _camera_state(config: CameraDeviceConfig, cameras: list[CameraInfo]) -> str:
 
 
 def _open(
-    rig: Path,
+    rig: RigConfig,
     serial_log: Path | None,
     *,
     needs_stage: bool = False,
     touch_lights: bool = True,
     unreachable: dict[str, LightoptError] | None = None,
-) -> tuple[RigConfig, Devices]:
+) -> Devices:
     from lightopt.rig.capture import connect_devices, wiring_of
 
-    loaded, _ = load_inputs(rig, None)
-    wiring = wiring_of(loaded)
+    wiring = wiring_of(rig)
     if needs_stage and wiring.hardware.stage is None:
-        raise InputError(f"{loaded.source.at('hardware')}: this rig has no stage")
-    return loaded, connect_devices(
-        loaded,
+        raise InputError(f"{rig.source.at('hardware')}: this rig has no stage")
+    return connect_devices(
+        rig,
         wiring,
         camera=False,
         serial_log=serial_log,

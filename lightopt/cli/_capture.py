@@ -1,29 +1,12 @@
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lightopt.cli._inputs import load_inputs
-from lightopt.cli._options import (
-    Exposures,
-    Force,
-    Lights,
-    PartFile,
-    Postures,
-    Quiet,
-    RigFile,
-    SerialLog,
-    Sheet,
-    Verbose,
-    hardware_option,
-    output_option,
-    parse_exposures,
-    parse_postures,
-    selection_option,
-)
-from lightopt.cli._sheets import add_sheets
+from lightopt.cli import _common as common
 from lightopt.cli._terminal import echo, echo_error, echo_warning, show_progress, show_table
 from lightopt.core.errors import InputError, Interrupted, counted
 from lightopt.core.run_context import RunContext
@@ -33,38 +16,42 @@ if TYPE_CHECKING:
 
 
 def capture(
-    rig: RigFile,
-    part: PartFile,
+    rig: common.RigFile,
+    part: common.PartFile,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="DIR", help="Output folder; made if missing.")
     ] = None,
-    light: Lights = None,
-    posture: Postures = None,
-    exposures: Exposures = "1",
-    average: Annotated[int, selection_option(metavar="N", min=1, help="Average N frames for each image.")] = 1,
+    light: common.Lights = None,
+    posture: common.Postures = None,
+    exposures: common.Exposures = "1",
+    average: Annotated[int, common.selection_option(metavar="N", min=1, help="Average N frames for each image.")] = 1,
     dark: Annotated[
-        bool, selection_option("--dark", help="Capture frames without light as well; they are subtracted in the EXR.")
+        bool,
+        common.selection_option("--dark", help="Capture frames without light as well; they are subtracted in the EXR."),
     ] = False,
-    home: Annotated[bool, hardware_option("--home", help="Home the stage first.")] = False,
+    home: Annotated[bool, common.hardware_option("--home", help="Home the stage first.")] = False,
     check_lights: Annotated[
-        bool, hardware_option("--check-lights/--no-check-lights", help="Check that each image is lit by its light.")
+        bool,
+        common.hardware_option("--check-lights/--no-check-lights", help="Check that each image is lit by its light."),
     ] = True,
     check_repeatability: Annotated[
         bool,
-        hardware_option(
+        common.hardware_option(
             "--check-repeatability",
             help="Return to the first posture at the end and compare: a stage that lost steps is found.",
         ),
     ] = False,
     dry_run: Annotated[
-        bool, hardware_option("--dry-run", help="Print every step with its time; open and move nothing.")
+        bool, common.hardware_option("--dry-run", help="Print every step with its time; open and move nothing.")
     ] = False,
-    resume: Annotated[bool, output_option("--resume", help="Capture only what the existing image set lacks.")] = False,
-    sheet: Sheet = False,
-    serial_log: SerialLog = None,
-    force: Force = False,
-    quiet: Quiet = False,
-    _verbose: Verbose = False,
+    resume: Annotated[
+        bool, common.output_option("--resume", help="Capture only what the existing image set lacks.")
+    ] = False,
+    sheet: common.Sheet = False,
+    serial_log: common.SerialLog = None,
+    force: common.Force = False,
+    quiet: common.Quiet = False,
+    _verbose: common.Verbose = False,
 ) -> None:
     """Capture PART on RIG: every light, every posture, every exposure, one image each.
 
@@ -74,16 +61,15 @@ def capture(
 
     Example: lightopt capture rig.yaml part.yaml -o captured --exposures 1,1/16
     """
-    chosen_postures = parse_postures(posture)
-    chosen_exposures = parse_exposures(exposures)
+    chosen_postures = common.parse_postures(posture)
+    chosen_exposures = common.parse_exposures(exposures)
     if out is None and not dry_run:
         raise InputError("--out: expected a folder for the image set; --dry-run alone needs none")
 
     from lightopt.rig.capture import CaptureOptions, check_devices, check_folder, make_plan
     from lightopt.rig.capture import capture as run
 
-    loaded_rig, loaded_part = load_inputs(rig, part)
-    assert loaded_part is not None
+    loaded_rig, loaded_part = common.load_inputs(rig, part)
     options = CaptureOptions(
         lights=tuple(light) if light else None,
         postures=chosen_postures,
@@ -130,22 +116,20 @@ def capture(
         _show_result(done)
     if sheet:
         title = f"{loaded_part.name} on {loaded_rig.name}, captured"
-        add_sheets(out, exposures=chosen_exposures, title=title, force=force, quiet=quiet)
+        common.add_sheets(out, exposures=chosen_exposures, title=title, force=force, quiet=quiet)
 
 
 def _show_plan(plan: CapturePlan) -> None:
     if not plan.wiring.given:
         echo("no hardware section in the rig: the virtual bench")
-    rows: list[tuple[str, str, str]] = []
-    at = 0.0
-    for step in plan.steps():
-        rows.append((f"{at:.2f}", f"{step.seconds:.2f}", str(step)))
-        at += step.seconds
+    steps = list(plan.steps())
+    *starts, end = itertools.accumulate((step.seconds for step in steps), initial=0.0)
+    rows = [(f"{at:.2f}", f"{step.seconds:.2f}", str(step)) for at, step in zip(starts, steps, strict=True)]
     show_table(("at [s]", "takes [s]", "step"), rows, numbers_from=3)
     renders = "; opening and rendering come on top" if plan.wiring.camera_is_virtual else ""
-    travel = sum(step.seconds for step in plan.steps() if step.kind == "move")
+    travel = sum(step.seconds for step in steps if step.kind == "move")
     way = f", {travel:.1f} s of them travel" if plan.wiring.hardware.stage is not None else ""
-    echo(f"{counted(len(plan.keys), 'image')} in {at:.0f} s{way}{renders}; nothing was opened or moved")
+    echo(f"{counted(len(plan.keys), 'image')} in {end:.0f} s{way}{renders}; nothing was opened or moved")
 
 
 def _show_result(done: CaptureResult) -> None:

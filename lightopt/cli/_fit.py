@@ -2,35 +2,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from lightopt.cli._inputs import load_inputs
-from lightopt.cli._messages import flag
-from lightopt.cli._options import (
-    Force,
-    Out,
-    PartFile,
-    Points,
-    Quiet,
-    Register,
-    RigFile,
-    Threads,
-    Verbose,
-    make_folder,
-    model_option,
-    output_option,
-    parse_points,
-)
-from lightopt.cli._terminal import echo, echo_warning, show_progress, show_table
+from lightopt.cli import _common as common
+from lightopt.cli._terminal import echo, echo_warning, flag, show_progress, show_table
 from lightopt.core.errors import CheckFailed, InputError
 from lightopt.core.run_context import RunContext
 
 if TYPE_CHECKING:
+    from lightopt.config import RigConfig
     from lightopt.estimate.reflectance import FitFolder, FitOptions, FitResult, FittedValue, MeasuredNoise, PaperOptions
 
 
@@ -47,29 +31,32 @@ Method = Annotated[
 ]
 Free = Annotated[
     list[str] | None,
-    model_option("--free", metavar="gain|dark", help="Also fit the gain of each light, or the dark level; repeatable."),
+    common.model_option(
+        "--free", metavar="gain|dark", help="Also fit the gain of each light, or the dark level; repeatable."
+    ),
 ]
 Pixels = Annotated[
-    int, model_option(metavar="N", min=1000, help="Target for the number of pixels to use, over all images.")
+    int, common.model_option(metavar="N", min=1000, help="Target for the number of pixels to use, over all images.")
 ]
 WriteNoise = Annotated[
-    bool, output_option("--write-noise", help="Write the noise measured in the images to rig.fitted.yaml.")
+    bool, common.output_option("--write-noise", help="Write the noise measured in the images to rig.fitted.yaml.")
 ]
 AllowUnconverged = Annotated[
-    bool, output_option("--allow-unconverged", help="Exit with status 0 even where the optimiser did not converge.")
+    bool,
+    common.output_option("--allow-unconverged", help="Exit with status 0 even where the optimiser did not converge."),
 ]
 FREE = ("gain", "dark")
 
 
 def fit_diffuse(
-    rig: RigFile,
-    part: PartFile,
+    rig: common.RigFile,
+    part: common.PartFile,
     images: Images,
-    out: Out,
+    out: common.Out,
     method: Method = "likelihood",
-    register: Register = False,
+    register: common.Register = False,
     free: Free = None,
-    points: Points = None,
+    points: common.Points = None,
     pixels: Pixels = 1_500_000,
     lambda_d: Annotated[float, paper_option(metavar="LEVEL", help="λ_d: tolerance of the mean brightness.")] = 0.01,
     start_rd: Annotated[float, paper_option(metavar="LEVEL", help="Starting value of R_d.")] = 10.0,
@@ -78,10 +65,10 @@ def fit_diffuse(
     ] = 20.0,
     write_noise: WriteNoise = False,
     allow_unconverged: AllowUnconverged = False,
-    force: Force = False,
-    threads: Threads = None,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    force: common.Force = False,
+    threads: common.Threads = None,
+    quiet: common.Quiet = False,
+    verbose: common.Verbose = False,
 ) -> None:
     """Fit R_d to the pixels of IMAGES that are away from every highlight.
 
@@ -96,22 +83,26 @@ def fit_diffuse(
     options = _options(
         "diffuse", method, free, points, paper, pixels=pixels, register=register, write_noise=write_noise
     )
-    terminal = _Terminal(threads, quiet, verbose)
-    _run("diffuse", rig, part, images, out, options, terminal, force, allow_unconverged)
+    _run(
+        "diffuse", rig, part, images, out, options, allow_unconverged=allow_unconverged, force=force, threads=threads,
+        quiet=quiet, verbose=verbose,
+    )  # fmt: skip
 
 
 def fit_specular(
-    rig: RigFile,
-    part: PartFile,
+    rig: common.RigFile,
+    part: common.PartFile,
     images: Images,
-    out: Out,
+    out: common.Out,
     method: Method = "likelihood",
-    joint: Annotated[bool, model_option("--joint", help="Fit R_d as well instead of holding the part file's.")] = False,
-    register: Register = False,
+    joint: Annotated[
+        bool, common.model_option("--joint", help="Fit R_d as well instead of holding the part file's.")
+    ] = False,
+    register: common.Register = False,
     free: Free = None,
     points: Annotated[
         str | None,
-        model_option(
+        common.model_option(
             metavar="M,…",
             help="Point lights per panel: 1, 4, 9, 16, … or auto; several, such as 1,4,9, are compared.",
             show_default="as the rig file says",
@@ -119,7 +110,7 @@ def fit_specular(
     ] = None,
     pixels: Pixels = 1_500_000,
     validate: Annotated[
-        bool, model_option("--validate/--no-validate", help="Predict each light from the others.")
+        bool, common.model_option("--validate/--no-validate", help="Predict each light from the others.")
     ] = True,
     lambda_s1: Annotated[
         float, paper_option(metavar="SHARE", help="λ_s1: tolerance of the number of saturated pixels.")
@@ -132,10 +123,10 @@ def fit_specular(
     sigma_step: Annotated[float, paper_option(metavar="RAD", help="σ_step: step of σ.")] = 0.0025,
     write_noise: WriteNoise = False,
     allow_unconverged: AllowUnconverged = False,
-    force: Force = False,
-    threads: Threads = None,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    force: common.Force = False,
+    threads: common.Threads = None,
+    quiet: common.Quiet = False,
+    verbose: common.Verbose = False,
 ) -> None:
     """Fit R_s and σ to IMAGES; R_d is held at PART's value, or fitted with --joint.
 
@@ -154,16 +145,10 @@ def fit_specular(
         "specular", method, free, points, paper, pixels=pixels, joint=joint, register=register, validate=validate,
         write_noise=write_noise,
     )  # fmt: skip
-    terminal = _Terminal(threads, quiet, verbose)
-    _run("specular", rig, part, images, out, options, terminal, force, allow_unconverged)
-
-
-@dataclass(frozen=True)
-class _Terminal:
-    # how a fit runs, and what it prints
-    threads: int | None
-    quiet: bool
-    verbose: bool
+    _run(
+        "specular", rig, part, images, out, options, allow_unconverged=allow_unconverged, force=force, threads=threads,
+        quiet=quiet, verbose=verbose,
+    )  # fmt: skip
 
 
 def _run(
@@ -173,34 +158,34 @@ def _run(
     images: Path,
     out: Path,
     options: FitOptions,
-    terminal: _Terminal,
-    force: bool,
+    *,
     allow_unconverged: bool,
+    force: bool,
+    threads: int | None,
+    quiet: bool,
+    verbose: bool,
 ) -> None:
     from lightopt.estimate.reflectance import FitFolder, fit_diffuse, fit_provenance, fit_specular
-    from lightopt.images import read_image_set
+    from lightopt.images import make_folder, read_image_set
     from lightopt.report import fit_chart
 
-    loaded_rig, loaded_part = load_inputs(rig, part)
-    assert loaded_part is not None
+    loaded_rig, loaded_part = common.load_inputs(rig, part)
     image_set = read_image_set(images)
     arguments: dict[str, Any] = {**vars(options), "kind": kind, "paper": options.paper.as_dict()}
     made_from = fit_provenance(loaded_rig, loaded_part, image_set, arguments)
     folder = FitFolder(out, made_from, force=force)
     make_folder(out)
-    with show_progress(quiet=terminal.quiet) as progress:
-        run = RunContext(threads=terminal.threads, progress=progress, warn=echo_warning)
+    with show_progress(quiet=quiet) as progress:
+        run = RunContext(threads=threads, progress=progress, warn=echo_warning)
         if kind == "diffuse":
             result = fit_diffuse(loaded_rig, loaded_part, image_set, options=options, run=run)
         else:
-            save = _save_residuals(
-                folder, loaded_rig.camera.sensor.bit_depth, loaded_rig.camera.sensor.saturation_level
-            )
+            save = _save_residuals(folder, loaded_rig)
             result = fit_specular(loaded_rig, loaded_part, image_set, options=options, save_prediction=save, run=run)
     chart = fit_chart(result, lambda: folder.place("fit.png"))
     written = folder.write(result, loaded_rig, loaded_part)
-    if not terminal.quiet:
-        _show(result, terminal.verbose)
+    if not quiet:
+        _show(result, verbose)
         for path in (*written, *([chart] if chart else [])):
             echo(f"{path}")
     if not result.converged and not allow_unconverged:
@@ -229,7 +214,9 @@ def _options(
     texts = [] if points is None else [text.strip() for text in points.split(",")]
     if kind == "diffuse" and len(texts) > 1:
         problems.append("--points: fit-diffuse takes one number of points; fit-specular compares several")
-    chosen: tuple[int | Literal["auto"], ...] = tuple(m for text in texts if (m := parse_points(text)) is not None)
+    chosen: tuple[int | Literal["auto"], ...] = tuple(
+        m for text in texts if (m := common.parse_points(text)) is not None
+    )
     problems += [f"--points: {problem}" for m in chosen if (problem := points_problem(m)) is not None]
     problems += paper.problems()
     if method == "likelihood":
@@ -256,12 +243,13 @@ def _options(
     )
 
 
-def _save_residuals(folder: FitFolder, bit_depth: int, saturation: float | None) -> Callable[[Any, Any], None]:
+def _save_residuals(folder: FitFolder, rig: RigConfig) -> Callable[[Any, Any], None]:
     # a picture of measured minus predicted for each image that was left out
     from lightopt.images import png_name
     from lightopt.report import residual_picture
 
-    full = float(2**bit_depth - 1)
+    sensor = rig.camera.sensor
+    full = float(2**sensor.bit_depth - 1)
 
     def save(seen: Any, levels: Any) -> None:
         name = png_name(seen.light, seen.posture, seen.exposure).replace("/", "_")
@@ -269,7 +257,7 @@ def _save_residuals(folder: FitFolder, bit_depth: int, saturation: float | None)
             folder.place(f"left-out/{name}"),
             measured=seen.levels,
             predicted=levels,
-            saturated_from=full if saturation is None else saturation,
+            saturated_from=sensor.saturation_level or full,
             full=full,
         )
 

@@ -1,77 +1,73 @@
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from lightopt.cli._inputs import load_inputs
-from lightopt.cli._inspect_output import Output, show_batch, show_calibration, write_batch, write_set
-from lightopt.cli._options import (
-    Force,
-    MinImages,
-    Out,
-    PartFile,
-    Quiet,
-    Register,
-    Report,
-    RigFile,
-    Threads,
-    Verbose,
-    make_folder,
-    model_option,
-    output_option,
-)
-from lightopt.cli._terminal import echo, echo_error, echo_warning, show_progress
-from lightopt.core.errors import CheckFailed, InputError, counted
+from lightopt.cli import _common as common
+from lightopt.cli._terminal import echo, echo_error, echo_warning, show_page_table, show_progress, show_table
+from lightopt.core.errors import CheckFailed, InputError, counted, percent
 from lightopt.core.run_context import RunContext, StageShare
 
 if TYPE_CHECKING:
     from lightopt.config import PartConfig, RigConfig
     from lightopt.images import ImageSet
-    from lightopt.inspection import BatchRow, Calibration, Fusion, InspectOptions
+    from lightopt.inspection import (
+        BatchFolder,
+        BatchRow,
+        Calibration,
+        Fusion,
+        InspectedSet,
+        InspectionFolder,
+        InspectionResult,
+        InspectOptions,
+        SetEvaluation,
+        Verdict,
+    )
 
 
-DEFAULT_FALSE_ALARMS = 0.05
+MOST_DEFECTS = 6  # rows of the table of defects without `--verbose`; defects.csv has all of them
 calibration_option = partial(typer.Option, rich_help_panel="Calibration with good parts")
-
-Images = Annotated[
-    list[Path], typer.Argument(metavar="IMAGES…", help="Image sets of one part each: folder or manifest.json.")
-]
 
 
 def inspect(
-    rig: RigFile,
-    part: PartFile,
-    images: Images,
-    out: Out,
+    rig: common.RigFile,
+    part: common.PartFile,
+    images: Annotated[
+        list[Path], typer.Argument(metavar="IMAGES…", help="Image sets of one part each: folder or manifest.json.")
+    ],
+    out: common.Out,
     detector: Annotated[
         str,
-        model_option(
+        common.model_option(
             metavar="residual|template",
             help="Measured against predicted levels; or dots and lines in the synthetic image.",
         ),
     ] = "residual",
     fusion: Annotated[
         str,
-        model_option(
+        common.model_option(
             metavar="paper|median|minimum|second-largest|none",
             help="Rule that makes the synthetic image without highlights.",
         ),
     ] = "paper",
     false_alarms: Annotated[
         float | None,
-        model_option(
+        common.model_option(
             metavar="N",
             help="False alarms per posture where only noise differs, from 1e-9 to 1; with --calibration the share of "
             "good parts with a false alarm in a posture.",
             show_default="0.05",
         ),
     ] = None,
-    min_images: MinImages = 2,
-    register: Register = True,
+    min_images: common.MinImages = 2,
+    register: common.Register = True,
     calibrate: Annotated[
         bool,
         calibration_option(
@@ -84,20 +80,20 @@ def inspect(
     ] = None,
     evaluate: Annotated[
         bool,
-        output_option(
+        common.output_option(
             "--evaluate",
             help="Compare the result with ground truth, which is the sets' labels or the defects of the part file that "
             "they were made with: recall, false alarms, ROC, detection curve.",
         ),
     ] = False,
     fail_on_defect: Annotated[
-        bool, output_option("--fail-on-defect", help="Exit status 1 where a part is NG.")
+        bool, common.output_option("--fail-on-defect", help="Exit status 1 where a part is NG.")
     ] = False,
-    report: Report = True,
-    force: Force = False,
-    threads: Threads = None,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    report: common.Report = True,
+    force: common.Force = False,
+    threads: common.Threads = None,
+    quiet: common.Quiet = False,
+    verbose: common.Verbose = False,
 ) -> None:
     """Find defects in IMAGES of PART and report where they are.
 
@@ -108,11 +104,11 @@ def inspect(
     Example: lightopt inspect rig.yaml part.yaml captured/ -o inspected
     """
     from lightopt.images import read_image_set
-    from lightopt.inspection import InspectOptions, read_calibration
+    from lightopt.inspection import InspectOptions, read_calibration, rejections
 
     learned = None if calibration is None else read_calibration(calibration)
     if false_alarms is None:
-        false_alarms = DEFAULT_FALSE_ALARMS if learned is None else learned.rate
+        false_alarms = InspectOptions.false_alarms if learned is None else learned.rate
     options = InspectOptions(
         detector=detector,
         fusion=None if fusion == "none" else cast("Fusion", fusion),
@@ -126,31 +122,35 @@ def inspect(
         problems += [f"{name}: not with --calibrate, which inspects nothing" for name, is_ in given.items() if is_]
     if problems:
         raise InputError(*problems)
-    loaded_rig, loaded_part = load_inputs(rig, part)
-    assert loaded_part is not None
+    loaded_rig, loaded_part = common.load_inputs(rig, part)
+    output = _Output(rig=loaded_rig, part=loaded_part, report=report, threads=threads, quiet=quiet, verbose=verbose)
     sets = [read_image_set(path) for path in images]
     if calibrate:
-        _calibrate(loaded_rig, loaded_part, sets, out, options, threads=threads, force=force, quiet=quiet)
+        _calibrate(output, sets, out, options, force=force)
         return
     if learned is not None:
         learned.require_match(loaded_rig, loaded_part, options)
-    output = Output(rig=loaded_rig, part=loaded_part, report=report, threads=threads, quiet=quiet, verbose=verbose)
     rows = _inspect(output, sets, out, options, learned, evaluate=evaluate, force=force)
-    refused = [row.name for row in rows if row.verdict is None]
-    bad = [
-        f"{image_set.folder}: NG, {'; '.join(row.verdict.reasons)}"
-        for image_set, row in zip(sets, rows, strict=True)
-        if row.verdict is not None and not row.verdict.good
-    ]
-    if refused:
-        summary = f"{len(refused)} of {counted(len(sets), 'set')} not inspected: {', '.join(refused)}"
-        raise InputError(*(bad if fail_on_defect else ()), summary)
-    if bad and fail_on_defect:
+    bad = rejections(sets, rows) if fail_on_defect else []
+    if refused := [row.name for row in rows if row.verdict is None]:
+        raise InputError(*bad, f"{len(refused)} of {counted(len(sets), 'set')} not inspected: {', '.join(refused)}")
+    if bad:
         raise CheckFailed(*bad)
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Output:
+    # what is the same for all sets
+    rig: RigConfig
+    part: PartConfig
+    report: bool
+    threads: int | None
+    quiet: bool
+    verbose: bool
+
+
 def _inspect(
-    output: Output,
+    output: _Output,
     sets: list[ImageSet],
     out: Path,
     options: InspectOptions,
@@ -164,7 +164,6 @@ def _inspect(
         BatchFolder,
         BatchRow,
         InspectionFolder,
-        SetEvaluation,
         inspect_batch,
         inspection_provenance,
         set_names,
@@ -217,36 +216,146 @@ def _inspect(
             reasons = (message.replace(own, name) for message in inspected.error.messages)
             rows.append(BatchRow(name=name, refused=tuple(reasons)))
             continue
-        rows.append(write_set(output, folder, inspected, summarised=not several))
+        rows.append(_write_set(output, folder, inspected, summarised=not several))
         if inspected.evaluation is not None:
             evaluations.append(inspected.evaluation)
     if batch is not None:
         if not output.quiet:
-            show_batch(rows, minutes=(monotonic() - begun) / 60.0)
-        write_batch(output, batch, rows, evaluations if evaluate else None)
+            minutes = (monotonic() - begun) / 60.0
+            words = Counter(row.word for row in rows)
+            others = f", {words['not inspected']} not inspected" if words["not inspected"] else ""
+            pace = f"{len(rows) / max(minutes, 1e-9):.3g} parts per minute"
+            echo(f"{len(rows)} parts, {words['OK']} OK{others}; {pace}")
+        _write_batch(output, batch, rows, evaluations if evaluate else None)
     return rows
 
 
-def _calibrate(
-    rig: RigConfig,
-    part: PartConfig,
-    sets: list[ImageSet],
-    out: Path,
-    options: InspectOptions,
-    *,
-    threads: int | None,
-    force: bool,
-    quiet: bool,
-) -> None:
+def _calibrate(output: _Output, sets: list[ImageSet], out: Path, options: InspectOptions, *, force: bool) -> None:
+    from lightopt.images import make_folder
     from lightopt.inspection import CalibrationFolder, calibrate, inspection_provenance, require_good_sets
 
+    rig, part = output.rig, output.part
     require_good_sets(len(sets), options)
     folder = CalibrationFolder(out, inspection_provenance(rig, part, sets, options), force=force)
     make_folder(out)
-    with show_progress(quiet=quiet) as progress:
-        run = RunContext(threads=threads, progress=progress, warn=echo_warning)
+    with show_progress(quiet=output.quiet) as progress:
+        run = RunContext(threads=output.threads, progress=progress, warn=echo_warning)
         calibration = calibrate(rig, part, sets, options=options, run=run)
     path = folder.write(calibration)
-    if not quiet:
-        show_calibration(calibration, options.false_alarms)
+    if not output.quiet:
+        _show_calibration(calibration, options.false_alarms)
         echo(f"{path}")
+
+
+def _write_set(output: _Output, folder: InspectionFolder, inspected: InspectedSet, *, summarised: bool) -> BatchRow:
+    """Print a result, write its files, and the evaluation where it is `summarised` for this set alone."""
+    from lightopt.images import posture_folder
+    from lightopt.inspection import REPORT_NAME, TRUTH_NAME, BatchRow, summarise, truth_text
+    from lightopt.report.inspection import defect_overlay, inspection_report
+
+    result, verdict = inspected.result, inspected.verdict
+    assert result is not None
+    assert verdict is not None
+    summary = summarise([inspected.evaluation]) if summarised and inspected.evaluation is not None else None
+    if not output.quiet:  # before the pictures, which take longer than the inspection did
+        if summarised:
+            _show_inspection(result, verdict, verbose=output.verbose)
+        else:
+            echo(f"{inspected.name}: {verdict.word}: {verdict.explanation}")
+    with show_progress(quiet=output.quiet) as progress:
+        for number, posture in enumerate(result.postures):
+            if progress is not None:
+                progress(f"pictures of posture {posture.view.posture}", number / len(result.postures))
+            folder.write_posture(posture)
+            path = folder.place(f"{posture_folder(posture.view.posture)}/defects.png")
+            defect_overlay(path, posture, result.defects)
+    more: list[Path] = []
+    if summary is not None:
+        more.append(folder.write_text(TRUTH_NAME, truth_text(summary)))
+    if output.report:
+        page = inspection_report(
+            result, verdict, part=output.part.name, rig=output.rig.name, provenance=folder.made_from, truth=summary
+        )
+        more.append(folder.write_text(REPORT_NAME, page))
+    _show_written(output, summary, [*folder.write(result, verdict), *more])
+    report = f"{inspected.name}/{REPORT_NAME}" if output.report else ""
+    return BatchRow(name=inspected.name, report=report, defects=len(result.defects), verdict=verdict)
+
+
+def _write_batch(
+    output: _Output, folder: BatchFolder, rows: Sequence[BatchRow], evaluations: Sequence[SetEvaluation] | None
+) -> None:
+    """Write the files above the folders of several sets."""
+    from lightopt import __version__
+    from lightopt.inspection import REPORT_NAME, TRUTH_NAME, summarise, truth_text
+    from lightopt.report.inspection import batch_report
+
+    summary = None if evaluations is None else summarise(evaluations)
+    written: list[Path] = []
+    if summary is not None:
+        written.append(folder.write_text(TRUTH_NAME, truth_text(summary)))
+    if output.report:
+        page = batch_report(rows, part=output.part.name, rig=output.rig.name, version=__version__, truth=summary)
+        written.append(folder.write_text(REPORT_NAME, page))
+    written.insert(0, folder.finish({"sets": [row.as_dict() for row in rows]}))
+    _show_written(output, summary, written)
+
+
+def _show_written(output: _Output, summary: Mapping[str, Any] | None, written: Sequence[Path]) -> None:
+    if output.quiet:
+        return
+    if summary is not None:
+        _show_evaluation(summary, verbose=output.verbose)
+    for path in written:
+        echo(f"{path}")
+
+
+def _show_calibration(calibration: Calibration, rate: float) -> None:
+    """The greatest score of each good set, the threshold, and the rates that these sets can hold."""
+    from lightopt.inspection import least_rate
+
+    rows = [
+        [name, *(f"{posture.peaks[i]:.1f}" for posture in calibration.postures)]
+        for i, name in enumerate(calibration.sets)
+    ]
+    rows.append(["threshold", *(f"{posture.threshold(rate):.1f}" for posture in calibration.postures)])
+    show_table(["greatest score", *(str(posture.posture) for posture in calibration.postures)], rows)
+    count = len(calibration.sets)
+    echo(
+        f"{count} good sets hold a rate of {rate:g}, the share of good parts with a false alarm in a posture; they "
+        f"would hold {least_rate(count):.3g}"
+    )
+
+
+def _show_evaluation(summary: Mapping[str, Any], *, verbose: bool) -> None:
+    # recall, false alarms and the size that is detected, from lightopt.inspection.summarise
+    from lightopt.report.inspection import detection_table
+
+    alarms, hidden, area = summary["false_alarms_per_posture"], summary["hidden"], summary["roc_auc"]
+    why = " (out of view, at an edge, or narrower than a pixel)" if hidden else ""
+    echo(
+        f"{summary['found']} of {summary['defects']} defects found, {len(hidden)} shown by no pixel to judge{why}; "
+        f"{alarms:g} false alarm{'' if alarms == 1.0 else 's'} per posture; area under the pixels' ROC "
+        f"{'-' if area is None else area}"
+    )
+    if verbose:
+        show_page_table(detection_table(summary))
+
+
+def _show_inspection(result: InspectionResult, verdict: Verdict, *, verbose: bool) -> None:
+    # the verdict, defects, where the part lies, what was inspected
+    from lightopt.inspection import REFERENCE_DEFECT
+    from lightopt.report.inspection import dark_text, defect_table, placement_text, surface_notes, surface_table
+
+    echo(f"{verdict.word}: {verdict.explanation}")
+    if result.defects:
+        show_page_table(defect_table(result, verdict), most=None if verbose else MOST_DEFECTS)
+        if not verbose and len(result.defects) > MOST_DEFECTS:
+            echo(f"and {len(result.defects) - MOST_DEFECTS} more; --verbose shows them")
+    if result.placement is not None and (place := placement_text(result.placement)):
+        echo(f"the part lies off its nominal place by {place}")
+    echo(f"{REFERENCE_DEFECT} is found on {percent(verdict.finds)} of the visible surface{dark_text(verdict)}")
+    if verbose:
+        show_page_table(surface_table(result))
+        for sentence in surface_notes(result):
+            echo(sentence)

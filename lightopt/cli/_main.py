@@ -11,19 +11,15 @@ import typer
 
 from lightopt.cli._bench import bench
 from lightopt.cli._capture import capture
-from lightopt.cli._check import check
-from lightopt.cli._compare import compare
-from lightopt.cli._defects import defects
+from lightopt.cli._common import HeadedCommand
+from lightopt.cli._files import check, defects, init, schema
 from lightopt.cli._fit import fit_diffuse, fit_specular
-from lightopt.cli._init import init, schema
+from lightopt.cli._image_sets import compare, overlap
 from lightopt.cli._inspect import inspect
 from lightopt.cli._optimize import optimize
-from lightopt.cli._overlap import overlap
-from lightopt.cli._parser import HeadedCommand
-from lightopt.cli._process import INTERRUPTED
+from lightopt.cli._process import DEBUG, DEFECT, INTERRUPTED, debugging, report_unexpected, system_refused
 from lightopt.cli._render import render
 from lightopt.cli._terminal import echo_error, version_wanted
-from lightopt.cli._unexpected import DEBUG, DEFECT, debugging, report_unexpected, system_refused
 from lightopt.core.errors import LightoptError, error_text
 from lightopt.core.interrupts import interrupt
 

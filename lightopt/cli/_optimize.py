@@ -2,32 +2,12 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lightopt.cli._inputs import load_inputs
-from lightopt.cli._optimize_tables import show_design
-from lightopt.cli._options import (
-    Force,
-    Out,
-    PartFile,
-    Patches,
-    Points,
-    Postures,
-    Quiet,
-    Report,
-    RigFile,
-    Shadows,
-    Threads,
-    Verbose,
-    output_option,
-    parse_points,
-    parse_postures,
-    parse_share,
-)
-from lightopt.cli._plan_options import given, plan_options
-from lightopt.cli._plan_tables import show_plan
+from lightopt.cli import _common as common
+from lightopt.cli._optimize_tables import show_design, show_plan
 from lightopt.cli._terminal import echo, echo_warning, show_progress, show_table
 from lightopt.core.errors import CheckFailed, InputError
 from lightopt.core.run_context import RunContext
@@ -44,10 +24,10 @@ tolerance_option = partial(typer.Option, rich_help_panel="Tolerance analysis")
 
 
 def optimize(
-    rig: RigFile,
-    part: PartFile,
-    out: Out,
-    posture: Postures = None,
+    rig: common.RigFile,
+    part: common.PartFile,
+    out: common.Out,
+    posture: common.Postures = None,
     step: Annotated[float, light_option(metavar="DEG", help="Step of the angles within the lights' ranges.")] = 5.0,
     common_elevation: Annotated[
         bool, light_option("--common-elevation", help="Same elevation for all lights that move in elevation.")
@@ -138,21 +118,24 @@ def optimize(
             show_default="0.95",
         ),
     ] = None,
-    points: Points = None,
-    shadows: Shadows = True,
-    patches: Patches = None,
+    points: common.Points = None,
+    shadows: common.Shadows = True,
+    patches: common.Patches = None,
     keep_matrix: Annotated[
-        bool, output_option("--keep-matrix", help="Keep the luminance matrices; the same command then reuses them.")
+        bool,
+        common.output_option("--keep-matrix", help="Keep the luminance matrices; the same command then reuses them."),
     ] = False,
-    images: Annotated[bool, output_option("--images/--no-images", help="Render the images of the best set.")] = True,
-    report: Report = True,
+    images: Annotated[
+        bool, common.output_option("--images/--no-images", help="Render the images of the best set.")
+    ] = True,
+    report: common.Report = True,
     ranking_rows: Annotated[
-        int, output_option(metavar="N", help="Combinations in ranking.csv, per posture and objective.")
+        int, common.output_option(metavar="N", help="Combinations in ranking.csv, per posture and objective.")
     ] = 100,
-    force: Force = False,
-    threads: Threads = None,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    force: common.Force = False,
+    threads: common.Threads = None,
+    quiet: common.Quiet = False,
+    verbose: common.Verbose = False,
 ) -> None:
     """Find where the lights of RIG go for PART: the best combination of their positions, exactly.
 
@@ -171,38 +154,60 @@ def optimize(
 
     Example: lightopt optimize rig.yaml part.yaml -o best --step 5 --common-lights
     """
-    chosen_postures = parse_postures(posture)
-    chosen_points = parse_points(points)
-    share = _parse_shade(shade_below)
-    of_defects = "detectability" in (objective or ()) or not (choose_postures is target is exposures is None)
-    for option, value in (("--min-images", min_images), ("--threshold", threshold)):
-        if value is not None and not of_defects:
-            raise InputError(f"{option}: does nothing without --objective detectability")
-
-    plan = plan_options(
-        choose_postures=choose_postures,
-        target=target,
-        posture_step=posture_step,
-        allow_outside=allow_outside,
-        exposures=exposures,
-        exposure_gain=exposure_gain,
-        light_tolerance=light_tolerance,
-        pose_tolerance=pose_tolerance,
-        tolerance_target=tolerance_target,
+    chosen_postures = common.parse_postures(posture)
+    chosen_points = common.parse_points(points)
+    of_full_scale = "of full scale from 0 to 1, such as 10/255 or 0.04"
+    shade = common.parse_share(shade_below, option="--shade-below", expected=of_full_scale, limits=(0.0, 1.0))
+    choice = choose_postures is not None or target is not None
+    of_defects = "detectability" in (objective or ()) or choice or exposures is not None
+    tolerance = light_tolerance is not None or pose_tolerance is not None
+    dependent = (
+        ("--min-images", min_images, of_defects, "--objective detectability"),
+        ("--threshold", threshold, of_defects, "--objective detectability"),
+        ("--posture-step", posture_step, choice, "--choose-postures or --target"),
+        ("--allow-outside", allow_outside, choice, "--choose-postures or --target"),
+        ("--exposure-gain", exposure_gain, exposures is not None, "--exposures"),
+        ("--tolerance-target", tolerance_target, tolerance, "--light-tolerance or --pose-tolerance"),
+    )
+    problems = [
+        f"{option}: does nothing without {other}"
+        for option, value, used, other in dependent
+        if value is not None and not used
+    ]
+    if problems:
+        raise InputError(*problems)
+    chosen_exposures = () if exposures is None else common.parse_exposures(exposures)
+    shown_share, kept_share = (
+        None if text is None else common.parse_share(text, option=option, expected=f"{of}, such as 0.95")
+        for text, option, of in (
+            (target, "--target", "of the surface above 0 and up to 1"),
+            (tolerance_target, "--tolerance-target", "of the score between 0 and 1"),
+        )
     )
 
-    from lightopt.design import OptimizeOptions, TargetNotReached, finish_design, write_design
+    from lightopt.design import OptimizeOptions, PlanOptions, TargetNotReached, Tolerances, finish_design, write_design
     from lightopt.design import optimize as design
-    from lightopt.report import blind_pictures, design_report
+    from lightopt.report.design import blind_pictures, design_report
 
-    loaded_rig, loaded_part = load_inputs(rig, part)
-    assert loaded_part is not None
+    tolerances = None
+    if tolerance:
+        tolerances = Tolerances(
+            light_deg=light_tolerance or 0.0, pose_deg=pose_tolerance or 0.0, **_given(tolerance_target=kept_share)
+        )
+    plan = PlanOptions(
+        choose_postures=choose_postures,
+        target=shown_share,
+        exposures=chosen_exposures,
+        tolerances=tolerances,
+        **_given(posture_step_deg=posture_step, allow_outside_px=allow_outside, exposure_gain=exposure_gain),
+    )
+    loaded_rig, loaded_part = common.load_inputs(rig, part)
     options = OptimizeOptions(
         objectives=tuple(objective or ()),
         step_deg=step,
         common_elevation=common_elevation,
         common_lights=common_lights,
-        shade_below=share,
+        shade_below=shade,
         postures=chosen_postures,
         points=chosen_points,
         shadows=shadows,
@@ -210,7 +215,7 @@ def optimize(
         images=images,
         report=report,
         rows=ranking_rows,
-        **given(min_images=min_images, threshold=threshold, patch_budget=patches, limit=max_combinations),
+        **_given(min_images=min_images, threshold=threshold, patch_budget=patches, limit=max_combinations),
     )
     try:
         with show_progress(quiet=quiet) as progress:
@@ -228,12 +233,9 @@ def optimize(
     _require_usable(result, out)
 
 
-def _parse_shade(text: str) -> float:
-    expected = "of full scale from 0 to 1, such as 10/255 or 0.04"
-    value = parse_share(text, option="--shade-below", expected=expected)
-    if not 0.0 <= value <= 1.0:
-        raise InputError(f'--shade-below: expected a share {expected}, found "{text}"')
-    return value
+def _given(**options: object) -> dict[str, Any]:
+    """The options that were given; the others keep their defaults."""
+    return {name: value for name, value in options.items() if value is not None}
 
 
 def _show_reachable(error: TargetNotReached) -> None:

@@ -1,32 +1,46 @@
-"""The answers of ``lightopt optimize`` as tables on the terminal."""
+"""The answers and the plans of ``lightopt optimize`` as tables on the terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from lightopt.cli._terminal import echo, show_table, together
+from lightopt.cli._terminal import echo, show_page_table, show_table
 from lightopt.core.errors import counted
 
 if TYPE_CHECKING:
-    from lightopt.design import BlindSpotSummary, DesignOutput, DesignResult, Objective, ObjectiveResult, SetResult
+    from lightopt.core.transforms import Posture
+    from lightopt.design import (
+        BlindSpotSummary,
+        DesignOutput,
+        DesignResult,
+        Objective,
+        ObjectiveResult,
+        PlanResult,
+        SetResult,
+    )
     from lightopt.images import Overlap
+
+Section = Mapping[str, Any]  # of result.json, as the report has it
 
 
 def show_design(output: DesignOutput, *, verbose: bool) -> None:
     """The best sets with every objective's score, and the files; with `verbose` all other tables as well."""
+    from lightopt.report.design import blind_tables, defect_tables
+
     result = output.result
     _show_best(result, verbose=verbose)
     if verbose:
         _show_inputs(result)
-    if result.blind is not None:
-        if verbose:
-            _show_defects(result)
-            show_blind_spots(result.blind)
-        else:
-            _summarise_blind_spots(result.blind)
-    if output.overlaps and verbose:
-        show_overlaps(output.overlaps)
+        for table in (*defect_tables(output.document), *blind_tables(output.document)):
+            show_page_table(table)
+            echo(table.caption)
+        if output.overlaps:
+            show_overlaps(output.overlaps)
+    elif result.blind is not None:
+        _summarise_blind_spots(result.blind)
     for path in output.paths:
         echo(f"{path}")
 
@@ -49,13 +63,17 @@ def _show_best(found: DesignResult, *, verbose: bool) -> None:
     header = ["posture", "best for", *found.candidates.names, *names, *counts]
     rows: list[list[str]] = []
     for result in found.results:
-        posture = together(result.postures)
+        posture = _together(result.postures)
         for answer in result.answers:
             rows.append([posture, answer.objective.name, *_cells(answer, result, found)])
             posture = ""
     show_table(header, rows, numbers_from=2)
     if verbose:
         _explain([answer.objective for answer in found.results[0].answers])
+
+
+def _together(postures: Sequence[Posture]) -> str:
+    return str(postures[0]) if len(postures) == 1 else f"all {len(postures)}"
 
 
 def _explain(objectives: Sequence[Objective]) -> None:
@@ -92,31 +110,6 @@ def _cells(answer: ObjectiveResult, result: SetResult, found: DesignResult) -> l
     return [*angles, *scores, left_out_text(result), *counts]
 
 
-def _show_defects(found: DesignResult) -> None:
-    from lightopt.design import share_text
-
-    for result in found.results:
-        for answer in result.answers:
-            facts = answer.details
-            if "worst_defect" not in facts or answer.nothing is not None:
-                continue
-            kinds = ", ".join(f"{name} {share_text(share, result.grain)}" for name, share in facts["defects"].items())
-            worst = facts.get("worst_direction_deg")
-            least = (
-                ""
-                if worst is None
-                else (
-                    f"; walls that lean to {worst:g}° (from the mesh file's X axis, as direction_deg of defects) "
-                    f"least, {share_text(facts['directions_deg'][f'{worst:g}'], result.grain)}"
-                )
-            )
-            which = f"{together(result.postures)}{' postures' * (len(result.postures) > 1)}"
-            echo(
-                f"{which}: best for {answer.objective.name} shows {kinds}{least}; shares as those of "
-                f"{answer.objective.name}"
-            )
-
-
 def _summarise_blind_spots(blind: BlindSpotSummary) -> None:
     """What the chosen lights show of the defects over all postures, in one line."""
     from lightopt.design import BLIND_SHARES_OF, blind_text, share_text
@@ -127,38 +120,6 @@ def _summarise_blind_spots(blind: BlindSpotSummary) -> None:
         for code, share in sorted(chosen.by_reason().items())
     )
     echo(f"seen {share_text(chosen.seen, chosen.grain)} of {BLIND_SHARES_OF}; {reasons}")
-
-
-def show_blind_spots(blind: BlindSpotSummary) -> None:
-    """What the chosen lights show of the defects, over all postures and in each, and why the rest stays invisible."""
-    from lightopt.design import BLIND_LIGHTS, BLIND_SHARES_OF, blind_text, share_text
-
-    parts = blind.parts() if len(blind.postures) > 1 else blind.parts()[:1]
-    codes = sorted({code for _, *both in parts for spots in both for code in spots.by_reason()})
-    # where nothing was left to choose, what the lights can do is what they do
-    both = any(chosen.by_reason() != possible.by_reason() for _, chosen, possible in parts)
-    rows = [
-        [
-            "all" if posture is None else str(posture),
-            lights,
-            *(
-                share_text(share, spots.grain)
-                for share in (spots.seen, *(spots.by_reason().get(code, 0.0) for code in codes), spots.left_out)
-            ),
-        ]
-        for posture, chosen, possible in parts
-        for lights, spots in tuple(zip(BLIND_LIGHTS, (chosen, possible), strict=True))[: 2 if both else 1]
-    ]
-    header = ["posture", "lights", "seen", *(blind_text(code, blind.lights) for code in codes), "left out"]
-    show_table(header, rows, numbers_from=2)
-    images = counted(blind.objective.min_images, "image")
-    own = "; a posture's own images in its row, those of all postures in all" if len(parts) > 1 else ""
-    echo(f"shares of {BLIND_SHARES_OF}, seen in {images} or more{own}")
-    echo("left out: of the whole surface, what the camera sees at a grazing angle only")
-    if both:
-        echo(
-            f"{BLIND_LIGHTS[1]}: every light wherever it shows that defect; no one set of positions need show all of it"
-        )
 
 
 def show_overlaps(overlaps: Sequence[Overlap]) -> None:
@@ -176,3 +137,78 @@ def show_overlaps(overlaps: Sequence[Overlap]) -> None:
             ]
         )
     show_table(["posture", "exposure", "saturated px", "in two or more", "overlaps"], rows, numbers_from=9)
+
+
+def show_plan(result: PlanResult, folder: Path, *, verbose: bool) -> None:
+    """The plan, and the commands that carry it out; with `verbose` also what the figures mean and how far they hold."""
+    from lightopt.design import plan_document
+    from lightopt.report.design import exposure_note, exposure_table, tolerance_table
+
+    document = plan_document(result)
+    if "chosen_postures" in document:
+        _show_postures(document, verbose=verbose)
+    if "exposures" in document:
+        planned = document["exposures"]
+        show_page_table(exposure_table(planned))
+        echo(exposure_note(planned))
+        if verbose and "chosen_postures" not in document:
+            echo(f"shares of exposures: of {planned['shares_of']}")
+    if "tolerances" in document:
+        show_page_table(tolerance_table(document["tolerances"]))
+    if "commands" in document:
+        echo(f"to carry the plan out, in {folder}:")
+        for command in document["commands"]:
+            echo(f"  {command}")
+        if verbose and len(document["rounds"]) > 1:
+            _show_rounds(document["rounds"])
+
+
+def _show_postures(document: Section, *, verbose: bool) -> None:
+    from lightopt.core.transforms import Posture
+    from lightopt.design import share_text
+    from lightopt.report.design import plan_proof, posture_facts, posture_table
+
+    chosen = document["chosen_postures"]
+    text = partial(share_text, grain=chosen["patches"]["grain"])
+    table = posture_table(chosen, with_exposures=len(chosen["bounds_with_any_of_exposures"]) > 1)
+    show_page_table(table)
+    number, images = counted(len(chosen["postures"]), "posture"), counted(chosen["min_images"], "image")
+    echo(
+        f"{number} of {chosen['candidates']} show {text(chosen['share'])} of the surface × defects in {images} or "
+        "more, all planned images together and no others"
+    )
+    _show_spare(chosen, text)
+    echo(plan_proof(chosen))
+    if not verbose:
+        if not chosen["proven_with_these_lights"]:
+            echo(f"these postures have at least {text(chosen['greedy_guarantee'])} of the best with these lights")
+        return
+    echo(table.caption)
+    for out in chosen["left_out"]:
+        echo(f"left out: posture {Posture.from_dict(out)}: {out['reason']}")
+    for name, value in posture_facts(chosen, document.get("rounds", ())):
+        echo(f"{name}: {value}")
+
+
+def _show_rounds(rounds: Sequence[Section]) -> None:
+    from lightopt.core.transforms import Posture
+
+    for number, one in enumerate(rounds, start=1):
+        order = " → ".join(str(Posture.from_dict(posture)) for posture in one["order_of_travel"])
+        echo(f"stage, capture {number}: {order}, {one['travel_s']:.1f} s of travel")
+    total = sum(one["travel_s"] for one in rounds)
+    echo(f"together {total:.1f} s of travel, without the ways back to (0°, 0°)")
+
+
+def _show_spare(chosen: Section, text: partial[str]) -> None:
+    # fewer postures than were requested, and postures that hardly add anything
+    count, sufficient = len(chosen["postures"]), chosen["postures_to_a_tenth_of_a_point"]
+    if chosen["requested"] is not None and count < chosen["requested"] and chosen["target"] is None:
+        why = "there are no others" if count == chosen["candidates"] else "no other adds anything with these lights"
+        echo(f"{chosen['requested']} postures were asked for: {why}")
+    if sufficient < count:
+        share = text(chosen["postures"][sufficient - 1]["share"])
+        echo(
+            f"the first {sufficient} chosen show {share}, the others less than 0.1 points more: "
+            f"--choose-postures {sufficient} does nearly as well"
+        )

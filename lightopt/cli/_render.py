@@ -1,56 +1,36 @@
 from typing import Annotated
 
-from lightopt.cli._inputs import load_inputs
-from lightopt.cli._options import (
-    Exposures,
-    Force,
-    Lights,
-    Out,
-    PartFile,
-    Patches,
-    Points,
-    Postures,
-    Quiet,
-    RigFile,
-    Shadows,
-    Sheet,
-    Threads,
-    Verbose,
-    model_option,
-    output_option,
-    parse_exposures,
-    parse_points,
-    parse_postures,
-)
-from lightopt.cli._sheets import add_sheets
+from lightopt.cli import _common as common
 from lightopt.cli._terminal import echo, echo_warning, show_progress
 from lightopt.core.errors import counted
 from lightopt.core.run_context import RunContext
 
 
 def render(
-    rig: RigFile,
-    part: PartFile,
-    out: Out,
-    light: Lights = None,
-    posture: Postures = None,
-    exposures: Exposures = "1",
-    points: Points = None,
+    rig: common.RigFile,
+    part: common.PartFile,
+    out: common.Out,
+    light: common.Lights = None,
+    posture: common.Postures = None,
+    exposures: common.Exposures = "1",
+    points: common.Points = None,
     noise: Annotated[
-        int | None, model_option(metavar="SEED", help="Add the sensor's shot and read noise to the PNGs.")
+        int | None, common.model_option(metavar="SEED", help="Add the sensor's shot and read noise to the PNGs.")
     ] = None,
-    shadows: Shadows = True,
-    defects: Annotated[bool, model_option("--defects/--no-defects", help="Show the defects that PART names.")] = True,
-    supersample: Annotated[int, model_option(metavar="N", min=1, help="Cast N × N rays per pixel.")] = 1,
-    patches: Patches = None,
+    shadows: common.Shadows = True,
+    defects: Annotated[
+        bool, common.model_option("--defects/--no-defects", help="Show the defects that PART names.")
+    ] = True,
+    supersample: Annotated[int, common.model_option(metavar="N", min=1, help="Cast N × N rays per pixel.")] = 1,
+    patches: common.Patches = None,
     layers: Annotated[
-        bool, output_option("--layers", help="Write EXR channels diffuse.Y and specular.Y as well.")
+        bool, common.output_option("--layers", help="Write EXR channels diffuse.Y and specular.Y as well.")
     ] = False,
-    sheet: Sheet = False,
-    force: Force = False,
-    threads: Threads = None,
-    quiet: Quiet = False,
-    _verbose: Verbose = False,
+    sheet: common.Sheet = False,
+    force: common.Force = False,
+    threads: common.Threads = None,
+    quiet: common.Quiet = False,
+    _verbose: common.Verbose = False,
 ) -> None:
     """Render what the camera would see of PART on RIG: every light, every posture.
 
@@ -60,14 +40,13 @@ def render(
 
     Example: lightopt render rig.yaml part.yaml -o out --exposures 1,1/16
     """
-    chosen_postures = parse_postures(posture)
-    chosen_exposures = parse_exposures(exposures)
-    chosen_points = parse_points(points)
+    chosen_postures = common.parse_postures(posture)
+    chosen_exposures = common.parse_exposures(exposures)
+    chosen_points = common.parse_points(points)
 
     from lightopt.rendering import DEFAULT_PATCH_BUDGET, RenderOptions, render_image_set
 
-    loaded_rig, loaded_part = load_inputs(rig, part)
-    assert loaded_part is not None
+    loaded_rig, loaded_part = common.load_inputs(rig, part)
     options = RenderOptions(
         lights=tuple(light) if light else None,
         postures=chosen_postures,
@@ -93,4 +72,4 @@ def render(
         echo(f"{done.folder / 'manifest.json'}")
     if sheet:
         title = f"{loaded_part.name} on {loaded_rig.name}"
-        add_sheets(out, exposures=chosen_exposures, title=title, force=force, quiet=quiet)
+        common.add_sheets(out, exposures=chosen_exposures, title=title, force=force, quiet=quiet)

@@ -1,7 +1,11 @@
-"""What the person at the terminal sees: messages, tables, progress."""
+"""What the person at the terminal sees: messages, tables, progress.
+
+The library names options as its own parameters; messages show them as flags.
+"""
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
@@ -9,11 +13,39 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from lightopt.cli._messages import with_flags
-
 if TYPE_CHECKING:
     from lightopt.core.run_context import StageShare
-    from lightopt.core.transforms import Posture
+    from lightopt.report import Table
+
+# flags that are not the parameter's name with dashes
+FLAGS = {
+    "R_d_start": "--start-rd",
+    "R_s_start": "--start-rs",
+    "allow_outside_px": "--allow-outside",
+    "away": "--highlight-margin",
+    "check": "--no-check-lights",
+    "light_deg": "--light-tolerance",
+    "limit": "--max-combinations",
+    "lights": "--light",
+    "objectives": "--objective",
+    "patch_budget": "--patches",
+    "pose_deg": "--pose-tolerance",
+    "posture_step_deg": "--posture-step",
+    "postures": "--posture",
+    "rows": "--ranking-rows",
+    "sigma_start": "--start-sigma",
+    "step_deg": "--step",
+}
+
+
+def flag(name: str) -> str:
+    """The flag of a library's option."""
+    return FLAGS.get(name, f"--{name.replace('_', '-')}")
+
+
+def with_flags(message: str) -> str:
+    """A message of the library with the flags of the options that it names as: option 'name'."""
+    return re.sub(r"option '(\w+)'", lambda match: flag(match[1]), message)
 
 
 def echo(text: str) -> None:
@@ -52,9 +84,9 @@ def show_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers_
         echo("  ".join(cells).rstrip())
 
 
-def together(postures: Sequence[Posture]) -> str:
-    """One posture, or how many, for the cell of a table."""
-    return str(postures[0]) if len(postures) == 1 else f"all {len(postures)}"
+def show_page_table(table: Table, *, most: int | None = None) -> None:
+    """A table of a report, or its first rows, on standard output."""
+    show_table(table.header, table.rows[:most], numbers_from=table.numbers_from)
 
 
 @contextmanager

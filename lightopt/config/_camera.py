@@ -4,25 +4,16 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
 
-from lightopt.config._fields import (
-    Azimuth,
-    Elevation,
-    Frozen,
-    Length,
-    Positive,
-    Text,
-    complaint,
-    exactly_one,
-    expecting,
-    only_of_driver,
-)
+from lightopt.config import _fields as fields
 
-_Distortion = Annotated[float, Field(ge=-1e3, le=1e3), expecting("a number")]
+_Distortion = Annotated[float, Field(ge=-1e3, le=1e3), fields.expecting("a number")]
 _Pixels = Annotated[int, Field(ge=1, le=65535)]
-_Nanoseconds = Annotated[int, Field(ge=0, le=1000000000), expecting("nanoseconds, from 0 to 1000000000")]
-_Pixel = Annotated[int, Field(ge=0, le=65535), expecting("pixels, from 0 to 65535")]
-_Offset = Annotated[tuple[_Pixel, _Pixel], Field(strict=False), expecting("two whole numbers of pixels, [left, top]")]
-_PacketSize = Annotated[int, Field(ge=576, le=65535), expecting("bytes, from 576 to 65535")]
+_Nanoseconds = Annotated[int, Field(ge=0, le=1000000000), fields.expecting("nanoseconds, from 0 to 1000000000")]
+_Pixel = Annotated[int, Field(ge=0, le=65535), fields.expecting("pixels, from 0 to 65535")]
+_Offset = Annotated[
+    tuple[_Pixel, _Pixel], Field(strict=False), fields.expecting("two whole numbers of pixels, [left, top]")
+]
+_PacketSize = Annotated[int, Field(ge=576, le=65535), fields.expecting("bytes, from 576 to 65535")]
 
 
 def _whole(value: object) -> object:
@@ -31,7 +22,7 @@ def _whole(value: object) -> object:
     return value
 
 
-class DistortionConfig(Frozen):
+class DistortionConfig(fields.Frozen):
     """Lens distortion in OpenCV's model: x to the right, y down, in units of the image distance."""
 
     k1: _Distortion = Field(default=0.0, description="Radial coefficient of r².")
@@ -41,24 +32,24 @@ class DistortionConfig(Frozen):
     k3: _Distortion = Field(default=0.0, description="Radial coefficient of r⁶.")
 
 
-class SensorConfig(Frozen):
+class SensorConfig(fields.Frozen):
     """How the sensor turns light into levels."""
 
-    bit_depth: Annotated[Literal[8, 10, 12, 14, 16], BeforeValidator(_whole), expecting("8, 10, 12, 14 or 16")] = Field(
-        description="Bits per pixel: 8, 10, 12, 14 or 16. The full scale is 2^bits - 1 levels."
-    )
-    saturation_level: Annotated[int, Field(ge=1), expecting("a whole level above 0")] | None = Field(
+    bit_depth: Annotated[
+        Literal[8, 10, 12, 14, 16], BeforeValidator(_whole), fields.expecting("8, 10, 12, 14 or 16")
+    ] = Field(description="Bits per pixel: 8, 10, 12, 14 or 16. The full scale is 2^bits - 1 levels.")
+    saturation_level: Annotated[int, Field(ge=1), fields.expecting("a whole level above 0")] | None = Field(
         default=None,
         description="Level [levels] from which a pixel counts as saturated; the full scale unless given. "
         "Some 12-bit cameras stop at 4080.",
     )
-    black_level: Annotated[float, Field(ge=0), expecting("a level from 0 up")] = Field(
+    black_level: Annotated[float, Field(ge=0), fields.expecting("a level from 0 up")] = Field(
         default=0.0, description="Level of an unlit pixel [levels of the sensor]."
     )
-    read_noise_levels: Annotated[float, Field(ge=0, le=1e5), expecting("a number from 0 up")] = Field(
+    read_noise_levels: Annotated[float, Field(ge=0, le=1e5), fields.expecting("a number from 0 up")] = Field(
         default=0.0, description="Standard deviation of the noise without light [levels of the sensor]."
     )
-    electrons_per_level: Positive | None = Field(
+    electrons_per_level: fields.Positive | None = Field(
         default=None, description="Conversion gain [electrons per level], for shot noise; none unless given."
     )
 
@@ -67,7 +58,7 @@ class SensorConfig(Frozen):
     def _within_full_scale(cls, level: int | None, info: ValidationInfo) -> int | None:
         bits = info.data.get("bit_depth")
         if level is not None and bits is not None and level > 2**bits - 1:
-            raise complaint(f"expected at most {2**bits - 1}, the full scale of {bits} bits, found {level}")
+            raise fields.complaint(f"expected at most {2**bits - 1}, the full scale of {bits} bits, found {level}")
         return level
 
     @field_validator("black_level")
@@ -77,33 +68,35 @@ class SensorConfig(Frozen):
             return black
         top = info.data["saturation_level"] or 2 ** info.data["bit_depth"] - 1
         if black >= top:
-            raise complaint(f"expected less than the saturation level, {top}, found {black:g}")
+            raise fields.complaint(f"expected less than the saturation level, {top}, found {black:g}")
         return black
 
 
-class CameraConfig(Frozen):
+class CameraConfig(fields.Frozen):
     """A pinhole camera that looks at the origin, the centre of the table top."""
 
-    distance_mm: Length = Field(description="Distance from the origin to the pinhole [mm].")
-    elevation_deg: Elevation = Field(
+    distance_mm: fields.Length = Field(description="Distance from the origin to the pinhole [mm].")
+    elevation_deg: fields.Elevation = Field(
         description="Elevation of the camera above the table plane [deg]; 90 is straight above."
     )
-    azimuth_deg: Azimuth = Field(
+    azimuth_deg: fields.Azimuth = Field(
         default=270.0,
         description="Azimuth of the camera about Z, from X [deg]; at 270 and elevation 90 the image shows X "
         "to the right and Y up.",
     )
-    roll_deg: Azimuth = Field(default=0.0, description="Roll of the camera about its viewing axis [deg].")
+    roll_deg: fields.Azimuth = Field(default=0.0, description="Roll of the camera about its viewing axis [deg].")
     resolution_px: Annotated[
-        tuple[_Pixels, _Pixels], Field(strict=False), expecting("[width, height], two whole numbers from 1 to 65535")
+        tuple[_Pixels, _Pixels],
+        Field(strict=False),
+        fields.expecting("[width, height], two whole numbers from 1 to 65535"),
     ] = Field(description="Width and height of the image [pixels].")
-    pixel_size_um: Annotated[float, Field(ge=0.01, le=1000), expecting("a number from 0.01 to 1000")] = Field(
+    pixel_size_um: Annotated[float, Field(ge=0.01, le=1000), fields.expecting("a number from 0.01 to 1000")] = Field(
         description="Edge of a square pixel on the sensor [µm]."
     )
-    image_distance_mm: Length | None = Field(
+    image_distance_mm: fields.Length | None = Field(
         default=None, description="Distance from the pinhole to the image plane [mm]. Give this or focal_length_mm."
     )
-    focal_length_mm: Length | None = Field(
+    focal_length_mm: fields.Length | None = Field(
         default=None,
         description="Focal length of a lens that is focused at distance_mm [mm]: 1/f = 1/a + 1/b. Give this "
         "or image_distance_mm.",
@@ -111,7 +104,7 @@ class CameraConfig(Frozen):
     )
     distortion: DistortionConfig = Field(default=DistortionConfig(), description="Lens distortion; none unless given.")
     sensor: SensorConfig = Field(description="The sensor, and how it turns light into levels.")
-    exposure_us: Positive | None = Field(
+    exposure_us: fields.Positive | None = Field(
         default=None, description="Exposure time [µs] that counts as exposure 1 on real hardware."
     )
 
@@ -121,40 +114,51 @@ class CameraConfig(Frozen):
         if "image_distance_mm" not in info.data:
             return focal
         missing = 'missing key "image_distance_mm" (pinhole to image plane) or "focal_length_mm" (of the lens)'
-        exactly_one(focal, info, other="image_distance_mm", missing=missing)
+        fields.exactly_one(focal, info, other="image_distance_mm", missing=missing)
         distance = info.data.get("distance_mm")
         if focal is not None and distance is not None and focal >= distance:
-            raise complaint(f"expected less than distance_mm, {distance:g}: a lens of {focal:g} mm cannot focus there")
+            raise fields.complaint(
+                f"expected less than distance_mm, {distance:g}: a lens of {focal:g} mm cannot focus there"
+            )
         return focal
 
 
-class CameraDeviceConfig(Frozen):
+# of keys that only one driver has: the driver, and the message where it lacks the key
+_OWNERS = {
+    "folder": ("folder", 'missing key "folder": an image set to replay, for driver: folder'),
+    "producer": ("genicam", 'missing key "producer": the .cti file of the camera\'s maker, for driver: genicam'),
+    "packet_size": ("aravis", None),
+    "packet_delay_ns": ("aravis", None),
+}
+
+
+class CameraDeviceConfig(fields.Frozen):
     """The device that takes the images."""
 
     driver: Annotated[
-        Literal["virtual", "folder", "aravis", "genicam"], expecting("virtual, folder, aravis or genicam")
+        Literal["virtual", "folder", "aravis", "genicam"], fields.expecting("virtual, folder, aravis or genicam")
     ] = Field(
         default="virtual",
         description="virtual: frames rendered by the virtual bench; folder: frames replayed; aravis: GigE Vision and "
         "USB3 Vision cameras; genicam: any camera, through its maker's GenTL producer.",
     )
-    folder: Text | None = Field(
+    folder: fields.Text | None = Field(
         default=None,
         description="folder: an image set whose PNG files are replayed; relative to this file.",
         validate_default=True,
     )
-    port: Text | None = Field(
+    port: fields.Text | None = Field(
         default=None,
         description="aravis, genicam: serial number, address or identifier of the camera, in quotes, as lightopt bench "
         "devices lists it; the only camera that there is if absent. aravis: virtual is a GigE Vision camera simulated "
         "on this computer.",
     )
-    producer: Text | None = Field(
+    producer: fields.Text | None = Field(
         default=None,
         description="genicam: the maker's GenTL producer, a .cti file; relative to this file.",
         validate_default=True,
     )
-    pixel_format: Text | None = Field(
+    pixel_format: fields.Text | None = Field(
         default=None,
         description="aravis, genicam: pixel format, such as Mono12p; one that has the sensor's bit_depth if absent.",
     )
@@ -163,16 +167,16 @@ class CameraDeviceConfig(Frozen):
         description="aravis, genicam: where the image begins on the sensor, from the left and from the top [pixels]; "
         "centred if absent.",
     )
-    gain: Annotated[float, Field(ge=-100, le=1000), expecting("a gain")] | None = Field(
+    gain: Annotated[float, Field(ge=-100, le=1000), fields.expecting("a gain")] | None = Field(
         default=None,
         description="aravis, genicam: gain in the camera's own units, mostly dB; as the camera has it if absent.",
     )
-    trigger: Annotated[Literal["auto", "software", "none"], expecting("auto, software or none")] = Field(
+    trigger: Annotated[Literal["auto", "software", "none"], fields.expecting("auto, software or none")] = Field(
         default="auto",
         description="aravis, genicam: software: each frame is triggered; none: the camera runs freely and "
         "timing.discard_frames are thrown away after each change; auto: software where the camera has it.",
     )
-    fixed_exposure_us: Positive | None = Field(
+    fixed_exposure_us: fields.Positive | None = Field(
         default=None, description="aravis, genicam: exposure time [us] of a camera on which it cannot be set."
     )
     packet_size: _PacketSize | None = Field(
@@ -182,36 +186,20 @@ class CameraDeviceConfig(Frozen):
         default=None, description="aravis: pause between a camera's packets [ns]; as it is if absent."
     )
 
-    @field_validator("folder")
+    @field_validator("folder", "producer", "packet_size", "packet_delay_ns")
     @classmethod
-    def _of_folder(cls, folder: str | None, info: ValidationInfo) -> str | None:
-        missing = 'missing key "folder": an image set to replay, for driver: folder'
-        return only_of_driver("folder", folder, info, missing=missing)
-
-    @field_validator("producer")
-    @classmethod
-    def _of_genicam(cls, producer: str | None, info: ValidationInfo) -> str | None:
-        missing = 'missing key "producer": the .cti file of the camera\'s maker, for driver: genicam'
-        return only_of_driver("genicam", producer, info, missing=missing)
-
-    @field_validator("packet_size", "packet_delay_ns")
-    @classmethod
-    def _of_aravis(cls, value: int | None, info: ValidationInfo) -> int | None:
-        return only_of_driver("aravis", value, info, what="this")
+    def _of_one_driver(cls, value: object, info: ValidationInfo) -> object:
+        owner, missing = _OWNERS[str(info.field_name)]
+        return fields.only_of_driver(owner, value, info, missing=missing)
 
     @field_validator("port", "pixel_format", "offset_px", "gain", "trigger", "fixed_exposure_us")
     @classmethod
     def _of_machine_cameras(cls, value: object, info: ValidationInfo) -> object:
         driver = info.data.get("driver")
         if driver in ("virtual", "folder") and value not in (None, "auto"):
-            raise complaint(
+            raise fields.complaint(
                 f"only driver: aravis and driver: genicam have this, and the driver is {driver}; leave this out"
             )
+        if info.field_name == "port" and value == "virtual" and driver == "genicam":
+            raise fields.complaint("only driver: aravis has a simulated camera (or driver: virtual)")
         return value
-
-    @field_validator("port")
-    @classmethod
-    def _simulated(cls, port: str | None, info: ValidationInfo) -> str | None:
-        if port == "virtual" and info.data.get("driver") == "genicam":
-            raise complaint("only driver: aravis has a simulated camera (or driver: virtual)")
-        return port

@@ -1,55 +1,52 @@
 """Defects in a part file: the kinds to plan for, and those that are on this part."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Annotated
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from lightopt.config._fields import (
-    Complaint,
-    Coordinates,
-    Frozen,
-    PostureConfig,
-    Text,
-    absent,
-    complaint,
-    exactly_one,
-    expecting,
-    repeated,
-    value_of,
-)
+from lightopt.config import _fields as fields
 from lightopt.defects import MAX_SLOPE, SHAPE_KINDS, DefectKind, DefectShape, depth_of_slope, slope_of_depth
 
 _Extent = Annotated[float, Field(ge=1e-3, le=1e3)]
 _Size = Annotated[
     _Extent | Annotated[tuple[_Extent, _Extent], Field(strict=False)],
-    expecting("a diameter, or [length, width], in mm from 0.001 to 1000"),
+    fields.expecting("a diameter, or [length, width], in mm from 0.001 to 1000"),
 ]
-_Slope = Annotated[float, Field(gt=0, le=60), expecting("a number above 0, up to 60 (degrees)")]
-_Depth = Annotated[float, Field(gt=0, le=1e3), expecting("a number above 0, up to 1000 (mm)")]
-_Factor = Annotated[float, Field(ge=0, le=100), expecting("a number from 0 to 100")]
-_WidthFactor = Annotated[float, Field(ge=0.01, le=100), expecting("a number from 0.01 to 100")]
-_Turn = Annotated[float, Field(ge=-360, le=360), expecting("a number from -360 to 360 (degrees)")]
+_Slope = Annotated[float, Field(gt=0, le=60), fields.expecting("a number above 0, up to 60 (degrees)")]
+_Depth = Annotated[float, Field(gt=0, le=1e3), fields.expecting("a number above 0, up to 1000 (mm)")]
+_Factor = Annotated[float, Field(ge=0, le=100), fields.expecting("a number from 0 to 100")]
+_WidthFactor = Annotated[float, Field(ge=0.01, le=100), fields.expecting("a number from 0.01 to 100")]
+_Turn = Annotated[float, Field(ge=-360, le=360), fields.expecting("a number from -360 to 360 (degrees)")]
 _PixelIndex = Annotated[int, Field(ge=0, le=65535)]
 
 
-class PixelPlaceConfig(Frozen):
+# kinds of defect that a key belongs to
+_OWNERS: Mapping[str, tuple[str, ...]] = {
+    "slope_deg": SHAPE_KINDS,
+    "depth_mm": SHAPE_KINDS,
+    "R_d_factor": ("stain",),
+    "sigma_factor": ("haze",),
+}
+
+
+class PixelPlaceConfig(fields.Frozen):
     """A place on the part as a pixel of the rig's camera sees it."""
 
-    posture: PostureConfig = Field(description="Posture that the part is seen in.")
+    posture: fields.PostureConfig = Field(description="Posture that the part is seen in.")
     pixel: Annotated[
         tuple[_PixelIndex, _PixelIndex],
         Field(strict=False),
-        expecting("[column, row], two whole numbers from 0 to 65535; the top left pixel is [0, 0]"),
+        fields.expecting("[column, row], two whole numbers from 0 to 65535; the top left pixel is [0, 0]"),
     ] = Field(description="Column and row of the pixel, counted from 0 at the top left; its centre is meant.")
 
 
-class CatalogueEntryConfig(Frozen):
+class CatalogueEntryConfig(fields.Frozen):
     """A kind of defect that the inspection is planned for; it may lie anywhere and in any direction."""
 
-    name: Text = Field(description="Name of the defect, for people; no two in the list are the same.")
-    kind: Annotated[DefectKind, expecting("scratch, dent, bump, pit, blister, stain or haze")] = Field(
+    name: fields.Text = Field(description="Name of the defect, for people; no two in the list are the same.")
+    kind: Annotated[DefectKind, fields.expecting("scratch, dent, bump, pit, blister, stain or haze")] = Field(
         description="scratch (a groove), dent, bump, pit (a steep cone), blister (flat-topped), stain (R_d changed) or "
         "haze (sigma changed)."
     )
@@ -81,34 +78,35 @@ class CatalogueEntryConfig(Frozen):
     @classmethod
     def _longer_first(cls, size: float | tuple[float, float], info: ValidationInfo) -> float | tuple[float, float]:
         if isinstance(size, tuple) and size[0] < size[1]:
-            raise complaint(
+            raise fields.complaint(
                 f"expected [length, width] with the length at least the width, found [{size[0]:g}, {size[1]:g}]; "
                 "direction_deg turns the length"
             )
         if info.data.get("kind") == "scratch" and (not isinstance(size, tuple) or size[0] == size[1]):
-            raise complaint("expected [length, width] of a scratch, the length above the width")
+            raise fields.complaint("expected [length, width] of a scratch, the length above the width")
         return size
 
-    @field_validator("slope_deg")
+    @field_validator("slope_deg", "depth_mm", "R_d_factor", "sigma_factor")
     @classmethod
-    def _of_a_shape(cls, slope: float | None, info: ValidationInfo) -> float | None:
-        _refuse_where_foreign(slope, info, SHAPE_KINDS)
-        return slope
+    def _of_its_kinds(cls, value: float | None, info: ValidationInfo) -> float | None:
+        kind, owners = info.data.get("kind"), _OWNERS[str(info.field_name)]
+        if value is not None and kind is not None and kind not in owners:
+            raise fields.complaint(f"a {kind} has none; it belongs to {', '.join(owners)}; remove this key")
+        return value
 
     @field_validator("depth_mm")
     @classmethod
     def _one_of_two(cls, depth: float | None, info: ValidationInfo) -> float | None:
-        _refuse_where_foreign(depth, info, SHAPE_KINDS)
         kind, size = info.data.get("kind"), info.data.get("size_mm")
         if kind not in SHAPE_KINDS or "slope_deg" not in info.data:
             return depth
         missing = 'missing key "slope_deg" or "depth_mm": give one of them'
-        exactly_one(depth, info, other="slope_deg", missing=missing)
+        fields.exactly_one(depth, info, other="slope_deg", missing=missing)
         if depth is not None and size is not None:
             width = _extents(size)[1]
             slope_found = slope_of_depth(kind, width, depth)
             if slope_found > MAX_SLOPE:
-                raise complaint(
+                raise fields.complaint(
                     f"a {kind} {width:g} mm wide and {depth:g} mm deep has walls of "
                     f"{math.degrees(slope_found):.0f} degrees; expected at most "
                     f"{depth_of_slope(kind, width, MAX_SLOPE):.3g} mm, which is 60 degrees"
@@ -117,14 +115,13 @@ class CatalogueEntryConfig(Frozen):
 
     @field_validator("R_d_factor", "sigma_factor")
     @classmethod
-    def _of_its_kind(cls, factor: float | None, info: ValidationInfo) -> float | None:
+    def _needed_by_its_kind(cls, factor: float | None, info: ValidationInfo) -> float | None:
         name = str(info.field_name)
-        owner = "stain" if name == "R_d_factor" else "haze"
-        _refuse_where_foreign(factor, info, (owner,))
+        (owner,) = _OWNERS[name]
         if info.data.get("kind") == owner and factor is None:
-            raise absent(f'missing key "{name}": a {owner} is nothing without it', name)
+            raise fields.absent(f'missing key "{name}": a {owner} is nothing without it', name)
         if factor == 1.0:
-            raise complaint(f"expected another number than 1, which makes no {owner}")
+            raise fields.complaint(f"expected another number than 1, which makes no {owner}")
         return factor
 
     @property
@@ -147,7 +144,7 @@ class CatalogueEntryConfig(Frozen):
 class DefectConfig(CatalogueEntryConfig):
     """A defect that is on the part: what it is, and where."""
 
-    at_mm: Coordinates | None = Field(
+    at_mm: fields.Coordinates | None = Field(
         default=None,
         description="Its centre in the coordinates of the mesh file, in mm; the nearest point of the surface is taken, "
         "which must be near. Give this or at_pixel.",
@@ -168,22 +165,15 @@ class DefectConfig(CatalogueEntryConfig):
     def _one_place(cls, pixel: PixelPlaceConfig | None, info: ValidationInfo) -> PixelPlaceConfig | None:
         if "at_mm" in info.data:
             missing = 'missing key "at_mm" or "at_pixel": say where the defect is'
-            exactly_one(pixel, info, other="at_mm", missing=missing)
+            fields.exactly_one(pixel, info, other="at_mm", missing=missing)
         return pixel
 
 
-def same_names(entries: list[object] | tuple[object, ...], where: str) -> Iterator[Complaint]:
+def same_names(entries: list[object] | tuple[object, ...], where: str) -> Iterator[fields.Complaint]:
     """Complaints about entries of a list that have the name of a previous one."""
-    names = [name if isinstance(name := value_of(entry, "name"), str) else None for entry in entries]
-    for i, first in repeated(names):
-        yield (i, "name"), names[i], complaint(f'the name of {where}[{first}], too: "{names[i]}"')
+    for i, name, first, _ in fields.repeated_names(entries):
+        yield (i, "name"), name, fields.complaint(f'the name of {where}[{first}], too: "{name}"')
 
 
 def _extents(size: float | tuple[float, float]) -> tuple[float, float]:
     return size if isinstance(size, tuple) else (size, size)
-
-
-def _refuse_where_foreign(value: float | None, info: ValidationInfo, owners: tuple[str, ...]) -> None:
-    kind = info.data.get("kind")
-    if value is not None and kind is not None and kind not in owners:
-        raise complaint(f"a {kind} has none; it belongs to {', '.join(owners)}; remove this key")

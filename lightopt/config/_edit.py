@@ -4,7 +4,7 @@ import json
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 
 import yaml
@@ -18,15 +18,6 @@ from lightopt.core.errors import InputError
 _SCHEMA = re.compile(r"^(#\s*yaml-language-server:.*\$schema=)(\S+)", re.MULTILINE)
 
 
-@dataclass(frozen=True)
-class _Place:
-    """A span of the text to replace, or, where it is empty, a place to insert."""
-
-    start: int
-    end: int
-    text: str
-
-
 def with_values(text: str, values: Mapping[Keys, str]) -> str:
     """The text of a YAML file with some scalars replaced, or added to mappings that are there.
 
@@ -36,21 +27,21 @@ def with_values(text: str, values: Mapping[Keys, str]) -> str:
         else
     """
     spans, mappings = _index(text)
-    places: list[_Place] = []
+    places: list[tuple[int, int, str]] = []  # spans to replace; empty ones to insert
     for keys, value in values.items():
         if keys in spans:
-            places.append(_Place(*spans[keys], value))
+            places.append((*spans[keys], value))
         elif keys[:-1] in mappings:
             at, flow, column = mappings[keys[:-1]]
             line = f"{keys[-1]}: {value}"
-            places.append(_Place(at, at, f"{line}, " if flow else f"{line}\n{' ' * column}"))
+            places.append((at, at, f"{line}, " if flow else f"{line}\n{' ' * column}"))
         else:
             raise InputError(
                 f"{dotted(keys)} cannot be written: the file has no mapping {dotted(keys[:-1])} of its own; "
                 "write it out"
             )
-    for place in sorted(places, key=lambda p: p.start, reverse=True):
-        text = text[: place.start] + place.text + text[place.end :]
+    for start, end, new in sorted(places, key=itemgetter(0), reverse=True):
+        text = text[:start] + new + text[end:]
     try:
         parse(text)
     except YamlError as error:
@@ -72,12 +63,12 @@ def with_list(text: str, key: str, entries: Sequence[str], *, comment: str, repl
     Raises InputError: The file is written so that nothing can be added at its end: in braces, or closed
     """
     span = _list_span(text, key) if replace else None
-    beside = "" if span is None else span.comment
+    start, end, beside = span or (0, 0, "")
     lines = [*(f"# {line}" for line in comment.splitlines()), f"{key}:{beside}", *(f"  - {entry}" for entry in entries)]
     if span is None:
         longer = text.rstrip() + "\n\n" + "\n".join(lines) + "\n"
     else:
-        longer = text[: span.start] + "\n".join(lines) + text[span.end :]
+        longer = text[:start] + "\n".join(lines) + text[end:]
     try:
         document = parse(longer)
     except YamlError as error:
@@ -90,21 +81,9 @@ def with_list(text: str, key: str, entries: Sequence[str], *, comment: str, repl
     return longer
 
 
-@dataclass(frozen=True)
-class _ListSpan:
-    """Where a list stands, from its key to the end of its last line.
-
-    start, end: In the text; the end of the line is not in it
-    comment: Beside the key, or behind a list in brackets, with the blanks before it
-    """
-
-    start: int
-    end: int
-    comment: str
-
-
-def _list_span(text: str, key: str) -> _ListSpan | None:
-    # of a key at the top of a file without braces; None where there is no such key
+def _list_span(text: str, key: str) -> tuple[int, int, str] | None:
+    # of a key at the top of a file without braces: from the key to the end of the list's last line, and the comment
+    # beside the key, or behind a list in brackets, with the blanks before it; None where there is no such key
     root = yaml.compose(text, Loader=yaml.SafeLoader)
     if not isinstance(root, yaml.MappingNode) or root.flow_style:
         return None
@@ -117,7 +96,7 @@ def _list_span(text: str, key: str) -> _ListSpan | None:
             rest = end + len(text[end:].split("\n", 1)[0].rstrip("\r"))
             flow = isinstance(value, yaml.CollectionNode) and value.flow_style
             beside = text[end:rest] if flow else _after_colon(text, name.end_mark.index)
-            return _ListSpan(start, rest, beside.rstrip())
+            return start, rest, beside.rstrip()
     return None
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Iterable, Iterator
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from typing import Annotated, Any, Literal, TypeVar, cast
 
 from pydantic import (
     AfterValidator,
@@ -36,10 +36,6 @@ def points_problem(points: int | str) -> str | None:
     else:
         near = f"; at most {MOST_POINTS}" if isinstance(points, int) and points > MOST_POINTS else ""
     return f"expected a square (1, 4, 9, 16, …) or auto, found {points}{near}"
-
-
-if TYPE_CHECKING:
-    from typing_extensions import LiteralString
 
 
 Complaint = tuple[tuple[str | int, ...], object, PydanticCustomError]
@@ -75,15 +71,13 @@ def expecting(what: str) -> WrapValidator:
     return WrapValidator(check)
 
 
-def only_of_driver(
-    owner: str, value: Value, info: ValidationInfo, *, what: str = "one", missing: str | None = None
-) -> Value:
+def only_of_driver(owner: str, value: Value, info: ValidationInfo, *, missing: str | None) -> Value:
     """A value that only one driver has, and which that driver needs where there is a message for its absence."""
     driver = info.data.get("driver")
     if driver == owner and value is None and missing is not None:
         raise absent(missing, str(info.field_name))
     if driver not in (None, owner) and value is not None:
-        raise complaint(f"only driver: {owner} has {what}, and the driver is {driver}; leave this out")
+        raise complaint(f"only driver: {owner} has this, and the driver is {driver}; leave this out")
     return value
 
 
@@ -111,6 +105,21 @@ def value_of(entry: object, key: str) -> Any:
     return entry.get(key) if isinstance(entry, dict) else getattr(entry, key, None)
 
 
+def mapping(value: object) -> Mapping[str, Any]:
+    """A value of a file as a mapping; empty where it is none."""
+    return cast("Mapping[str, Any]", value) if isinstance(value, Mapping) else {}
+
+
+def repeated_names(entries: Iterable[object], key: Callable[[str], str] = str) -> Iterator[tuple[int, str, int, str]]:
+    """Index and name of each entry that has the name of a previous one, and the index and name of that one.
+
+    key: What is the same of names that count as the same
+    """
+    names = [name if isinstance(name := value_of(entry, "name"), str) else None for entry in entries]
+    for i, first in repeated(None if name is None else key(name) for name in names):
+        yield i, str(names[i]), first, str(names[first])
+
+
 def with_complaints(value: object, handler: ValidatorFunctionWrapHandler, complaints: Iterable[Complaint]) -> Any:
     """Validate a value, and report complaints about it together with what the validation finds."""
     more = [InitErrorDetails(type=error, loc=loc, input=found) for loc, found, error in complaints]
@@ -118,7 +127,7 @@ def with_complaints(value: object, handler: ValidatorFunctionWrapHandler, compla
         result = handler(value)
     except ValidationError as error:
         for e in error.errors(include_url=False):
-            kind = PydanticCustomError(cast("LiteralString", e["type"]), cast("LiteralString", e["msg"]), e.get("ctx"))
+            kind = PydanticCustomError(cast("Any", e["type"]), cast("Any", e["msg"]), e.get("ctx"))
             more.append(InitErrorDetails(type=kind, loc=e["loc"], input=e["input"]))
         raise ValidationError.from_exception_data("configuration", more) from None
     if more:

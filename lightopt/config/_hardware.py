@@ -3,12 +3,23 @@
 import re
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
-from typing import Annotated, Any, Literal, cast, get_args
+from typing import Annotated, Literal, get_args
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from lightopt.config._camera import CameraConfig, CameraDeviceConfig
-from lightopt.config._fields import Complaint, FileName, Frozen, Positive, Text, absent, complaint, expecting, repeated
+from lightopt.config._fields import (
+    Complaint,
+    FileName,
+    Frozen,
+    Positive,
+    Text,
+    absent,
+    complaint,
+    expecting,
+    mapping,
+    repeated,
+)
 from lightopt.config._light_controllers import PORT, Baud, ChannelConfig, ControllerConfig
 
 _Seconds = Annotated[float, Field(ge=0, le=600), expecting("seconds, from 0 to 600")]
@@ -110,10 +121,7 @@ class HardwareConfig(Frozen):
     timing: TimingConfig = Field(default=TimingConfig(), description="What is waited for.")
 
 
-VIRTUAL = "virtual"
-_REAL_CAMERAS = {*get_args(CameraDeviceConfig.model_fields["driver"].annotation)} - {VIRTUAL}
-_CHANNELS = 4
-_TOP_LEVEL = 255
+_REAL_CAMERAS = {*get_args(CameraDeviceConfig.model_fields["driver"].annotation)} - {"virtual"}
 
 
 def misfits(hardware: object, lights: tuple[str, ...] | None, camera: CameraConfig | None) -> Iterator[Complaint]:
@@ -123,40 +131,29 @@ def misfits(hardware: object, lights: tuple[str, ...] | None, camera: CameraConf
     lights: Names of the rig's lights; None where they are wrong themselves
     camera: The rig's camera; None where it is wrong itself
     """
-    if not isinstance(hardware, Mapping):
-        return
-    section = cast("Mapping[str, object]", hardware)
-    controllers, channels = _entries(section.get("controllers")), _entries(section.get("lights"))
-    if lights is not None and channels is not None:
+    section = mapping(hardware)
+    controllers, channels = (mapping(section.get(key)) for key in ("controllers", "lights"))
+    if lights is not None and isinstance(section.get("lights"), Mapping):
         yield from _names(channels, lights)
-    if controllers is not None and channels is not None:
+    if isinstance(section.get("controllers"), Mapping):
         for name, channel in channels.items():
-            yield from _plug(name, _mapping(channel), controllers)
+            yield from _plug(name, mapping(channel), controllers)
         yield from _shared(channels)
-    yield from _same_port(controllers or {}, _mapping(section.get("stage")))
-    device = _mapping(section.get("camera"))
+    yield from _same_port(controllers, mapping(section.get("stage")))
+    device = mapping(section.get("camera"))
     if camera is not None and camera.exposure_us is None and device.get("driver") in _REAL_CAMERAS:
-        yield (
-            ("camera",),
-            device,
-            complaint(
-                "the rig's camera has no exposure_us; add to its section the exposure time [µs] that counts as "
-                "exposure 1"
-            ),
+        reason = (
+            "the rig's camera has no exposure_us; add to its section the exposure time [µs] that counts as exposure 1"
         )
+        yield ("camera",), device, complaint(reason)
 
 
 def _names(channels: Mapping[str, object], lights: tuple[str, ...]) -> Iterator[Complaint]:
     for name in lights:
         if name not in channels:
-            yield (
-                ("lights",),
-                dict(channels),
-                complaint(
-                    f'the light "{name}" of the rig has no channel; add {name}: {{controller: ..., channel: ..., '
-                    "level: ...}"
-                ),
-            )
+            entry = f"{name}: {{controller: ..., channel: ..., level: ...}}"
+            reason = f'the light "{name}" of the rig has no channel; add {entry}'
+            yield ("lights",), dict(channels), complaint(reason)
     for name, channel in channels.items():
         if name not in lights:
             near = get_close_matches(name, lights, n=1)
@@ -177,12 +174,13 @@ def _plug(name: str, channel: Mapping[str, object], controllers: Mapping[str, ob
         reason = f'no controller is called "{wanted}"; there is {there}'
         yield ("lights", name, "controller"), wanted, complaint(reason)
         return
-    controller = _mapping(controllers[wanted])
-    count = _whole(controller.get("channels", _CHANNELS))
+    controller = mapping(controllers[wanted])
+    defaults = ControllerConfig.model_fields
+    count = _whole(controller.get("channels", defaults["channels"].default))
     if count is not None and number is not None and number > count:
         reason = f"expected a channel from 1 to {count}, which {wanted} has, found {number}"
         yield ("lights", name, "channel"), number, complaint(reason)
-    top = _whole(controller.get("top_level", _TOP_LEVEL))
+    top = _whole(controller.get("top_level", defaults["top_level"].default))
     for key, value in (("level", level), ("max_level", most)):
         if top is not None and value is not None and value > top:
             reason = f"expected at most {top}, the top_level of {wanted}, found {value}"
@@ -194,7 +192,7 @@ def _shared(channels: Mapping[str, object]) -> Iterator[Complaint]:
     names = list(channels)
     places: list[tuple[str, int] | None] = []
     for entry in channels.values():
-        controller, number = _mapping(entry).get("controller"), _whole(_mapping(entry).get("channel"))
+        controller, number = mapping(entry).get("controller"), _whole(mapping(entry).get("channel"))
         places.append((controller, number) if isinstance(controller, str) and number is not None else None)
     for i, first in repeated(places):
         controller, number = places[i] or ("", 0)
@@ -205,7 +203,7 @@ def _shared(channels: Mapping[str, object]) -> Iterator[Complaint]:
 def _same_port(controllers: Mapping[str, object], stage: Mapping[str, object]) -> Iterator[Complaint]:
     """Devices at the port of another device."""
     paths: list[tuple[str, ...]] = [*(("controllers", name) for name in controllers), ("stage",)]
-    ports = [_mapping(entry).get("port") for entry in (*controllers.values(), stage)]
+    ports = [mapping(entry).get("port") for entry in (*controllers.values(), stage)]
     for i, first in repeated(map(_port_key, ports)):
         reason = f'port "{ports[i]}" is already that of {".".join(paths[first])}; each device has its own'
         yield (*paths[i], "port"), ports[i], complaint(reason)
@@ -213,17 +211,9 @@ def _same_port(controllers: Mapping[str, object], stage: Mapping[str, object]) -
 
 def _port_key(port: object) -> str | None:
     """The same for names of the same port; None where it is none, or virtual."""
-    if not isinstance(port, str) or port == VIRTUAL:
+    if not isinstance(port, str) or port == "virtual":
         return None
     return port.upper() if re.fullmatch(r"COM\d+", port, re.IGNORECASE) else port
-
-
-def _entries(value: object) -> dict[str, object] | None:
-    return dict(cast("Mapping[str, object]", value)) if isinstance(value, Mapping) else None
-
-
-def _mapping(value: object) -> Mapping[str, Any]:
-    return cast("Mapping[str, Any]", value) if isinstance(value, Mapping) else {}
 
 
 def _whole(value: object) -> int | None:

@@ -58,8 +58,7 @@ def _filled_in(text: str) -> str:
     return text
 
 
-def needs_level(text: str) -> str:
-    """Refuse a command to set an intensity that lacks the intensity."""
+def _needs_level(text: str) -> str:
     if not any(name == "level" for _, name, _, _ in string.Formatter().parse(text)):
         raise complaint("the field {level} is missing: the command would set no intensity")
     return text
@@ -71,16 +70,6 @@ def _compiled(text: str) -> str:
     except re.error as error:
         raise complaint(f"not a regular expression: {error}") from None
     return text
-
-
-def wrong_pair(read: str | None, reply: str | None) -> None:
-    """Refuse a `read` without a reply that has the intensity, and a reply without a `read`."""
-    if read is None and reply is not None:
-        raise complaint("there is no `read` that it could answer; add it, or leave this out")
-    if read is None:
-        return
-    if reply is None or "level" not in re.compile(reply.encode("latin-1")).groupindex:
-        raise complaint("expected a regular expression with a group (?P<level>...) for the intensity")
 
 
 _LINE = Annotated[str, StringConstraints(min_length=1, max_length=200), AfterValidator(_bytes)]
@@ -97,7 +86,7 @@ class TemplateConfig(Frozen):
     width: {level:03d}. In double quotes the escapes for carriage return, line feed and other bytes are understood.
     """
 
-    set: Annotated[Command, AfterValidator(needs_level)] = Field(
+    set: Annotated[Command, AfterValidator(_needs_level)] = Field(
         description="Command that sets an intensity and lights the channel; has the field {level}."
     )
     set_reply: Pattern | None = Field(
@@ -120,18 +109,17 @@ class TemplateConfig(Frozen):
     )
     end: End | None = Field(default=None, description="Bytes that end a reply; silence ends it if absent.")
 
-    @field_validator("off_reply")
+    @field_validator("off_reply", "read_reply")
     @classmethod
-    def _of_off(cls, reply: str | None, info: ValidationInfo) -> str | None:
-        if reply is not None and "off" in info.data and info.data["off"] is None:
-            raise complaint("there is no `off` that it could answer; add it, or leave this out")
-        return reply
-
-    @field_validator("read_reply")
-    @classmethod
-    def _of_read(cls, reply: str | None, info: ValidationInfo) -> str | None:
-        if "read" in info.data:
-            wrong_pair(info.data["read"], reply)
+    def _of_its_command(cls, reply: str | None, info: ValidationInfo) -> str | None:
+        command = str(info.field_name).removesuffix("_reply")
+        if command not in info.data:
+            return reply
+        if info.data[command] is None:
+            if reply is not None:
+                raise complaint(f"there is no `{command}` that it could answer; add it, or leave this out")
+        elif command == "read" and (reply is None or "level" not in re.compile(reply.encode("latin-1")).groupindex):
+            raise complaint("expected a regular expression with a group (?P<level>...) for the intensity")
         return reply
 
 

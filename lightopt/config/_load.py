@@ -1,12 +1,22 @@
-"""Read rig and part files: everything wrong with a file at once, each with its line."""
+"""Read rig and part files: everything wrong with a file at once, each with its line.
+
+And the lights of a rig whose file is wrong elsewhere: its ``hardware`` section, as far as it can be read.
+"""
 
 import hashlib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
+from lightopt.config._camera import CameraDeviceConfig
+from lightopt.config._fields import mapping
+from lightopt.config._hardware import HardwareConfig
+from lightopt.config._light_controllers import ChannelConfig, ControllerConfig
 from lightopt.config._messages import describe, model_problems
 from lightopt.config._part import PartConfig
 from lightopt.config._rig import RigConfig
@@ -19,6 +29,7 @@ MAX_BYTES = 1_000_000
 _KINDS = {"lightopt-rig": "a rig", "lightopt-part": "a part", "lightopt-images": "an image set"}
 
 Config = TypeVar("Config", RigConfig, PartConfig)
+Entry = TypeVar("Entry", bound=BaseModel)
 
 
 def load_rig(path: Path | str) -> RigConfig:
@@ -38,11 +49,6 @@ def load_part(path: Path | str) -> PartConfig:
     Raises lightopt.core.errors.InputError: With one message per thing that is wrong, sorted by line
     """
     return _load(Path(path), PartConfig, "lightopt-part/1")
-
-
-def read_text(path: Path, expected: str) -> str:
-    """Text of a file that should be of a format; raises an InputError where it is none."""
-    return _decode(_read(path, expected), path)
 
 
 def _load(path: Path, model: type[Config], expected: str) -> Config:
@@ -178,3 +184,102 @@ def json_schema(kind: Literal["rig", "part"]) -> dict[str, Any]:
             field.pop("title", None)  # only the key again, in capitals
     schema["title"] = f"lightopt {kind}"
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+@dataclass(frozen=True)
+class LightsOnly:
+    """The lights of a rig.
+
+    name: Of the rig, or of its file where that cannot be read
+    rig: The rig; None where anything is wrong with its file
+    hardware: Controllers and lights that can be read, without the stage; None where there is no such section
+    unreadable: Controllers that cannot
+    lights_unknown: Lights of those controllers, or of none that the file has
+    problems: All that is wrong with the file
+    """
+
+    name: str
+    rig: RigConfig | None
+    hardware: HardwareConfig | None
+    unreadable: tuple[str, ...] = ()
+    lights_unknown: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()
+
+
+def load_lights(path: Path | str) -> LightsOnly:
+    """Read which light is plugged in where, of a rig file that may be wrong in any other way.
+
+    Controllers and lights are read one by one; a mistake in one hides no other. Where the file is not even YAML, the
+    lines of its ``hardware`` section are read by themselves.
+
+    Raises lightopt.core.errors.InputError: With all that is wrong, when the file cannot be read, or has no section of
+        which a controller can be read
+    """
+    path = Path(path)
+    try:
+        rig = load_rig(path)
+    except InputError as error:
+        return _read_what_is_valid(path, error)
+    return LightsOnly(rig.name, rig, rig.hardware)
+
+
+def _read_what_is_valid(path: Path, wrong: InputError) -> LightsOnly:
+    """Lights and controllers of a file that is wrong in other places."""
+    try:
+        text = _decode(_read(path, "lightopt-rig/1"), path)
+    except InputError:
+        raise wrong from None
+    rig = _document(text)
+    section = mapping(mapping(rig).get("hardware") or mapping(_document(_section(text))).get("hardware"))
+    if not section:
+        raise InputError(
+            *wrong.messages,
+            "nothing was switched off: no hardware section can be read here, so nobody knows which lights may be on; "
+            "mend the file and repeat, or switch the controllers off by hand",
+        )
+    raw_controllers, raw_lights = mapping(section.get("controllers")), mapping(section.get("lights"))
+    controllers = _readable(ControllerConfig, raw_controllers)
+    lights = _readable(ChannelConfig, raw_lights)
+    unreadable = tuple(name for name in raw_controllers if name not in controllers)
+    unknown = tuple(name for name, entry in raw_lights.items() if mapping(entry).get("controller") not in controllers)
+    if not controllers:
+        raise InputError(
+            *wrong.messages,
+            "nothing was switched off: no controller can be read; "
+            f"lights that may be on: {', '.join(unknown) or 'all of them'}; "
+            "mend the file and repeat, or switch the controllers off by hand",
+        )
+    name = mapping(rig).get("name")
+    return LightsOnly(
+        name if isinstance(name, str) else path.name,
+        None,
+        HardwareConfig(controllers=controllers, lights=lights, camera=CameraDeviceConfig()),
+        unreadable,
+        unknown,
+        wrong.messages,
+    )
+
+
+def _document(text: str) -> object:
+    try:
+        return parse(text).data
+    except YamlError:
+        return None
+
+
+def _section(text: str) -> str:
+    """The lines from ``hardware:`` to the next line that is not indented."""
+    found = re.search(r"^hardware:.*(?:\n(?:[ \t#].*)?)*", text.replace("\r\n", "\n"), re.MULTILINE)
+    return found[0] if found else ""
+
+
+def _readable(model: type[Entry], entries: Mapping[str, object]) -> dict[str, Entry]:
+    """The entries that fit the model once keys that it does not know are left out."""
+    read: dict[str, Entry] = {}
+    for name, entry in entries.items():
+        known = {key: value for key, value in mapping(entry).items() if key in model.model_fields}
+        try:
+            read[name] = model.model_validate(known)
+        except ValidationError:
+            continue
+    return read

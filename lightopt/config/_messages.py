@@ -11,12 +11,6 @@ from pydantic_core import ErrorDetails
 from lightopt.config._source import Keys
 from lightopt.config._strict_yaml import INVALID, Document, Problem, is_number
 
-# the kinds of error that the models can raise; any other gets a general message
-KNOWN_ERRORS = frozenset(
-    {"absent", "complaint", "expected", "extra_forbidden", "missing", "model_type", "too_long", "too_short"}
-    | {"tuple_type"}
-)
-
 _LONGEST = 60
 
 # names of units, by the end of the keys that carry them

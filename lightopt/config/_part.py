@@ -8,39 +8,24 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, PrivateAttr, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
 
+from lightopt.config import _fields as fields
 from lightopt.config._defects import CatalogueEntryConfig, DefectConfig, same_names
-from lightopt.config._fields import (
-    Azimuth,
-    Coefficient,
-    Complaint,
-    Coordinates,
-    Frozen,
-    Positive,
-    PostureConfig,
-    Text,
-    absent,
-    complaint,
-    expecting,
-    repeated,
-    value_of,
-    with_complaints,
-)
 from lightopt.config._source import Source
 from lightopt.core.units import step_units_mm, unit_name
 
-_Unit = Annotated[Literal["um", "mm", "cm", "m", "inch", "ft"], expecting("um, mm, cm, m, inch or ft")]
-_ChordTolerance = Annotated[float, Field(ge=1e-4, le=10), expecting("a number from 0.0001 to 10 (mm)")]
+_Unit = Annotated[Literal["um", "mm", "cm", "m", "inch", "ft"], fields.expecting("um, mm, cm, m, inch or ft")]
+_ChordTolerance = Annotated[float, Field(ge=1e-4, le=10), fields.expecting("a number from 0.0001 to 10 (mm)")]
 _Catalogue = Annotated[tuple[CatalogueEntryConfig, ...], Field(strict=False, min_length=1, max_length=100)]
-_Share = Annotated[float, Field(ge=0, le=1), expecting("a number from 0 to 1")]
+_Share = Annotated[float, Field(ge=0, le=1), fields.expecting("a number from 0 to 1")]
 
 
-class InspectionConfig(Frozen):
+class InspectionConfig(fields.Frozen):
     """Limits by which `lightopt inspect` judges OK or NG."""
 
-    most_defects: Annotated[int, Field(ge=0, le=10**6), expecting("a whole number from 0 to 1000000")] = Field(
+    most_defects: Annotated[int, Field(ge=0, le=10**6), fields.expecting("a whole number from 0 to 1000000")] = Field(
         default=0, description="A part with more defects than this is no good."
     )
-    least_size_mm: Annotated[float, Field(ge=0, le=1e3), expecting("a number from 0 to 1000 (mm)")] = Field(
+    least_size_mm: Annotated[float, Field(ge=0, le=1e3), fields.expecting("a number from 0 to 1000 (mm)")] = Field(
         default=0.0, description="Defects shorter than this do not count [mm]."
     )
     least_contrast: _Share = Field(
@@ -60,31 +45,33 @@ _STEP = (".step", ".stp")
 _SUFFIXES = (*_UNITLESS, ".glb", *_STEP)
 
 
-class MeshConfig(Frozen):
+class MeshConfig(fields.Frozen):
     """The file with the part's shape, and how its surface is read."""
 
-    file: Text = Field(description="Mesh or CAD file, relative to this file: .stl, .ply, .obj, .glb, .step or .stp.")
+    file: fields.Text = Field(
+        description="Mesh or CAD file, relative to this file: .stl, .ply, .obj, .glb, .step or .stp."
+    )
     units: _Unit | None = Field(
         default=None,
         description="Length unit of the mesh file: um, mm, cm, m, inch or ft. Mandatory for .stl, .ply and "
         ".obj, which carry none; for .glb (metres) and STEP only what the file itself says.",
         validate_default=True,
     )
-    normals: Annotated[Literal["smooth", "facet"], expecting("smooth or facet")] = Field(
+    normals: Annotated[Literal["smooth", "facet"], fields.expecting("smooth or facet")] = Field(
         default="smooth",
         description="smooth: normals vary over the facets, except across edges sharper than the crease "
         "angle; facet: each facet is flat.",
     )
-    crease_angle_deg: Annotated[float, Field(gt=0, le=180), expecting("a number above 0, up to 180 (degrees)")] = Field(
-        default=30.0, description="Edges where the facets' normals differ by more than this stay sharp [deg]."
-    )
+    crease_angle_deg: Annotated[
+        float, Field(gt=0, le=180), fields.expecting("a number above 0, up to 180 (degrees)")
+    ] = Field(default=30.0, description="Edges where the facets' normals differ by more than this stay sharp [deg].")
     chord_tolerance_mm: _ChordTolerance | None = Field(
         default=None,
         description="STEP: largest distance of the triangles from the CAD surface [mm]. More makes fewer triangles, "
         "with the CAD surface's normals at their corners; the angle between neighbours follows, from 0.1 rad at 0.01 "
         "mm with the square root up to 0.5 rad. If absent, the smaller of 0.01 and a fifth of a pixel's footprint.",
     )
-    max_triangles: Annotated[int, Field(ge=1, le=2**31 - 1), expecting("a whole number above 0")] = Field(
+    max_triangles: Annotated[int, Field(ge=1, le=2**31 - 1), fields.expecting("a whole number above 0")] = Field(
         default=20_000_000, description="Meshes of more triangles than this are refused."
     )
 
@@ -97,7 +84,7 @@ class MeshConfig(Frozen):
     @classmethod
     def _exists(cls, file: str, info: ValidationInfo) -> str:
         if PurePath(file).suffix.lower() not in _SUFFIXES:
-            raise complaint(f'expected a file ending in {", ".join(_SUFFIXES)}, found "{file}"')
+            raise fields.complaint(f'expected a file ending in {", ".join(_SUFFIXES)}, found "{file}"')
         if info.context is not None:
             _require(info.context["folder"], file)
         return file
@@ -110,18 +97,18 @@ class MeshConfig(Frozen):
         file: str = info.data["file"]
         suffix = PurePath(file).suffix.lower()
         if suffix in _UNITLESS and units is None:
-            raise absent(
+            raise fields.absent(
                 f'missing key "units": {suffix} files carry no unit; give the unit that '
                 f"{PurePath(file).name} was exported in (um, mm, cm, m, inch or ft)",
                 "units",
             )
         if suffix == ".glb" and units not in (None, "m"):
-            raise complaint(f"expected m or nothing (.glb is in metres by its specification), found {units}")
+            raise fields.complaint(f"expected m or nothing (.glb is in metres by its specification), found {units}")
         if suffix in _STEP and units is not None and info.context is not None:
             declared = _declared_units(info.context["folder"] / file)
             if units not in declared:
                 unit = f"the file is in {' and '.join(sorted(declared))}" if declared else "no unit is found in it"
-                raise complaint(f"found {units}, but {unit}; STEP carries its own unit, remove this key")
+                raise fields.complaint(f"found {units}, but {unit}; STEP carries its own unit, remove this key")
         return units
 
     @field_validator("chord_tolerance_mm")
@@ -129,56 +116,58 @@ class MeshConfig(Frozen):
     def _of_step(cls, tolerance: float | None, info: ValidationInfo) -> float | None:
         suffix = PurePath(str(info.data.get("file", ""))).suffix.lower()
         if tolerance is not None and suffix and suffix not in _STEP:
-            raise complaint(f"{suffix} files have their triangles already; it belongs to STEP; remove this key")
+            raise fields.complaint(f"{suffix} files have their triangles already; it belongs to STEP; remove this key")
         return tolerance
 
 
-class PlacementConfig(Frozen):
+class PlacementConfig(fields.Frozen):
     """How the part lies in the world at posture (0, 0): turned, then anchored, then shifted."""
 
     anchor: Annotated[
-        Literal["as_modelled", "rest_on_table", "centred"], expecting("as_modelled, rest_on_table or centred")
+        Literal["as_modelled", "rest_on_table", "centred"], fields.expecting("as_modelled, rest_on_table or centred")
     ] = Field(
         default="rest_on_table",
         description="as_modelled: the mesh's own origin; rest_on_table: bounding box centred in X and Y, "
         "lowest point at Z = 0; centred: bounding box centred at the origin.",
     )
-    translate_mm: Coordinates = Field(
+    translate_mm: fields.Coordinates = Field(
         default=(0.0, 0.0, 0.0), description="Shift along X, Y and Z after the anchor [mm]."
     )
     rotate_deg: Annotated[
-        tuple[Azimuth, Azimuth, Azimuth],
+        tuple[fields.Azimuth, fields.Azimuth, fields.Azimuth],
         Field(strict=False),
-        expecting("[x, y, z], three numbers from -360 to 360 (degrees)"),
+        fields.expecting("[x, y, z], three numbers from -360 to 360 (degrees)"),
     ] = Field(
         default=(0.0, 0.0, 0.0), description="Rotation about the fixed X, then Y, then Z axis, before the anchor [deg]."
     )
 
 
-class ReflectanceConfig(Frozen):
+class ReflectanceConfig(fields.Frozen):
     """Reflection of the surface: Lambert's diffuse part and Torrance and Sparrow's specular lobe."""
 
-    R_d: Coefficient = Field(description="Diffuse coefficient [levels of full_scale].")
-    R_s: Coefficient = Field(description="Specular coefficient [levels of full_scale].")
-    sigma_rad: Annotated[float, Field(ge=1e-5, le=0.5), expecting("a number from 0.00001 to 0.5 (radians)")] = Field(
-        description="Width σ of the specular lobe [rad]: 0.003 is polished chrome, 0.05 satin plating."
+    R_d: fields.Coefficient = Field(description="Diffuse coefficient [levels of full_scale].")
+    R_s: fields.Coefficient = Field(description="Specular coefficient [levels of full_scale].")
+    sigma_rad: Annotated[float, Field(ge=1e-5, le=0.5), fields.expecting("a number from 0.00001 to 0.5 (radians)")] = (
+        Field(description="Width σ of the specular lobe [rad]: 0.003 is polished chrome, 0.05 satin plating.")
     )
-    full_scale: Positive = Field(default=255.0, description="Full scale that R_d and R_s are expressed in [levels].")
+    full_scale: fields.Positive = Field(
+        default=255.0, description="Full scale that R_d and R_s are expressed in [levels]."
+    )
 
 
-class PartConfig(Frozen):
+class PartConfig(fields.Frozen):
     """A part to inspect: its shape, how it lies, the postures it is seen in, and its surface."""
 
-    format: Annotated[Literal["lightopt-part/1"], expecting("lightopt-part/1")] = Field(
+    format: Annotated[Literal["lightopt-part/1"], fields.expecting("lightopt-part/1")] = Field(
         description="Kind and version of this file: lightopt-part/1."
     )
-    name: Text = Field(description="Name of the part, for people.")
+    name: fields.Text = Field(description="Name of the part, for people.")
     mesh: MeshConfig = Field(description="The part's shape.")
     placement: PlacementConfig = Field(
         default=PlacementConfig(), description="How the part lies on the table; resting at its centre if absent."
     )
-    postures: Annotated[tuple[PostureConfig, ...], Field(strict=False, min_length=1, max_length=1000)] = Field(
-        default=(PostureConfig(elevation_deg=0.0, rotation_deg=0.0),),
+    postures: Annotated[tuple[fields.PostureConfig, ...], Field(strict=False, min_length=1, max_length=1000)] = Field(
+        default=(fields.PostureConfig(elevation_deg=0.0, rotation_deg=0.0),),
         description="Postures the part is inspected in; (0, 0) alone if absent.",
     )
     reflectance: ReflectanceConfig = Field(description="Reflection of the part's surface.")
@@ -204,7 +193,7 @@ class PartConfig(Frozen):
     def _differ(cls, value: object, handler: ValidatorFunctionWrapHandler) -> Any:
         if not isinstance(value, (list, tuple)):
             return handler(value)
-        return with_complaints(value, handler, _same_postures(value))
+        return fields.with_complaints(value, handler, _same_postures(value))
 
     @field_validator("defects", "defect_catalogue", mode="wrap")
     @classmethod
@@ -213,14 +202,14 @@ class PartConfig(Frozen):
     ) -> Any:
         if not isinstance(value, (list, tuple)):
             return handler(value)
-        return with_complaints(value, handler, same_names(value, str(info.field_name)))
+        return fields.with_complaints(value, handler, same_names(value, str(info.field_name)))
 
 
-def _same_postures(postures: list[object] | tuple[object, ...]) -> Iterator[Complaint]:
-    angles = [tuple(value_of(p, key) for key in ("elevation_deg", "rotation_deg")) for p in postures]
+def _same_postures(postures: list[object] | tuple[object, ...]) -> Iterator[fields.Complaint]:
+    angles = [tuple(fields.value_of(p, key) for key in ("elevation_deg", "rotation_deg")) for p in postures]
     valid = [pair if all(type(angle) in (int, float) for angle in pair) else None for pair in angles]
-    for i, first in repeated(valid):
-        yield (i,), postures[i], complaint(f"the same posture as postures[{first}]")
+    for i, first in fields.repeated(valid):
+        yield (i,), postures[i], fields.complaint(f"the same posture as postures[{first}]")
 
 
 def _declared_units(path: Path) -> frozenset[str]:
@@ -242,8 +231,8 @@ def _require(folder: Path, file: str) -> None:
         is_folder, near = False, []
     full_path = os.path.normpath(folder.resolve() / file)
     if is_folder:
-        raise complaint(f"{full_path} is a folder; expected a file")
+        raise fields.complaint(f"{full_path} is a folder; expected a file")
     hint = f'; did you mean "{(PurePath(file).parent / near[0]).as_posix()}"?' if near else ""
     if "\\" in file and os.sep == "/":
         hint = "; separate folders with / , which works everywhere"
-    raise complaint(f"no such file: {full_path}{hint}")
+    raise fields.complaint(f"no such file: {full_path}{hint}")

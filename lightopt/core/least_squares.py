@@ -182,11 +182,12 @@ def solve(
     return _Solver(problem, limits, _Loss(loss), least_spread).run(np.asarray(start, np.float64), most_iterations)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Point:
     x: Float64
     residual: Float64
     cost: float
+    normal: tuple[Float64, Float64] | None = None  # once it is needed, with the spread that the cost is of
 
 
 class _Solver:
@@ -202,7 +203,6 @@ class _Solver:
         self._iterations = 0
         self._slopes_cache: tuple[Float64, Float64] | None = None
         self._raw_slopes: Float64 | None = None
-        self._normal_cache: tuple[_Point, tuple[Float64, Float64]] | None = None
         self._weight = np.zeros(0)
 
     def run(self, start: Float64, most_iterations: int) -> Solution:
@@ -244,7 +244,7 @@ class _Solver:
     def _descend(self, here: _Point, most_iterations: int) -> tuple[_Point, bool]:
         damping = FIRST_DAMPING
         while True:
-            normal, pull = self._normal(here, self._slopes(here.x))
+            normal, pull = self._normal(here)
             basis = self._basis(here.x, pull)
             if basis.shape[1] == 0 or not self._rows.any():
                 return here, bool(self._rows.any())
@@ -299,17 +299,15 @@ class _Solver:
         self._slopes_cache = x, slopes
         return slopes
 
-    def _normal(self, here: _Point, slopes: Float64) -> tuple[Float64, Float64]:
-        # needed more than once at a point; another spread makes another point
-        if self._normal_cache is not None and self._normal_cache[0] is here:
-            return self._normal_cache[1]
-        unit = self._units()
-        weight = self._weight * self._loss.weight(here.residual / unit) / np.square(unit)
-        weighted = slopes * weight[:, None]
-        normal = weighted.T @ slopes + self._precision
-        pull = weighted.T @ here.residual - self._precision @ (here.x - self._limits.nominal)
-        self._normal_cache = here, (normal, pull)
-        return normal, pull
+    def _normal(self, here: _Point) -> tuple[Float64, Float64]:
+        if here.normal is None:
+            slopes, unit = self._slopes(here.x), self._units()
+            weight = self._weight * self._loss.weight(here.residual / unit) / np.square(unit)
+            weighted = slopes * weight[:, None]
+            normal = weighted.T @ slopes + self._precision
+            pull = weighted.T @ here.residual - self._precision @ (here.x - self._limits.nominal)
+            here.normal = normal, pull
+        return here.normal
 
     def _fix_undetermined_directions(self, here: _Point) -> bool:
         # keep the directions at nominal that the residuals do not determine, release those that they do; whether their
@@ -317,7 +315,7 @@ class _Solver:
         of = self._of_interest
         if not len(of):
             return False
-        normal, _ = self._normal(here, self._slopes(here.x))
+        normal, _ = self._normal(here)
         values, vectors = np.linalg.eigh(self._information(normal))
         unknown, before = values < 1.0, len(self._held)
         if np.sum(unknown) < before:
@@ -417,7 +415,7 @@ class _Solver:
         slopes = self._slopes(here.x)
         unit, weight = self._units(), self._weight
         u = here.residual / unit
-        normal, pull = self._normal(here, slopes)
+        normal, pull = self._normal(here)
         # rows that are off together are not bent one by one
         correlated = self._problem.correlated
         bend = weight * np.where(correlated, self._loss.weight(u), self._loss.bend(u)) / np.square(unit)

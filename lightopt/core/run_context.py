@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from copy import copy
 from functools import partial
 from threading import Lock
 
@@ -64,14 +65,9 @@ class RunContext:
 
     def within(self, name: str) -> RunContext:
         """Context of a part of the run, whose stages are reported as "name, stage"."""
-        progress = self._progress
-        inner = RunContext(
-            threads=self.threads,
-            progress=None if progress is None else lambda stage, share: progress(f"{name}, {stage}", share),
-            inform=self._inform,
-            warn=self._warn,
-        )
-        inner._warnings = self._warnings
+        inner, progress = copy(self), self._progress  # with the same warnings
+        if progress is not None:
+            inner._progress = lambda stage, share: progress(f"{name}, {stage}", share)
         return inner
 
 

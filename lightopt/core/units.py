@@ -9,8 +9,6 @@ MM_PER_UNIT: Mapping[str, float] = MappingProxyType(
     {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4, "ft": 304.8}
 )
 
-UNIT_NAMES: tuple[str, ...] = tuple(MM_PER_UNIT)
-
 _CONTEXT = re.compile(rb"GLOBAL_UNIT_ASSIGNED_CONTEXT\s*\(\s*\(([^)]*)\)")
 _SI = re.compile(rb"SI_UNIT\s*\(\s*(\$|\.\w+\.)\s*,\s*\.METRE\.\s*\)")
 _NAMED = re.compile(rb"CONVERSION_BASED_UNIT\s*\(\s*'(\w*)'")

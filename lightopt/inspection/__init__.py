@@ -19,7 +19,7 @@ from lightopt.inspection._random_defects import (
     random_defects_text,
     write_random_defects,
 )
-from lightopt.inspection._results import BatchRow, InspectedPosture, InspectionResult, Verdict, judge
+from lightopt.inspection._results import BatchRow, InspectedPosture, InspectionResult, Verdict, judge, rejections
 from lightopt.inspection.calibration._calibrate import calibrate, calibrate_registered, require_good_sets
 from lightopt.inspection.calibration._calibration import CalibratedPosture, Calibration, least_rate, sets_needed
 from lightopt.inspection.calibration._calibration_file import CalibrationFolder, read_calibration
@@ -117,6 +117,7 @@ __all__ = [
     "read_calibration",
     "region_hits",
     "register_part",
+    "rejections",
     "require_good_sets",
     "score_deviations",
     "score_templates",

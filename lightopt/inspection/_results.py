@@ -1,6 +1,6 @@
 """What an inspection found, and the verdict by the limits of the part file."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -8,6 +8,7 @@ from lightopt.config import InspectionConfig
 from lightopt.core.arrays import Float32, Int32
 from lightopt.core.errors import counted
 from lightopt.estimate.registration import Placement, Registration
+from lightopt.images import ImageSet
 from lightopt.inspection.detection._coverage import REFERENCE_CONTRAST, PostureCoverage, SurfaceCoverage
 from lightopt.inspection.detection._defects import Detection, FoundDefect
 from lightopt.inspection.fusion._synthetic_image import SyntheticImage
@@ -196,3 +197,12 @@ def judge(result: InspectionResult, limits: InspectionConfig) -> Verdict:
 
 def _count_text(count: int, allowed: int) -> str:
     return f"{counted(count, 'defect')} that count{'s' if count == 1 else ''}, {allowed} allowed"
+
+
+def rejections(sets: Sequence[ImageSet], rows: Sequence[BatchRow]) -> list[str]:
+    """Which image sets show a part that is no good, and why: a line for each."""
+    return [
+        f"{image_set.folder}: NG, {'; '.join(row.verdict.reasons)}"
+        for image_set, row in zip(sets, rows, strict=True)
+        if row.verdict is not None and not row.verdict.good
+    ]

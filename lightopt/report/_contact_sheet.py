@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 import numpy as np
+from PIL import Image
 
-from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError, counted
 from lightopt.core.transforms import Posture
 from lightopt.images import ImageEntry, ImageSet, ImageSetWriter, Manifest, read_image_set, sheet_name
@@ -89,88 +88,109 @@ def contact_sheet(
     """
     path = check_png_path(path)
     shown = _exposure(image_set, exposure)
-    table = _Table.of(image_set, shown)
-    limit = max(SMALLEST, min(LARGEST, SHEET_WIDTH // len(table.lights)))
-    thumbnails = {key: entry_thumbnail(image_set, entry, limit) for key, entry in table.entries.items()}
-    heading = title or _names(image_set.manifest)
-    facts = _facts(image_set.manifest, table, shown)
-    layout = _Layout.of(table, thumbnails, heading, facts)
-    drawing = Drawing(layout.width, layout.height)
-    room = layout.width - 2 * MARGIN
-    y = MARGIN + CAP_HEIGHT * TITLE
-    drawing.text(MARGIN, y, fit_text(heading, TITLE, room), size=TITLE)
-    drawing.text(MARGIN, y + LINE + 10, fit_text(facts, TEXT, room), size=TEXT, colour=SOFT)
-    _draw_heads(drawing, table, layout)
-    for row, posture in enumerate(table.postures):
-        for column, light in enumerate(table.lights):
-            entry = table.entries.get((posture, light))
-            note = light_position(entry) if entry is not None and table.moves(light) else ""
-            _draw_cell(drawing, layout, layout.corner(row, column), thumbnails.get((posture, light)), note)
-    _draw_legend(drawing, image_set.manifest)
-    return write_picture(path, drawing.image(), overwrite=overwrite)
+    return write_picture(
+        path, _Sheet(image_set, shown, title or _names(image_set.manifest)).draw(), overwrite=overwrite
+    )
 
 
-@dataclass(frozen=True)
-class _Table:
-    """Which image stands where; an entry is missing where the set has none."""
+class _Sheet:
+    """Which image stands where, and the sizes of it all [px]; an image is missing where the set has none."""
 
-    lights: tuple[str, ...]
-    postures: tuple[Posture, ...]
-    entries: dict[tuple[Posture, str], ImageEntry]
-
-    @staticmethod
-    def of(image_set: ImageSet, exposure: float) -> _Table:
+    def __init__(self, image_set: ImageSet, exposure: float, title: str) -> None:
         entries = [entry for entry in image_set.images if entry.exposure == exposure]
-        return _Table(
-            lights=tuple(dict.fromkeys(entry.light for entry in entries)),
-            postures=tuple(dict.fromkeys(entry.posture for entry in entries)),
-            entries={(entry.posture, entry.light): entry for entry in entries},
-        )
+        self.manifest, self.exposure, self.title = image_set.manifest, exposure, title
+        self.lights = tuple(dict.fromkeys(entry.light for entry in entries))
+        self.postures = tuple(dict.fromkeys(entry.posture for entry in entries))
+        self.entries = {(entry.posture, entry.light): entry for entry in entries}
+        limit = max(SMALLEST, min(LARGEST, SHEET_WIDTH // len(self.lights)))
+        self.thumbnails = {key: entry_thumbnail(image_set, entry, limit) for key, entry in self.entries.items()}
+        rows, columns = np.max([t.picture.shape[:2] for t in self.thumbnails.values()], axis=0).tolist()
+        # narrow images still need room for the caption
+        self.cell = max(columns, text_width("8,888,888 px saturated (88.88 %)", TEXT)), rows
+        heads = [text_width(line, HEAD) for posture in self.postures for line in _posture_lines(posture)]
+        self.left = MARGIN + max([*heads, text_width("posture", TEXT)]) + 2 * GAP
+        self.top = MARGIN + round(LINE_HEIGHT * (TITLE + HEAD)) + 2 * LINE + 2 * GAP + GAP // 2
+        self.caption = (2 if any(len(self.positions(light)) > 1 for light in self.lights) else 1) * LINE + 10
 
     def positions(self, light: str) -> list[ImageEntry]:
         """An image for each position at which the light stood."""
         own = [entry for (_, name), entry in self.entries.items() if name == light]
         return list({(e.light_elevation_deg, e.light_azimuth_deg): e for e in own}.values())
 
-    def moves(self, light: str) -> bool:
-        return len(self.positions(light)) > 1
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """Where things stand [px]: the first cell's upper left corner, sizes of cells, captions and the whole sheet."""
-
-    left: int
-    top: int
-    cell: tuple[int, int]
-    caption: int
-    width: int
-    height: int
-
-    @staticmethod
-    def of(table: _Table, thumbnails: dict[tuple[Posture, str], Thumbnail], heading: str, facts: str) -> _Layout:
-        rows, columns = np.max([t.picture.shape[:2] for t in thumbnails.values()], axis=0).tolist()
-        # narrow images still need room for the caption
-        cell = max(columns, text_width("8,888,888 px saturated (88.88 %)", TEXT)), rows
-        heads = [text_width(line, HEAD) for posture in table.postures for line in _posture_lines(posture)]
-        left = MARGIN + max([*heads, text_width("posture", TEXT)]) + 2 * GAP
-        top = MARGIN + round(LINE_HEIGHT * (TITLE + HEAD)) + 2 * LINE + 2 * GAP + GAP // 2
-        caption = (2 if any(map(table.moves, table.lights)) else 1) * LINE + 10
-        table_width = left + len(table.lights) * (cell[0] + GAP) - GAP
-        text = MARGIN + max(text_width(heading, TITLE), text_width(facts, TEXT), 620)
-        legend = 4 * LINE + 2 * GAP
-        return _Layout(
-            left=left,
-            top=top,
-            cell=cell,
-            caption=caption,
-            width=max(table_width, min(text, 1600)) + MARGIN,
-            height=top + len(table.postures) * (cell[1] + caption + GAP) - GAP + legend + MARGIN,
-        )
-
     def corner(self, row: int, column: int) -> tuple[int, int]:
         """Upper left corner of a cell."""
         return self.left + column * (self.cell[0] + GAP), self.top + row * (self.cell[1] + self.caption + GAP)
+
+    def draw(self) -> Image.Image:
+        """The whole sheet."""
+        facts = self._facts()
+        right, bottom = self.corner(len(self.postures), len(self.lights))
+        text = MARGIN + max(text_width(self.title, TITLE), text_width(facts, TEXT), 620)
+        legend = 4 * LINE + 2 * GAP
+        drawing = Drawing(max(right - GAP, min(text, 1600)) + MARGIN, bottom - GAP + legend + MARGIN)
+        room = drawing.width - 2 * MARGIN
+        y = MARGIN + CAP_HEIGHT * TITLE
+        drawing.text(MARGIN, y, fit_text(self.title, TITLE, room), size=TITLE)
+        drawing.text(MARGIN, y + LINE + 10, fit_text(facts, TEXT, room), size=TEXT, colour=SOFT)
+        self._draw_heads(drawing)
+        for row, posture in enumerate(self.postures):
+            for column, light in enumerate(self.lights):
+                self._draw_cell(drawing, self.corner(row, column), posture, light)
+        _draw_legend(drawing, self.manifest)
+        return drawing.image()
+
+    def _facts(self) -> str:
+        manifest = self.manifest
+        facts = [
+            manifest.kind,
+            f"{counted(len(self.lights), 'light')} × {counted(len(self.postures), 'posture')}",
+            f"exposure {self.exposure:g}",
+            f"{manifest.bit_depth} bit, saturated from level {manifest.saturated_from:g}",
+        ]
+        if manifest.black_level:
+            facts.append(f"black level {manifest.black_level:g}")
+        return "   ·   ".join(facts)
+
+    def _draw_heads(self, drawing: Drawing) -> None:
+        rule = self.top - GAP // 2
+        _draw_rule(drawing, rule, FAINT)
+        below, above = rule - 10, rule - 10 - LINE
+        drawing.text(MARGIN, below, "posture", size=TEXT, colour=SOFT)
+        for column, light in enumerate(self.lights):
+            x, _ = self.corner(0, column)
+            drawing.text(x, above, fit_text(light, HEAD, self.cell[0]), size=HEAD)
+            first, *others = self.positions(light)
+            where = f"elevation {degrees(first.light_elevation_deg)}, azimuth {degrees(first.light_azimuth_deg)}"
+            if others:
+                where = f"{1 + len(others)} positions"
+            elif text_width(where, TEXT) > self.cell[0]:
+                where = light_position(first)
+            drawing.text(x, below, where, size=TEXT, colour=SOFT)
+        for row, posture in enumerate(self.postures):
+            _, y = self.corner(row, 0)
+            if row:
+                _draw_rule(drawing, y - GAP // 2, EMPTY)
+            for i, line in enumerate(_posture_lines(posture)):
+                baseline = y + CAP_HEIGHT * HEAD + 4 + i * (LINE_HEIGHT * HEAD + 4)
+                drawing.text(MARGIN, baseline, line, size=HEAD)
+
+    def _draw_cell(self, drawing: Drawing, corner: tuple[int, int], posture: Posture, light: str) -> None:
+        (x, y), (width, height) = corner, self.cell
+        if (posture, light) not in self.entries:
+            drawing.rectangle((x, y, x + width, y + height), fill=EMPTY)
+            drawing.text(x + width / 2, y + height / 2, "no image", size=TEXT, colour=SOFT, align="center")
+            return
+        thumbnail = self.thumbnails[posture, light]
+        rows, columns = thumbnail.picture.shape[:2]
+        drawing.picture(thumbnail.picture, x, y + (height - rows) // 2)
+        if columns < width:  # a narrow image is framed, lest its black run into nothing
+            drawing.rectangle((x, y, x + width - 1, y + height - 1), outline=FAINT, width=1.0)
+        baseline = y + height + 8 + CAP_HEIGHT * TEXT
+        colour = RED if thumbnail.saturated else SOFT
+        drawing.text(x, baseline, saturation_text(thumbnail), size=TEXT, colour=colour)
+        if len(self.positions(light)) > 1:
+            note = light_position(self.entries[posture, light])
+            drawing.text(x, baseline + LINE, note, size=TEXT, colour=SOFT)
 
 
 def entry_thumbnail(image_set: ImageSet, entry: ImageEntry, limit: int) -> Thumbnail:
@@ -219,66 +239,12 @@ def _names(manifest: Manifest) -> str:
     return " on ".join(name for name in (part, rig) if name) or "Image set"
 
 
-def _facts(manifest: Manifest, table: _Table, exposure: float) -> str:
-    facts = [
-        manifest.kind,
-        f"{counted(len(table.lights), 'light')} × {counted(len(table.postures), 'posture')}",
-        f"exposure {exposure:g}",
-        f"{manifest.bit_depth} bit, saturated from level {manifest.saturated_from:g}",
-    ]
-    if manifest.black_level:
-        facts.append(f"black level {manifest.black_level:g}")
-    return "   ·   ".join(facts)
-
-
 def _posture_lines(posture: Posture) -> tuple[str, str]:
     return (f"{sub('θ', 'j')} {degrees(posture.elevation_deg)}", f"{sub('φ', 'j')} {degrees(posture.rotation_deg)}")
 
 
-def _draw_heads(drawing: Drawing, table: _Table, layout: _Layout) -> None:
-    rule = layout.top - GAP // 2
-    _draw_rule(drawing, rule, FAINT)
-    below, above = rule - 10, rule - 10 - LINE
-    drawing.text(MARGIN, below, "posture", size=TEXT, colour=SOFT)
-    for column, light in enumerate(table.lights):
-        x, _ = layout.corner(0, column)
-        drawing.text(x, above, fit_text(light, HEAD, layout.cell[0]), size=HEAD)
-        first, *others = table.positions(light)
-        where = f"elevation {degrees(first.light_elevation_deg)}, azimuth {degrees(first.light_azimuth_deg)}"
-        if others:
-            where = f"{1 + len(others)} positions"
-        elif text_width(where, TEXT) > layout.cell[0]:
-            where = light_position(first)
-        drawing.text(x, below, where, size=TEXT, colour=SOFT)
-    for row, posture in enumerate(table.postures):
-        _, y = layout.corner(row, 0)
-        if row:
-            _draw_rule(drawing, y - GAP // 2, EMPTY)
-        for i, line in enumerate(_posture_lines(posture)):
-            baseline = y + CAP_HEIGHT * HEAD + 4 + i * (LINE_HEIGHT * HEAD + 4)
-            drawing.text(MARGIN, baseline, line, size=HEAD)
-
-
 def _draw_rule(drawing: Drawing, y: float, colour: str) -> None:
     drawing.line(np.array([(MARGIN, y), (drawing.width - MARGIN - 1, y)]), colour=colour, width=1.0)
-
-
-def _draw_cell(
-    drawing: Drawing, layout: _Layout, corner: tuple[int, int], thumbnail: Thumbnail | None, note: str
-) -> None:
-    (x, y), (width, height) = corner, layout.cell
-    if thumbnail is None:
-        drawing.rectangle((x, y, x + width, y + height), fill=EMPTY)
-        drawing.text(x + width / 2, y + height / 2, "no image", size=TEXT, colour=SOFT, align="center")
-        return
-    rows, columns = thumbnail.picture.shape[:2]
-    drawing.picture(thumbnail.picture, x, y + (height - rows) // 2)
-    if columns < width:  # a narrow image is framed, lest its black run into nothing
-        drawing.rectangle((x, y, x + width - 1, y + height - 1), outline=FAINT, width=1.0)
-    baseline = y + height + 8 + CAP_HEIGHT * TEXT
-    colour = RED if thumbnail.saturated else SOFT
-    drawing.text(x, baseline, saturation_text(thumbnail), size=TEXT, colour=colour)
-    drawing.text(x, baseline + LINE, note, size=TEXT, colour=SOFT)
 
 
 def _draw_legend(drawing: Drawing, manifest: Manifest) -> None:
@@ -286,28 +252,25 @@ def _draw_legend(drawing: Drawing, manifest: Manifest) -> None:
     _draw_rule(drawing, y, FAINT)
     levels = f"level {manifest.black_level:g} to {manifest.max_level}"
     averaged = "averaged over cells of pixels"
-    ramp = np.linspace(0.0, 1.0, 180)
-    tint = shade_of_saturation(ramp)[:, None]
-    bars: tuple[tuple[Float64, tuple[str, str]], ...] = (
+    ramp = np.linspace(0.0, 1.0, 180)[:, None]
+    tint = shade_of_saturation(ramp)
+    # each with a long text and one for narrow sheets
+    bars = (
         (
-            np.repeat(255.0 * ramp[:, None], 3, axis=1),
-            (
-                f"grey: {levels} shown linearly as black to white (screen values 0 to 255), {averaged}",
-                f"grey: {levels}, linear, {averaged}",
-            ),
+            np.repeat(255.0 * ramp, 3, axis=1),
+            f"grey: {levels} shown linearly as black to white (screen values 0 to 255), {averaged}",
+            f"grey: {levels}, linear, {averaged}",
         ),
         (
             tint * np.array(SATURATED_COLOUR) + (1.0 - tint) * 128.0,
-            (
-                "red: share of saturated pixels in a cell, from a single one to all of them",
-                "red: saturated pixels in a cell, from one to all",
-            ),
+            "red: share of saturated pixels in a cell, from a single one to all of them",
+            "red: saturated pixels in a cell, from one to all",
         ),
     )
     height = round(CAP_HEIGHT * TEXT) + 4
     top = y + GAP - 2
     room = drawing.width - 2 * MARGIN
-    for colours, texts in bars:
+    for colours, *texts in bars:
         bar = np.broadcast_to(np.floor(colours + 0.5), (height, len(ramp), 3)).astype(np.uint8)
         drawing.picture(bar, MARGIN, top)
         beside = room - len(ramp) - GAP

@@ -18,14 +18,12 @@ import numpy as np
 from PIL import Image
 
 from lightopt.core.arrays import Float64, UInt8
-from lightopt.core.errors import percent
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from lightopt.design import LegendRow
 
 INK, SOFT, FAINT = "#1c1f24", "#5c636e", "#d4d8de"
 
@@ -33,7 +31,6 @@ DPI = 64  # Of all figures. A power of two: whole pixels remain whole when they 
 POINT = 72 / DPI  # length of a pixel [pt]
 FONT = "DejaVu Sans"  # comes with matplotlib
 CAP_HEIGHT, DESCENT, LINE_HEIGHT = 0.73, 0.24, 1.35  # of the font, per em
-SMALLEST_LEGEND, LARGEST_LEGEND = 13, 26  # sizes of a legend's text [px]; in between a fiftieth of the picture's width
 
 _MATH = "$\\mathdefault{"
 
@@ -287,33 +284,3 @@ def _best_box(label: Label, size: float, sums: Float64, bounds: Box, taken: Sequ
         cost += _SIDE_COST * (0.5 - 0.5 * (ux * label.away[0] + uy * label.away[1]) / length)
     best = np.unravel_index(np.argmin(np.where(free, cost, np.inf)), free.shape)
     return float(left[best]), float(top[best]), float(right[best]), float(bottom[best])
-
-
-@fixed_style()
-def with_legend(picture: UInt8, title: str, rows: Sequence[LegendRow]) -> UInt8:
-    """A picture with a title and a legend below it, on white; it is made wider where they need more room.
-
-    picture: Red, green and blue, shape (height, width, 3); its pixels stay where they are.
-    title: One line.
-    rows: Colours, what they stand for, and how much that is.
-    """
-    height, width = picture.shape[:2]
-    size = min(LARGEST_LEGEND, max(SMALLEST_LEGEND, width // 50))
-    gap, line, swatch = size, round(1.7 * size), size + size // 3
-    # in columns: swatches, label, amount
-    label = 1.5 * gap + max(len(row.colours) for row in rows) * swatch
-    amount = label + max(text_width(row.label, size) for row in rows) + gap + text_width(percent(1.0), size)
-    wide = max(width, math.ceil(amount) + gap, text_width(title, size) + 2 * gap)
-    drawing = Drawing(wide, height + 2 * gap + (len(rows) + 1) * line)
-    drawing.picture(picture, 0, 0)
-    baseline = height + gap + CAP_HEIGHT * size
-    drawing.text(gap, baseline, title, size=size)
-    for row in rows:
-        baseline += line
-        for k, (red, green, blue) in enumerate(row.colours):
-            left, top = gap + k * swatch, round(baseline - 0.9 * size)
-            colour = f"#{red:02x}{green:02x}{blue:02x}"
-            drawing.rectangle((left, top, left + size, top + size), fill=colour, outline=SOFT, width=1.0)
-        drawing.text(label, baseline, row.label, size=size)
-        drawing.text(amount, baseline, row.amount, size=size, align="right")
-    return np.array(drawing.image())

@@ -56,12 +56,6 @@ class Thumbnail:
     pixels: int
 
 
-def thumbnail_size(width: int, height: int, limit: int) -> tuple[int, int]:
-    """Width and height that :func:`thumbnail` gives an image of `width` × `height` pixels [px]."""
-    shrink, enlarge = _factors(width, height, limit)
-    return math.ceil(width / shrink) * enlarge, math.ceil(height / shrink) * enlarge
-
-
 def thumbnail(level: NDArray[np.floating], saturated: Bool, *, limit: int) -> Thumbnail:
     """Shrink an image by averaging square cells of whole pixels; small images are enlarged by repeating pixels.
 
@@ -103,10 +97,4 @@ def _cell_means(values: NDArray[np.floating] | Bool, side: int) -> Float64:
     columns = np.arange(0, values.shape[1], side)
     cells = np.add.reduceat(values.astype(np.float64), rows, axis=0)
     sums: Float64 = np.add.reduceat(cells, columns, axis=1)
-    counts = np.outer(_widths(values.shape[0], side), _widths(values.shape[1], side))
-    return sums / counts
-
-
-def _widths(length: int, side: int) -> Float64:
-    """Widths of the cells along a border of `length` pixels; the last one may be narrower."""
-    return np.minimum(side, length - np.arange(0.0, length, side))
+    return sums / np.outer(np.diff(rows, append=values.shape[0]), np.diff(columns, append=values.shape[1]))

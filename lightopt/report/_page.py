@@ -1,9 +1,40 @@
-"""What a page of a report is made of: plain values, no markup. :func:`page_html` makes it a file."""
+"""What a page of a report is made of: plain values, no markup; and the page as one HTML file.
 
+Style, scripts, pictures and surfaces are in the file, and it asks the network for nothing.
+"""
+
+import base64
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
+from importlib.resources import files
+from itertools import groupby
+from urllib.parse import quote
 
-from lightopt.report._surface import ColouredSurface
+from PIL import Image
+
+from lightopt.report._images import png_bytes
+from lightopt.report._surface import (
+    ColouredSurface,
+    SurfaceLayer,
+    simplified,
+    surface_data,
+    surface_head,
+    surface_still,
+)
+
+# the browser itself then refuses every request
+POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+
+KEYS = "Drag to turn, wheel to zoom, right button to move; keys on the picture: arrows, + and −, Home."
+
+WIDE = 8  # tables of more columns have narrow margins, and their cells may take several lines
+
+FALLBACK = (
+    '<p class="note fallback" hidden>This browser shows no WebGL: the picture is a still one'
+    '<span class="reason"></span>.</p>'
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,3 +128,175 @@ class Page:
     subtitle: str
     lead: Sequence[Block]
     sections: Sequence[Section]
+
+
+def page_html(page: Page) -> str:
+    """The page as HTML; the same page gives the same text. Every text is escaped: names may contain anything."""
+    parts = [
+        "<!doctype html>",
+        '<html lang="en">',
+        "<head>",
+        '<meta charset="utf-8">',
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        f"<title>{escape(page.title)}</title>",
+        f"<style>\n{_asset('page.css')}</style>",
+        "</head>",
+        "<body>",
+        "<header>",
+        f"<h1>{escape(page.title)}</h1>",
+        f'<p class="subtitle">{escape(page.subtitle)}</p>',
+        "</header>",
+        "<main>",
+        *(_block(block) for block in page.lead),
+        _contents(page.sections),
+    ]
+    for number, section in enumerate(page.sections, start=1):
+        parts += [f'<section id="s{number}">', f"<h2>{escape(section.heading)}</h2>"]
+        parts += [_block(block) for block in section.blocks]
+        parts += ["</section>"]
+    parts += ["</main>"]
+    blocks = (*page.lead, *(block for section in page.sections for block in section.blocks))
+    if any(isinstance(block, SurfaceView) for block in blocks):
+        parts += [f"<script>\n{_asset(name)}</script>" for name in ("three.bundle.min.js", "viewer.js")]
+    parts += ["</body>", "</html>", ""]
+    return "\n".join(parts)
+
+
+def _asset(name: str) -> str:
+    return files("lightopt.report").joinpath("viewer").joinpath(name).read_text(encoding="utf-8")
+
+
+def _contents(sections: Sequence[Section]) -> str:
+    links = [f'<a href="#s{number}">{escape(section.heading)}</a>' for number, section in enumerate(sections, start=1)]
+    return f'<nav aria-label="Contents">{" ".join(links)}</nav>'
+
+
+def _block(block: Block) -> str:
+    match block:
+        case Answer(figure=figure, text=text):
+            return f'<p class="answer"><strong>{escape(figure)}</strong> {escape(text)}</p>'
+        case Note(text=text):
+            return f"<p>{escape(text)}</p>"
+        case Warnings(texts=texts):
+            items = "".join(f"<li>{escape(text)}</li>" for text in texts)
+            return f'<div class="warnings" role="note"><strong>Warnings</strong><ul>{items}</ul></div>' if items else ""
+        case Facts(rows=rows):
+            cells = (f'<tr><th scope="row">{escape(name)}</th><td>{escape(value)}</td></tr>' for name, value in rows)
+            return f'<table class="facts"><tbody>{"".join(cells)}</tbody></table>'
+        case Table():
+            return _table(block)
+        case Picture():
+            return f'<figure class="picture">{_image(block)}{_figcaption(block.caption)}</figure>'
+        case Gallery():
+            return _gallery(block)
+        case SurfaceView():
+            return _surface(block)
+
+
+def _table(table: Table) -> str:
+    def row(cells: Sequence[str], tag: str, href: str = "") -> str:
+        texts = [escape(cell) for cell in cells]
+        if href:
+            texts[0] = f'<a href="{quote(href)}">{texts[0]}</a>'
+        marked = (
+            f"<{tag}{' class=number' if i >= table.numbers_from else ''}>{text}</{tag}>" for i, text in enumerate(texts)
+        )
+        return f"<tr>{''.join(marked)}</tr>"
+
+    caption = f"<caption>{escape(table.caption)}</caption>" if table.caption else ""
+    links = table.links or [""] * len(table.rows)
+    body = "\n".join(row(cells, "td", href) for cells, href in zip(table.rows, links, strict=True))
+    wide = ' class="wide"' if len(table.header) > WIDE else ""
+    return (
+        f'<div class="scroll"><table{wide}>{caption}<thead>{row(table.header, "th")}</thead>\n'
+        f"<tbody>{body}</tbody></table></div>"
+    )
+
+
+def _gallery(gallery: Gallery) -> str:
+    head = "".join(f"<th>{escape(text)}</th>" for text in ("", *gallery.header))
+    rows: list[str] = []
+    for name, pictures in gallery.rows:
+        cells = "".join(
+            "<td></td>"
+            if picture is None
+            else f"<td>{_image(picture)}<span class=note>{escape(picture.caption)}</span></td>"
+            for picture in pictures
+        )
+        rows.append(f'<tr><th scope="row">{escape(name)}</th>{cells}</tr>')
+    caption = f"<caption>{escape(gallery.caption)}</caption>" if gallery.caption else ""
+    return (
+        f'<div class="scroll"><table class="gallery">{caption}<thead><tr>{head}</tr></thead>\n'
+        f"<tbody>{chr(10).join(rows)}</tbody></table></div>"
+    )
+
+
+def _image(picture: Picture, *, css: str = "") -> str:
+    with Image.open(io.BytesIO(picture.png)) as image:
+        width, height = image.size
+    data = base64.b64encode(picture.png).decode("ascii")
+    kind = f' class="{css}"' if css else ""
+    return (
+        f'<img{kind} width="{width}" height="{height}" alt="{escape(picture.alt)}" src="data:image/png;base64,{data}">'
+    )
+
+
+def _figcaption(text: str) -> str:
+    return f"<figcaption>{escape(text)}</figcaption>" if text else ""
+
+
+def _surface(view: SurfaceView) -> str:
+    surface, grid = simplified(view.surface)
+    still = _image(Picture(png=png_bytes(surface_still(surface)), alt=view.alt), css="still")
+    caption = view.caption
+    if grid:
+        caption += (
+            f" Drawn with {len(surface.triangles):,} of {len(view.surface.triangles):,} faces, their corners moved "
+            f"to a grid of {grid:.3g} mm; areas are of all faces."
+        )
+    layers = view.surface.layers
+    chooser = f"<form>{_chooser(layers)}</form>" if len(layers) > 1 else ""
+    legends = "".join(_legend(layer, k) for k, layer in enumerate(layers))
+    return "\n".join(
+        [
+            '<figure class="surface">',
+            '<div class="view"><div class="stage">',
+            f'<canvas tabindex="0" role="img" aria-label="{escape(view.alt)}. {escape(KEYS)}"></canvas>',
+            still,
+            FALLBACK,
+            '</div><div class="side">',
+            f'<div class="controls">{chooser}</div>',
+            legends,
+            '<div class="controls"><button type="button" class="home">First view</button>',
+            f'<p class="note">{escape(KEYS)}</p></div>',
+            "</div></div>",
+            _figcaption(caption.strip()),
+            f'<script type="application/json" class="head">{surface_head(surface)}</script>',
+            f'<script type="application/octet-stream" class="data">{surface_data(surface)}</script>',
+            "</figure>",
+        ]
+    )
+
+
+def _chooser(layers: Sequence[SurfaceLayer]) -> str:
+    parts: list[str] = []
+    for group, some in groupby(enumerate(layers), key=lambda pair: pair[1].group):
+        choices = "".join(
+            f'<label><input type="radio" name="layer" value="{k}"{" checked" if k == 0 else ""}> '
+            f"{escape(layer.name)}</label>"
+            for k, layer in some
+        )
+        parts.append(f"<fieldset><legend>{escape(group or 'Shown')}</legend>{choices}</fieldset>")
+    return "".join(parts)
+
+
+def _legend(layer: SurfaceLayer, number: int) -> str:
+    items = "".join(
+        f'<li><span class="swatch" style="background:{escape(kind.colour)}"></span>'
+        f'<span>{escape(kind.label)}</span><span class="amount">{escape(kind.amount)}</span></li>'
+        for kind in layer.classes
+    )
+    hidden = " hidden" if number else ""
+    name = escape(f"{layer.group}: {layer.name}" if layer.group else layer.name)
+    return f'<ul class="legend" data-layer="{number}" aria-label="{name}"{hidden}>{items}</ul>'

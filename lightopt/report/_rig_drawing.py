@@ -1,24 +1,45 @@
-"""A drawing of the rig as the program understands it."""
+"""A drawing of the rig as the program understands it; beside it its numbers, and the part on its stage."""
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
-from lightopt.core.transforms import Posture
+from lightopt.core.transforms import Posture, posture_rotation
 from lightopt.geometry import RayCaster
 from lightopt.rendering import cast_rays_at
-from lightopt.report._drawing import Drawing, fixed_style
+from lightopt.report._drawing import (
+    CAP_HEIGHT,
+    FAINT,
+    LINE_HEIGHT,
+    SOFT,
+    Box,
+    Drawing,
+    Label,
+    fit_text,
+    fixed_style,
+    sub,
+)
 from lightopt.report._images import check_png_path, write_picture
-from lightopt.report._part_picture import cast_part
-from lightopt.report._rig_elements import Pen, number
-from lightopt.report._rig_shapes import CameraShape, camera_shape, part_box, rig_size, square, table_grid
-from lightopt.report._rig_stage_and_numbers import SIDE_WIDTH, draw_stage, side_height, write_numbers
-from lightopt.report._view import ParallelView, fit_view
-from lightopt.scene import PanelLight, Scene, panel_corners
+from lightopt.report._rig_elements import (
+    STAGE,
+    CameraShape,
+    Pen,
+    camera_shape,
+    degrees,
+    number,
+    part_box,
+    rig_size,
+    round_up,
+    square,
+    table_grid,
+)
+from lightopt.report._view import ParallelView, X, Y, Z, arc, cast_part, fit_view
+from lightopt.scene import PanelLight, Scene, panel_corners, pixel_footprint
 
 MAIN_WIDTH, LEAST_HEIGHT, MARGIN = 1060, 1080, 40
 # of more lights than that only a few get arcs, which would hide each other; all angles are in the table
@@ -26,8 +47,17 @@ MOST_ARCS, FEW_ARCS = 6, 3
 
 _ARC = 0.4  # radius of elevation arcs, relative to the light's distance
 
+SIDE_WIDTH, EDGE = 500, 30
+HEAD, TEXT, LABEL = 20, 16, 17  # sizes of text [px]
+LINE = round(LINE_HEIGHT * TEXT)  # distance of lines [px]
+STAGE_HEIGHT = 400  # least height of the picture of the stage [px]
+MOST_POSTURES = 12  # more than that are only counted
+_LIGHT_COLUMNS = (190, 250, 315, 440)  # where the columns of numbers in the table of lights end [px]
 
-def rig_drawing(scene: Scene, path: str | Path, *, annotate: bool = True, overwrite: bool = True) -> Path:
+_STAGE_VIEW = (np.radians(22.0), np.radians(292.0))  # elevation and azimuth [rad]
+
+
+def rig_drawing(scene: Scene, path: str | Path, *, overwrite: bool = True) -> Path:
     """Draw camera, panels, table, part and stage at their true places, with the angles that the rig file gives.
 
     A parallel view, true to scale: the world's axes, the camera with its viewing pyramid down to the table, each
@@ -35,28 +65,25 @@ def rig_drawing(scene: Scene, path: str | Path, *, annotate: bool = True, overwr
     beside it the part with the stage's axes, and the numbers.
 
     path: The PNG to make or to replace, in a folder that exists; it is returned.
-    annotate: Whether angles and axes are drawn and named.
     overwrite: Whether a file of other content may be replaced.
     Raises InputError: The file cannot be written, or one of other content is there and `overwrite` is False.
     """
     path = check_png_path(path)
-    return write_picture(path, rig_image(scene, annotate=annotate), overwrite=overwrite)
+    return write_picture(path, rig_image(scene), overwrite=overwrite)
 
 
 @fixed_style()
-def rig_image(scene: Scene, *, annotate: bool = True) -> Image.Image:
+def rig_image(scene: Scene) -> Image.Image:
     """The picture that :func:`rig_drawing` writes."""
     posture = scene.postures[0] if scene.postures else Posture(0.0, 0.0)
     caster = cast_rays_at(scene)
     shape = camera_shape(scene.camera, 0.13 * rig_size(scene))
-    height = max(LEAST_HEIGHT, side_height(scene))
+    height = max(LEAST_HEIGHT, _side_height(scene))
     drawing = Drawing(MAIN_WIDTH + SIDE_WIDTH, height)
     pen = Pen(drawing, _view(scene, shape, posture, height), [])
-    _draw_rig(scene, caster, shape, posture, pen, annotate=annotate)
-    draw_stage(scene, caster, posture, drawing, MAIN_WIDTH, annotate=annotate)
-    write_numbers(
-        drawing, scene, MAIN_WIDTH, grid=number(table_grid(scene, posture)[1]), arcs=_arcs(scene) if annotate else None
-    )
+    _draw_rig(scene, caster, shape, posture, pen)
+    draw_stage(scene, caster, posture, drawing, MAIN_WIDTH)
+    _write_numbers(drawing, scene, MAIN_WIDTH, grid=number(table_grid(scene, posture)[1]))
     drawing.labels(pen.labels, size=19, bounds=(8.0, 8.0, MAIN_WIDTH - 8.0, height - 8.0))
     return drawing.image()
 
@@ -101,9 +128,7 @@ def _axis_lengths(scene: Scene, half: float) -> tuple[float, float, float]:
     return 1.08 * half, 1.08 * half, 0.45 * rig_size(scene)
 
 
-def _draw_rig(
-    scene: Scene, caster: RayCaster, shape: CameraShape, posture: Posture, pen: Pen, *, annotate: bool
-) -> None:
+def _draw_rig(scene: Scene, caster: RayCaster, shape: CameraShape, posture: Posture, pen: Pen) -> None:
     half, step = table_grid(scene, posture)
     pen.grid(half, step)
     pen.footprint(shape)
@@ -111,7 +136,7 @@ def _draw_rig(
     # what lies on the table is drawn around the part, what stands up may pass in front of it
     pen = replace(pen, part=part)
     pen.axes(_axis_lengths(scene, half))
-    arcs = scene.lights[: _arcs(scene)] if annotate else ()
+    arcs = scene.lights[: _arcs(scene)]
     reach = max(0.5 * half, *(float(np.hypot(*light.centre[:2])) for light in scene.lights), 0.0)
     for i, light in enumerate(arcs):
         pen.azimuth_arc(light, reach * (0.42 + 0.45 * (i + 1) / len(arcs)), spoke=_ARC * light.distance)
@@ -119,12 +144,12 @@ def _draw_rig(
     devices = [*((light.centre, light) for light in scene.lights), (scene.camera.position, None)]
     for _, light in sorted(devices, key=lambda device: float(pen.view.nearness(device[0]))):
         if light is None:
-            pen.camera(scene.camera, shape, annotate=annotate)
+            pen.camera(scene.camera, shape)
             continue
         pen.panel(light)
         if light in arcs:
             pen.elevation_arc(light, _ARC * light.distance)
-    if annotate and scene.lights:
+    if scene.lights:
         pen.panel_frame(_most_open(scene.lights, pen.view), 0.24 * rig_size(scene))
 
 
@@ -135,3 +160,128 @@ def _arcs(scene: Scene) -> int:
 def _most_open(lights: tuple[PanelLight, ...], view: ParallelView) -> PanelLight:
     """The light whose panel the view shows least foreshortened."""
     return max(lights, key=lambda light: abs(float(light.outward @ view.toward)))
+
+
+def _side_height(scene: Scene) -> int:
+    """Height that numbers and stage need [px]."""
+    return _stage_top(scene) + STAGE_HEIGHT + EDGE
+
+
+def _stage_top(scene: Scene) -> int:
+    """Where the numbers end and the picture of the stage begins [px]."""
+    lines = len(_camera_lines(scene)) + len(scene.lights) + len(_part_lines(scene))
+    return EDGE + round((lines + 6.5) * LINE)
+
+
+def _write_numbers(drawing: Drawing, scene: Scene, left: int, *, grid: str) -> None:
+    """Write the numbers of a rig into the column that starts at `left` [px]."""
+    drawing.line(np.array([(left, EDGE), (left, drawing.height - EDGE)]), colour=FAINT, width=1.0)
+    x = left + EDGE
+    y = EDGE + CAP_HEIGHT * HEAD
+    drawing.text(x, y, "Camera", size=HEAD)
+    y = _write_lines(drawing, x, y, _camera_lines(scene)) + 2 * LINE
+    drawing.text(x, y, "Lights", size=HEAD)
+    _write_cells(drawing, x, y, ("θ", "φ", "mm", "panel, mm"))
+    for light in scene.lights:
+        y += LINE
+        size = f"{number(light.size[0])} × {number(light.size[1])}"
+        drawing.text(x, y, fit_text(light.name, TEXT, _LIGHT_COLUMNS[0] - 70), size=TEXT, colour=SOFT)
+        _write_cells(drawing, x, y, (degrees(light.elevation), degrees(light.azimuth), number(light.distance), size))
+    arcs = _arcs(scene)
+    note = f"grid {grid} mm" + (f"; arcs of the first {arcs} lights" if arcs < len(scene.lights) else "")
+    y = _write_lines(drawing, x, y + 4, [note]) - 4 + 2 * LINE
+    drawing.text(x, y, "Part and stage", size=HEAD)
+    _write_lines(drawing, x, y, _part_lines(scene))
+
+
+def _write_lines(drawing: Drawing, x: float, y: float, lines: Sequence[str]) -> float:
+    """Write lines below a baseline; the last one's baseline [px]."""
+    for line in lines:
+        y += LINE
+        drawing.text(x, y, fit_text(line, TEXT, SIDE_WIDTH - 2 * EDGE), size=TEXT, colour=SOFT)
+    return y
+
+
+def _write_cells(drawing: Drawing, x: float, y: float, cells: Sequence[str]) -> None:
+    for column, cell in zip(_LIGHT_COLUMNS, cells, strict=True):
+        drawing.text(x + column, y, cell, size=TEXT, colour=SOFT, align="right")
+
+
+def _camera_lines(scene: Scene) -> list[str]:
+    camera = scene.camera
+    distance = float(np.linalg.norm(camera.position))
+    return [
+        f"pinhole at {_vector(camera.position)} mm",
+        f"{number(distance)} mm from the origin",
+        f"image right {_vector(camera.right)}",
+        f"image up {_vector(camera.up)}",
+        f"{camera.width} × {camera.height} px, {number(pixel_footprint(camera, distance))} mm/px at the origin",
+    ]
+
+
+def _vector(values: np.ndarray) -> str:
+    return "(" + ", ".join(number(round(float(v), 3)) for v in values) + ")"
+
+
+def _part_lines(scene: Scene) -> list[str]:
+    low, high = scene.mesh.bounds
+    size = " × ".join(number(float(f"{side:.3g}")) for side in high - low)
+    listed = [str(posture).replace("-", "−") for posture in scene.postures[:MOST_POSTURES]]
+    lines = [f"{size} mm, pivot {_vector(scene.pivot)} mm"]
+    if scene.postures:
+        first = scene.postures[0]
+        lines.append(
+            f"drawn at {sub('θ', 'j')} {_angle(first.elevation_deg)}, {sub('φ', 'j')} {_angle(first.rotation_deg)}"
+        )
+    rest = listed[1:]
+    if len(scene.postures) > MOST_POSTURES:
+        rest.append(f"{len(scene.postures) - MOST_POSTURES} more")
+    return lines + [("other postures " if i == 0 else "") + ", ".join(rest[i : i + 3]) for i in range(0, len(rest), 3)]
+
+
+def _angle(degrees: float) -> str:
+    return f"{number(degrees)}°"
+
+
+def draw_stage(scene: Scene, caster: RayCaster, posture: Posture, drawing: Drawing, left: int) -> Box:
+    """Draw the part at a posture with the stage's axes, in the column from `left` [px] on; the box that it fills."""
+    box = (left + EDGE, _stage_top(scene), left + SIDE_WIDTH - EDGE, drawing.height - EDGE)
+    corners = part_box(scene, posture)
+    radius = 0.5 * float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0)))
+    reach = 1.25 * float(np.linalg.norm(corners - scene.pivot, axis=1).max())
+    rotary = posture_rotation(elevation=np.radians(posture.elevation_deg), rotation=0.0)
+    ends = scene.pivot + reach * np.stack([X, -0.8 * X, rotary[:, 2], -0.35 * rotary[:, 2]])
+    inner = (box[0] + 45, box[1] + 20, box[2] - 45, box[3] - 40)
+    middle = corners.mean(axis=0)
+    half, step = round_up(1.05 * radius)
+    elevation, azimuth = _STAGE_VIEW
+    shown = np.concatenate([corners, ends, square(half, middle)])
+    view = fit_view(shown, elevation=elevation, azimuth=azimuth, box=inner)
+    pen = Pen(drawing, view, [])
+    pen.grid(half, step, centre=middle)
+    part = cast_part(scene, caster, posture, view)
+    part.draw(drawing)
+    pen = Pen(drawing, view, pen.labels, part)
+    _draw_axes(pen, scene, posture, reach)
+    length = pen.scale_bar(box[0], box[3] - 8, radius)
+    pen.labels.append(Label(text=length, anchor=(box[0] + 4, box[3] - 14), colour=SOFT, away=(0.3, -1.0)))
+    drawing.labels(pen.labels, size=LABEL, bounds=box)
+    return box
+
+
+def _draw_axes(pen: Pen, scene: Scene, posture: Posture, reach: float) -> None:
+    pivot, ring = scene.pivot, 0.22 * reach
+    tilted = posture_rotation(elevation=np.radians(posture.elevation_deg), rotation=0.0)
+    x, y, z = tilted.T
+    pen.line(np.stack([pivot - 0.8 * reach * X, pivot + reach * X]), STAGE, 1.6, dash=(16, 5))
+    pen.line(np.stack([pivot - 0.35 * reach * z, pivot + reach * z]), STAGE, 1.6, dash=(16, 5))
+    for axis, start, towards, letter, name in ((X, -Y, -Z, "θ", "tilt axis"), (z, -x, -y, "φ", "rotary axis")):
+        centre = pivot + 0.86 * reach * axis
+        path = arc(centre, start, towards, 1.6 * np.pi, ring)
+        pen.arrow(path, STAGE, 2.2, head=12.0)
+        pen.label(f"+{sub(letter, 'j')}", path[-1], STAGE, away_from=centre)
+        pen.label(name, pivot + reach * axis, STAGE, away_from=pivot)
+    flat = pen.view.place(pivot)
+    hidden = pen.part is not None and bool(pen.part.hides(pivot[None])[0])
+    pen.drawing.disc(flat, 4.0, fill="#ffffffc0" if hidden else STAGE, outline=STAGE)
+    pen.label("pivot", pivot, STAGE)

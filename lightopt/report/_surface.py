@@ -1,4 +1,6 @@
-"""A surface whose faces belong to classes: a value object, made small enough for a page, and as text for viewer.js.
+"""A surface whose faces belong to classes: a value object, made small for a page, as text and as a still picture.
+
+Paper and browsers without WebGL show the still picture, all others what viewer.js makes of the text.
 
 The text is a head in JSON, and base64 of a zlib stream of, little-endian and in this order: the faces' corners as
 int32, the vertices as int16 in steps of ``step_mm`` from the middle of the bounding box, and one uint8 per face and
@@ -10,18 +12,25 @@ import base64
 import json
 import math
 import zlib
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageColor
 
-from lightopt.core.arrays import Float64, Int32, UInt8
+from lightopt.core.arrays import Float64, Int32, UInt8, read_only
 from lightopt.core.errors import InputError
+from lightopt.geometry import RayCaster, TriangleMesh, face_normals
 from lightopt.scene import PinholeCamera
 
 FIELD_OF_VIEW = math.radians(30.0)  # of the first view, from the lower to the upper edge; viewer.js has the same
 _STEPS = 32767  # of a vertex's place in the data, to either side of the middle
+
+STILL_WIDTH, STILL_HEIGHT, FINE = 900, 600, 2  # size of the still picture [px], which is cast so many times as fine
+_BLOCK_ROWS = 128
+# as in viewer.js: enough to tell the shape, and so little that colours are those of the legend
+_AMBIENT, _LAMP = 0.7, 0.3
 
 # of more than these a report shows a simplified surface, so that the file stays small and the view turns smoothly
 MOST_TRIANGLES = 500_000
@@ -38,6 +47,12 @@ class SurfaceClass:
     label: str
     colour: str
     amount: str = ""
+
+
+def surface_classes(kinds: Iterable[tuple[str, str]], amounts: Iterable[str]) -> tuple[SurfaceClass, ...]:
+    """Classes of these labels and colours, and how much of the surface each is."""
+    pairs = zip(kinds, amounts, strict=True)
+    return tuple(SurfaceClass(label=label, colour=colour, amount=amount) for (label, colour), amount in pairs)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +74,7 @@ class SurfaceLayer:
                 f"layer {self.name}: expected uint8 below {len(self.classes)}, found {self.of_face.dtype} "
                 f"up to {self.of_face.max() if self.of_face.size else 'nothing'}"
             )
-        object.__setattr__(self, "of_face", _frozen(self.of_face))
+        object.__setattr__(self, "of_face", read_only(self.of_face))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +98,7 @@ class ColouredSurface:
             if len(layer.of_face) != len(self.triangles):
                 raise InputError(f"layer {layer.name}: {len(layer.of_face)} classes for {len(self.triangles)} faces")
         for name in ("vertices", "triangles", "up", "toward"):
-            object.__setattr__(self, name, _frozen(getattr(self, name)))
+            object.__setattr__(self, name, read_only(getattr(self, name)))
 
 
 def simplified(surface: ColouredSurface, *, most: int = MOST_TRIANGLES) -> tuple[ColouredSurface, float]:
@@ -132,12 +147,6 @@ def first_view(camera: PinholeCamera) -> Float64:
     return mixed / np.linalg.norm(mixed)
 
 
-def _frozen(array: Any) -> Any:
-    view = array.view()
-    view.flags.writeable = False
-    return view
-
-
 def surface_head(surface: ColouredSurface) -> str:
     """What the viewer has to know before it unpacks the data, JSON without ``<``."""
     head = {
@@ -178,3 +187,42 @@ def _middle(surface: ColouredSurface) -> Float64:
 def _step(surface: ColouredSurface) -> float:
     half = 0.5 * float((surface.vertices.max(axis=0) - surface.vertices.min(axis=0)).max())
     return max(half, 1e-9) / _STEPS
+
+
+def surface_still(surface: ColouredSurface) -> Image.Image:
+    """The surface in the colours of its first layer, lit from the eye, on white."""
+    width, height = STILL_WIDTH * FINE, STILL_HEIGHT * FINE
+    caster = RayCaster(surface.vertices, surface.triangles)
+    eye = caster.centre + eye_distance(surface) * surface.toward
+    right = np.cross(surface.up, surface.toward)
+    right /= np.linalg.norm(right)
+    above = np.cross(surface.toward, right)
+    classes = surface.layers[0].of_face
+    colours = np.array([ImageColor.getrgb(kind.colour) for kind in surface.layers[0].classes], np.float64)
+    normals = face_normals(TriangleMesh(surface.vertices, surface.triangles))
+    picture = np.full((height, width, 3), 255, np.uint8)
+    scale = math.tan(0.5 * FIELD_OF_VIEW) / (0.5 * height)
+    # the rectangle that has all of it
+    seen = surface.vertices - eye
+    depth = -scale * (seen @ surface.toward)
+    left, right_end = _span(0.5 * width + (seen @ right) / depth, width)
+    top, bottom = _span(0.5 * height - (seen @ above) / depth, height)
+    across = (np.arange(left, right_end) + 0.5 - 0.5 * width) * scale
+    for row in range(top, bottom, _BLOCK_ROWS):
+        rows = np.arange(row, min(row + _BLOCK_ROWS, bottom))
+        down = (rows + 0.5 - 0.5 * height) * scale
+        rays = (across[:, None] * right - down[:, None, None] * above - surface.toward).reshape(-1, 3)
+        face = caster.first_hit(eye, rays)
+        hit = np.flatnonzero(face >= 0)
+        face, rays = face[hit], rays[hit]
+        facing = np.abs(np.einsum("ij,ij->i", normals[face], rays)) / np.linalg.norm(rays, axis=1)
+        shade = np.minimum(1.0, _AMBIENT + _LAMP * facing)
+        y, x = np.divmod(hit, len(across))
+        picture[rows[y], left + x] = np.floor(colours[classes[face]] * shade[:, None] + 0.5)
+    return Image.fromarray(picture).reduce(FINE)
+
+
+def _span(places: Float64, size: int) -> tuple[int, int]:
+    # the pixels of a row or column that have all of some places
+    low, high = math.floor(places.min()), math.floor(places.max()) + 1
+    return min(max(low, 0), size), min(max(high, 0), size)

@@ -16,8 +16,7 @@ from planned import made_once, prepared
 
 from lightopt.cli._main import run
 from lightopt.design import share_text
-from lightopt.report._page import Page, Table
-from lightopt.report._page_html import page_html
+from lightopt.report._page import Page, Table, page_html
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,7 @@ import pytest
 from browsers import opened
 from PIL import Image
 
-from lightopt.report._page import Answer, Page, Section, SurfaceView
-from lightopt.report._page_html import page_html
+from lightopt.report._page import Answer, Page, Section, SurfaceView, page_html
 from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer
 
 BLUE, ORANGE, GREY = "#56b4e9", "#d55e00", "#c9ced6"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from lightopt.report import _surface_still
+from lightopt.report import _surface
 
 
 @pytest.fixture
@@ -67,6 +67,6 @@ def take(bench, world, monkeypatch):
 def small_stills() -> Iterator[None]:
     """Stills of reports have a ninth of their pixels; browsers look at whole ones, in tests/system."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_surface_still, "WIDTH", _surface_still.WIDTH // 3)
-        patch.setattr(_surface_still, "HEIGHT", _surface_still.HEIGHT // 3)
+        patch.setattr(_surface, "STILL_WIDTH", _surface.STILL_WIDTH // 3)
+        patch.setattr(_surface, "STILL_HEIGHT", _surface.STILL_HEIGHT // 3)
         yield

@@ -154,7 +154,7 @@ def test_kept_matrices_are_reused_and_give_the_same_bytes(planned, cli, snapshot
     assert ran.status == 0
     assert "2 stored luminance matrices reused" in ran.out
     assert "never seen by the camera" in ran.out
-    assert "best for detectability shows scratch" in ran.out
+    assert "kind seen worst" in ran.out
     assert snapshot(planned.out) == before
 
 

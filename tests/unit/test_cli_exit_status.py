@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lightopt.cli import _unexpected
+from lightopt.cli import _process
 from lightopt.core.errors import CheckFailed, HardwareError, InputError
 from lightopt.images import write_png
 
@@ -121,7 +121,7 @@ def test_an_exception_that_cannot_say_what_it_is(schema, temporary):
         (BrokenPipeError(errno.EPIPE, "Broken pipe"), 70),
         (ConnectionResetError(errno.ECONNRESET, "Connection reset by peer"), 70),
         (OSError("an SDK's own"), 70),
-        (FileNotFoundError(errno.ENOENT, "No such file", str(Path(_unexpected.__file__).parent / "x")), 70),
+        (FileNotFoundError(errno.ENOENT, "No such file", str(Path(_process.__file__).parent / "x")), 70),
         (OSError(errno.ENOSPC, "No space left on device"), 2),
         (PermissionError(errno.EACCES, "Permission denied", "/root/part.stl"), 2),
         (FileNotFoundError(errno.ENOENT, "No such file or directory", "part.stl"), 2),

@@ -13,7 +13,7 @@ import pytest
 from planned import CATALOGUE, FEW, LIGHTS, PLAN, made_once, prepared
 
 from lightopt.cli._main import run
-from lightopt.cli._plan_tables import show_plan
+from lightopt.cli._optimize_tables import show_plan
 from lightopt.config import load_part, load_rig
 from lightopt.core.transforms import Posture
 from lightopt.design import PlanResult, share_text
@@ -319,7 +319,8 @@ def test_more_postures_than_there_are_and_such_as_add_next_to_nothing_are_told(t
     # no digit that the patches do not support, in any table
     assert not re.search(r"\d\.\d+ %", ran.out)
     points = f"{100.0 * chosen['patches']['grain']:.1g} points"
-    assert f"each seen or not as its middle is: shares may be off by some {points}" in ran.out
+    assert "each patch counts as its middle does: " in ran.out
+    assert f"shares may be off by some {points}" in ran.out
     assert 0.01 < chosen["patches"]["grain"] < 0.1
 
 
@@ -424,9 +425,9 @@ def test_a_target_within_reach_takes_no_more_than_it_needs(two, cli):
 @pytest.mark.parametrize(
     ("why", "expected"),
     [
-        ("gain", "each adding 1 % or more: 90.0 %"),
-        ("pair", "each adding 1 % or more, or two that add twice that together: 90.0 %"),
-        ("target", "each adding 1 % or more, or needed for the target: 90.0 %"),
+        ("gain", "adds 1 % or more."),
+        ("pair", "adds 1 % or more, or with another twice that."),
+        ("target", "adds 1 % or more, or where the target takes it."),
     ],
 )
 def test_exposures_that_the_target_takes_are_told(capsys, why, expected):
@@ -434,7 +435,8 @@ def test_exposures_that_the_target_takes_are_told(capsys, why, expected):
     brackets = Brackets(before=0.9, after=0.904, further=shots, least_gain=0.01, grain=0.005)
     show_plan(PlanResult(brackets=brackets), Path("out"), verbose=False)
     told = capsys.readouterr().out
-    assert f"1 further exposure planned, {expected}" in told
+    assert "with exposure 1 alone 90.0 %" in told
+    assert f"One is planned where it {expected}" in told
     assert "0.4 % " in told
     # no digit that the patches do not support
     show_plan(PlanResult(brackets=replace(brackets, grain=0.02)), Path("out"), verbose=True)

@@ -24,13 +24,11 @@ from lightopt.design import (
     share_text,
     write_design,
 )
-from lightopt.report import _design_report, design_report
-from lightopt.report._design_answer import answer_blocks
-from lightopt.report._design_plan import posture_blocks
-from lightopt.report._design_report import design_page
-from lightopt.report._design_surface import LEVEL_CLASSES, level_classes
-from lightopt.report._page import Answer, Facts, Gallery, Note, Picture, SurfaceView, Table
-from lightopt.report._page_html import page_html
+from lightopt.report._page import Answer, Facts, Gallery, Note, Picture, SurfaceView, Table, page_html
+from lightopt.report.design import design_report
+from lightopt.report.design._plan import posture_blocks
+from lightopt.report.design._report import answer_blocks, design_page
+from lightopt.report.design._surface import LEVEL_CLASSES, level_classes
 
 LIGHTS = """\
 lights:
@@ -73,8 +71,8 @@ def blocks(done):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Pages without drawings of the rig and without charts, which take longer than all the rest."""
-    monkeypatch.setattr(_design_report, "drawing_blocks", lambda _: [])
-    monkeypatch.setattr(_design_report, "curve_blocks", lambda _: [])
+    monkeypatch.setattr("lightopt.report.design._report.drawing_blocks", lambda _: [])
+    monkeypatch.setattr("lightopt.report.design._report.curve_blocks", lambda _: [])
 
 
 @pytest.fixture

@@ -16,8 +16,8 @@ from lightopt.inspection.detection._defects import Detection
 from lightopt.inspection.evaluation._evaluation import KnownDefect
 from lightopt.report._page import Facts, Note, Picture, Table
 from lightopt.report.inspection import batch_report
-from lightopt.report.inspection._ground_truth import truth_blocks
 from lightopt.report.inspection._pictures import LABEL_COLOURS, _ball, overlay_image
+from lightopt.report.inspection._tables import truth_blocks
 
 
 def true_set(sizes, found):
@@ -162,7 +162,7 @@ def test_rows_of_a_batch_lead_to_reports_whatever_their_names():
         BatchRow(name="a #1 <&>", report="a #1 <&>/report.html", defects=1, verdict=verdict),
         BatchRow(name="b", defects=1, verdict=verdict),
     ]
-    page = batch_report(rows, part="p", rig="r", version="1")
+    page = batch_report(rows, part="p", rig="r", version="1", truth=None)
     assert '<a href="a%20%231%20%3C%26%3E/report.html">a #1 &lt;&amp;&gt;</a>' in page
     assert "<td>b</td><td>OK</td><td>1 defect that counts, 2 allowed</td>" in page
     assert "<td class=number>70.0 %</td><td class=number>25.0 %</td>" in page

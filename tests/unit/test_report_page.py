@@ -18,8 +18,19 @@ from PIL import Image
 
 from lightopt.core.errors import InputError
 from lightopt.geometry import TriangleMesh, refine
-from lightopt.report._page import Answer, Facts, Gallery, Note, Page, Picture, Section, SurfaceView, Table, Warnings
-from lightopt.report._page_html import page_html
+from lightopt.report._page import (
+    Answer,
+    Facts,
+    Gallery,
+    Note,
+    Page,
+    Picture,
+    Section,
+    SurfaceView,
+    Table,
+    Warnings,
+    page_html,
+)
 from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer, simplified, surface_data, surface_head
 
 VIEWER = Path(__file__).resolve().parents[2] / "lightopt" / "report" / "viewer"

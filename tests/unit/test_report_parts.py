@@ -24,10 +24,10 @@ from lightopt.report._drawing import (
     fixed_style,
     sub,
     text_width,
-    with_legend,
 )
-from lightopt.report._images import SATURATED_COLOUR, check_png_path, thumbnail, thumbnail_size, write_picture
+from lightopt.report._images import SATURATED_COLOUR, check_png_path, thumbnail, write_picture
 from lightopt.report._view import arc, fit_view
+from lightopt.report.design._surface import _with_legend
 
 
 @given(st.integers(1, 300), st.integers(1, 300), st.integers(8, 120))
@@ -36,7 +36,9 @@ def test_thumbnail_fits_and_keeps_shape_and_mean(width: int, height: int, limit:
     level = rng.random((height, width)).astype(np.float32)
     small = thumbnail(level, np.zeros(level.shape, bool), limit=limit)
     rows, columns, _ = small.picture.shape
-    assert (columns, rows) == thumbnail_size(width, height, limit)
+    longest = max(width, height)
+    shrink, enlarge = max(1, math.ceil(longest / limit)), max(1, limit // longest)
+    assert (columns, rows) == (math.ceil(width / shrink) * enlarge, math.ceil(height / shrink) * enlarge)
     assert max(rows, columns) <= limit
     assert 2 * max(rows, columns) > limit or max(rows, columns) == 1 or limit > 2 * max(width, height) / 1.0 - 1
     assert small.picture[..., 0].min() >= math.floor(255 * level.min())
@@ -286,7 +288,7 @@ def test_a_legend_stands_below_the_picture_which_stays(height: int, width: int) 
         LegendRow(label="seen", share=0.25, amount="25.0 %", colours=((86, 180, 233),)),
         LegendRow(label="contrast under noise", share=0.75, amount="75.0 %", colours=((240, 228, 66), (247, 241, 160))),
     )
-    found = with_legend(picture, "a title that is wider than a small picture", rows)
+    found = _with_legend(picture, "a title that is wider than a small picture", rows)
     np.testing.assert_array_equal(found[:height, :width], picture)
     assert (found[:height, width:] == 255).all()
     below = found[height:]

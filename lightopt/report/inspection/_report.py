@@ -6,11 +6,9 @@ from typing import Any
 from lightopt.config import InspectionConfig
 from lightopt.core.errors import counted, percent
 from lightopt.inspection import REFERENCE_CONTRAST, REFERENCE_DEFECT, BatchRow, InspectionResult, Verdict
-from lightopt.report._page import Answer, Facts, Note, Page, Section, Table, Warnings
-from lightopt.report._page_html import page_html
-from lightopt.report.inspection._ground_truth import truth_blocks
+from lightopt.report._page import Answer, Facts, Note, Page, Section, Table, Warnings, page_html
 from lightopt.report.inspection._pictures import image_blocks, marked_part
-from lightopt.report.inspection._tables import dark_text, defect_table, placement_text, surface_table
+from lightopt.report.inspection._tables import dark_text, defect_table, placement_text, surface_table, truth_blocks
 
 
 def inspection_report(
@@ -20,7 +18,7 @@ def inspection_report(
     part: str,
     rig: str,
     provenance: Mapping[str, Any],
-    truth: Mapping[str, Any] | None = None,
+    truth: Mapping[str, Any] | None,
 ) -> str:
     """The report of an inspection as HTML.
 
@@ -101,7 +99,7 @@ def _rate(rate: float, *, calibrated: bool) -> str:
 
 
 def batch_report(
-    rows: Sequence[BatchRow], *, part: str, rig: str, version: str, truth: Mapping[str, Any] | None = None
+    rows: Sequence[BatchRow], *, part: str, rig: str, version: str, truth: Mapping[str, Any] | None
 ) -> str:
     """The report of several parts as HTML: a row each, in the order of the sets.
 

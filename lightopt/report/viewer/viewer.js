@@ -1,7 +1,7 @@
 // The surface of a report, to turn with mouse, finger or keys. Data: see _surface_data.py. THREE is three.bundle.min.js.
 "use strict";
 (() => {
-  const FIELD_OF_VIEW = 30; // [°]; the still picture has the same, see _surface_still.py
+  const FIELD_OF_VIEW = 30; // [°]; the still picture has the same, see _surface.py
   const TURN = Math.PI / 36;
 
   async function inflate(text) {

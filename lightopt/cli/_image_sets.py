@@ -1,13 +1,17 @@
+"""Commands on image sets alone."""
+
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lightopt.cli._options import Force, JsonFile, Quiet, Verbose, make_folder, output_option
+from lightopt.cli import _common as common
+from lightopt.cli._optimize_tables import show_overlaps
 from lightopt.cli._terminal import echo, show_table
 from lightopt.core.errors import CheckFailed, InputError, counted
 
@@ -17,6 +21,35 @@ if TYPE_CHECKING:
 
 threshold_option = partial(typer.Option, rich_help_panel="Thresholds")
 MOST_ROWS, MOST_NOTES = 8, 3  # shown without `--verbose`
+
+
+def overlap(
+    images: Annotated[Path, typer.Argument(metavar="IMAGES", help="Image set: its folder or manifest.json.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="DIR", help="Write the maps (PNG) and overlap.json here.")
+    ] = None,
+    force: common.Force = False,
+    quiet: common.Quiet = False,
+    _verbose: common.Verbose = False,
+) -> None:
+    """Report where the saturated regions of a posture's images overlap, rendered or captured.
+
+    Per posture and exposure: saturated pixels of each light, pixels saturated under both lights of each pair, and
+    pixels saturated in two images or more. The maps show no highlight in grey, one in blue, several in red.
+
+    Example: lightopt overlap captured/ -o overlaps
+    """
+    from lightopt.images import find_overlaps, read_image_set, write_overlaps
+
+    image_set = read_image_set(images)
+    found = find_overlaps(image_set)
+    if not quiet:
+        show_overlaps(found)
+    if out is None:
+        return
+    for path in write_overlaps(found, image_set, out, force=force):
+        if not quiet:
+            echo(f"{path}")
 
 
 def compare(
@@ -49,16 +82,16 @@ def compare(
     ] = None,
     diff: Annotated[
         Path | None,
-        output_option(
+        common.output_option(
             metavar="PATH",
             help="Write a difference picture (PNG), or a folder of them for image sets. Red: B is higher; blue: lower; "
             "green: saturated in A alone; magenta: in B alone.",
         ),
     ] = None,
-    json_file: JsonFile = None,
-    force: Force = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    json_file: common.JsonFile = None,
+    force: common.Force = False,
+    quiet: common.Quiet = False,
+    verbose: common.Verbose = False,
 ) -> None:
     """Compare two images or image sets, golden A against new B; exit status 1 where they differ too much.
 
@@ -70,15 +103,14 @@ def compare(
 
     Example: lightopt compare golden/ out/ --diff differences/
     """
-    import json
-
-    from lightopt.images import write_text_atomic
+    from lightopt.images import make_folder, write_text_atomic
     from lightopt.images.comparison import (
         ComparisonThresholds,
         SetComparison,
         compare_files,
         compare_sets,
         comparison_provenance,
+        difference_picture,
     )
 
     sets = golden.is_dir() or new.is_dir() or golden.name == "manifest.json"
@@ -102,10 +134,13 @@ def compare(
         if isinstance(result, SetComparison):
             _show_notes((*result.notes, *(f"only in the new set: {name}" for name in result.extra)), verbose)
     if diff is not None:
+        draw = partial(difference_picture, saturation=saturation, overwrite=force)
         if isinstance(result, SetComparison):
-            _draw_set(result.files, diff, saturation, force, quiet)
+            drawn = _draw_set(result.files, diff, draw)
         else:
-            _draw_file(result, diff, saturation, force, quiet)
+            drawn = _draw_file(result, diff, draw)
+        if not quiet:
+            echo(drawn)
     if not result.passed:
         raise CheckFailed(*(f"differs: {reason}" for reason in result.reasons))
 
@@ -149,24 +184,14 @@ def _show_notes(notes: Sequence[str], verbose: bool) -> None:
         echo(f"and {counted(len(notes) - len(shown), 'note')} more; --verbose shows all")
 
 
-def _draw_set(
-    files: Sequence[FileComparison], folder: Path, saturation: float | None, force: bool, quiet: bool
-) -> None:
-    from lightopt.images.comparison import difference_picture
-
+def _draw_set(files: Sequence[FileComparison], folder: Path, draw: Callable[..., float]) -> str:
     drawn = [file for file in files if file.channels and Path(file.a).suffix in (".exr", ".png")]
     for file in drawn:
-        path = folder / f"{'_'.join(Path(file.b).parts[-2:])}.diff.png"
-        difference_picture(file.a, file.b, path, saturation=saturation, overwrite=force)
-    if not quiet:
-        echo(f"{counted(len(drawn), 'difference picture')} in {folder}")
+        draw(file.a, file.b, folder / f"{'_'.join(Path(file.b).parts[-2:])}.diff.png")
+    return f"{counted(len(drawn), 'difference picture')} in {folder}"
 
 
-def _draw_file(file: FileComparison, path: Path, saturation: float | None, force: bool, quiet: bool) -> None:
-    from lightopt.images.comparison import difference_picture
-
+def _draw_file(file: FileComparison, path: Path, draw: Callable[..., float]) -> str:
     if not file.channels:
         raise InputError(f"{path}: no difference picture, since the files cannot be compared", *file.reasons)
-    scale = difference_picture(file.a, file.b, path, saturation=saturation, overwrite=force)
-    if not quiet:
-        echo(f"{path}: blue lower, red higher, full colour at {scale:.4g}")
+    return f"{path}: blue lower, red higher, full colour at {draw(file.a, file.b, path):.4g}"

@@ -1,4 +1,4 @@
-"""Options that several commands take, and how their texts are read."""
+"""What several commands share: options, how their texts are read and their help is written, input files."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ from collections.abc import Sequence
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, overload
 
 import typer
+import typer.core
 
-from lightopt.cli._terminal import set_up_log
+from lightopt.cli._terminal import echo, set_up_log
 from lightopt.core.errors import InputError
 
 if TYPE_CHECKING:
+    from lightopt.config import PartConfig, RigConfig
     from lightopt.core.transforms import Posture
 
 
@@ -84,13 +86,6 @@ SerialLog = Annotated[
 LEAST_EXPOSURE, MOST_EXPOSURE = 1e-9, 1e9  # relative to exposure 1; it is a part of file names
 
 
-def make_folder(folder: Path) -> None:
-    """Make an output folder; an InputError says why where that fails."""
-    from lightopt.images import make_folder as make
-
-    make(folder)
-
-
 def parse_postures(texts: Sequence[str] | None) -> tuple[Posture, ...] | None:
     """Read each ``θ,φ`` in degrees; None where there is none."""
     return tuple(_parse_posture(text) for text in texts) if texts else None
@@ -125,14 +120,14 @@ def parse_exposure(text: str, *, option: str = "--exposure") -> float:
     return value
 
 
-def parse_share(text: str, *, option: str, expected: str) -> float:
-    """Read a number, a fraction such as 10/255, or per cent such as 95%, of any size.
+def parse_share(text: str, *, option: str, expected: str, limits: tuple[float, float] = (-math.inf, math.inf)) -> float:
+    """Read a number, a fraction such as 10/255, or per cent such as 95%.
 
     expected: What it is a share of and an example, for the message
     """
     number, percents, rest = text.partition("%")
     value = _number(number) / (100.0 if percents else 1.0)
-    if rest or not math.isfinite(value):
+    if rest or not math.isfinite(value) or not limits[0] <= value <= limits[1]:
         raise InputError(f'{option}: expected a share {expected}, found "{text}"')
     return value
 
@@ -153,3 +148,56 @@ def parse_points(text: str | None) -> int | Literal["auto"] | None:
         return int(text)
     except ValueError:
         raise InputError(f'--points: expected a square (1, 4, 9, 16, …) or auto, found "{text}"') from None
+
+
+@overload
+def load_inputs(rig: Path, part: Path) -> tuple[RigConfig, PartConfig]: ...
+@overload
+def load_inputs(rig: Path, part: Path | None) -> tuple[RigConfig, PartConfig | None]: ...
+def load_inputs(rig: Path, part: Path | None) -> tuple[RigConfig, PartConfig | None]:
+    """Read a rig file and, where there is one, a part file, and report all errors of both at once."""
+    from lightopt.config import load_part, load_rig
+
+    try:
+        loaded = load_rig(rig)
+    except InputError as error:
+        try:
+            if part is not None:
+                load_part(part)
+        except InputError as more:
+            raise InputError(*error.messages, *more.messages) from None
+        raise
+    return loaded, None if part is None else load_part(part)
+
+
+def add_sheets(folder: Path, *, exposures: Sequence[float], title: str, force: bool, quiet: bool) -> None:
+    """Add a contact sheet per exposure to an image set, and print where they are."""
+    from lightopt.report import add_contact_sheets
+
+    sheets = add_contact_sheets(folder, exposures=exposures, title=title, overwrite=force)
+    for exposure, path in zip(exposures, sheets, strict=True):
+        if not quiet:
+            echo(f"contact sheet, exposure {exposure:g}: {path}")
+
+
+class HeadedCommand(typer.core.TyperCommand):
+    """A command whose ``--help`` has a section for each heading of its options, in plain text."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the sections: arguments, options without a heading, and the headings as they first occur."""
+        sections: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        for parameter in self.get_params(ctx):
+            record = parameter.get_help_record(ctx)
+            if record is not None:
+                sections.setdefault(heading(parameter), []).append(record)
+        for name, records in sections.items():
+            if records:
+                with formatter.section(name):
+                    formatter.write_dl(records)
+
+
+def heading(parameter: Any) -> str:
+    """Of the section that an argument or option belongs to."""
+    if parameter.param_type_name == "argument":
+        return "Arguments"
+    return getattr(parameter, "rich_help_panel", None) or "Options"

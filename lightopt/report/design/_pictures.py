@@ -11,12 +11,11 @@ from lightopt.design import Curve, DesignOutput, DetectabilityObjective, SetResu
 from lightopt.images import ImageSet, read_image_set, read_png
 from lightopt.report._charts import COLOURS, chart, name_lines
 from lightopt.report._contact_sheet import degrees, entry_thumbnail, light_position, saturation_text
-from lightopt.report._design_answer import postures_text
 from lightopt.report._drawing import figure_image, fixed_style, printable
 from lightopt.report._images import png_bytes, shrunk
 from lightopt.report._page import Block, Gallery, Note, Picture
 from lightopt.report._rig_drawing import rig_image
-from lightopt.scene import PanelLight
+from lightopt.report.design._plan import postures_text
 
 SIDE = 300  # longest side of an image in the report [px]
 MOST_DRAWINGS = 4  # rigs that are drawn; of more sets only the first are, all angles are in the table
@@ -83,7 +82,7 @@ def drawing_blocks(output: DesignOutput) -> list[Block]:
             sets.setdefault(result.answers[0].found.best.candidates, []).append(result)
     blocks: list[Block] = []
     for best, results in list(sets.items())[:MOST_DRAWINGS]:
-        lights = _lights(output, best)
+        lights = tuple(panels[k] for panels, k in zip(output.result.candidates.panels, best, strict=True))
         postures = tuple(posture for result in results for posture in result.postures)
         angles = "; ".join(
             f"{light.name} {degrees(round(float(np.degrees(light.elevation)), 9))}, "
@@ -94,16 +93,12 @@ def drawing_blocks(output: DesignOutput) -> list[Block]:
             Picture(
                 png=png_bytes(rig_image(replace(output.result.scene, lights=lights, postures=postures))),
                 alt=f"The rig: {angles}",
-                caption=f"For {', '.join(postures_text(result) for result in results)}: {angles}.",
+                caption=f"For {', '.join(postures_text(result.postures) for result in results)}: {angles}.",
             )
         )
     if len(sets) > MOST_DRAWINGS:
         blocks.append(Note(text=f"The other {len(sets) - MOST_DRAWINGS} sets are in the table above."))
     return blocks
-
-
-def _lights(output: DesignOutput, best: tuple[int, ...]) -> tuple[PanelLight, ...]:
-    return tuple(panels[k] for panels, k in zip(output.result.candidates.panels, best, strict=True))
 
 
 def curve_blocks(output: DesignOutput) -> list[Block]:
@@ -126,7 +121,7 @@ def curve_blocks(output: DesignOutput) -> list[Block]:
 @fixed_style()
 def _chart(result: SetResult, axis: str, curves: list[Curve]) -> Picture:
     best = result.answers[0]
-    where = postures_text(result)
+    where = postures_text(result.postures)
     area = best.objective.share_of is not None
     surface = f"inspectable surface{' × defects' * isinstance(best.objective, DetectabilityObjective)}"
     label = f"% of the {surface}" if area else best.objective.unit

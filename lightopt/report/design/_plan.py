@@ -11,11 +11,11 @@ from lightopt.design import BLIND_LIGHTS, DesignOutput, share_text
 from lightopt.report._page import Block, Facts, Note, Table
 
 
-def defect_blocks(output: DesignOutput) -> list[Block]:
+def defect_tables(document: Mapping[str, Any]) -> list[Table]:
     """The share of each kind of defect that is seen, and the directions of walls that are seen worst."""
     answers = [
         (group["postures"], answer, group["grain"])
-        for group in output.document["results"]
+        for group in document["results"]
         for answer in group["objectives"]
         if "defects" in answer and answer["lights"] is not None
     ]
@@ -41,9 +41,9 @@ def defect_blocks(output: DesignOutput) -> list[Block]:
     return [Table(header=header, rows=rows, caption=caption)]
 
 
-def blind_tables(output: DesignOutput) -> list[Block]:
+def blind_tables(document: Mapping[str, Any]) -> list[Table]:
     """How much of the surface × defects stays invisible, and why."""
-    spots = output.document.get("blind_spots")
+    spots = document.get("blind_spots")
     if spots is None:
         return []
     groups = [("all postures", spots)] if len(spots["postures"]) != 1 else []
@@ -73,7 +73,7 @@ def posture_blocks(output: DesignOutput) -> list[Block]:
     chosen = output.document.get("chosen_postures")
     if chosen is None:
         return []
-    blocks: list[Block] = [posture_table(chosen), Facts(rows=_posture_facts(chosen, output.document.get("rounds", ())))]
+    blocks: list[Block] = [posture_table(chosen), Facts(rows=posture_facts(chosen, output.document.get("rounds", ())))]
     if chosen["left_out"]:
         left = [[str(Posture.from_dict(one)), one["reason"]] for one in chosen["left_out"]]
         blocks.append(Table(header=["posture", "left out since"], rows=left, numbers_from=2))
@@ -109,7 +109,8 @@ def posture_table(chosen: Mapping[str, Any], *, with_exposures: bool = True) -> 
     return Table(header=header, rows=rows, caption=caption)
 
 
-def _posture_facts(chosen: Mapping[str, Any], rounds: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+def posture_facts(chosen: Mapping[str, Any], rounds: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+    """What is known of the choice of postures, from ``chosen_postures`` and ``rounds`` of result.json."""
     text = partial(share_text, grain=chosen["patches"]["grain"])
     count, sufficient = len(chosen["postures"]), chosen["postures_to_a_tenth_of_a_point"]
     sight = [text(chosen[f"{which}_share_of_surface"]) for which in ("inspectable", "left_out")]
@@ -145,17 +146,21 @@ def exposure_blocks(output: DesignOutput) -> list[Block]:
     planned = output.document.get("exposures")
     if planned is None:
         return []
+    blocks: list[Block] = [Note(text=exposure_note(planned)), exposure_table(planned)]
+    return blocks if "chosen_postures" in output.document else [*blocks, *_commands(output.document)]
+
+
+def exposure_note(planned: Mapping[str, Any]) -> str:
+    """What the planned exposures show, and what was planned, from ``exposures`` of result.json."""
     text = partial(share_text, grain=planned["grain"])
     why = {shot["planned_for"] for shot in planned["shots"]}
     needed = ", or with another twice that" * ("pair" in why)
     needed += ", or where the target takes it" * ("target" in why)
-    note = (
+    return (
         f"With the planned exposures {text(planned['share'])} of the surface × defects is seen, with exposure 1 "
         f"alone {text(planned['share_without'])}. One is planned where it adds "
         f"{100.0 * planned['least_gain']:g} % or more{needed}."
     )
-    blocks: list[Block] = [Note(text=note), exposure_table(planned)]
-    return blocks if "chosen_postures" in output.document else [*blocks, *_commands(output.document)]
 
 
 def exposure_table(planned: Mapping[str, Any]) -> Table:
@@ -184,12 +189,11 @@ def tolerance_blocks(output: DesignOutput) -> list[Block]:
         f"angle alone, or those of all lights, may be off in steps of 0.05° before less than "
         f"{percent(offsets['target'], 0)} are kept."
     )
-    table = tolerance_table(tolerances, [_postures(one["postures"]) for one in tolerances])
-    return [replace(table, caption=caption)]
+    return [replace(tolerance_table(tolerances), caption=caption)]
 
 
-def tolerance_table(tolerances: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Table:
-    """What misalignment leaves of the scores (``tolerances`` of result.json); `names` are the heads of its columns."""
+def tolerance_table(tolerances: Sequence[Mapping[str, Any]]) -> Table:
+    """What misalignment leaves of the scores, from ``tolerances`` of result.json."""
     rows = [
         [
             "worst corner keeps",
@@ -203,18 +207,33 @@ def tolerance_table(tolerances: Sequence[Mapping[str, Any]], names: Sequence[str
             for one in tolerances
         ]
         rows.append([f"widest: {widest['what']}, {widest['angle']}", *cells])
-    return Table(header=["off by the tolerance", *names], rows=rows)
+    return Table(header=["off by the tolerance", *(_postures(one["postures"]) for one in tolerances)], rows=rows)
 
 
-def sets_text(chosen: Mapping[str, Any], of: str = "") -> str:
-    """Which sets of as many postures are known to show no more; the sentence goes on with "more"."""
+def plan_proof(chosen: Mapping[str, Any]) -> str:
+    """What is proven of the postures and lights, from ``chosen_postures`` of result.json."""
     number = counted(len(chosen["postures"]), "posture")
-    if chosen["best_of_sets"] is None:
-        return f"no {number}{of} show"
-    return f"none of the {chosen['best_of_sets']:,} sets of {number} shows"
+    if chosen["optimum"] == "proven":
+        return f"Proven of these patches: no {number} of the {chosen['candidates']} show more."
+    sets = f"no {number} of the {chosen['candidates']} show"
+    if chosen["best_of_sets"] is not None:
+        sets = f"none of the {chosen['best_of_sets']:,} sets of {number} shows"
+    more = (
+        "" if chosen["proven_with_these_lights"] else f" than {share_text(chosen['bound'], chosen['patches']['grain'])}"
+    )
+    whatever = ", at any of the exposures offered" * (len(chosen["bounds_with_any_of_exposures"]) > 1)
+    bound = f"Proven: with these lights {sets} more{more}{whatever}."
+    if not chosen["iterations"]:
+        return f"{bound} No light moves."
+    if chosen["lights_best_for_postures"]:
+        bound += " Proven: in these postures no other positions of the lights show more."
+    return (
+        f"{bound} A local optimum: other postures with other lights may show more; the lights were placed for the "
+        f"postures, and the postures chosen for the lights, {_search_text(chosen)}."
+    )
 
 
-def search_text(chosen: Mapping[str, Any]) -> str:
+def _search_text(chosen: Mapping[str, Any]) -> str:
     """How postures and lights were searched: iterations, starts, patches."""
     tried = "every combination" if chosen["every_combination_tried"] else "one light moved at a time"
     drawn, patches = chosen["patches"]["drawn"], chosen["patches"]["all"]
@@ -262,6 +281,9 @@ def _commands(document: Mapping[str, Any]) -> list[Block]:
 
 
 def _postures(postures: Sequence[Mapping[str, Any]]) -> str:
-    if len(postures) == 1:
-        return f"posture {Posture.from_dict(postures[0])}"
-    return f"all {len(postures)} postures"
+    return postures_text([Posture.from_dict(one) for one in postures])
+
+
+def postures_text(postures: Sequence[Posture]) -> str:
+    """The postures of a set, short."""
+    return f"posture {postures[0]}" if len(postures) == 1 else f"all {len(postures)} postures"

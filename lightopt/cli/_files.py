@@ -1,0 +1,168 @@
+"""Commands on rig and part files: written, explained by a schema, validated, given random defects."""
+
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from lightopt.cli import _common as common
+from lightopt.cli._terminal import echo
+from lightopt.core.errors import CheckFailed, InputError, counted
+from lightopt.core.run_context import RunContext
+
+
+def init(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where to write them; made if missing.")],
+    force: common.Force = False,
+) -> None:
+    """Write a commented rig, part and sample mesh to start from.
+
+    Then: lightopt check DIR/rig.yaml DIR/part.yaml
+    """
+    from importlib.resources import files
+
+    from lightopt.images import make_folder, write_bytes_atomic
+
+    samples = files("lightopt.samples")
+
+    def text(name: str) -> bytes:
+        content = samples.joinpath(name).read_text(encoding="utf-8")
+        return content.replace("$schema=../schema/", "$schema=").encode()
+
+    # the schemas lie beside the files here
+    outputs = {
+        "rig.yaml": text("rigs/four-panel.yaml"),
+        "part.yaml": text("parts/cover-knob.yaml"),
+        "cover-knob.step": samples.joinpath("parts/cover-knob.step").read_bytes(),
+        "rig.json": f"{_schema_text('rig')}\n".encode(),
+        "part.json": f"{_schema_text('part')}\n".encode(),
+    }
+    taken = [name for name in outputs if (folder / name).exists()]
+    if taken and not force:
+        raise InputError(
+            f"{folder} already has {', '.join(taken)}; use --force to replace them, or choose another folder"
+        )
+    make_folder(folder)
+    for name, content in outputs.items():
+        write_bytes_atomic(folder / name, content)
+        echo(f"{folder / name}")
+    echo(f"next: lightopt check {folder / 'rig.yaml'} {folder / 'part.yaml'}")
+
+
+def schema(
+    kind: Annotated[Literal["rig", "part"], typer.Argument(metavar="rig|part", help="Which kind of file.")],
+) -> None:
+    """Print the JSON schema of a rig or part file, for editors and other programs.
+
+    An editor with the YAML language server uses it after a first line such as
+    # yaml-language-server: $schema=rig.json
+    """
+    echo(_schema_text(kind))
+
+
+def _schema_text(kind: Literal["rig", "part"]) -> str:
+    from lightopt.config import json_schema
+
+    return json.dumps(json_schema(kind), indent=2, ensure_ascii=False)
+
+
+def check(
+    rig: common.RigFile,
+    part: Annotated[
+        Path | None, typer.Argument(metavar="[PART]", help="Part file (YAML); without it only the rig is checked.")
+    ] = None,
+    json_file: common.JsonFile = None,
+    drawing: Annotated[
+        Path | None, common.output_option(metavar="FILE", help="Draw the rig with its frames and angles (PNG).")
+    ] = None,
+    force: common.Force = False,
+    quiet: common.Quiet = False,
+    verbose: common.Verbose = False,
+) -> None:
+    """Validate RIG and PART and summarise the set-up, before anything is rendered.
+
+    Checks the pixel footprint, field of view, size, panel points and facets against the lobe, lights in the camera's
+    view, and surface that no camera ray reaches. Exit status 1 where a finding is an error, 2 where a file cannot be
+    used. Of several findings on one topic that are ok, the first is shown; --verbose shows all.
+
+    Example: lightopt check rig.yaml part.yaml --drawing rig.png
+    """
+    from lightopt.preflight import check_rig, check_scene
+
+    if drawing is not None and part is None:
+        raise InputError("--drawing: needs a part file, too")
+    loaded_rig, loaded_part = common.load_inputs(rig, part)
+    report = check_rig(loaded_rig) if loaded_part is None else check_scene(loaded_rig, loaded_part)
+    levels = Counter(finding.level for finding in report.findings)
+    if not quiet:
+        named = [counted(levels[level], level) for level in ("error", "warning", "note") if levels[level]]
+        echo(f"{', '.join(named) or 'nothing to correct'}; {levels['ok']} of {len(report.findings)} findings are ok")
+    shown: set[str] = set()
+    for finding in report.findings:
+        if quiet and finding.level in ("ok", "note"):
+            continue
+        if finding.level == "ok" and finding.topic in shown and not verbose:
+            continue  # such as each posture's view
+        shown.add(finding.topic)
+        where = f" ({finding.where})" if finding.where else ""
+        echo(f"{finding.level + ':':9}{finding.topic}: {finding.text}{where}")
+    if drawing is not None and loaded_part is not None:
+        from lightopt.report import rig_drawing
+        from lightopt.scene import build_scene
+
+        echo(f"{rig_drawing(build_scene(loaded_rig, loaded_part), drawing, overwrite=force)}")
+    if json_file is not None:
+        from lightopt.config import input_hashes
+        from lightopt.core.provenance import provenance
+        from lightopt.images import write_text_atomic
+
+        found = {**report.as_dict(), "provenance": provenance(input_hashes(loaded_rig, loaded_part), {})}
+        text = json.dumps(found, indent=2, ensure_ascii=False) + "\n"
+        write_text_atomic(json_file, text, overwrite=force)
+    if errors := levels["error"]:
+        raise CheckFailed(f"{errors} of {counted(len(report.findings), 'finding')} must be corrected before rendering")
+
+
+def defects(
+    rig: common.RigFile,
+    part: common.PartFile,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="FILE", help="Part file to write; its folder is made if missing.")
+    ],
+    seed: Annotated[int, typer.Option(metavar="N", help="Random seed; the same seed gives the same defects.")],
+    count: Annotated[int, typer.Option(metavar="K", help="Number of defects, 1 to 500.")],
+    force: common.Force = False,
+    threads: common.Threads = None,
+    quiet: common.Quiet = False,
+    _verbose: common.Verbose = False,
+) -> None:
+    """Place random defects on the surface of PART that the camera of RIG sees in at least one posture, for testing.
+
+    Takes the entries of the part's defect_catalogue, or of the built-in one (docs/how-to/defects.md), in turn. The
+    places are uniform by area, off silhouettes and creases, and apart from each other. Writes PART with a list of
+    defects at its end, its comments kept; render shows them.
+
+    Example: lightopt defects rig.yaml part.yaml --seed 1 --count 14 -o part.defects.yaml
+    """
+    from lightopt.images import make_folder
+    from lightopt.inspection import (
+        place_random_defects,
+        random_defect_provenance,
+        random_defects_text,
+        write_random_defects,
+    )
+
+    loaded_rig, loaded_part = common.load_inputs(rig, part)
+    comment = f"{counted(count, 'defect')}, scattered by: lightopt defects --seed {seed} --count {count}"
+    run = RunContext(threads=threads)
+    placed = place_random_defects(loaded_rig, loaded_part, count=count, seed=seed, run=run)
+    made_from = random_defect_provenance(loaded_rig, loaded_part, count=count, seed=seed)
+    text = random_defects_text(loaded_part, placed, folder=out.parent, comment=comment, made_from=made_from)
+    make_folder(out.parent)
+    write_random_defects(out, text, force=force)
+    if not quiet:
+        kinds = Counter(defect.entry.name for defect in placed)
+        echo(f"{counted(len(placed), 'defect')}: {', '.join(f'{n} × {name}' for name, n in kinds.items())}")
+        echo(f"{out}")

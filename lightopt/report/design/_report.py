@@ -1,0 +1,331 @@
+"""The report of ``lightopt optimize``: the answer first, then what it is based on, last what all figures depend on."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from lightopt.core.errors import counted
+from lightopt.core.transforms import Posture
+from lightopt.design import (
+    DIRECTIONS,
+    LEFT_OUT_MEANING,
+    DesignOutput,
+    DetectabilityObjective,
+    ObjectiveResult,
+    SetResult,
+    angles_of,
+    combinations_counted_text,
+    defect_hypotheses,
+    gap_text,
+    left_out_text,
+    near_meaning,
+    near_text,
+    score_text,
+    share_of_whole,
+    share_text,
+    shares_of,
+    shown_text,
+    ties_text,
+)
+from lightopt.rendering import GRAZING_DEG
+from lightopt.report._contact_sheet import degrees
+from lightopt.report._page import Answer, Block, Facts, Note, Page, Section, Table, Warnings, page_html
+from lightopt.report.design._pictures import curve_blocks, drawing_blocks, image_blocks
+from lightopt.report.design._plan import (
+    blind_tables,
+    defect_tables,
+    exposure_blocks,
+    plan_proof,
+    posture_blocks,
+    postures_text,
+    tolerance_blocks,
+)
+from lightopt.report.design._surface import surface_blocks
+from lightopt.scene import PanelLight, build_catalogue
+
+
+def design_report(output: DesignOutput) -> str:
+    """The report of an optimisation as HTML; for :func:`lightopt.design.finish_design`."""
+    return page_html(design_page(output))
+
+
+def design_page(output: DesignOutput) -> Page:
+    """The report of an optimisation as plain values."""
+    sections = [
+        Section(heading="What the images show", blocks=surface_blocks(output)),
+        Section(heading="Blind spots", blocks=blind_tables(output.document)),
+        Section(heading="Defects", blocks=defect_tables(output.document)),
+        Section(heading="Postures", blocks=posture_blocks(output)),
+        Section(heading="Exposures", blocks=exposure_blocks(output)),
+        Section(heading="Images of the best set", blocks=image_blocks(output)),
+        Section(heading="Where the lights stand", blocks=drawing_blocks(output)),
+        Section(heading="How flat the top is", blocks=curve_blocks(output)),
+        Section(heading="How exact the angles must be", blocks=tolerance_blocks(output)),
+        Section(heading="Scores", blocks=[scores_table(output)]),
+        Section(heading="What was assumed", blocks=fact_blocks(output)),
+    ]
+    rig, part = output.result.rig, output.result.part
+    return Page(
+        title=f"Where the lights go: {part.name}",
+        subtitle=f"{part.name} on {rig.name}, lightopt {output.document['provenance']['lightopt']}",
+        lead=answer_blocks(output),
+        sections=[section for section in sections if section.blocks],
+    )
+
+
+def answer_blocks(output: DesignOutput) -> list[Block]:
+    """The result in a sentence and a table of angles, its proof, and warnings."""
+    chosen = output.document.get("chosen_postures")
+    blocks: list[Block] = (
+        [_answer(result) for result in output.result.results]
+        if chosen is None
+        else [_plan_answer(chosen, output.document.get("exposures"))]
+    )
+    header = ["posture", *output.result.candidates.names, "score"]
+    rows = [_row(output, result) for result in output.result.results if result.answers[0].nothing is None]
+    if rows:
+        blocks.append(
+            Table(
+                header=header,
+                rows=rows,
+                caption="Of each light its elevation from the table plane and its azimuth about Z from the world's +X "
+                "towards +Y.",
+            )
+        )
+    if chosen is None:
+        found = [result for result in output.result.results if result.answers[0].nothing is None]
+        blocks += [Note(text=_proof(result)) for result in found]
+    else:
+        blocks.append(Note(text=plan_proof(chosen)))
+    rigs = ", ".join(rig["file"] for rig in output.document["rigs"])
+    if rigs:
+        blocks.append(Note(text=f"Rig with these angles: {rigs}"))
+    return [*blocks, Warnings(texts=output.warnings)]
+
+
+def scores_table(output: DesignOutput) -> Table:
+    """The best set of every objective, scored under all."""
+    names = [answer.objective.name for answer in output.result.results[0].answers]
+    rows = [
+        _scores(output, result, answer, names)
+        for result in output.result.results
+        for answer in result.answers
+        if answer.nothing is None
+    ]
+    header = ["posture", "best for", *output.result.candidates.names, *names, *COUNTS]
+    objectives = [answer.objective for answer in output.result.results[0].answers]
+    shares = [f"Shares of {' and '.join(names)}: of {surface}." for surface, names in shares_of(objectives).items()]
+    return Table(
+        header=header,
+        rows=rows,
+        numbers_from=2,
+        caption=f"{' '.join(shares)} {_sentence(LEFT_OUT_MEANING)} {_sentence(near_meaning(objectives))} ranking.csv "
+        "lists the best combinations, result.json has all numbers.",
+    )
+
+
+COUNTS = ("left out", "runner-up", "ties / near best", "combinations")  # columns beside the scores
+
+
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def _answer(result: SetResult) -> Answer:
+    best = result.answers[0]
+    where = postures_text(result.postures)
+    if best.nothing is not None:
+        return Answer(figure="No answer", text=f"{where}: {best.nothing}")
+    share = share_of_whole(best.objective, best.found.best.score, result.area)
+    score = shown_text(best.found.best.score, best.objective, result)
+    if share is None:
+        return Answer(figure=score, text=f"by {best.objective.name}, {where}")
+    surface = "surface × defects (by weight)" if isinstance(best.objective, DetectabilityObjective) else "surface"
+    added = ", added up" * (len(result.postures) > 1)
+    return Answer(
+        figure=share_text(share, result.grain),
+        text=f"of the {surface} that the camera sees in {where}{added}, but for {left_out_text(result)} that it sees "
+        f"at more than {GRAZING_DEG:g}° to the normal: {score} by {best.objective.name}",
+    )
+
+
+def _plan_answer(chosen: Mapping[str, Any], exposures: Mapping[str, Any] | None) -> Answer:
+    images = counted(chosen["min_images"], "image")
+    postures = ", ".join(str(Posture.from_dict(one)) for one in chosen["order_of_travel"])
+    text = (
+        f"of the surface × defects is seen in {images} or more, by all planned images together, in {postures}; the "
+        "surface is what the camera sees in any posture to choose from"
+    )
+    share, grain = chosen["share"], chosen["patches"]["grain"]
+    if exposures is not None:
+        share = exposures["share"]
+        planned = any(shot["planned"] for shot in exposures["shots"])
+        alone = f"With exposure 1 alone {share_text(exposures['share_without'], grain)}"
+        text += f". {alone if planned else 'No further exposure adds enough to be planned'}"
+    return Answer(figure=share_text(share, grain), text=text)
+
+
+def _row(output: DesignOutput, result: SetResult) -> list[str]:
+    best = result.answers[0]
+    score = score_text(best.found.best.score, best.objective, result)
+    return [postures_text(result.postures), *_angles(output, best), score]
+
+
+def _angles(output: DesignOutput, answer: ObjectiveResult) -> list[str]:
+    return [
+        f"{degrees(elevation)},\u00a0{degrees(azimuth)}"
+        for elevation, azimuth in angles_of(output.result.candidates, answer.found.best)
+    ]
+
+
+def _proof(result: SetResult) -> str:
+    best = result.answers[0]
+    found, objective = best.found, best.objective
+    total = counted(found.scored + found.excluded + found.left, "combination")
+    if found.proven and found.complete:
+        text = f"proven, none of {total} scores more"
+    elif found.proven:
+        text = f"none of {total} scores more, but one that was not looked at may score the same"
+    else:
+        text = f"not proven; {found.left:,} of {total} were left, and none scores more than "
+        text += shown_text(found.bound, objective, result)
+    runner_up = "there is no other"
+    if found.gap is not None:
+        runner_up = f"the runner-up: {gap_text(best, result)}"
+    if found.ties or not found.complete:
+        runner_up += f"; ties: {ties_text(best)}, decided by the sum of usable levels"
+    runner_up += f"; {near_text(best)} other combinations near the best"
+    return f"{postures_text(result.postures).capitalize()}: {text}; {runner_up}."
+
+
+def _scores(output: DesignOutput, result: SetResult, answer: ObjectiveResult, names: list[str]) -> list[str]:
+    objectives = {other.objective.name: other.objective for other in result.answers}
+    return [
+        postures_text(result.postures),
+        answer.objective.name,
+        *_angles(output, answer),
+        *(_unbroken(score_text(answer.scores[name], objectives[name], result)) for name in names),
+        left_out_text(result),
+        _unbroken(gap_text(answer, result)),
+        ties_text(answer) if answer.proven_of is not None else f"{ties_text(answer)} / {near_text(answer)}",
+        combinations_counted_text(answer),
+    ]
+
+
+def _unbroken(score: str) -> str:
+    # a line may end between a score and its share only
+    return score.replace(" mm²", "\u00a0mm²").replace(" %", "\u00a0%")
+
+
+def fact_blocks(output: DesignOutput) -> list[Block]:
+    """LevelThresholds, sensor, reflectance, patches, options, versions and hashes; and the positions left out."""
+    blocks: list[Block] = [Facts(rows=[*_physics(output), *_search(output)]), Facts(rows=_provenance(output))]
+    if output.result.all_candidates.left_out:
+        blocks.append(
+            Table(
+                header=["light", "position", "left out since it"],
+                rows=[
+                    [out.light, f"{out.elevation_deg:g}°, {out.azimuth_deg:g}°", out.reason]
+                    for out in output.result.all_candidates.left_out
+                ],
+                numbers_from=3,
+            )
+        )
+    return blocks
+
+
+def _physics(output: DesignOutput) -> list[tuple[str, str]]:
+    scene, thresholds = output.result.scene, output.result.thresholds
+    sensor, reflectance = scene.sensor, scene.reflectance
+    shot = (
+        "no shot noise" if sensor.electrons_per_level is None else f"{sensor.electrons_per_level:g} electrons per level"
+    )
+    levels = (
+        f"{sensor.bit_depth} bit, black level {sensor.black_level:g}; shaded below {thresholds.shade}, saturated from "
+        f"{thresholds.saturation} on; at exposure 1, without noise"
+    )
+    shadows: bool = output.document["provenance"]["options"]["shadows"]
+    coefficients = f"R_d {reflectance.R_d:g}, R_s {reflectance.R_s:g}, σ {reflectance.sigma:g} rad"
+    return [
+        ("levels", levels),
+        ("sensor noise", f"read noise {sensor.read_noise_levels:g} levels, {shot}; {_use_of_noise(output)}"),
+        ("reflectance", f"{coefficients}, of full scale {reflectance.full_scale:g}; only direct light"),
+        ("lights", "; ".join(dict.fromkeys(map(_light, scene.lights)))),
+        ("shadows", "cast by the part" if shadows else "none"),
+        ("patches", output.patches.message),
+        ("left out", f"what the camera sees at more than {GRAZING_DEG:g}° to the normal"),
+    ]
+
+
+def _use_of_noise(output: DesignOutput) -> str:
+    if "threshold" in output.document["provenance"]["options"]:
+        return "what a defect has to be seen against, and no part of other scores"
+    return "not part of the score"
+
+
+def _light(light: PanelLight) -> str:
+    width, height = (f"{side:g}" for side in light.size)
+    points = "continuous (auto)" if light.points == "auto" else f"{light.points}, {light.normalisation}"
+    falloff = "inverse square" if light.inverse_square else "none"
+    return (
+        f"panel of {width} × {height} mm at {light.distance:g} mm, point lights: {points}, gain {light.gain:g}, "
+        f"falloff: {falloff}, emission exponent {light.emission_exponent:g}"
+    )
+
+
+def _search(output: DesignOutput) -> list[tuple[str, str]]:
+    options = output.document["provenance"]["options"]
+    positions = " × ".join(str(len(angles)) for angles in output.result.all_candidates.angles)
+    ties = [
+        text
+        for key, text in (
+            ("common_elevation", "all lights at one elevation"),
+            ("common_lights", "the same for all postures"),
+        )
+        if options[key]
+    ]
+    return [
+        ("positions", f"{positions}, step {options['step_deg']:g}°{''.join(f', {text}' for text in ties)}"),
+        ("objectives", ", ".join(options["objectives"])),
+        ("defects", "none on the part: scores are of a good part"),
+        *_defects(output),
+        *_tolerances(options),
+    ]
+
+
+def _defects(output: DesignOutput) -> list[tuple[str, str]]:
+    options = output.document["provenance"]["options"]
+    if "threshold" not in options:
+        return []
+    entries = build_catalogue(output.result.part)
+    trials = counted(len(defect_hypotheses(entries)), "trial")
+    images = counted(options["min_images"], "image")
+    visible = f"where the level changes by {options['threshold']:g} times the noise or more, in {images} or more"
+    return [
+        ("defects looked for", f"{', '.join(entry.name for entry in entries)}: {trials}"),
+        ("directions of walls", f"{DIRECTIONS}, evenly around"),
+        ("a defect is seen", visible),
+    ]
+
+
+def _tolerances(options: Mapping[str, Any]) -> list[tuple[str, str]]:
+    tolerances = options.get("tolerances")
+    if tolerances is None:
+        return []
+    text = (
+        f"lights {tolerances['light_deg']:g}°, part {tolerances['pose_deg']:g}°; "
+        f"{counted(tolerances['draws'], 'draw')} of seed {tolerances['seed']}; the widest keep "
+        f"{100.0 * tolerances['target']:g} % of the score"
+    )
+    return [("tolerances", text)]
+
+
+def _provenance(output: DesignOutput) -> list[tuple[str, str]]:
+    found = output.document["provenance"]
+    inputs = found["inputs"]
+    return [
+        ("rig", f"{inputs['rig']['file']}, SHA-256 {inputs['rig']['sha256']}"),
+        ("part", f"{inputs['part']['file']}, SHA-256 {inputs['part']['sha256']}"),
+        ("mesh", f"{output.result.part.mesh.file}, SHA-256 {inputs['mesh']['sha256']}"),
+        ("code", f"lightopt {found['lightopt']}, SHA-256 {found['code_sha256']}"),
+        ("versions", ", ".join(f"{name} {number}" for name, number in found["versions"].items())),
+    ]

@@ -1,0 +1,323 @@
+"""The part coloured by what the images of the best set show of each patch, and of defects on it, and why not more."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lightopt.core.arrays import UInt8
+from lightopt.core.errors import percent
+from lightopt.core.transforms import Posture
+from lightopt.design import (
+    BLIND_CLASSES,
+    BLIND_LIGHTS,
+    BlindClass,
+    BlindReason,
+    BlindSpots,
+    BlindSpotSummary,
+    DesignOutput,
+    DesignResult,
+    LegendRow,
+    Levels,
+    LevelThresholds,
+    area_text,
+    area_units,
+    blind_class,
+    blind_classes,
+    blind_colours,
+    blind_legend,
+    share_text,
+)
+from lightopt.rendering import GRAZING_DEG, grain_of, trace_samples
+from lightopt.report._drawing import CAP_HEIGHT, SOFT, Drawing, fixed_style, text_width
+from lightopt.report._page import Block, Note, SurfaceView, Table
+from lightopt.report._surface import ColouredSurface, SurfaceLayer, first_view, surface_classes
+from lightopt.scene import view_from_part
+
+# images that must show a patch usably, and may show it saturated: the paper's section 5.1, as the objective `coverage`
+# has it
+LEAST_USABLE, MOST_SATURATED = 2, 1
+
+# colours that stay apart with any colour vision: Okabe and Ito, Color Universal Design (2008)
+LEVEL_CLASSES = (
+    ("usable in two images or more", "#56b4e9"),
+    ("usable in one image only", "#f0e442"),
+    ("saturated in two images or more", "#d55e00"),
+    ("shaded: usable in no image", "#0b3c5d"),
+    ("left out: seen at a grazing angle", "#cc79a7"),
+    ("the camera does not see it", "#c9ced6"),
+)
+_UNSEEN = len(LEVEL_CLASSES) - 1
+_LEFT_OUT = _UNSEEN - 1
+
+# matplotlib's cividis (Nuñez, Anderton and Renslow, 2018) in equal steps: the brighter the more is seen
+SHARES = (
+    (0.0, "none", "#00224e"),
+    (0.25, "up to a quarter", "#35456c"),
+    (0.5, "up to a half", "#666970"),
+    (0.75, "up to three quarters", "#948e77"),
+    (1.0, "more, not all", "#c8b866"),
+    (np.inf, "all", "#fee838"),
+)
+
+BACKGROUND = (255, 255, 255)
+
+LEAST_SHADE = 0.8  # brightness of a surface that is seen edge on; one that faces the camera has its legend's colour
+BLOCK_ROWS = 64  # of a picture, traced at once
+
+SMALLEST_LEGEND, LARGEST_LEGEND = 13, 26  # sizes of a legend's text [px]; in between a fiftieth of the picture's width
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureClasses:
+    """Class of each patch in a posture, indices into :data:`LEVEL_CLASSES`, shape (p,), uint8.
+
+    `areas` are those of the inspectable classes [µm²], counted as the objectives count; `left_out` is the share of
+    the surface in view that is seen at a grazing angle, `grain` how far shares may be off since each patch counts as
+    its middle does.
+    """
+
+    posture: Posture
+    classes: UInt8
+    areas: tuple[int, ...]
+    left_out: float
+    grain: float
+
+
+def level_classes(levels: Levels, thresholds: LevelThresholds) -> UInt8:
+    """Class of each inspectable patch (:data:`LEVEL_CLASSES`) by its levels under each light, shape (lights, p)."""
+    saturated = levels >= thresholds.saturation
+    usable = ((levels >= thresholds.shade) & ~saturated).sum(axis=0)
+    several = saturated.sum(axis=0) > MOST_SATURATED
+    return np.select([several, usable >= LEAST_USABLE, usable == 1], [2, 0, 1], default=3).astype(np.uint8)
+
+
+def surface_blocks(output: DesignOutput) -> list[Block]:
+    """One view of the part with all its colourings; areas as a table."""
+    shown = _postures(output)
+    levels = [_combined_layer(output, shown)] if len(shown) > 1 else []
+    levels += [_layer(one) for one in shown]
+    defects: list[SurfaceLayer] = []
+    if output.result.blind is not None:
+        defects = [replace(layer, group="Defects") for layer in blind_layers(output.result.blind)]
+        levels = [replace(layer, group="Levels of the images") for layer in levels]
+    # what the lights were placed for is seen first
+    of_defects = output.result.results[0].answers[0].objective.name == "detectability"
+    layers = [*defects, *levels] if of_defects else [*levels, *defects]
+    if not layers:
+        return []
+    view = SurfaceView(
+        surface=ColouredSurface(
+            vertices=output.patches.patches.vertices,
+            triangles=output.patches.patches.triangles,
+            layers=tuple(layers),
+            up=np.array([0.0, 0.0, 1.0]),
+            toward=first_view(output.result.scene.camera),
+        ),
+        alt=f"{output.result.part.name}, coloured by what the images of the best set show of it",
+        caption=" ".join(_captions(output)),
+    )
+    return [view, *([_table(shown), _combined_note(output, shown)] if shown else [])]
+
+
+def _captions(output: DesignOutput) -> list[str]:
+    low, high = output.result.thresholds.shade, output.result.thresholds.saturation
+    captions = [
+        f"{output.result.part.name} as it stands at posture (0°, 0°), Z up.",
+        f"A level from {low} on and below {high} is usable, one from {high} on saturated, one below {low} shaded.",
+    ]
+    if output.result.blind is not None:
+        captions.append(
+            "Defects are those of the catalogue, by weight. How many are seen: percentages are of the part's surface. "
+            "Why not: they are of its surface × defects, as in the table of blind spots; blue where all are seen, pale "
+            "where some are and others not."
+        )
+    return captions
+
+
+def _postures(output: DesignOutput) -> list[PostureClasses]:
+    table, found = output.patches, list[PostureClasses]()
+    for result in output.result.results:
+        if result.answers[0].nothing is not None:
+            continue
+        for posture, levels in zip(result.postures, result.levels, strict=True):
+            seen, left_out = table.inspectable(posture), table.left_out(posture)
+            classes = np.full(len(table.patches), _UNSEEN, np.uint8)
+            classes[left_out] = _LEFT_OUT
+            classes[seen] = level_classes(levels, output.result.thresholds)
+            own = table.patches.areas[seen]
+            units, grazing = area_units(own), float(table.patches.areas[left_out].sum())
+            found.append(
+                PostureClasses(
+                    posture=posture,
+                    classes=classes,
+                    areas=tuple(int(units[classes[seen] == k].sum()) for k in range(_LEFT_OUT)),
+                    left_out=grazing / (grazing + float(own.sum())),
+                    grain=grain_of(own),
+                )
+            )
+    return found
+
+
+def _layer(shown: PostureClasses) -> SurfaceLayer:
+    counted = sum(shown.areas)
+    amounts = [*(share_text(area / max(1, counted), shown.grain) for area in shown.areas), "", ""]
+    classes = surface_classes(LEVEL_CLASSES, amounts)
+    return SurfaceLayer(name=f"posture {shown.posture}", classes=classes, of_face=shown.classes)
+
+
+def _best_classes(shown: list[PostureClasses]) -> UInt8:
+    # what one posture does not show another may
+    return np.min([one.classes for one in shown], axis=0)
+
+
+def _combined_layer(output: DesignOutput, shown: list[PostureClasses]) -> SurfaceLayer:
+    best = _best_classes(shown)
+    amounts = ["" if k == _LEFT_OUT else share for k, share in enumerate(_shares(output, best))]
+    classes = surface_classes(LEVEL_CLASSES, amounts)
+    return SurfaceLayer(name="the best of all postures", classes=classes, of_face=best)
+
+
+def _shares(output: DesignOutput, classes: UInt8) -> list[str]:
+    # in words: of each class, of the part's surface without what is left out; the latter is of the whole surface
+    own = output.patches.patches.areas
+    areas, grain = np.bincount(classes, weights=own, minlength=len(LEVEL_CLASSES)), grain_of(own)
+    counted = max(float(areas.sum() - areas[_LEFT_OUT]), 1e-300)
+    return [
+        share_text(float(area / (areas.sum() if k == _LEFT_OUT else counted)), grain) for k, area in enumerate(areas)
+    ]
+
+
+def _table(shown: list[PostureClasses]) -> Table:
+    rows = [
+        [
+            str(one.posture),
+            *(
+                f"{area_text(area, one.grain * counted)} ({share_text(area / max(1, counted), one.grain)})"
+                for area in one.areas
+            ),
+            share_text(one.left_out, one.grain),
+        ]
+        for one in shown
+        for counted in [sum(one.areas)]
+    ]
+    return Table(
+        header=["posture", *(label for label, _ in LEVEL_CLASSES[:_UNSEEN])],
+        rows=rows,
+        caption="Areas, and their shares of the surface that the camera sees in the posture at up to "
+        f"{GRAZING_DEG:g}° to its normal. Left out: of all that it sees there, the rest.",
+    )
+
+
+def _combined_note(output: DesignOutput, shown: list[PostureClasses]) -> Note:
+    shares = _shares(output, _best_classes(shown))
+    which = "The posture shows" if len(shown) == 1 else f"The {len(shown)} postures together show"
+    return Note(
+        text=f"{which} {shares[0]} of the part's surface in two usable images or more; "
+        f"{shares[_UNSEEN]} the camera never sees. {shares[_LEFT_OUT]} of the whole surface, "
+        "which it sees at a grazing angle only, is left out of these shares."
+    )
+
+
+def blind_pictures(result: DesignResult) -> dict[Posture, UInt8]:
+    """What the camera sees in each posture, coloured by what the chosen lights show of the defects, with a legend.
+
+    Pictures have the shape (height, width, 3); none where images are not tested for defects.
+    """
+    if result.blind is None or result.patches is None:
+        return {}
+    patches, scene = result.patches.patches, result.scene
+    pictures: dict[Posture, UInt8] = {}
+    for posture, spots in zip(result.blind.postures, result.blind.chosen_in, strict=True):
+        camera = view_from_part(scene, posture).camera
+        colours = blind_colours(spots).astype(np.float64)
+        picture = np.full((camera.height, camera.width, 3), BACKGROUND, np.uint8)
+        for top in range(0, camera.height, BLOCK_ROWS):
+            rows = picture[top : top + BLOCK_ROWS]
+            y, x = np.divmod(np.arange(len(rows) * camera.width), camera.width)
+            hits, surface = trace_samples(result.caster, scene.mesh, camera, x + 0.5, top + y + 0.5)
+            # brightness shows the shape: how much the surface faces the camera
+            facing = np.abs(np.einsum("ij,ij->i", surface.normals, surface.views))
+            shade = LEAST_SHADE + (1.0 - LEAST_SHADE) * facing[:, None]
+            shaded = colours[patches.patch_at(hits.face, hits.u, hits.v)] * shade
+            rows.reshape(-1, 3)[hits.ray] = np.rint(shaded).astype(np.uint8)
+        title = (
+            f"posture {posture}: shares of the surface × defects without what is left out; pale where other defects "
+            "are seen"
+        )
+        pictures[posture] = _with_legend(picture, title, blind_legend(spots))
+    return pictures
+
+
+def blind_layers(summary: BlindSpotSummary) -> list[SurfaceLayer]:
+    """How many defects are seen, and why the others are not: all postures together, wherever the lights stand, each."""
+    layers = [share_layer("all postures, how many defects are seen", summary.chosen)]
+    for posture, chosen, possible in summary.parts() if len(summary.postures) > 1 else summary.parts()[:1]:
+        where = "all postures" if posture is None else f"posture {posture}"
+        layers.append(blind_layer(f"{where}, why not", chosen))
+        if posture is None:
+            layers.append(blind_layer(f"{where}, why not with the lights {BLIND_LIGHTS[1]}", possible))
+    return layers
+
+
+def share_layer(name: str, spots: BlindSpots) -> SurfaceLayer:
+    """How large a share of the defects is seen on every patch, and of how much of the surface that is not left out."""
+    limits = np.array([limit for limit, *_ in SHARES])
+    of_face = np.searchsorted(limits, spots.share, side="left").astype(np.uint8)
+    of_face[spots.share >= 1.0] = len(SHARES) - 1
+    apart = [blind_class(code) for code in (BlindReason.CAMERA, BlindReason.GRAZING)]
+    for place, one in enumerate(apart, start=len(SHARES)):
+        of_face[spots.codes == one.code] = place
+    kinds = [*((label, colour) for _, label, colour in SHARES), *((one.label, _hex(one)) for one in apart)]
+    areas = np.bincount(of_face, weights=spots.areas, minlength=len(kinds)) / spots.counted
+    amounts = [*(share_text(float(area), spots.grain) for area in areas[:-1]), ""]
+    return SurfaceLayer(name=name, classes=surface_classes(kinds, amounts), of_face=of_face)
+
+
+def blind_layer(name: str, spots: BlindSpots) -> SurfaceLayer:
+    """The reasons of every patch, those that there are, with their shares of the surface × defects.
+
+    Which light saturates a patch is told by the table.
+    """
+    left_out = blind_class(BlindReason.GRAZING).label
+    shares = {row.label: "" if row.label == left_out else row.amount for row in blind_legend(spots)}
+    of_face = blind_classes(spots)
+    shown = [k for k, one in enumerate(BLIND_CLASSES) if one.label in shares or (of_face == k).any()]
+    kinds = [(BLIND_CLASSES[k].label, _hex(BLIND_CLASSES[k])) for k in shown]
+    classes = surface_classes(kinds, [shares.get(label, "") for label, _ in kinds])
+    return SurfaceLayer(name=name, classes=classes, of_face=np.searchsorted(shown, of_face).astype(np.uint8))
+
+
+def _hex(one: BlindClass) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*one.colour)
+
+
+@fixed_style()
+def _with_legend(picture: UInt8, title: str, rows: Sequence[LegendRow]) -> UInt8:
+    """A picture with a title and a legend below it, on white; it is made wider where they need more room.
+
+    picture: Red, green and blue, shape (height, width, 3); its pixels stay where they are.
+    title: One line.
+    rows: Colours, what they stand for, and how much that is.
+    """
+    height, width = picture.shape[:2]
+    size = min(LARGEST_LEGEND, max(SMALLEST_LEGEND, width // 50))
+    gap, line, swatch = size, round(1.7 * size), size + size // 3
+    # in columns: swatches, label, amount
+    label = 1.5 * gap + max(len(row.colours) for row in rows) * swatch
+    amount = label + max(text_width(row.label, size) for row in rows) + gap + text_width(percent(1.0), size)
+    wide = max(width, math.ceil(amount) + gap, text_width(title, size) + 2 * gap)
+    drawing = Drawing(wide, height + 2 * gap + (len(rows) + 1) * line)
+    drawing.picture(picture, 0, 0)
+    baseline = height + gap + CAP_HEIGHT * size
+    drawing.text(gap, baseline, title, size=size)
+    for row in rows:
+        baseline += line
+        for k, (red, green, blue) in enumerate(row.colours):
+            left, top = gap + k * swatch, round(baseline - 0.9 * size)
+            colour = f"#{red:02x}{green:02x}{blue:02x}"
+            drawing.rectangle((left, top, left + size, top + size), fill=colour, outline=SOFT, width=1.0)
+        drawing.text(label, baseline, row.label, size=size)
+        drawing.text(amount, baseline, row.amount, size=size, align="right")
+    return np.array(drawing.image())
