@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from lightopt.core.errors import InputError
 from lightopt.rig.devices import Axis
-from lightopt.rig.devices._stage_grbl_messages import parse_report, parse_setting
+from lightopt.rig.devices._stage_grbl import parse_report, parse_setting
 from lightopt.rig.devices._stage_sigmakoki import axis_command, parse_status, signed
 from lightopt.rig.devices._stage_zaber import checksum, frame, parse_reply
 

@@ -120,7 +120,7 @@ class MachineCamera:
         details = {**self._sdk.details, "pixel_format": self._format.name}
         details["trigger"] = "software" if self._triggered else "none"
         if self._gain is not None:
-            details["gain"] = f"{self._sdk.number(self._gain):g}"
+            details["gain"] = f"{self._sdk.read(self._gain, float):g}"
         return Identity(driver=self._driver, port=self._settings.port or "the only one", details=details)
 
     def set_exposure(self, exposure_us: float) -> float:

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from lightopt.rig.simulated._faults import Trigger, trigger
+from lightopt.rig.simulated._firmware import Trigger, trigger
 
 AXIS_FAULTS = ("stall", "limit", "lost_step")
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.rig.simulated._faults import Trigger, trigger
+from lightopt.rig.simulated._firmware import Trigger, trigger
 
 Image = NDArray[np.integer[Any]]
 

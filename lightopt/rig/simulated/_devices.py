@@ -7,9 +7,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from lightopt.rig.simulated._faults import LINE_FAULTS, FaultyLine, Transmission
-from lightopt.rig.simulated._firmware import Firmware, LightFirmware, StageFirmware, build
-from lightopt.rig.simulated._wires import PtyWire, TcpWire, Wire, have_ptys
+from lightopt.rig.simulated._firmware import build
+from lightopt.rig.simulated._wires import LINE_FAULTS, FaultyLine, PtyWire, TcpWire, Transmission, Wire, have_ptys
 
 _TRACE = 100_000
 
@@ -32,8 +31,7 @@ class Device:
     """A simulated device on its wire."""
 
     def __init__(self, kind: str, options: dict[str, Any], wire: Wire) -> None:
-        self.kind = kind
-        self.firmware: Firmware = build(kind, options)
+        self.firmware = build(kind, options)
         self.wire = wire
         self.deliveries = 0
         self._line = FaultyLine()
@@ -83,14 +81,6 @@ class Device:
             self._out = [sent for sent in self._out if sent.due <= now]  # late replies do not come any more
         if fault not in LINE_FAULTS:
             self.firmware.inject(fault, options, now)
-
-    def levels(self) -> dict[int, float] | None:
-        """Brightness of each channel as a share of the highest; None for what is no light controller."""
-        return self.firmware.levels() if isinstance(self.firmware, LightFirmware) else None
-
-    def positions(self, now: float) -> dict[str, float] | None:
-        """Where each axis really stands, in device units; None for what is no stage."""
-        return self.firmware.positions(now) if isinstance(self.firmware, StageFirmware) else None
 
     def _reply(self, data: bytes, now: float) -> None:
         if data:
@@ -146,13 +136,13 @@ class SimulatedDevices:
     def levels(self) -> dict[str, dict[int, float]]:
         """Brightness of each channel of each light controller, as a share of the highest."""
         with self.lock:
-            found = {name: device.levels() for name, device in self.devices.items()}
+            found = {name: device.firmware.levels() for name, device in self.devices.items()}
         return {name: levels for name, levels in found.items() if levels is not None}
 
     def positions(self, now: float) -> dict[str, dict[str, float]]:
         """Where each axis of each stage really stands, in device units."""
         with self.lock:
-            found = {name: device.positions(now) for name, device in self.devices.items()}
+            found = {name: device.firmware.positions(now) for name, device in self.devices.items()}
         return {name: positions for name, positions in found.items() if positions is not None}
 
     def inject(self, name: str, fault: str, options: dict[str, Any], now: float) -> None:

@@ -22,7 +22,7 @@ from lightopt.core.errors import error_text
 from lightopt.rig.simulated._camera import CAMERA, BenchCamera, CameraSetup, Handler, Response
 from lightopt.rig.simulated._camera_gige import GigeCamera
 from lightopt.rig.simulated._devices import SimulatedDevices
-from lightopt.rig.simulated._faults import Trigger
+from lightopt.rig.simulated._firmware import Trigger
 from lightopt.rig.simulated._wires import have_ptys
 
 

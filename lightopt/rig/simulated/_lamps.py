@@ -1,9 +1,9 @@
 """What the channels of a simulated light controller hold and really shine, the faults of its lamps included."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
-from lightopt.rig.simulated._faults import Trigger, trigger
+from lightopt.rig.simulated._firmware import Firmware
 
 
 class Lamps:
@@ -95,29 +95,17 @@ class Lamps:
         return self._level[channel] / self.top_level if lit and self._on[channel] else 0.0
 
 
-class LampFirmware:
+class LampFirmware(Firmware):
     """What the firmware of light controllers shares: lamps with their faults, and ``ng``, which refuses commands."""
 
-    def __init__(self, lamps: Lamps) -> None:
-        self._lamps = lamps
-        self._ng: Trigger | None = None
+    FAULTS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"ng": {}}
 
-    def poll(self, now: float) -> bytes:  # noqa: ARG002
-        """Nothing: it answers only."""
-        return b""
+    def __init__(self, lamps: Lamps) -> None:
+        super().__init__()
+        self._lamps = lamps
 
     def levels(self) -> dict[int, float]:
-        """Brightness of each channel."""
         return self._lamps.brightness()
 
-    def inject(self, fault: str, options: dict[str, Any], now: float) -> None:  # noqa: ARG002
-        """Set a fault, or ``clear`` all."""
-        if fault == "ng":
-            self._ng = trigger(fault, options)
-            return
-        if fault == "clear":
-            self._ng = None
-        self._lamps.inject(fault, options, ("ng",))
-
-    def _refuses(self) -> bool:
-        return self._ng is not None and self._ng.strikes()
+    def _suffer(self, fault: str, options: Mapping[str, Any], now: float) -> None:  # noqa: ARG002
+        self._lamps.inject(fault, options, tuple(self.FAULTS))

@@ -26,7 +26,6 @@ class SaFirmware(LampFirmware):
         self._letters = "ABCDEF"[:channels]
         self._ack = ack
         self._master = True
-        self._buffer = b""
 
     def feed(self, data: bytes, now: float) -> bytes:  # noqa: ARG002
         self._buffer += data
@@ -42,7 +41,7 @@ class SaFirmware(LampFirmware):
 
     def _answer(self, command: str) -> str:
         match = re.fullmatch(r"S([A-FHL])(\d{4})?", command)
-        if match is None or self._refuses():
+        if match is None or self._struck("ng"):
             return "NG"
         letter, digits = match.groups()
         if letter in "HL":

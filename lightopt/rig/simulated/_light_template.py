@@ -32,22 +32,22 @@ class TemplateFirmware(LampFirmware):
             if verb in self._template
             for channel in range(1, channels + 1)
         ]
-        self._buffer = ""
+        self._text = ""
         for verb in ("set", "off", "read"):
             self._reply(verb, top_level)
 
     def feed(self, data: bytes, now: float) -> bytes:  # noqa: ARG002
-        self._buffer += data.decode("latin-1")
+        self._text += data.decode("latin-1")
         replies = "".join(self._answers())
-        self._buffer = self._buffer[-_LONGEST:]
+        self._text = self._text[-_LONGEST:]
         return replies.encode("latin-1")
 
     def _answers(self) -> Iterator[str]:
         while (found := self._first()) is not None:
             verb, channel, match = found
-            self._buffer = self._buffer[match.end() :]
+            self._text = self._text[match.end() :]
             level = int(match["level"]) if "level" in match.re.groupindex else 0
-            if level > self._lamps.top_level or self._refuses():
+            if level > self._lamps.top_level or self._struck("ng"):
                 yield "?" + self._end
                 continue
             if verb != "read":
@@ -56,7 +56,7 @@ class TemplateFirmware(LampFirmware):
 
     def _first(self) -> tuple[str, int, re.Match[str]] | None:
         """The earliest command in the buffer, with what lies before it thrown away."""
-        found = [(verb, channel, pattern.search(self._buffer)) for verb, channel, pattern in self._commands]
+        found = [(verb, channel, pattern.search(self._text)) for verb, channel, pattern in self._commands]
         hits = [(verb, channel, match) for verb, channel, match in found if match is not None]
         return min(hits, key=lambda hit: hit[2].start()) if hits else None
 
