@@ -9,7 +9,7 @@ import pytest
 
 from lightopt.core.errors import HardwareError
 from lightopt.rig.devices._camera_genicam import GenicamSdk
-from lightopt.rig.devices._retry import LinkLostError
+from lightopt.rig.devices._device import LinkLostError
 
 
 class IoException(Exception):  # noqa: N818  (the library calls it so)

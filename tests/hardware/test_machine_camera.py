@@ -15,7 +15,7 @@ from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import CameraInfo, CameraSettings, Event, frame_limit_s
 from lightopt.rig.devices._camera import FrameOrder, MachineCamera
 from lightopt.rig.devices._camera_sdk import RawFrame, choose_camera
-from lightopt.rig.devices._retry import LinkLostError
+from lightopt.rig.devices._device import LinkLostError
 
 SETTINGS = CameraSettings(where="rig.yaml:7: camera", resolution_px=(4, 2), bit_depth=8)
 

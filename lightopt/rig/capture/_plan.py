@@ -134,6 +134,11 @@ class CapturePlan:
         )
 
     @property
+    def postures(self) -> list[Posture]:
+        """In the order of travel."""
+        return [task.posture for task in self.tasks]
+
+    @property
     def needs_dark_reference(self) -> bool:
         """Whether frames without light are taken first, only to check the others against."""
         return self.options.check and not self.options.dark
@@ -211,7 +216,7 @@ class CapturePlan:
         return {
             **self.options.as_dict(),
             "lights": [light for light in lights if light in self.tasks[0].lights],
-            "postures": sorted((task.posture.as_dict() for task in self.tasks), key=str),
+            "postures": sorted((posture.as_dict() for posture in self.postures), key=str),
             "levels": {name: channel.level for name, channel in lights.items()},
             "exposure_us": self.wiring.exposure_us,
         }

@@ -12,7 +12,7 @@ import numpy as np
 
 from lightopt.core.arrays import UInt8
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices._retry import LinkLostError
+from lightopt.rig.devices._device import LinkLostError
 
 _SLICE_S = 0.1  # longest single wait for a frame: signals are heard between two
 

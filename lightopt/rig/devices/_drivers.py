@@ -12,12 +12,13 @@ from lightopt.rig.devices._camera import MachineCamera
 from lightopt.rig.devices._camera_aravis import AravisSdk, find_aravis_cameras, load_aravis
 from lightopt.rig.devices._camera_genicam import GenicamSdk, find_genicam_cameras, find_producers, load_harvester
 from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSdk, CameraSettings
+from lightopt.rig.devices._device import Event
 from lightopt.rig.devices._light import LightController, LightSettings
 from lightopt.rig.devices._light_ccs import CcsController
 from lightopt.rig.devices._light_sa import SaController
 from lightopt.rig.devices._light_template import TemplateController
 from lightopt.rig.devices._serial_link import SerialLink
-from lightopt.rig.devices._serial_log import Event, SerialLog
+from lightopt.rig.devices._serial_log import SerialLog
 from lightopt.rig.devices._stage import Clock, Stage
 from lightopt.rig.devices._stage_dialogue import Axis, Dialogue
 from lightopt.rig.devices._stage_grbl import GrblDialogue

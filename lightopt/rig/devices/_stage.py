@@ -7,9 +7,7 @@ from dataclasses import dataclass, field
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
-from lightopt.rig.devices._retry import ReplyError
-from lightopt.rig.devices._roles import Identity
-from lightopt.rig.devices._serial_log import Event
+from lightopt.rig.devices._device import Event, Identity, ReplyError
 from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading
 
 HOME_FIRST = "home it first: lightopt bench home RIG"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from lightopt.core.errors import InputError
-from lightopt.rig.devices._retry import Retry
+from lightopt.rig.devices._device import Retry
 from lightopt.rig.devices._serial_link import SerialLink
 
 _ROUNDING = 1e-9  # relative; angles that differ by less are the same

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices._retry import LinkLostError, ReplyError
+from lightopt.rig.devices._device import LinkLostError, ReplyError
 from lightopt.rig.devices._serial_link import SerialLink
 from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading, describe_range
 
@@ -121,13 +121,7 @@ def parse_report(line: bytes) -> StatusReport | None:
 
 
 def parse_setting(line: bytes) -> tuple[int, float] | None:
-    r"""Number and value of a line of ``$$``; None when the line is none.
-
-    Examples
-    --------
-    >>> parse_setting(b"$100=250.000\r\n")
-    (100, 250.0)
-    """
+    """Number and value of a line of ``$$``; None when the line is none."""
     match = _SETTING.fullmatch(line)
     return None if match is None else (int(match[1]), float(match[2]))
 

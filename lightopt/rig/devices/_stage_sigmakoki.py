@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from lightopt.core.errors import InputError
-from lightopt.rig.devices._retry import ReplyError, printable
+from lightopt.rig.devices._device import ReplyError, printable
 from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading
 
 END = b"\r\n"
@@ -44,33 +44,16 @@ class Status:
 
 
 def command(text: str) -> bytes:
-    """A command on the wire."""
     return text.encode("ascii") + END
 
 
 def signed(pulses: int) -> str:
-    """A distance or position as the commands write it.
-
-    Examples
-    --------
-    >>> signed(-2000)
-    '-P2000'
-    >>> signed(0)
-    '+P0'
-    """
+    """A distance or position as the commands write it."""
     return f"{'-' if pulses < 0 else '+'}P{abs(pulses)}"
 
 
 def axis_command(verb: str, values: Mapping[str, str]) -> str:
-    """A command for one axis or for both, from the words of each.
-
-    Examples
-    --------
-    >>> axis_command("A", {"1": "+P9000"})
-    'A:1+P9000'
-    >>> axis_command("A", {"2": "-P2000", "1": "+P1800"})
-    'A:W+P1800-P2000'
-    """
+    """A command for one axis or for both, from the words of each."""
     if len(values) == 1:
         ((axis, value),) = values.items()
         return f"{verb}:{axis}{value}"

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from lightopt.core.errors import InputError
-from lightopt.rig.devices._retry import ReplyError, printable
+from lightopt.rig.devices._device import ReplyError, printable
 from lightopt.rig.devices._serial_link import SerialLink
 from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading
 
@@ -88,24 +88,12 @@ class Reply:
 
 
 def checksum(body: bytes) -> bytes:
-    """LRC of a message without its first and last characters: two's complement of the sum, two hexadecimal digits.
-
-    Examples
-    --------
-    >>> checksum(b"1 1 00 get pos")
-    b'2C'
-    """
+    """LRC of a message without its first and last characters: two's complement of the sum, two hexadecimal digits."""
     return f"{-sum(body) & 0xFF:02X}".encode("ascii")
 
 
 def frame(device: int, axis: int, number: int, command: str) -> bytes:
-    r"""A numbered command with its checksum.
-
-    Examples
-    --------
-    >>> frame(1, 1, 1, "home")
-    b'/1 1 01 home:34\n'
-    """
+    """A numbered command with its checksum."""
     body = " ".join(part for part in (str(device), str(axis), f"{number:02d}", command) if part).encode("ascii")
     return b"/" + body + b":" + checksum(body) + b"\n"
 

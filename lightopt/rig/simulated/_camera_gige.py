@@ -166,7 +166,6 @@ class GigeCamera:
             self._c.arv_buffer_set_timestamp(buffer, timestamp_ns)
 
     def close(self) -> None:
-        """End it."""
         self._faults.wake()
         self.unplug()
         self._port.close()
@@ -229,7 +228,6 @@ class GigeFaults:
         self._awake = threading.Event()
 
     def inject(self, fault: str, options: dict[str, Any]) -> None:
-        """Set a fault; ``clear`` ends all. Raises a ValueError for a fault or an option that there is not."""
         if fault == "clear":
             self._triggers = {}
             return
@@ -264,7 +262,6 @@ class GigeFaults:
         return float(exposure_us)
 
     def wake(self) -> None:
-        """Let a camera that hangs go on, so that it can end."""
         self._awake.set()
 
     @property
@@ -278,7 +275,6 @@ class GigeFaults:
         return old if "old_image" in self._now and old is not None else image
 
     def end(self, buffer: int, timestamp_ns: int) -> None:
-        """Stamp the frame."""
         if "stale" in self._now:
             self._camera.stamp(buffer, timestamp_ns=(self._stamp_ns or time.time_ns()) - _BACK_NS)
         else:

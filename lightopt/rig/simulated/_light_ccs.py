@@ -100,7 +100,7 @@ class CcsFirmware(LampFirmware):
             return "O00"
         if instruction == "M":
             lamps = self._lamps
-            level, mode, on = lamps.level(channel), self._mode[channel], int(lamps.on(channel))
+            level, mode, on = lamps.level[channel], self._mode[channel], int(lamps.on[channel])
             return f"OF{level:0{self._digits}d}.S{mode:02d}.L{on}"
         if value > {"F": self._lamps.top_level, "L": 1, "S": _MODES, "R": 0}[instruction]:
             return _VALUE

@@ -53,7 +53,7 @@ class SaFirmware(LampFirmware):
             return "NG"
         channel = self._letters.index(letter) + 1
         if digits is None:
-            return f"{letter.lower()}{self._lamps.level(channel):04d}"
+            return f"{letter.lower()}{self._lamps.level[channel]:04d}"
         if int(digits) > self._lamps.top_level:
             return "NG"
         self._lamps.set_level(channel, int(digits))

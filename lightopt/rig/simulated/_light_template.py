@@ -52,7 +52,7 @@ class TemplateFirmware(LampFirmware):
                 continue
             if verb != "read":
                 self._lamps.set_level(channel, level)
-            yield self._reply(verb, self._lamps.level(channel))
+            yield self._reply(verb, self._lamps.level[channel])
 
     def _first(self) -> tuple[str, int, re.Match[str]] | None:
         """The earliest command in the buffer, with what lies before it thrown away."""

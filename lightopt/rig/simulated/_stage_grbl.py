@@ -100,7 +100,6 @@ class GrblFirmware(Firmware):
         return out + self._work(now)
 
     def positions(self, now: float) -> dict[str, float]:
-        """Where each axis really stands [mm, or degrees], from its switch."""
         return self._axes.real(now)
 
     def _suffer(self, fault: str, options: Mapping[str, Any], now: float) -> None:

@@ -176,7 +176,6 @@ class _SigmakokiFirmware(Firmware):
         return True
 
     def _home(self, names: list[str], now: float) -> bool:
-        """Seek the origin of axes."""
         if not names or not set(names) <= set(self._axes.by_name):
             return False
         self._planned = {}

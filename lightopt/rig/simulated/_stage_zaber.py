@@ -142,7 +142,6 @@ class ZaberFirmware(Firmware):
         return next(iter(self._warnings(names, now)), "--")
 
     def _obey(self, words: list[str], names: list[str], axis: int, now: float) -> str:
-        """Execute a command; returns the answer."""
         if not words:
             return "0"
         verb, rest = words[0], words[1:]

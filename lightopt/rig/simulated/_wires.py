@@ -1,5 +1,9 @@
 """The wires between simulated devices and their clients: pseudo-terminals, and TCP where there are none.
 
+`port` of a wire is what a client opens; `waiting` are file descriptors to watch for something to read, none once the
+cable is pulled. Nothing is waited for: `receive` takes what has come, a connection included; `send` returns how many
+bytes the wire took, and without a client they are lost; `pull` pulls the cable, for good.
+
 Their faults are replies that are lost, late, cut short or garbled, and a cable that is pulled.
 """
 
@@ -9,31 +13,11 @@ import random
 import socket
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from lightopt.rig.simulated._firmware import Trigger, trigger
 
 have_ptys = sys.platform != "win32"
-
-
-class Wire(Protocol):
-    """One end of a wire; everything on it is done without waiting.
-
-    port: What a client opens.
-    waiting: File descriptors to watch for something to read; none once the cable is pulled.
-    receive: Take what has come, a connection included; often nothing.
-    send: Send, and return how many bytes the wire took; without a client they are lost.
-    pull: Pull the cable, for good.
-    """
-
-    @property
-    def port(self) -> str: ...
-    @property
-    def waiting(self) -> tuple[int, ...]: ...
-    def receive(self) -> bytes: ...
-    def send(self, data: bytes) -> int: ...
-    def pull(self) -> None: ...
 
 
 class PtyWire:
@@ -47,12 +31,8 @@ class PtyWire:
         # The client's end stays open here too, so that clients can come and go; raw, or it would echo.
         tty.setraw(self._theirs)
         os.set_blocking(self._ours, False)
-        self._name = os.ttyname(self._theirs)
+        self.port = os.ttyname(self._theirs)
         self._open = True
-
-    @property
-    def port(self) -> str:
-        return self._name
 
     @property
     def waiting(self) -> tuple[int, ...]:
@@ -92,10 +72,7 @@ class TcpWire:
         self._number = 0
         self._pulled = False
         self._listen()
-
-    @property
-    def port(self) -> str:
-        return f"socket://127.0.0.1:{self._number}"
+        self.port = f"socket://127.0.0.1:{self._number}"
 
     @property
     def waiting(self) -> tuple[int, ...]:
@@ -176,14 +153,6 @@ LINE_FAULTS: dict[str, dict[str, Any]] = {
 }
 
 
-@dataclass(frozen=True)
-class Transmission:
-    """Bytes on their way to the client, and when [s] they arrive."""
-
-    due: float
-    data: bytes
-
-
 class FaultyLine:
     """Transmits the bytes that a device sends, with faults.
 
@@ -213,8 +182,8 @@ class FaultyLine:
                 return bool(options["obeyed"])
         return None
 
-    def carry(self, data: bytes, now: float) -> list[Transmission]:
-        """What arrives at the client of a reply that the device sends at a time [s]."""
+    def carry(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
+        """What arrives at the client of a reply that the device sends at a time [s], and when."""
         due = now
         for kind, strikes, options in self._faults:
             if kind == "vanish" or not strikes.strikes():
@@ -230,4 +199,4 @@ class FaultyLine:
                 chance = random.Random(int(options["seed"]))  # noqa: S311  (noise, not a secret)
                 noise = bytes(chance.choice(range(0x80, 0xFF)) for _ in range(int(options["bytes"])))
                 data = noise + (data if kind == "garbage_before" else b"")
-        return [Transmission(due, data)] if data else []
+        return [(due, data)] if data else []
