@@ -76,12 +76,9 @@ class AravisSdk(CameraLibrary):
 
     def bounds(self, feature: str) -> tuple[float, float, float]:
         kind = self._type(feature, float)
-
-        def ask() -> tuple[float, float, float]:
-            low, high = getattr(self._camera, f"get_{kind}_bounds")(feature)
-            return low, high, getattr(self._camera, f"get_{kind}_increment")(feature)
-
-        low, high, step = self._try(f"asking for the bounds of {feature}", ask)
+        what = f"asking for the bounds of {feature}"
+        low, high = self._try(what, lambda: getattr(self._camera, f"get_{kind}_bounds")(feature))
+        step = self._try(what, lambda: getattr(self._camera, f"get_{kind}_increment")(feature))
         return low, high, step if 0 < step < high else 0.0
 
     def unit(self, feature: str) -> str:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar, TypeVar
 
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
-from lightopt.rig.devices._device import Event, Identity, RefusedError, Retry
+from lightopt.rig.devices._device import Identity, RefusedError, Retry
 from lightopt.rig.devices._serial_link import SerialLink
 from lightopt.rig.devices._serial_log import SerialLog
 
@@ -120,6 +120,7 @@ class LightController(ABC):
     does not hold what was set.
 
     channels, top_level: Number of channels, and the highest intensity.
+    events: Irregularities on the wire so far.
     level_set_s: When [s, monotonic clock] the device had the last intensity, before it was read back.
     """
 
@@ -134,6 +135,7 @@ class LightController(ABC):
 
     def __init__(self, link: SerialLink, settings: LightSettings) -> None:
         self.channels = settings.channels
+        self.events = link.events
         self._link = link
         self.top_level = settings.top_level
         self._max_levels = settings.max_levels
@@ -157,11 +159,6 @@ class LightController(ABC):
         except BaseException:
             link.close()
             raise
-
-    @property
-    def events(self) -> list[Event]:
-        """Irregularities on the wire so far."""
-        return self._link.events
 
     def identify(self) -> Identity:
         """Query the identity of the device; no light changes."""

@@ -205,7 +205,8 @@ class SerialLink:
                     if moment >= until:
                         # a computer that was busy finds the reply there: it is the device that may be late
                         if late == _LATE_BYTES or not self._guarded(lambda: self._serial.in_waiting, after):
-                            raise self._late(bytes(got), after, limit_s)
+                            problem = f"{'the reply is incomplete' if got else 'no reply'} after {limit_s:g} s"
+                            raise self.failure(problem, sent=after, reply=bytes(got), kind=ReplyError)
                         late += 1
             finally:
                 entry.write()
@@ -313,10 +314,6 @@ class SerialLink:
         return self.failure(
             "no longer waited for, because a light had to be switched off", sent=sent, kind=PreemptedError
         )
-
-    def _late(self, got: bytes, after: bytes, limit_s: float) -> HardwareError:
-        problem = "the reply is incomplete" if got else "no reply"
-        return self.failure(f"{problem} after {limit_s:g} s", sent=after, reply=got, kind=ReplyError)
 
     def _note_stale(self, count: int) -> None:
         if count:

@@ -86,12 +86,10 @@ class LogEntry:
         self._data = bytearray()
 
     def add(self, data: bytes) -> None:
-        """Count bytes in."""
         self._time = self._time or now()
         self._data += data
 
     def write(self) -> None:
-        """Write down what has come so far."""
         if self._data:
             self._log.write(self._port, "in", bytes(self._data), self._time)
             self._time = ""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
-from lightopt.rig.devices._device import Event, Identity, ReplyError
+from lightopt.rig.devices._device import Identity, ReplyError
 from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading
 
 HOME_FIRST = "home it first: lightopt bench home RIG"
@@ -69,15 +69,11 @@ class Stage:
         self._home_timeout_s = home_timeout_s
         self._clock = clock or Clock()
         self._link = dialogue.link
+        self.events = self._link.events
         self._prepared = False
         self._left_at: dict[str, float] | None = None
         self._homed = False
         self._lost: str | None = None
-
-    @property
-    def events(self) -> list[Event]:
-        """Irregularities on the link so far."""
-        return self._link.events
 
     def identify(self) -> Identity:
         """Query the identity of the device, without moving it."""

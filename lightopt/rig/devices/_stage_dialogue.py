@@ -68,13 +68,9 @@ class Axis:
 
     def target(self, angle_deg: float, *, step: float) -> float:
         """Nearest multiple of a `step` [device units] to an angle [°]; an InputError for one outside the range."""
-        self.check(angle_deg)
-        return step * round(self.units_of(angle_deg) / step)
-
-    def check(self, angle_deg: float) -> None:
-        """Raise an :class:`~lightopt.core.errors.InputError` for an angle [°] outside the range."""
         if wrong := self.problems(angle_deg):
             raise InputError(*wrong)
+        return step * round(self.units_of(angle_deg) / step)
 
     def problems(self, angle_deg: float) -> list[str]:
         """Messages about what is wrong with an angle [°]; empty where it is allowed."""

@@ -150,12 +150,8 @@ class GrblDialogue(Dialogue):
 
     def identify(self) -> dict[str, str]:
         lines = self._retry.run(lambda: self._line("$I"))
-        details: dict[str, str] = {}
-        for line in lines:
-            key, _, value = line.decode("ascii", "replace").strip().strip("[]").partition(":")
-            if key in ("VER", "OPT") and value:
-                details[key.lower()] = value.rstrip(":")
-        return details
+        fields = (line.decode("ascii", "replace").strip().strip("[]").partition(":") for line in lines)
+        return {key.lower(): value.rstrip(":") for key, _, value in fields if key in ("VER", "OPT") and value}
 
     def read(self) -> Reading:
         """Position and state; after an alarm that silences Grbl, the last known ones, without a query."""

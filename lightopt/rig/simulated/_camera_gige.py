@@ -129,12 +129,10 @@ class GigeCamera:
         self._c.arv_fake_camera_set_fill_pattern.argtypes = [ctypes.c_void_p, kind, ctypes.c_void_p]
         self._c.arv_buffer_get_data.restype = ctypes.c_void_p
         self._c.arv_buffer_get_data.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)]
-        self._c.arv_buffer_get_frame_id.restype = ctypes.c_uint64
-        self._c.arv_buffer_get_frame_id.argtypes = [ctypes.c_void_p]
-        self._c.arv_buffer_get_timestamp.restype = ctypes.c_uint64
-        self._c.arv_buffer_get_timestamp.argtypes = [ctypes.c_void_p]
-        self._c.arv_buffer_set_frame_id.argtypes = [ctypes.c_void_p, ctypes.c_uint64]
-        self._c.arv_buffer_set_timestamp.argtypes = [ctypes.c_void_p, ctypes.c_uint64]
+        for field in ("frame_id", "timestamp"):
+            get, put = (getattr(self._c, f"arv_buffer_{verb}_{field}") for verb in ("get", "set"))
+            get.restype, get.argtypes = ctypes.c_uint64, [ctypes.c_void_p]
+            put.argtypes = [ctypes.c_void_p, ctypes.c_uint64]
         self._c.arv_fake_camera_set_fill_pattern(_address(self._device), self._fill_c, None)
 
     def inject(self, fault: str, options: dict[str, Any]) -> None:

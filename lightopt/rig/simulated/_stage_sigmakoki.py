@@ -150,7 +150,7 @@ class _SigmakokiFirmware(Firmware):
         match = re.fullmatch(rf"([12W])((?:{pattern.replace('(', '(?:')})+)", words)
         if match is None:
             return False
-        names = list(self._axes.by_name) if match[1] == "W" else [match[1]]
+        names = self._named(match[1])
         each = [m.groups() for m in re.finditer(pattern, match[2])]
         if len(each) != len(names) or not set(names) <= set(self._axes.by_name):
             return False
@@ -195,9 +195,13 @@ class _SigmakokiFirmware(Firmware):
             self._axes[words].stop(now)
         return True
 
+    def _named(self, word: str) -> list[str]:
+        """Axes that a word names: W is all."""
+        return list(self._axes.by_name) if word == "W" else [word]
+
     def _zero(self, words: str, now: float) -> bool:
         """Call the place where an axis stands 0."""
-        names = list(self._axes.by_name) if words == "W" else [words]
+        names = self._named(words)
         if not set(names) <= set(self._axes.by_name):
             return False
         for name in names:
@@ -227,13 +231,13 @@ class ShotFirmware(_SigmakokiFirmware):
         return ":" in line and super()._obey(line, now)
 
     def _homed_axes(self, words: str) -> list[str]:
-        return list(self._axes.by_name) if words == "W" else [words]
+        return self._named(words)
 
     def _set_speeds(self, words: str) -> bool:
         match = re.fullmatch(r"([12W])((?:S\d+F\d+R\d+)+)", words)
         if match is None:
             return False
-        names = list(self._axes.by_name) if match[1] == "W" else [match[1]]
+        names = self._named(match[1])
         each = [tuple(map(int, m)) for m in re.findall(r"S(\d+)F(\d+)R(\d+)", match[2])]
         right = all(1 <= s <= f <= _SHOT_TOP_SPEED and r <= 1000 for s, f, r in each)
         if not right or len(each) != len(names) or not set(names) <= set(self._axes.by_name):
