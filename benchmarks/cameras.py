@@ -97,7 +97,7 @@ def _gentl_driver(frames: int) -> float:
     )
     camera = open_camera("genicam", settings)
     try:
-        camera._sdk.set_number("AcquisitionFrameRate", FASTEST)
+        camera._sdk.write("AcquisitionFrameRate", FASTEST)
         return _rate(frames, lambda: camera.grab(timeout_s=5))
     finally:
         camera.close()

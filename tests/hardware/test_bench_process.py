@@ -17,7 +17,7 @@ import pytest
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import LightSettings, light_drivers
-from lightopt.rig.devices._retry import LinkLostError, ReplyError
+from lightopt.rig.devices._device import LinkLostError, ReplyError
 from lightopt.rig.devices._serial_link import SerialLink
 from lightopt.rig.simulated import BenchProcess, _bench_process
 

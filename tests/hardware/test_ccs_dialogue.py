@@ -5,6 +5,8 @@ The frames in GOLDEN stand in public sources: makers' examples, drivers in use, 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,9 +14,11 @@ from scripted import scripted_link
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import LightSettings, light_drivers
+from lightopt.rig.devices._device import RefusedError, ReplyError
 from lightopt.rig.devices._light_ccs import CcsController
-from lightopt.rig.devices._retry import RefusedError, ReplyError
 from lightopt.rig.simulated._light_ccs import CcsFirmware
+
+LIGHTS = LightSettings("main", "COM7")
 
 GOLDEN = {
     "intensity 255 of channel 1": b"@00F25582",
@@ -76,7 +80,7 @@ def test_lan_dialogue(monkeypatch: pytest.MonkeyPatch) -> None:
             STATUS,
         ],
     )
-    controller = CcsController(link)
+    controller = CcsController(link, LIGHTS)
     controller.set_level(1, 255)
     controller.set_level(2, 125)
     assert controller.read_level(2) == 125
@@ -102,7 +106,7 @@ def test_serial_dialogue(monkeypatch: pytest.MonkeyPatch) -> None:
             (checked(b"@00M00"), checked(b"@00OF000.S00.L0")),
         ],
     )
-    controller = CcsController(link, dialect="serial")
+    controller = CcsController(link, replace(LIGHTS, dialect="serial"))
     controller.set_level(1, 255)
     controller.set_level(1, 0)
     assert port.dialogue == []
@@ -119,7 +123,7 @@ def test_four_digits_where_the_levels_have_them(monkeypatch: pytest.MonkeyPatch)
             (b"@00MED\r\n", checked(b"@00OF1023.S00.L1")),
         ],
     )
-    CcsController(link, top_level=1023).set_level(1, 1023)
+    CcsController(link, replace(LIGHTS, top_level=1023)).set_level(1, 1023)
     assert port.dialogue == []
 
 
@@ -129,10 +133,10 @@ def test_four_digits_where_the_levels_have_them(monkeypatch: pytest.MonkeyPatch)
 )
 def test_refusals_in_words_and_never_sent_again(monkeypatch: pytest.MonkeyPatch, code: bytes, words: str) -> None:
     link, port = scripted_link(monkeypatch, [STATUS, SETTINGS, (b"@00F25582\r\n", checked(b"@00N" + code))])
-    controller = CcsController(link)
+    controller = CcsController(link, LIGHTS)
     with pytest.raises(RefusedError, match=f"light controller main on COM7: .*{words}.*@00F25582.*@00N{code.decode()}"):
         controller.set_level(1, 255)
-    assert (port.dialogue, link.retries) == ([], 0)
+    assert (port.dialogue, sum(event.retry for event in link.events)) == ([], 0)
 
 
 SPOILT = [
@@ -162,7 +166,7 @@ def test_a_spoilt_reply_is_asked_for_again_and_told(
             (b"@00MED\r\n", checked(b"@00OF255.S00.L1")),
         ],
     )
-    controller = CcsController(link)
+    controller = CcsController(link, LIGHTS)
     controller.set_level(1, 255)
     assert port.dialogue == []
     (event,) = [e for e in controller.events if e.retry]
@@ -174,10 +178,10 @@ def test_a_spoilt_reply_is_asked_for_again_and_told(
 @pytest.mark.parametrize(("reply", "words"), SPOILT)
 def test_three_attempts_and_no_more(monkeypatch: pytest.MonkeyPatch, reply: bytes | None, words: str) -> None:
     link, port = scripted_link(monkeypatch, [STATUS, SETTINGS, *[(b"@00F25582\r\n", reply)] * 3])
-    controller = CcsController(link)
+    controller = CcsController(link, LIGHTS)
     with pytest.raises(ReplyError, match=f"{words}.*sent 3 times"):
         controller.set_level(1, 255)
-    assert (port.dialogue, link.retries) == ([], 2)
+    assert (port.dialogue, sum(event.retry for event in link.events)) == ([], 2)
 
 
 def test_a_dead_device_gets_one_attempt_until_it_answers(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -193,7 +197,7 @@ def test_a_dead_device_gets_one_attempt_until_it_answers(monkeypatch: pytest.Mon
             *[(b"@00CE3\r\n", None)] * 3,
         ],
     )
-    controller = CcsController(link)
+    controller = CcsController(link, LIGHTS)
     with pytest.raises(ReplyError, match="no reply"):
         controller.set_level(1, 0)
     controller.identify()
@@ -207,7 +211,7 @@ def test_a_refused_intensity_does_not_keep_the_light_on(monkeypatch: pytest.Monk
         monkeypatch, [STATUS, SETTINGS, (b"@00F00076\r\n", checked(b"@00N01")), (b"@00L01C\r\n", OK1)]
     )
     with pytest.raises(RefusedError):
-        CcsController(link).set_level(1, 0)
+        CcsController(link, LIGHTS).set_level(1, 0)
     assert port.dialogue == []
 
 
@@ -218,7 +222,7 @@ def test_what_it_holds_is_verified(monkeypatch: pytest.MonkeyPatch, held: bytes)
         [STATUS, SETTINGS, (b"@01F1257F\r\n", OK2), (checked(b"@01L1"), OK2), (b"@01MEE\r\n", checked(b"@01O" + held))],
     )
     with pytest.raises(HardwareError, match=r"channel 2 was set to 125 but holds 12[45] and is switched o"):
-        CcsController(link).set_level(2, 125)
+        CcsController(link, LIGHTS).set_level(2, 125)
 
 
 def test_a_channel_that_waits_for_triggers(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -233,7 +237,7 @@ def test_a_channel_that_waits_for_triggers(monkeypatch: pytest.MonkeyPatch) -> N
         ],
     )
     with pytest.raises(HardwareError, match=r"channel 2 is in strobe mode S04.*@01S0054"):
-        CcsController(link).set_level(2, 125)
+        CcsController(link, LIGHTS).set_level(2, 125)
 
 
 def test_where_settings_are_refused_lights_are_set_unverified_and_that_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -241,7 +245,7 @@ def test_where_settings_are_refused_lights_are_set_unverified_and_that_is_told(m
         monkeypatch,
         [STATUS, (b"@00MED\r\n", checked(b"@00N01")), (b"@00F25582\r\n", OK1), (b"@00L11D\r\n", OK1), STATUS],
     )
-    controller = CcsController(link)
+    controller = CcsController(link, LIGHTS)
     controller.set_level(1, 255)
     assert controller.read_level(1) is None
     assert controller.identify().details["read_back"] == "no"
@@ -253,7 +257,7 @@ def test_settings_that_do_not_come_are_an_error(monkeypatch: pytest.MonkeyPatch)
     """Three lost replies must not switch the verification off for the rest of the run."""
     link, _ = scripted_link(monkeypatch, [STATUS, *[(b"@00MED\r\n", None)] * 3])
     with pytest.raises(ReplyError, match=r"no reply after .*sent 3 times"):
-        CcsController(link)
+        CcsController(link, LIGHTS)
 
 
 @pytest.mark.parametrize(("channel", "level"), [(0, 1), (5, 1), (1, -1), (1, 256)])
@@ -261,7 +265,7 @@ def test_out_of_range_is_refused_before_a_byte_is_sent(
     monkeypatch: pytest.MonkeyPatch, channel: int, level: int
 ) -> None:
     link, port = scripted_link(monkeypatch, [STATUS, SETTINGS])
-    controller = CcsController(link)
+    controller = CcsController(link, LIGHTS)
     with pytest.raises(InputError, match="light controller main: expected"):
         controller.set_level(channel, level)
     assert len(port.sent) == 2

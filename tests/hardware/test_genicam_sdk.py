@@ -9,7 +9,7 @@ import pytest
 
 from lightopt.core.errors import HardwareError
 from lightopt.rig.devices._camera_genicam import GenicamSdk
-from lightopt.rig.devices._retry import LinkLostError
+from lightopt.rig.devices._device import LinkLostError
 
 
 class IoException(Exception):  # noqa: N818  (the library calls it so)
@@ -53,7 +53,7 @@ def test_a_camera_that_is_gone_is_not_asked_again() -> None:
     sdk, log = sdk_with(port := Port(IoException("no answer")))
     with pytest.raises(LinkLostError, match=r"rig\.yaml:3: camera: executing TriggerSoftware: the camera does not"):
         sdk.execute("TriggerSoftware")
-    for again in (sdk.stop, lambda: sdk.number("ExposureTime"), lambda: sdk.has("Gain")):
+    for again in (sdk.stop, lambda: sdk.read("ExposureTime", float), lambda: sdk.has("Gain")):
         with pytest.raises(LinkLostError):
             again()
     assert log == ["TriggerSoftware"]
@@ -65,7 +65,7 @@ def test_a_feature_that_fails_on_a_camera_that_answers_is_no_lost_camera(error: 
     sdk, log = sdk_with(Port(error))
     for _ in range(2):
         with pytest.raises(HardwareError, match="reading Gain: it failed") as raised:
-            sdk.number("Gain")
+            sdk.read("Gain", float)
         assert not isinstance(raised.value, LinkLostError)
     assert log == ["Gain", "Gain"]
     with pytest.raises(HardwareError, match="Gain: it failed"):

@@ -12,7 +12,7 @@ import pytest
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import LightController, LightSettings, all_off, light_drivers
-from lightopt.rig.devices._retry import LinkLostError
+from lightopt.rig.devices._device import LinkLostError
 from lightopt.rig.simulated import BenchProcess
 
 PTYS = sys.platform != "win32"

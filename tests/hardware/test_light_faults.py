@@ -11,7 +11,7 @@ from test_light_conformance import TEMPLATE
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import LightController, LightSettings, all_off, light_drivers
-from lightopt.rig.devices._retry import LinkLostError, ReplyError
+from lightopt.rig.devices._device import LinkLostError, ReplyError
 from lightopt.rig.simulated import BenchProcess
 from lightopt.rig.simulated._lamps import Lamps
 
@@ -196,7 +196,7 @@ def test_lamps_age_are_swapped_and_lose_what_they_held() -> None:
     lamps.inject("swapped", {"channel": 1, "other": 2})
     assert lamps.brightness() == {1: 0.0, 2: 0.5, 3: 0.25}
     lamps.inject("power_cycle", {})
-    assert (lamps.level(1), lamps.level(3)) == (0, 50)
+    assert (lamps.level[1], lamps.level[3]) == (0, 50)
     lamps.inject("clear", {})
     lamps.set_level(1, 100)
     assert lamps.brightness() == {1: 0.5, 2: 0.0, 3: 0.25}

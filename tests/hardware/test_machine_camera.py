@@ -15,7 +15,7 @@ from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import CameraInfo, CameraSettings, Event, frame_limit_s
 from lightopt.rig.devices._camera import FrameOrder, MachineCamera
 from lightopt.rig.devices._camera_sdk import RawFrame, choose_camera
-from lightopt.rig.devices._retry import LinkLostError
+from lightopt.rig.devices._device import LinkLostError
 
 SETTINGS = CameraSettings(where="rig.yaml:7: camera", resolution_px=(4, 2), bit_depth=8)
 
@@ -64,11 +64,11 @@ class Sdk:
     def has(self, feature: str) -> bool:
         return feature in self.features
 
-    def number(self, feature: str) -> Any:
-        return self.stuck.get(feature, self.features[feature])
+    def read(self, feature: str, kind: Callable[[Any], Any]) -> Any:
+        return kind(self.stuck.get(feature, self.features[feature]))
 
-    def set_number(self, feature: str, value: float) -> None:
-        self.log.append(f"{feature}={value:g}")
+    def write(self, feature: str, value: Any) -> None:
+        self.log.append(f"{feature}={value:g}" if isinstance(value, float) else f"{feature}={value}")
         self.features[feature] = value
 
     def bounds(self, feature: str) -> tuple[float, float, float]:
@@ -77,20 +77,8 @@ class Sdk:
     def unit(self, feature: str) -> str:
         return self.units.get(feature, "")
 
-    entry = number
-
-    def set_entry(self, feature: str, word: str) -> None:
-        self.log.append(f"{feature}={word}")
-        self.features[feature] = word
-
     def entries(self, feature: str) -> tuple[str, ...]:
         return self.choices[feature]
-
-    def switch_off(self, feature: str) -> None:
-        self.features[feature] = False
-
-    def is_on(self, feature: str) -> bool:
-        return bool(self.number(feature))
 
     def execute(self, feature: str) -> None:
         self.log.append(feature)
@@ -217,16 +205,14 @@ def test_no_frame_waits_for_another_trigger_than_its_own() -> None:
 
         modes = {"AcquisitionStart": "On", "FrameStart": "Off", "FrameBurstStart": "On"}  # noqa: RUF012
 
-        def number(self, feature: str) -> Any:
+        def read(self, feature: str, kind: Callable[[Any], Any]) -> Any:
             chosen = self.features["TriggerSelector"]
-            return self.modes[chosen] if feature == "TriggerMode" else super().number(feature)
+            return self.modes[chosen] if feature == "TriggerMode" else super().read(feature, kind)
 
-        entry = number
-
-        def set_entry(self, feature: str, word: str) -> None:
-            super().set_entry(feature, word)
+        def write(self, feature: str, value: Any) -> None:
+            super().write(feature, value)
             if feature == "TriggerMode":
-                self.modes[self.features["TriggerSelector"]] = word
+                self.modes[self.features["TriggerSelector"]] = value
 
     sdk = Selects()
     sdk.choices["TriggerSelector"] = tuple(sdk.modes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -12,11 +13,13 @@ from scripted import scripted_link
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import LightSettings, light_drivers
+from lightopt.rig.devices._device import RefusedError, ReplyError
 from lightopt.rig.devices._light_sa import SaController
 from lightopt.rig.devices._light_template import TemplateController
-from lightopt.rig.devices._retry import RefusedError, ReplyError
 from lightopt.rig.simulated._light_sa import SaFirmware
 from lightopt.rig.simulated._light_template import TemplateFirmware, example
+
+LIGHTS = LightSettings("main", "COM7")
 
 READ_A = (b"SA#", b"a0000")
 
@@ -38,7 +41,7 @@ def test_sa_takes_every_makers_acknowledgement_and_reads_back(monkeypatch: pytes
             READ_A,
         ],
     )
-    controller = SaController(link)
+    controller = SaController(link, LIGHTS)
     controller.set_level(2, 255)
     assert controller.read_level(2) == 255
     controller.set_level(2, 0)
@@ -54,9 +57,9 @@ def test_sa_takes_every_makers_acknowledgement_and_reads_back(monkeypatch: pytes
 def test_sa_spoilt_acknowledgement(monkeypatch: pytest.MonkeyPatch, reply: bytes | None, words: str) -> None:
     script = [READ_A, (b"SB0255#", reply), (b"SB0255#", b"b"), (b"SB#", b"b0255")]
     link, port = scripted_link(monkeypatch, script)
-    controller = SaController(link)
+    controller = SaController(link, LIGHTS)
     controller.set_level(2, 255)
-    assert (port.dialogue, link.retries) == ([], 1)
+    assert (port.dialogue, sum(event.retry for event in link.events)) == ([], 1)
     assert words in next(e.what for e in controller.events if e.retry)
 
 
@@ -64,26 +67,26 @@ def test_sa_spoilt_acknowledgement(monkeypatch: pytest.MonkeyPatch, reply: bytes
 def test_sa_spoilt_reading(monkeypatch: pytest.MonkeyPatch, reply: bytes | None) -> None:
     script = [READ_A, (b"SB#", reply), (b"SB#", b"b0017")]
     link, port = scripted_link(monkeypatch, script)
-    assert SaController(link).read_level(2) == 17
-    assert (port.dialogue, link.retries) == ([], 1)
+    assert SaController(link, LIGHTS).read_level(2) == 17
+    assert (port.dialogue, sum(event.retry for event in link.events)) == ([], 1)
 
 
 def test_sa_refusal_is_not_sent_again(monkeypatch: pytest.MonkeyPatch) -> None:
     link, port = scripted_link(monkeypatch, [READ_A, (b"SB0255#", b"NG")])
     with pytest.raises(RefusedError, match=r'it refuses the command \(NG\); sent "SB0255#", got "NG"'):
-        SaController(link).set_level(2, 255)
-    assert (port.dialogue, link.retries) == ([], 0)
+        SaController(link, LIGHTS).set_level(2, 255)
+    assert (port.dialogue, sum(event.retry for event in link.events)) == ([], 0)
 
 
 def test_sa_holds_something_else(monkeypatch: pytest.MonkeyPatch) -> None:
     link, _ = scripted_link(monkeypatch, [READ_A, (b"SB0255#", b"b"), (b"SB#", b"b0100")])
     with pytest.raises(HardwareError, match="channel 2 was set to 255 but holds 100"):
-        SaController(link).set_level(2, 255)
+        SaController(link, LIGHTS).set_level(2, 255)
 
 
 def test_sa_that_cannot_be_read(monkeypatch: pytest.MonkeyPatch) -> None:
     link, port = scripted_link(monkeypatch, [(b"SA#", b"NG"), (b"SA0100#", b"!")])
-    controller = SaController(link)
+    controller = SaController(link, LIGHTS)
     controller.set_level(1, 100)
     assert controller.read_level(1) is None
     assert controller.identify().details == {"read_back": "no"}
@@ -94,7 +97,7 @@ def test_sa_that_cannot_be_read(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_sa_more_than_the_protocol_can_say(monkeypatch: pytest.MonkeyPatch, options: dict[str, int]) -> None:
     link, port = scripted_link(monkeypatch, [])
     with pytest.raises(InputError, match="6 channels and intensities up to 9999"):
-        SaController(link, **options)
+        SaController(link, replace(LIGHTS, **options))
     assert port.sent == []
 
 
@@ -144,7 +147,7 @@ MAKERS = {
 @pytest.mark.parametrize(("command", "expected"), MAKERS.values(), ids=MAKERS)
 def test_template_commands(monkeypatch: pytest.MonkeyPatch, command: str, expected: bytes) -> None:
     link, port = scripted_link(monkeypatch, [(expected, b"")])
-    controller = TemplateController(link, {"set": command})
+    controller = TemplateController(link, replace(LIGHTS, template={"set": command}))
     controller.set_level(2, 25)
     assert controller.read_level(2) is None
     assert port.dialogue == []
@@ -178,7 +181,7 @@ def test_template_with_everything(monkeypatch: pytest.MonkeyPatch, template: dic
         ],
         timeout_s=1,
     )
-    controller = TemplateController(link, template)
+    controller = TemplateController(link, replace(LIGHTS, template=template))
     controller.set_level(2, 25)
     controller.set_level(2, 0)
     assert (port.dialogue, controller.events) == ([], [])
@@ -191,21 +194,21 @@ def test_template_spoilt_reply(monkeypatch: pytest.MonkeyPatch, reply: bytes | N
     script = [(b"?1\r", b"V0\r\n"), *[(b"L2025\r", reply)] * 3]
     link, port = scripted_link(monkeypatch, script)
     with pytest.raises(ReplyError, match=rf"{re.escape(words)}.*L2025.*sent 3 times"):
-        TemplateController(link, FULL).set_level(2, 25)
-    assert (port.dialogue, link.retries) == ([], 2)
+        TemplateController(link, replace(LIGHTS, template=FULL)).set_level(2, 25)
+    assert (port.dialogue, sum(event.retry for event in link.events)) == ([], 2)
 
 
 def test_template_level_that_is_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
     link, _ = scripted_link(monkeypatch, [(b"?1\r", b"VX\r\n")] * 3)
     with pytest.raises(ReplyError, match="no number"):
-        TemplateController(link, FULL | {"read_reply": "V(?P<level>.)"})
+        TemplateController(link, replace(LIGHTS, template=FULL | {"read_reply": "V(?P<level>.)"}))
 
 
 def test_template_holds_something_else(monkeypatch: pytest.MonkeyPatch) -> None:
     script = [(b"?1\r", b"V0\r\n"), (b"L2025\r", b"OK\r\n"), (b"?2\r", b"V24\r\n")]
     link, _ = scripted_link(monkeypatch, script)
     with pytest.raises(HardwareError, match="channel 2 was set to 25 but holds 24"):
-        TemplateController(link, FULL).set_level(2, 25)
+        TemplateController(link, replace(LIGHTS, template=FULL)).set_level(2, 25)
 
 
 @pytest.mark.parametrize(
@@ -221,13 +224,15 @@ def test_template_holds_something_else(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_template_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch, template: dict[str, Any], words: str) -> None:
     link, port = scripted_link(monkeypatch, [])
     with pytest.raises(InputError, match=words):
-        TemplateController(link, template)
+        TemplateController(link, replace(LIGHTS, template=template))
     assert port.sent == []
 
 
-def test_template_is_needed() -> None:
+def test_template_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, port = scripted_link(monkeypatch, [])
     with pytest.raises(InputError, match="there is no template"):
-        light_drivers()["template"](LightSettings("a", "COM1"), None)
+        light_drivers()["template"](LIGHTS, None)
+    assert port.closed
 
 
 def test_template_firmware_refuses_patterns_it_cannot_make_a_reply_of() -> None:

@@ -17,7 +17,7 @@ from stage_worlds import AXES, DEVICE_AXES, KINDS, STEP, Pool, open_kind
 from lightopt.core.errors import HardwareError
 from lightopt.core.transforms import Posture
 from lightopt.rig.devices import open_stage
-from lightopt.rig.devices._retry import LinkLostError
+from lightopt.rig.devices._device import LinkLostError
 from lightopt.rig.devices._stage import Stage
 
 pytestmark = pytest.mark.slow

@@ -10,10 +10,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lightopt.optics import Sensor
-from lightopt.rig.capture._exposures import mean_of_frames, merge_exposures
-from lightopt.rig.capture._light_checks import PredictedImages, check_light, find_light_left_on
+from lightopt.rig.capture._exposures import ExposureImage, FrameMean, merge_exposures
+from lightopt.rig.capture._image_checks import PredictedImages, check_light, find_light_left_on
 
 EIGHT = Sensor(bit_depth=8, saturation_level=250, black_level=4)
+
+
+def mean_of_frames(frames, *, sensor, exposure) -> ExposureImage:
+    mean = FrameMean(sensor)
+    for levels in frames:
+        mean.add(levels)
+    return mean.image(exposure)
 
 
 def image(levels, exposure, sensor=EIGHT):

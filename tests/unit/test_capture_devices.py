@@ -236,8 +236,7 @@ def test_a_frame_that_hangs_under_a_lamp_at_the_bench(opened, world, bench):
 
 
 def test_an_exposure_that_the_camera_cannot_have(opened, world, rig, bench):
-    from lightopt.rig.capture._acquisition import AcquisitionEngine
-    from lightopt.rig.capture._timing import Timing
+    from lightopt.rig.capture._acquisition import AcquisitionEngine, Timing
 
     part = load_part(bench.part)
     plan = make_plan(rig, part)
@@ -249,8 +248,7 @@ def test_an_exposure_that_the_camera_cannot_have(opened, world, rig, bench):
 
 
 def test_exposures_between_the_steps_of_the_camera_are_refused_in_the_dark(opened, world, rig, bench):
-    from lightopt.rig.capture._acquisition import AcquisitionEngine
-    from lightopt.rig.capture._timing import Timing
+    from lightopt.rig.capture._acquisition import AcquisitionEngine, Timing
 
     part = load_part(bench.part)
     sensor = build_scene(rig, part).sensor

@@ -17,8 +17,7 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import read_observations
 from lightopt.images import read_exr, read_image_set, read_png, read_png_metadata
 from lightopt.rig.capture import CapturePlan
-from lightopt.rig.capture._acquisition import AcquisitionEngine
-from lightopt.rig.capture._timing import Timing
+from lightopt.rig.capture._acquisition import AcquisitionEngine, Timing
 from lightopt.rig.simulated import BenchTruth
 
 
@@ -485,7 +484,7 @@ def test_an_interrupted_run_says_where_it_stands(take, world, bench):
 
 
 def test_two_captures_into_one_folder_are_refused(take, world, bench):
-    from lightopt.rig.capture._lock import LOCK_NAME, lock_folder
+    from lightopt.rig.capture._capture import LOCK_NAME, lock_folder
 
     with (
         lock_folder(bench.out),

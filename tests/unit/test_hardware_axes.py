@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from lightopt.core.errors import InputError
 from lightopt.rig.devices import Axis
-from lightopt.rig.devices._stage_grbl_messages import parse_report, parse_setting
+from lightopt.rig.devices._stage_grbl import parse_report, parse_setting
 from lightopt.rig.devices._stage_sigmakoki import axis_command, parse_status, signed
 from lightopt.rig.devices._stage_zaber import checksum, frame, parse_reply
 
@@ -41,10 +41,10 @@ def test_limits(low: float, high: float, angle: float) -> None:
     assume(low <= high)
     axis = Axis("elevation", "1", (low, high))
     if low <= angle <= high:
-        axis.check(angle)
+        axis.target(angle, step=1.0)
     elif angle < low - 1e-6 or angle > high + 1e-6:
         with pytest.raises(InputError, match="lies outside the rig's range"):
-            axis.check(angle)
+            axis.target(angle, step=1.0)
 
 
 @pytest.mark.parametrize(

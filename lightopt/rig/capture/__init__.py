@@ -5,9 +5,10 @@
 - devices: ``_connect.py`` (opens real or simulated ones), ``_safe_devices.py`` (lights off and stage stopped on every
   way out), ``_watchdog.py`` (limits how long lights are on), ``_lights_off.py``, ``_manual_control.py``;
 - run: ``_capture.py``, ``_session.py`` (order of steps), ``_acquisition.py`` (lights, settling, frames);
-- images: ``_image_checks.py``, ``_light_checks.py``, ``_repeatability.py``, ``_captured_set.py`` (on disk).
+- images: ``_image_checks.py``, ``_repeatability.py``, ``_captured_set.py`` (on disk).
 """
 
+from lightopt.rig.capture._acquisition import Timing
 from lightopt.rig.capture._capture import CaptureResult, capture
 from lightopt.rig.capture._captured_set import check_folder
 from lightopt.rig.capture._connect import check_devices, connect_devices
@@ -16,9 +17,7 @@ from lightopt.rig.capture._limits import check_angles, check_exposure, check_lev
 from lightopt.rig.capture._manual_control import device_statuses, hold_light, snap, snap_on_s
 from lightopt.rig.capture._plan import CaptureOptions, CapturePlan, make_plan
 from lightopt.rig.capture._safe_devices import Devices
-from lightopt.rig.capture._timing import Timing
-from lightopt.rig.capture._virtual_bench import start_bench
-from lightopt.rig.capture._wiring import wiring_of
+from lightopt.rig.capture._wiring import start_bench, wiring_of
 
 __all__ = [
     "CaptureOptions",

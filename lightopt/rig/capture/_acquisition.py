@@ -1,9 +1,11 @@
 """Expose: switch lights, let them settle, take frames that began after the change, record how each was taken."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from datetime import datetime, timezone
 from typing import Any
 
 from lightopt.core.errors import HardwareError, InputError
@@ -13,11 +15,55 @@ from lightopt.rig.capture._exposures import ExposureImage, FrameMean
 from lightopt.rig.capture._plan import CapturePlan
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._software_cameras import FolderCamera
-from lightopt.rig.capture._timing import Timing, utc
 from lightopt.rig.devices import Event, Frame, frame_limit_s
 
 # a camera whose exposure time differs from the requested one by more than this share is refused
 EXPOSURE_TOLERANCE = 0.005
+
+
+@dataclass
+class Timing:
+    """Time spent on each part of a capture [s].
+
+    opening_s: Reading the mesh, planning, and opening the devices.
+    closing_s: Switching all lights off once more at the end, and closing the devices.
+    """
+
+    whole_s: float = 0.0
+    opening_s: float = 0.0
+    moving_s: float = 0.0
+    settling_s: float = 0.0
+    exposing_s: float = 0.0
+    transfer_s: float = 0.0
+    lights_s: float = 0.0
+    writing_s: float = 0.0
+    closing_s: float = 0.0
+
+    @property
+    def overhead(self) -> float:
+        """Time beyond settling, exposing and transfer, as a share of these; without opening, closing and moves."""
+        needed = self.settling_s + self.exposing_s + self.transfer_s
+        spent = self.whole_s - self.opening_s - self.closing_s - self.moving_s
+        return (spent - needed) / needed if needed else 0.0
+
+    def parts(self) -> dict[str, float]:
+        """Seconds by name, without the whole."""
+        return {name: value for name, value in vars(self).items() if name != "whole_s"}
+
+    @contextmanager
+    def spent(self, name: str) -> Generator[None]:
+        """Count the time of the block as `name`."""
+        begun = time.monotonic()
+        try:
+            yield
+        finally:
+            setattr(self, name, getattr(self, name) + time.monotonic() - begun)
+
+
+def utc(seconds: float | None = None) -> str:
+    """A moment [s since 1970] in ISO 8601 with milliseconds, UTC; now by default."""
+    moment = datetime.now(timezone.utc) if seconds is None else datetime.fromtimestamp(seconds, timezone.utc)
+    return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,13 +118,11 @@ class AcquisitionEngine:
         self._worker.shutdown(wait=True)
 
     def home(self) -> None:
-        """Let the stage seek its origin."""
         self.devices.step = "homing the stage"
         with self._timing.spent("moving_s"):
             self.devices.home()
 
     def move(self, posture: Posture) -> None:
-        """Move the stage and verify where it stands."""
         if self.devices.stage is None:
             return
         self.devices.step = f"moving the stage to {posture}"
@@ -89,7 +133,6 @@ class AcquisitionEngine:
         self._changed = True
 
     def confirm_stage(self) -> None:
-        """Check that the stage still stands where it was left."""
         self.devices.step = "checking that the stage still stands where it was left"
         with self._timing.spent("moving_s"):
             self.devices.confirm_stage()
@@ -116,7 +159,6 @@ class AcquisitionEngine:
         self._changed = True
 
     def light_off(self) -> None:
-        """Darken the panel that is lit."""
         assert self._lit is not None
         self.devices.step = f"switching {self._lit[0]} off"
         with self._timing.spent("lights_s"):
@@ -190,7 +232,7 @@ class AcquisitionEngine:
             events = self.events_since()
             facts["retries"] = sum(event.retry for event in events)
             if events:
-                facts["events"] = [event.as_dict() for event in events]
+                facts["events"] = [asdict(event) for event in events]
         if first.timestamp_ns is not None:
             facts["camera_time_ns"] = first.timestamp_ns
         if first.details:

@@ -5,7 +5,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import Any
 
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.capture._timing import Timing
+from lightopt.rig.capture._acquisition import Timing
 
 MOST_LINEARS = 2  # linear images that wait or are being written, at most: their exposures are held in memory until then
 
@@ -58,7 +58,6 @@ class BackgroundWriter:
                 wait(self._queued, return_when=FIRST_COMPLETED)
 
     def cancel_linears(self) -> None:
-        """Cancel linear images that have not been started."""
         self._linears.shutdown(wait=False, cancel_futures=True)
 
     def wait_idle(self, longest_s: float) -> bool:

@@ -1,25 +1,32 @@
 """Capture an image set: plan, open set and devices in the order that keeps both safe, take what is missing."""
 
+import os
+import sys
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
+from lightopt.images import make_folder
+from lightopt.rig.capture._acquisition import Timing
 from lightopt.rig.capture._captured_set import open_set
 from lightopt.rig.capture._connect import connect_devices
-from lightopt.rig.capture._lock import lock_folder
 from lightopt.rig.capture._plan import CaptureOptions, CapturePlan, make_plan
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._session import CaptureSession
-from lightopt.rig.capture._timing import Timing
 from lightopt.rig.devices import Camera
 from lightopt.scene import build_scene
 
 Connect = Callable[[CapturePlan], Devices]  # opens the devices of a plan
+
+LOCK_NAME = ".capture.lock"
+
+_FAR = 1 << 20  # Windows keeps others from reading what is locked, so that a byte behind the text is
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +80,7 @@ def capture(
     folder, timing, begun = Path(folder), Timing(), time.monotonic()
     with timing.spent("opening_s"):
         plan = make_plan(rig, part, options)
-        scene = build_scene(rig, part, postures=[task.posture for task in plan.tasks], defects=False)
+        scene = build_scene(rig, part, postures=plan.postures, defects=False)
     # on the way out the devices are made safe first, then pending images are written
     with lock_folder(folder), ExitStack() as finishing, ExitStack() as safe:
 
@@ -121,3 +128,70 @@ def _check_camera(camera: Camera, rig: RigConfig) -> None:
             f"delivers {camera.resolution_px[0]} × {camera.resolution_px[1]} of {camera.bit_depth}; set the "
             "camera or the rig"
         )
+
+
+@contextmanager
+def lock_folder(folder: Path) -> Generator[None]:
+    """Keep other captures out of a folder, which is created if it does not exist.
+
+    The operating system holds the lock: that of a killed process is gone, even if its file still exists.
+    InputError when another process captures into the folder, or it cannot be written.
+    """
+    path = folder / LOCK_NAME
+    file = _open_locked(path)
+    try:
+        while not _has_path(file, path):  # its previous owner has just removed it
+            file.close()
+            file = _open_locked(path)
+        file.seek(0)
+        file.truncate()
+        file.write(f"{os.getpid()}\n")
+        file.flush()
+        yield
+    finally:
+        if sys.platform != "win32":  # which removes no open file
+            with suppress(OSError):
+                path.unlink()
+        file.close()
+
+
+def _open_locked(path: Path) -> IO[str]:
+    """Open and lock the file."""
+    make_folder(path.parent)
+    try:
+        file = path.open("a+", encoding="ascii")
+    except OSError as error:
+        raise InputError(
+            f"{path.parent}: cannot be written: {error.strerror or error}; choose another output folder"
+        ) from error
+    try:
+        _lock_file(file)
+    except OSError as error:
+        file.seek(0)
+        owner = file.read(20).strip()
+        file.close()
+        raise InputError(
+            f"{path.parent}: another capture writes into this folder{f' (process {owner})' if owner else ''}; wait for "
+            "it to end, or choose another output folder"
+        ) from error
+    return file
+
+
+def _lock_file(file: IO[str]) -> None:
+    if sys.platform == "win32":
+        import msvcrt
+
+        file.seek(_FAR)
+        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _has_path(file: IO[str], path: Path) -> bool:
+    """Whether the locked file is the one that has the name."""
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), path.stat())
+    except FileNotFoundError:
+        return False

@@ -30,7 +30,7 @@ from lightopt.images import (
 )
 from lightopt.rendering import set_manifest
 from lightopt.rig.capture._acquisition import AcquiredImage
-from lightopt.rig.capture._exposures import ExposureImage, mean_of_frames, merge_exposures
+from lightopt.rig.capture._exposures import ExposureImage, FrameMean, merge_exposures
 from lightopt.rig.capture._plan import CapturePlan, PostureTask
 from lightopt.scene import Scene, build_scene
 
@@ -63,9 +63,8 @@ def check_folder(
         make_folder(folder)  # raises with the reason
     _refuse_set(folder, resume=resume, force=force)
     if resume and (folder / MANIFEST_NAME).exists():
-        scene = build_scene(rig, part, postures=[task.posture for task in plan.tasks], defects=False)
-        header = set_manifest("captured", rig, part, scene, options=plan.as_dict())
-        resumable_manifest(folder, header)
+        scene = build_scene(rig, part, postures=plan.postures, defects=False)
+        resumable_manifest(folder, set_manifest("captured", rig, part, scene, options=plan.as_dict()))
 
 
 def _refuse_set(folder: Path, *, resume: bool, force: bool) -> None:
@@ -121,7 +120,6 @@ class CapturedSet:
         }
 
     def dark_checked(self, posture: Posture) -> bool:
-        """Whether a frame after the images of a posture showed that no light stayed on."""
         return posture.as_dict() in self._dark_checks
 
     def record_dark_check(self, posture: Posture) -> None:
@@ -145,7 +143,6 @@ class CapturedSet:
         return list(self.writer.manifest.extra.get(DARK_CHECKED_KEY, ()))
 
     def has_dark(self, posture: Posture, exposure: float) -> bool:
-        """Whether a dark frame is on disk."""
         return self.writer.file_done(dark_name(posture, exposure))
 
     def dark_missing(self, posture: Posture, exposure: float) -> bool:
@@ -157,7 +154,6 @@ class CapturedSet:
         return read_png(self.writer.folder / dark_name(posture, exposure)).astype(np.float32)
 
     def add_dark(self, acquired: AcquiredImage) -> None:
-        """Write a dark frame, and list it in the manifest."""
         facts = {
             "light": None,
             "posture": acquired.posture.as_dict(),
@@ -170,7 +166,6 @@ class CapturedSet:
         self.writer.add_levels(name, acquired.image.png, metadata=facts)
 
     def add(self, acquired: AcquiredImage) -> None:
-        """Write an image, and list it in the manifest."""
         assert acquired.light is not None
         angles = self._angles[acquired.light]
         extra = {"capture": _facts(acquired)}
@@ -182,12 +177,10 @@ class CapturedSet:
         return read_png(self._png(light, posture, exposure))
 
     def _png(self, light: str, posture: Posture, exposure: float) -> Path:
-        """Path of an image that is on disk."""
         entry = next(e for e in self.writer.manifest.images if e.key == (light, posture, exposure))
         return self.writer.folder / (entry.png or "")
 
     def record_repeatability(self, facts: Mapping[str, Any]) -> None:
-        """Record the result of the repeatability check in the manifest."""
         self.writer.add_extra(REPEATABILITY_KEY, dict(facts))
 
     def record_events(self, events: Sequence[Mapping[str, Any]]) -> None:
@@ -214,9 +207,9 @@ class CapturedSet:
         path = self._png(light, posture, exposure)
         facts: dict[str, Any] = read_png_metadata(path).get("capture", {})
         held = facts.get("exposure_us", {}).get("read", self._plan.exposure_us(exposure))
-        return mean_of_frames(
-            [read_png(path)], sensor=self._scene.sensor, exposure=held / self._plan.wiring.exposure_us
-        )
+        frame = FrameMean(self._scene.sensor)
+        frame.add(read_png(path))
+        return frame.image(held / self._plan.wiring.exposure_us)
 
 
 def _facts(acquired: AcquiredImage) -> dict[str, Any]:

@@ -4,9 +4,8 @@ import logging
 from collections.abc import Callable, Generator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
 
-from lightopt.config import PartConfig, RigConfig, StageDeviceConfig
+from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, LightoptError
 from lightopt.core.run_context import RunContext
 from lightopt.rig.capture._lights_off import open_lights
@@ -14,13 +13,10 @@ from lightopt.rig.capture._plan import CapturePlan
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._software_cameras import FolderCamera, VirtualCamera
-from lightopt.rig.capture._virtual_bench import STAGE, start_bench
-from lightopt.rig.capture._wiring import VIRTUAL, Wiring
+from lightopt.rig.capture._wiring import STAGE, VIRTUAL, Wiring, stage_axes, start_bench
 from lightopt.rig.devices import (
-    Axis,
     Camera,
     CameraSettings,
-    Event,
     SerialLog,
     Stage,
     check_camera_driver,
@@ -110,14 +106,15 @@ def connect_devices(
                 raise (lights.error(error) if touch_lights else error) from error
             stack.callback(opened_camera.close)
         others = {STAGE: stage, "camera": opened_camera}
-        opened = [*lights.controllers, *(name for name, device in others.items() if device is not None)]
+        opened = {**lights.controllers, **{name: device for name, device in others.items() if device is not None}}
         _log.info("opened %s", ", ".join(opened))
+        sources = [*opened.values(), log]
         devices = Devices(
             wiring=wiring,
             controllers=lights.controllers,
             stage=stage,
             camera=opened_camera,
-            events=lambda: _events([*lights.controllers.values(), stage, opened_camera, log]),
+            events=lambda: [event for source in sources for event in getattr(source, "events", ())],
             closing=closing,
             signals=signals,
             touch_lights=touch_lights,
@@ -153,7 +150,7 @@ def check_devices(
     problems += _port_problems(rig, wiring)
     if (stage := wiring.hardware.stage) is not None:
         with _collected(problems, where=rig.source.at("hardware", "stage")):
-            check_stage(stage.driver, _axes(rig, stage))
+            check_stage(stage.driver, stage_axes(rig, stage))
     if problems:
         raise InputError(*problems)
     return replay
@@ -205,33 +202,10 @@ def _stage(rig: RigConfig, wiring: Wiring, ports: Mapping[str, str], log: Serial
     return open_stage(
         config.driver,
         port=ports[STAGE] if config.port == VIRTUAL else config.port,
-        axes=_axes(rig, config),
-        baud=config.baud,
-        timeout_s=config.timeout_s,
-        home_timeout_s=config.home_timeout_s,
+        axes=stage_axes(rig, config),
         log=log,
+        **config.model_dump(include={"baud", "timeout_s", "home_timeout_s"}),
     )
-
-
-def _axes(rig: RigConfig, config: StageDeviceConfig) -> list[Axis]:
-    ranges = {"elevation": rig.stage.elevation_range_deg, "rotation": rig.stage.rotation_range_deg}
-    return [
-        Axis(
-            name=name,
-            device=axis.axis,
-            range_deg=ranges[name],
-            steps_per_deg=axis.steps_per_deg,
-            zero=axis.zero,
-            speed_deg_per_s=axis.speed_deg_per_s,
-            home_sense=axis.home_sense,
-        )
-        for name, axis in (("elevation", config.elevation), ("rotation", config.rotation))
-        if axis is not None
-    ]
-
-
-def _events(drivers: list[Any]) -> list[Event]:
-    return [event for driver in drivers for event in getattr(driver, "events", ())]
 
 
 def _open_rig_camera(
@@ -241,31 +215,21 @@ def _open_rig_camera(
     if replay is not None:
         return replay
     config = wiring.hardware.camera
-    ports: Mapping[str, str] = {} if bench is None else bench.ports
     if config.driver == VIRTUAL:
         assert bench is not None
         return VirtualCamera(bench)
+    gige = bench if wiring.camera_is_gige else None
     producer = _producer(rig, wiring)
     settings = CameraSettings(
         where=rig.source.at("hardware", "camera"),
         resolution_px=rig.camera.resolution_px,
         bit_depth=rig.camera.sensor.bit_depth,
-        port=ports[CAMERA] if wiring.camera_is_gige else config.port,
+        port=config.port if gige is None else gige.ports[CAMERA],
         producer=None if producer is None else str(producer),
-        pixel_format=config.pixel_format,
-        offset_px=config.offset_px,
-        gain=config.gain,
-        trigger=config.trigger,
-        fixed_exposure_us=config.fixed_exposure_us,
-        packet_size=config.packet_size,
-        packet_delay_ns=config.packet_delay_ns,
+        **config.model_dump(exclude={"driver", "folder", "port", "producer"}),
     )
-    return open_camera(
-        config.driver,
-        settings,
-        on_event=log.note,
-        wait_ready=bench.prepare if bench is not None and wiring.camera_is_gige else None,
-    )
+    wait_ready = None if gige is None else gige.prepare
+    return open_camera(config.driver, settings, on_event=log.note, wait_ready=wait_ready)
 
 
 def _producer(rig: RigConfig, wiring: Wiring) -> Path | None:

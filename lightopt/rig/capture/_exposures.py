@@ -1,7 +1,7 @@
 """Exposures of an image: the mean of frames, agreement of two exposures, and one linear image from all."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,9 +14,7 @@ from lightopt.optics import Sensor
 Levels = UInt8 | NDArray[np.uint16]
 
 LEAST_LEVEL = 1.5  # pixels count that should be at least so far above black in the shorter exposure [sensor level]
-
 LEAST_PIXELS = 30
-
 MOST_PIXELS = 200_000  # of larger images a grid of about so many pixels is compared: the next exposure waits for it
 TOLERANCE = 0.1  # share by which the exposures may differ: exposure times of cameras are not exact
 TOLERANCE_LEVELS = 0.4  # levels by which they may differ in addition: clipping at level 0, an inexact black level
@@ -49,7 +47,6 @@ class FrameMean:
         self._sum: Float64 | None = None
 
     def add(self, levels: Levels) -> None:
-        """Add a frame."""
         self._number += 1
         if self._highest is None:
             self._highest = levels
@@ -69,14 +66,6 @@ class FrameMean:
         mean = self._sum / self._number
         png = np.where(saturated, highest, np.rint(mean).astype(highest.dtype))
         return ExposureImage(exposure, mean.astype(np.float32), saturated, png)
-
-
-def mean_of_frames(frames: Iterable[Levels], *, sensor: Sensor, exposure: float) -> ExposureImage:
-    """One image from frames (H, W) [sensor level], at least one; `exposure` as the camera held it."""
-    mean = FrameMean(sensor)
-    for levels in frames:
-        mean.add(levels)
-    return mean.image(exposure)
 
 
 def exposure_mismatch(

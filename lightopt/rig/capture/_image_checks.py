@@ -1,22 +1,238 @@
-"""Check the images of a run as they come: dark frames must be dark, the others lit by their light."""
+"""Check the images of a run as they come: dark frames must be dark, the others lit by their light.
+
+An image is compared at low resolution with a prediction for each light of the rig. Gains and reflectance need not be
+right: only which prediction it correlates with most counts, and by how much.
+"""
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lightopt.core.arrays import Float32
+from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.errors import HardwareError
 from lightopt.core.transforms import Posture
+from lightopt.geometry import RayCaster
 from lightopt.optics import Sensor
-from lightopt.rendering import cast_rays_at
+from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.rig.capture._acquisition import AcquiredImage
 from lightopt.rig.capture._exposures import ExposureImage, exposure_mismatch
-from lightopt.rig.capture._light_checks import PredictedImages, check_light, find_light_left_on, predict
 from lightopt.scene import Scene
 
 AMBIENT_LEVELS = 0.5  # ambient light that shifts levels by more than this causes a warning [sensor level]
+
+# images are compared at about this width, at which a small displacement of the part does not matter
+COARSE_COLUMNS = 200
+
+STAYED_DARK = 0.03  # an image darker than this share of the prediction is not lit
+CLEARLY_MORE = 0.06  # another light is reported only if its correlation is higher by this much
+RESEMBLES = 0.5  # below this correlation no light is reported: the part is not the one predicted, or is not there
+
+LEAST_CELLS = 50
+
+PIXELS_OF_CELL = 4  # of a larger cell about 4 × 4 pixels are used: the next exposure waits for the result
+PLAIN = 0.8  # correlation of the prediction with itself under noise; below it a low correlation proves nothing
+FLAT = 0.1  # a prediction whose deviation is below this share of its mean has too little pattern for any conclusion
+
+# a frame without light that has this share of a light's image more than the first one shows that it is on
+LEFT_ON = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictedImages:
+    """Coarse prediction of the image of each light in one posture.
+
+    cell: Side of a cell [px].
+    levels: Linear level at exposure 1 above black [sensor level] by light, shape (rows, columns) of cells.
+    part: Cells that show the part, shape (rows, columns).
+    """
+
+    cell: int
+    levels: Mapping[str, Float64]
+    part: Bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightCheck:
+    """Result of the check that an image is lit by its light.
+
+    problem: Message about what is wrong; None where nothing is.
+    brightness: Mean brightness of the part above dark, as a share of the prediction.
+    resemblance: Correlation with the prediction of the light.
+    next_best: The other light that the image resembles most, and the correlation with it.
+    undecided: Why the image allows no decision; None where it does.
+    """
+
+    problem: str | None = None
+    brightness: float = 0.0
+    resemblance: float = 0.0
+    next_best: tuple[str, float] | None = None
+    undecided: str | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        facts: dict[str, Any] = {"brightness": round(self.brightness, 4), "resemblance": round(self.resemblance, 4)}
+        if self.next_best is not None:
+            light, resemblance = self.next_best
+            facts["next_best"] = {"light": light, "resemblance": round(resemblance, 4)}
+        if self.undecided:
+            facts["undecided"] = self.undecided
+        return facts
+
+
+def predict(scene: Scene, posture: Posture, caster: RayCaster, *, supersample: int = 1) -> PredictedImages:
+    """Render the image of each light of the scene, one pixel for a cell of pixels.
+
+    `caster` is from :func:`lightopt.rendering.cast_rays_at`, `supersample` the number of rays across a cell.
+    """
+    camera = scene.camera
+    cell = max(1, round(camera.width / COARSE_COLUMNS))
+    coarse = replace(
+        camera,
+        width=max(1, camera.width // cell),
+        height=max(1, camera.height // cell),
+        pixel_size=camera.pixel_size * cell,
+    )
+    images = render_posture(replace(scene, camera=coarse), posture, caster=caster, supersample=supersample)
+    scale = scene.sensor.max_level / scene.reflectance.full_scale
+    return PredictedImages(
+        cell=cell,
+        levels={image.light: image.level.astype(np.float64) * scale for image in images.lights},
+        part=images.geometry.hit,
+    )
+
+
+def check_light(
+    light: str,
+    image: NDArray[Any],
+    dark: NDArray[Any] | float,
+    *,
+    predictions: PredictedImages,
+    sensor: Sensor,
+    exposure: float,
+) -> LightCheck:
+    """Compare an image with the frame without light and with the predicted image of every light of the rig.
+
+    light: The only light that should have been on.
+    image, dark: [sensor level], shape (H, W); the dark may be one level.
+    exposure: Relative exposure of the image.
+    """
+    part = predictions.part
+    if int(part.sum()) < LEAST_CELLS:
+        return LightCheck(undecided="too little of the part shows")
+    background = cells(dark, predictions)[part] if isinstance(dark, np.ndarray) else dark
+    seen = cells(image, predictions)[part] - background
+    room = sensor.saturated_from - sensor.black_level
+    alone = {name: np.minimum(level[part] * exposure, room) for name, level in predictions.levels.items()}
+    expected = float(alone[light].mean())
+    noise = float(np.std(seen - _scaled(seen, alone[light]))) / np.sqrt(seen.size)
+    if expected <= 5.0 * max(noise, 0.02):
+        return LightCheck(undecided="too dark at this exposure to tell")
+    brightness = float(seen.mean()) / expected
+    resemblance = {name: _correlation(seen, level) for name, level in alone.items()}
+    own = resemblance.pop(light)
+    best = max(resemblance.items(), key=lambda item: item[1], default=None)
+    levels = predictions.levels
+    together = {
+        name: _correlation(seen, np.minimum((levels[light] + levels[name])[part] * exposure, room))
+        for name in resemblance
+    }
+    both = max(together.items(), key=lambda item: item[1], default=None)
+    clearly = max(RESEMBLES, own + CLEARLY_MORE)
+    problem = undecided = None
+    if brightness < STAYED_DARK:
+        problem = (
+            f"{light} stays dark: the part is {brightness:.1%} as bright as it should be; "
+            "check its plug, its cable and its panel"
+        )
+    elif best is not None and best[1] >= clearly:
+        problem = (
+            f"{light} was lit, but the image looks like {best[0]} (correlation {best[1]:.2f}, with {light} "
+            f"{own:.2f}): are their plugs swapped?"
+        )
+    elif both is not None and both[1] >= clearly and brightness > 1.0 + STAYED_DARK:
+        problem = (
+            f"{both[0]} is on together with {light}: the image looks like both (correlation {both[1]:.2f}, "
+            f"with {light} alone {own:.2f})"
+        )
+    elif own < RESEMBLES and _self_correlation(alone[light], sensor, predictions.cell) < PLAIN:
+        undecided = "too little pattern at this exposure to tell"
+    elif own < RESEMBLES:
+        problem = (
+            f"the part does not look as predicted under any light (correlation with {light} {own:.2f}); check "
+            "that it is the part of the part file, and where it lies"
+        )
+    elif best is not None and best[1] > own - CLEARLY_MORE:
+        undecided = f"{light} and {best[0]} make images that look alike"
+    return LightCheck(problem=problem, brightness=brightness, resemblance=own, next_best=best, undecided=undecided)
+
+
+def find_light_left_on(
+    dark: NDArray[Any],
+    *,
+    predictions: PredictedImages,
+    sensor: Sensor,
+    exposure: float,
+    before: NDArray[Any] | None = None,
+) -> str | None:
+    """Name of the light that a frame without light [sensor level], shape (H, W), shows to be on; None where none is.
+
+    `before` is a previous frame at this exposure that showed none: compared with it, a weaker light shows.
+    """
+    part = predictions.part
+    if int(part.sum()) < LEAST_CELLS:
+        return None
+    background = sensor.black_level if before is None else cells(before, predictions)[part]
+    seen = cells(dark, predictions)[part] - background
+    room = sensor.saturated_from - sensor.black_level
+    for name, level in predictions.levels.items():
+        alone = np.minimum(level[part] * exposure, room)
+        mean = float(alone.mean())
+        like = _correlation(seen, alone)
+        if mean > 0.5 and seen.mean() > 0.3 * mean and like > 1.0 - 2.0 * CLEARLY_MORE:
+            return name
+        if before is not None and seen.mean() > max(LEFT_ON * mean, 0.5) and like > RESEMBLES:
+            return name
+    return None
+
+
+def cells(image: NDArray[Any], predictions: PredictedImages) -> Float64:
+    """Means over the cells of the image's middle, shape of the predictions."""
+    cell = predictions.cell
+    rows, columns = predictions.part.shape
+    top, left = (image.shape[0] - rows * cell) // 2, (image.shape[1] - columns * cell) // 2
+    middle = image[top : top + rows * cell, left : left + columns * cell]
+    step = max(1, cell // PIXELS_OF_CELL)
+    some = middle.reshape(rows, cell, columns, cell)[:, step // 2 :: step, :, step // 2 :: step]
+    return some.mean(axis=(1, 3), dtype=np.float64)
+
+
+def _self_correlation(expected: Float64, sensor: Sensor, cell: int) -> float:
+    """Correlation of a prediction with itself under the sensor's noise; 0 for one that is nearly flat."""
+    pattern = float(np.std(expected))
+    if pattern < FLAT * float(expected.mean()):
+        return 0.0
+    noise = sensor.noise_variance(float(expected.mean())) / cell**2
+    return pattern / float(np.sqrt(pattern**2 + noise))
+
+
+def _scaled(seen: Float64, expected: Float64) -> Float64:
+    """The multiple of the prediction that fits best."""
+    power = _dot(expected, expected)
+    return expected * (_dot(seen, expected) / power if power > 0.0 else 0.0)
+
+
+def _correlation(a: Float64, b: Float64) -> float:
+    a, b = a - a.mean(), b - b.mean()
+    scale = float(np.sqrt(_dot(a, a) * _dot(b, b)))
+    return _dot(a, b) / scale if scale > 0.0 else 0.0
+
+
+def _dot(a: Float64, b: Float64) -> float:
+    # not a @ b: its threads take longer to wake, while others render, than the product does
+    return float((a * b).sum())
 
 
 class ImageChecker:
@@ -49,7 +265,6 @@ class ImageChecker:
             self._predicted = dict([*before, (posture, predicted)])
 
     def set_dark_reference(self, dark: Float32, exposure: float) -> None:
-        """Set the reference for frames without light [sensor level], (H, W): one of a previous run."""
         self._reference.setdefault(exposure, dark)
 
     def check_dark(self, acquired: AcquiredImage, warn: Callable[[str], None]) -> None:

@@ -10,8 +10,7 @@ from lightopt.config import LightsOnly
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
 from lightopt.core.run_context import RunContext
 from lightopt.rig.capture._signals import EndSignals
-from lightopt.rig.capture._virtual_bench import start_lights
-from lightopt.rig.capture._wiring import VIRTUAL, VIRTUAL_EXPOSURE_US, Wiring, wiring_of
+from lightopt.rig.capture._wiring import VIRTUAL, VIRTUAL_EXPOSURE_US, Wiring, start_lights, wiring_of
 from lightopt.rig.devices import (
     LightController,
     LightSettings,
@@ -66,20 +65,18 @@ def open_lights(
 
     def open_one(name: str) -> tuple[LightController | None, LightoptError | None]:
         port = ports.get(name) or wiring.hardware.controllers[name].port
+        controller: LightController | None = None
         try:
             controller = open_controller(wiring, name, port=port, log=log)
-        except LightoptError as error:
-            return None, error
-        except Exception as error:  # noqa: BLE001  (the others must go dark, and what may be on be named)
-            return None, _unexpected(name, error)
-        opened(controller)
-        if darken:
-            try:
+            opened(controller)
+            if darken:
                 all_off({name: controller})
-            except LightsStillOnError as error:
-                return controller, error
-            except Exception as error:  # noqa: BLE001  (as above)
-                return controller, _unexpected(name, error)
+        except LightoptError as error:
+            return controller, error
+        except Exception as error:  # noqa: BLE001  (the others must go dark, and what may be on be named)
+            problem = HardwareError(f"controller {name}: {error_text(error)}")
+            problem.__cause__ = error
+            return controller, problem
         return controller, None
 
     result = OpenedLights()
@@ -88,18 +85,10 @@ def open_lights(
             result.controllers[name] = controller
         if problem is not None:
             result.problems[name] = problem
-            if isinstance(problem, LightsStillOnError):
-                result.may_be_on += lights_on(wiring, problem.channels)
-            else:
-                channels = range(1, wiring.hardware.controllers[name].channels + 1)
-                result.may_be_on += lights_on(wiring, {name: channels})
+            every = {name: range(1, wiring.hardware.controllers[name].channels + 1)}
+            found = problem.channels if isinstance(problem, LightsStillOnError) else every
+            result.may_be_on += lights_on(wiring, found)
     return result
-
-
-def _unexpected(name: str, error: Exception) -> HardwareError:
-    problem = HardwareError(f"controller {name}: {error_text(error)}")
-    problem.__cause__ = error
-    return problem
 
 
 def open_controller(wiring: Wiring, name: str, *, port: str, log: SerialLog | None) -> LightController:
@@ -108,12 +97,7 @@ def open_controller(wiring: Wiring, name: str, *, port: str, log: SerialLog | No
     settings = LightSettings(
         name=name,
         port=port,
-        baud=config.baud,
-        channels=config.channels,
-        top_level=config.top_level,
-        dialect=config.dialect,
-        template=None if config.template is None else config.template.model_dump(),
-        timeout_s=config.timeout_s,
+        **config.model_dump(exclude={"driver", "port"}),
         max_levels={
             channel.channel: channel.max_level
             for channel in wiring.hardware.lights.values()

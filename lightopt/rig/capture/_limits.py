@@ -37,8 +37,7 @@ def posture_problems(
 
 def outside_range(rig: RigConfig, name: str, angle: float) -> str | None:
     """Message where an angle [°] is outside the range of a stage's axis, else None."""
-    ranges = {"elevation": rig.stage.elevation_range_deg, "rotation": rig.stage.rotation_range_deg}
-    low, high = ranges[name]
+    low, high = getattr(rig.stage, f"{name}_range_deg")
     if low <= angle <= high:
         return None
     where = rig.source.at("stage", f"{name}_range_deg")

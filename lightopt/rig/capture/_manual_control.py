@@ -10,11 +10,10 @@ from lightopt.config import ChannelConfig, RigConfig
 from lightopt.core.errors import LightoptError
 from lightopt.core.transforms import Posture
 from lightopt.images import write_png
+from lightopt.rig.capture._acquisition import utc
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._software_cameras import FolderCamera
-from lightopt.rig.capture._timing import utc
-from lightopt.rig.capture._virtual_bench import STAGE
-from lightopt.rig.capture._wiring import Wiring
+from lightopt.rig.capture._wiring import STAGE, Wiring
 from lightopt.rig.devices import Frame, frame_limit_s
 
 _DARKENING_S = 0.3  # a light is switched off so long before it reaches its `max_on_s`

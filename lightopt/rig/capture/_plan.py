@@ -79,13 +79,12 @@ class PlanStep:
 
     what: Its object: a posture, a light, an exposure.
     seconds: Estimated duration [s].
-    posture, light, exposure: Where the stage stands, which light is on (None: none), at which relative exposure.
+    light, exposure: Which light is on (None: none), at which relative exposure.
     """
 
     kind: StepKind
     what: str
     seconds: float
-    posture: Posture | None = None
     light: str | None = None
     exposure: float | None = None
 
@@ -134,6 +133,11 @@ class CapturePlan:
         )
 
     @property
+    def postures(self) -> list[Posture]:
+        """In the order of travel."""
+        return [task.posture for task in self.tasks]
+
+    @property
     def needs_dark_reference(self) -> bool:
         """Whether frames without light are taken first, only to check the others against."""
         return self.options.check and not self.options.dark
@@ -167,7 +171,7 @@ class CapturePlan:
 
     def _start(self) -> Iterator[PlanStep]:
         for light in self.wiring.hardware.lights:
-            yield PlanStep("light off", light, _COMMAND_S, light=light)
+            yield PlanStep("light off", light, _COMMAND_S, light)
         if self.home:
             stage = self.wiring.hardware.stage
             axes = (stage.elevation, stage.rotation) if stage is not None else ()
@@ -178,22 +182,22 @@ class CapturePlan:
     def _arrive(self, here: Posture, posture: Posture) -> Iterator[PlanStep]:
         if self.wiring.hardware.stage is None:
             return
-        yield PlanStep("move", f"to {posture}", _travel_s(self.wiring, here, posture), posture)
-        yield PlanStep("settle", "stage", self.wiring.hardware.timing.stage_ms / 1e3, posture)
+        yield PlanStep("move", f"to {posture}", _travel_s(self.wiring, here, posture))
+        yield PlanStep("settle", "stage", self.wiring.hardware.timing.stage_ms / 1e3)
 
     def _light(self, posture: Posture, light: str, exposures: tuple[float, ...]) -> Iterator[PlanStep]:
         channel = self.wiring.light(light)
         what = f"{light} at level {channel.level} ({channel.controller}, channel {channel.channel})"
-        yield PlanStep("light on", what, _COMMAND_S, posture, light)
-        yield PlanStep("settle", "light", self._light_settle_s, posture, light)
+        yield PlanStep("light on", what, _COMMAND_S, light)
+        yield PlanStep("settle", "light", self._light_settle_s, light)
         for exposure in exposures:
             yield self._expose(posture, light, exposure)
-        yield PlanStep("light off", light, _COMMAND_S, posture, light)
+        yield PlanStep("light off", light, _COMMAND_S, light)
 
     def _expose(self, posture: Posture, light: str | None, exposure: float) -> PlanStep:
         frames = f"{self.options.average} × " if self.options.average > 1 else ""
         what = f"{light or 'dark'} {posture} {frames}{self.exposure_us(exposure):g} µs (exposure {exposure:g})"
-        return PlanStep("expose", what, self.frames_s(exposure), posture, light, exposure)
+        return PlanStep("expose", what, self.frames_s(exposure), light, exposure)
 
     @property
     def relighting_s(self) -> float:
@@ -211,7 +215,7 @@ class CapturePlan:
         return {
             **self.options.as_dict(),
             "lights": [light for light in lights if light in self.tasks[0].lights],
-            "postures": sorted((task.posture.as_dict() for task in self.tasks), key=str),
+            "postures": sorted((posture.as_dict() for posture in self.postures), key=str),
             "levels": {name: channel.level for name, channel in lights.items()},
             "exposure_us": self.wiring.exposure_us,
         }

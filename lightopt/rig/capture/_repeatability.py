@@ -16,7 +16,7 @@ from lightopt.core.arrays import Float64
 from lightopt.core.least_squares import HUBER, Limits, linear_problem, solve
 from lightopt.core.transforms import Posture
 from lightopt.rendering import cast_rays_at
-from lightopt.rig.capture._light_checks import PredictedImages, cells, predict
+from lightopt.rig.capture._image_checks import PredictedImages, cells, predict
 from lightopt.scene import Scene
 
 STEP_DEG = 0.5  # predictions this far to both sides give the change of the image per degree
@@ -70,7 +70,6 @@ class Repeatability:
         return " and ".join(name for name, error in errors if CERTAIN * error > UNOBSERVABLE_DEG)
 
     def as_dict(self) -> dict[str, float | bool]:
-        """JSON form."""
         return {name: value if isinstance(value, bool) else float(f"{value:.3g}") for name, value in vars(self).items()}
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
+from dataclasses import asdict
 from types import TracebackType
 
 from lightopt.core.arrays import Float32
 from lightopt.core.errors import HardwareError, InputError, Interrupted, LightoptError, counted
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
-from lightopt.rig.capture._acquisition import AcquiredImage, AcquisitionEngine
+from lightopt.rig.capture._acquisition import AcquiredImage, AcquisitionEngine, Timing
 from lightopt.rig.capture._background_writer import BackgroundWriter
 from lightopt.rig.capture._captured_set import CapturedSet
 from lightopt.rig.capture._exposures import ExposureImage
@@ -19,7 +20,6 @@ from lightopt.rig.capture._plan import CapturePlan, PostureTask
 from lightopt.rig.capture._repeatability import measure_repeatability
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._signals import EndSignals
-from lightopt.rig.capture._timing import Timing
 from lightopt.scene import Scene
 
 DISK_WARNING_S = 1.0  # longest silent wait for the disk at the end [s]; then a warning is given
@@ -104,7 +104,6 @@ class CaptureSession:
         )
 
     def execute(self, devices: Devices) -> None:
-        """Take all missing images."""
         self._devices = devices
         devices.step = "querying the identity of the devices"
         with self._timing.spent("opening_s"):
@@ -171,7 +170,7 @@ class CaptureSession:
     def _record_events(self) -> None:
         """Write irregularities on the links that are not in the entry of an image to the manifest."""
         source = self._started.events_since if self._started else self._devices and self._devices.events
-        self._records.record_events([event.as_dict() for event in (source() if source else ())])
+        self._records.record_events([asdict(event) for event in (source() if source else ())])
 
     def _finish(self, *, failed: bool, lights: str) -> bool:
         """Finish writing, whatever happens; returns whether a signal came meanwhile.
@@ -266,7 +265,6 @@ class CaptureSession:
         captured[acquired.exposure] = acquired.image
 
     def _add_dark(self, acquired: AcquiredImage, dark: Dark) -> None:
-        """Check that no light is on, and write the frame."""
         self._checker.check_dark(acquired, self.warn)
         self._records.add_dark(acquired)
         dark[acquired.exposure] = acquired.image.mean

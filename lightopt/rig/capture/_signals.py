@@ -27,7 +27,6 @@ class EndSignals:
         self._holding: set[CodeType] = set()
 
     def install(self) -> None:
-        """Take the signals over."""
         if threading.current_thread() is not threading.main_thread():
             return
         for name in _NAMES:
@@ -36,7 +35,6 @@ class EndSignals:
                 self._before[number] = signal.signal(number, self._receive)
 
     def restore(self) -> None:
-        """Give the signals back."""
         for number, before in self._before.items():
             signal.signal(number, before)
         self._before.clear()

@@ -57,7 +57,6 @@ class FolderCamera:
         self._now = (light, posture, exposure)
 
     def identify(self) -> Identity:
-        """The folder, and the kind of its set."""
         return Identity(driver="folder", port=str(self._set.folder), details={"kind": self._set.manifest.kind})
 
     def set_exposure(self, exposure_us: float) -> float:
@@ -100,30 +99,19 @@ class FolderCamera:
 class VirtualCamera:
     """A camera that takes its frames from the virtual bench, which stays open when the camera is closed."""
 
+    exposure_range_us = EXPOSURE_RANGE_US
+
     def __init__(self, bench: BenchProcess) -> None:
         self._bench = bench
         self._exposure_us = EXPOSURE_RANGE_US[0]
         try:
-            self._says, _ = bench.request("camera")
+            answer, _ = bench.request("camera")
         except ValueError as error:
             raise HardwareError(f"virtual camera: {error}") from error
-
-    @property
-    def triggered(self) -> bool:
-        return bool(self._says["triggered"])
-
-    @property
-    def resolution_px(self) -> tuple[int, int]:
-        width, height = self._says["resolution_px"]
-        return width, height
-
-    @property
-    def bit_depth(self) -> int:
-        return int(self._says["bit_depth"])
-
-    @property
-    def exposure_range_us(self) -> tuple[float, float]:
-        return EXPOSURE_RANGE_US
+        width, height = answer["resolution_px"]
+        self.resolution_px: tuple[int, int] = (width, height)
+        self.bit_depth = int(answer["bit_depth"])
+        self.triggered = bool(answer["triggered"])
 
     def identify(self) -> Identity:
         return Identity(driver="virtual", port="virtual", details={"model": "lightopt virtual camera"})

@@ -1,6 +1,7 @@
-"""Which device plays which role on a rig: those of its file, or the virtual bench where the file has none."""
+"""Which device plays which role on a rig: those of its file, or those of a virtual bench, which is started here."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from lightopt.config import (
     AxisConfig,
@@ -8,11 +9,15 @@ from lightopt.config import (
     ChannelConfig,
     ControllerConfig,
     HardwareConfig,
+    PartConfig,
     RigConfig,
     StageDeviceConfig,
 )
+from lightopt.rig.devices import Axis
+from lightopt.rig.simulated import AxisWire, BenchProcess, BenchTruth, CameraSetup, LightWire
 from lightopt.scene import VIRTUAL_DEG_PER_S
 
+STAGE = "stage"  # name of the stage among the devices of a virtual bench; controllers have the names of the rig file
 VIRTUAL = "virtual"  # port of a device that is simulated on this computer
 VIRTUAL_EXPOSURE_US = 10_000.0  # exposure time of exposure 1 where all is virtual and the rig does not give one
 
@@ -87,3 +92,97 @@ def wiring_of(rig: RigConfig) -> Wiring:
     camera = CameraDeviceConfig(driver="virtual")
     hardware = HardwareConfig(controllers=controllers, lights=lights, stage=stage, camera=camera)
     return Wiring(hardware, given=False, exposure_us=exposure_us)
+
+
+def stage_axes(rig: RigConfig, stage: StageDeviceConfig) -> list[Axis]:
+    """The axes that a stage has, with the rig's ranges."""
+    return [
+        Axis(
+            name=name,
+            device=axis.axis,
+            range_deg=getattr(rig.stage, f"{name}_range_deg"),
+            **axis.model_dump(exclude={"axis"}),
+        )
+        for name, axis in (("elevation", stage.elevation), ("rotation", stage.rotation))
+        if axis is not None
+    ]
+
+
+def start_bench(
+    rig: RigConfig, wiring: Wiring, *, part: PartConfig | None = None, truth: BenchTruth | None = None
+) -> BenchProcess:
+    """Start a virtual bench with the virtual devices of a rig, and with a camera where there is a part.
+
+    Raises HardwareError: its process does not start.
+    """
+    hardware = wiring.hardware
+    devices = _controllers(wiring)
+    if wiring.stage_is_virtual and hardware.stage is not None:
+        devices[STAGE] = {"kind": hardware.stage.driver, "options": _stage(rig, wiring)}
+    if part is None:
+        return BenchProcess(devices)
+    setup = CameraSetup(
+        rig=str(rig.source.path.resolve()),
+        part=str(part.source.path.resolve()),
+        exposure_us=wiring.exposure_us,
+        lights=tuple(
+            LightWire(
+                light=name,
+                device=channel.controller,
+                channel=channel.channel,
+                share=channel.level / hardware.controllers[channel.controller].top_level,
+            )
+            for name, channel in hardware.lights.items()
+            if channel.controller in devices
+        ),
+        **_axis_wires(wiring),
+        truth=truth or BenchTruth(),
+        gige=wiring.camera_is_gige,
+    )
+    return BenchProcess(devices, camera=asdict(setup))
+
+
+def start_lights(wiring: Wiring) -> BenchProcess:
+    """Start a virtual bench with the virtual light controllers alone."""
+    return BenchProcess(_controllers(wiring))
+
+
+def _controllers(wiring: Wiring) -> dict[str, dict[str, Any]]:
+    return {
+        name: {
+            "kind": config.driver,
+            "options": config.model_dump(include={"channels", "top_level", "template"}, exclude_none=True),
+        }
+        for name, config in wiring.hardware.controllers.items()
+        if config.port == VIRTUAL
+    }
+
+
+def _stage(rig: RigConfig, wiring: Wiring) -> dict[str, Any]:
+    """Arguments of the simulated firmware of a stage: speeds and ranges of the rig file."""
+    stage = wiring.hardware.stage
+    assert stage is not None
+    axes = stage_axes(rig, stage)
+    options: dict[str, Any] = {"home_speed": max(axis.speed_units() for axis in axes)}
+    ends = {axis.device: sorted(map(axis.units_of, axis.range_deg)) for axis in axes}
+    if stage.driver == "zaber":
+        options["limits"] = {name: [int(min(0, low)) - 1, int(high) + 1] for name, (low, high) in ends.items()}
+    if stage.driver == "grbl":
+        settings: dict[str, float] = {"22": 1.0}
+        for axis in axes:
+            number = "XYZ".index(axis.device)
+            settings[str(110 + number)] = 60.0 * axis.speed_units()
+            settings[str(130 + number)] = max(1.0, -ends[axis.device][0])
+        options["settings"] = settings
+    return options
+
+
+def _axis_wires(wiring: Wiring) -> dict[str, Any]:
+    """Wires of the axes that are simulated, by name."""
+    stage = wiring.hardware.stage if wiring.stage_is_virtual else None
+    axes = {} if stage is None else {"elevation": stage.elevation, "rotation": stage.rotation}
+    return {
+        name: AxisWire(device=STAGE, axis=axis.axis, steps_per_deg=axis.steps_per_deg, zero=axis.zero)
+        for name, axis in axes.items()
+        if axis is not None
+    }

@@ -10,7 +10,9 @@ Its simulated counterpart is the module of the same name in ``lightopt.rig.simul
 (``_serial_link.py``), the one home of pyserial. Aravis and harvesters are loaded when a camera is searched for.
 """
 
+from lightopt.rig.devices._camera import Camera, Frame
 from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSettings
+from lightopt.rig.devices._device import Event, Identity, frame_limit_s
 from lightopt.rig.devices._drivers import (
     check_camera_driver,
     check_stage,
@@ -20,9 +22,7 @@ from lightopt.rig.devices._drivers import (
     open_stage,
 )
 from lightopt.rig.devices._light import LightController, LightSettings, LightsStillOnError, all_off, run_in_parallel
-from lightopt.rig.devices._retry import frame_limit_s
-from lightopt.rig.devices._roles import Camera, Frame, Identity
-from lightopt.rig.devices._serial_log import Event, SerialLog
+from lightopt.rig.devices._serial_log import SerialLog
 from lightopt.rig.devices._serial_ports import port_problem, serial_ports
 from lightopt.rig.devices._stage import Stage, StageState
 from lightopt.rig.devices._stage_dialogue import Axis

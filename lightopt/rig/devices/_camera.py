@@ -1,19 +1,70 @@
-"""A machine-vision camera on any SDK: configured for measurement, triggered, frames checked and taken again."""
+"""The role of a camera, and a machine-vision camera on any SDK: set to measure, triggered, its frames checked."""
 
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.arrays import UInt8
 from lightopt.core.errors import HardwareError, LightoptError
 from lightopt.rig.devices._camera_features import ExposureTime, set_gain, set_image, set_trigger, switch_off_corrections
 from lightopt.rig.devices._camera_pixels import levels_of
 from lightopt.rig.devices._camera_sdk import CameraSdk, CameraSettings, RawFrame
-from lightopt.rig.devices._retry import ATTEMPTS, ReplyError, Retry
-from lightopt.rig.devices._roles import Frame, Identity
-from lightopt.rig.devices._serial_log import Event, now
+from lightopt.rig.devices._device import ATTEMPTS, Event, Identity, ReplyError, Retry, now
 
 _LAST_ID = 0xFFFF
 _NEAR = 0x1000  # numbers so near to the end and the beginning of the count are a wrap, not a step back
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame as the camera delivered it.
+
+    levels: Right-aligned sensor levels (H, W), uint8 up to 8 bits and uint16 above.
+    exposure_us: Exposure time [µs] as read back for this frame.
+    number, timestamp_ns: The camera's own number and time stamp [ns]; None where it has none.
+    details: Further properties (gain, temperature, packets lost).
+    """
+
+    levels: UInt8 | NDArray[np.uint16]
+    exposure_us: float
+    number: int | None
+    timestamp_ns: int | None = None
+    details: dict[str, Any] = field(default_factory=dict[str, Any])
+
+
+class Camera(Protocol):
+    """A monochrome camera.
+
+    Every method raises :class:`~lightopt.core.errors.HardwareError` when the camera does not deliver.
+
+    triggered: Whether a frame begins at the call of `grab` (software trigger), so that none need be thrown away.
+    resolution_px: Width and height of the frames [pixels].
+    bit_depth: Bits of a level.
+    exposure_range_us: Shortest and longest exposure time [µs].
+    set_exposure: Set the exposure time [µs] and return what the camera holds. InputError outside `exposure_range_us`;
+        nothing was sent then.
+    grab: Take one frame; a camera without a trigger delivers the next that it completes. All attempts together take
+        `timeout_s` at most.
+    close: Stop and give up the camera; never raises.
+    """
+
+    @property
+    def triggered(self) -> bool: ...
+    @property
+    def resolution_px(self) -> tuple[int, int]: ...
+    @property
+    def bit_depth(self) -> int: ...
+    @property
+    def exposure_range_us(self) -> tuple[float, float]: ...
+    def identify(self) -> Identity: ...
+    def set_exposure(self, exposure_us: float) -> float: ...
+    def grab(self, *, timeout_s: float) -> Frame: ...
+    def close(self) -> None: ...
 
 
 class FrameOrder:
@@ -28,7 +79,6 @@ class FrameOrder:
         self._last = None
 
     def skip(self, frame: RawFrame) -> None:
-        """Record a frame that was not requested."""
         self._last = frame
 
     def check(self, frame: RawFrame) -> None:
@@ -81,6 +131,8 @@ class MachineCamera:
         wait_ready: Callable[[], object] | None = None,
     ) -> None:
         self.events: list[Event] = []
+        self.resolution_px = settings.resolution_px
+        self.bit_depth = settings.bit_depth
         self._driver = driver
         self._sdk = sdk
         self._settings = settings
@@ -94,22 +146,10 @@ class MachineCamera:
             self._format = set_image(sdk, settings)
             self._gain = set_gain(sdk, settings)
             self._exposure = ExposureTime(sdk, settings)
-            self._triggered = set_trigger(sdk, settings)
+            self.triggered = set_trigger(sdk, settings)
         except BaseException:
             sdk.close()
             raise
-
-    @property
-    def triggered(self) -> bool:
-        return self._triggered
-
-    @property
-    def resolution_px(self) -> tuple[int, int]:
-        return self._settings.resolution_px
-
-    @property
-    def bit_depth(self) -> int:
-        return self._format.bits
 
     @property
     def exposure_range_us(self) -> tuple[float, float]:
@@ -118,9 +158,9 @@ class MachineCamera:
     def identify(self) -> Identity:
         """What the camera reported about itself when it was opened, and how it is set."""
         details = {**self._sdk.details, "pixel_format": self._format.name}
-        details["trigger"] = "software" if self._triggered else "none"
+        details["trigger"] = "software" if self.triggered else "none"
         if self._gain is not None:
-            details["gain"] = f"{self._sdk.number(self._gain):g}"
+            details["gain"] = f"{self._sdk.read(self._gain, float):g}"
         return Identity(driver=self._driver, port=self._settings.port or "the only one", details=details)
 
     def set_exposure(self, exposure_us: float) -> float:
@@ -169,7 +209,7 @@ class MachineCamera:
             self._running = True
         self._discard_pending_frames(end)
         begun = time.monotonic()
-        if self._triggered:
+        if self.triggered:
             self._sdk.execute("TriggerSoftware")
         raw = self._sdk.pop(max(0.0, end - time.monotonic()))
         if raw is None:
@@ -182,7 +222,7 @@ class MachineCamera:
             self._order.check(raw)
         except ReplyError as error:
             raise ReplyError(f"{self._settings.where}: {error}") from None
-        if self._triggered and self._order.lost > lost:
+        if self.triggered and self._order.lost > lost:
             self.note(f"{raw.name} came, and {self._order.lost - lost} before it never did")
         self._check_form(raw)
         return raw
@@ -191,7 +231,7 @@ class MachineCamera:
         """Discard frames that came before the request; only a freely running camera should deliver any."""
         while (raw := self._sdk.pop(0.0)) is not None:
             self._order.skip(raw)
-            if self._triggered:
+            if self.triggered:
                 self.note(f"{raw.name} came without a trigger and was discarded")
             if time.monotonic() > end:
                 raise ReplyError(
@@ -200,7 +240,7 @@ class MachineCamera:
                 )
 
     def _check_form(self, raw: RawFrame) -> None:
-        width, height = self._settings.resolution_px
+        width, height = self.resolution_px
         if (raw.width, raw.height) != (width, height):
             raise HardwareError(
                 f"{self._settings.where}: the camera was set to {width} × {height} pixels, and {raw.name} has "

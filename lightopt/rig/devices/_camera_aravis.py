@@ -1,25 +1,20 @@
 """GigE Vision and USB3 Vision cameras through Aravis, without a maker's software. The one home of PyGObject."""
 
-import time
 from collections.abc import Callable
 from importlib import import_module
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSettings, RawFrame, choose_camera
-from lightopt.rig.devices._retry import LinkLostError
+from lightopt.rig.devices._camera_sdk import CameraInfo, CameraLibrary, CameraSettings, RawFrame, Value, choose_camera
 
 _BUFFERS = 4
-_SLICE_S = 0.1  # signals are heard between two waits
 _SOCKET_BUFFER = 4 << 20
 _INSTALL = (
     "on Debian and Ubuntu: apt-get install gir1.2-aravis-0.8 libgirepository1.0-dev libcairo2-dev pkg-config gcc, "
     "then pip install 'lightopt[aravis]'"
 )
-
-Value = TypeVar("Value")
 
 
 def load_aravis() -> Any:
@@ -47,15 +42,14 @@ def find_aravis_cameras() -> list[CameraInfo]:
     ]
 
 
-class AravisSdk:
+class AravisSdk(CameraLibrary):
     """A camera opened with Aravis, as a :class:`~lightopt.rig.devices._camera_sdk.CameraSdk`."""
 
     def __init__(self, settings: CameraSettings) -> None:
+        super().__init__(settings.where)
         self._library = load_aravis()
-        self._failure: Any = import_module("gi.repository.GLib").Error
+        self._failure = import_module("gi.repository.GLib").Error
         chosen = choose_camera(find_aravis_cameras(), settings)
-        self._where = settings.where
-        self._lost: str | None = None
         self._stream: Any = None
         self._camera: Any = self._try(f"opening {chosen}", lambda: self._library.Camera.new(chosen.identifier))
         self._device: Any = self._camera.get_device()
@@ -71,48 +65,31 @@ class AravisSdk:
     def has(self, feature: str) -> bool:
         return self._try(feature, lambda: bool(self._camera.is_feature_available(feature)))
 
-    def number(self, feature: str) -> float:
-        if self._is_float(feature):
-            return self._try(f"reading {feature}", lambda: float(self._camera.get_float(feature)))
-        return self._try(f"reading {feature}", lambda: float(self._camera.get_integer(feature)))
+    def read(self, feature: str, kind: Callable[[Any], Value]) -> Value:
+        get = getattr(self._camera, f"get_{self._type(feature, kind)}")
+        return self._try(f"reading {feature}", lambda: kind(get(feature)))
 
-    def set_number(self, feature: str, value: float) -> None:
-        if self._is_float(feature):
-            self._try(f"setting {feature}", lambda: self._camera.set_float(feature, float(value)))
-        else:
-            self._try(f"setting {feature}", lambda: self._camera.set_integer(feature, round(value)))
+    def write(self, feature: str, value: Any) -> None:
+        name = self._type(feature, type(value))
+        put = getattr(self._camera, f"set_{name}")
+        self._try(f"setting {feature}", lambda: put(feature, round(value) if name == "integer" else value))
 
     def bounds(self, feature: str) -> tuple[float, float, float]:
-        kind = "float" if self._is_float(feature) else "integer"
-
-        def ask() -> tuple[float, float, float]:
-            low, high = getattr(self._camera, f"get_{kind}_bounds")(feature)
-            return low, high, getattr(self._camera, f"get_{kind}_increment")(feature)
-
-        low, high, step = self._try(f"asking for the bounds of {feature}", ask)
+        kind = self._type(feature, float)
+        what = f"asking for the bounds of {feature}"
+        low, high = self._try(what, lambda: getattr(self._camera, f"get_{kind}_bounds")(feature))
+        step = self._try(what, lambda: getattr(self._camera, f"get_{kind}_increment")(feature))
         return low, high, step if 0 < step < high else 0.0
 
     def unit(self, feature: str) -> str:
         ask = self._device.get_feature(feature).get_unit
         return str(self._try(f"asking for the unit of {feature}", ask) or "").strip()
 
-    def entry(self, feature: str) -> str:
-        return self._try(f"reading {feature}", lambda: str(self._camera.get_string(feature)))
-
-    def set_entry(self, feature: str, word: str) -> None:
-        self._try(f"setting {feature}", lambda: self._camera.set_string(feature, word))
-
     def entries(self, feature: str) -> tuple[str, ...]:
         return self._try(
             f"asking for the entries of {feature}",
             lambda: tuple(self._camera.dup_available_enumerations_as_strings(feature)),
         )
-
-    def is_on(self, feature: str) -> bool:
-        return self._try(f"reading {feature}", lambda: bool(self._camera.get_boolean(feature)))
-
-    def switch_off(self, feature: str) -> None:
-        self._try(f"setting {feature}", lambda: self._camera.set_boolean(feature, False))
 
     def execute(self, feature: str) -> None:
         self._try(f"executing {feature}", lambda: self._camera.execute_command(feature))
@@ -135,27 +112,23 @@ class AravisSdk:
     def stop(self) -> None:
         self._try("stopping the acquisition", self._camera.stop_acquisition)
 
-    def pop(self, timeout_s: float) -> RawFrame | None:
-        end = time.monotonic() + timeout_s
-        while True:
-            left_s = min(end - time.monotonic(), _SLICE_S)
-            if left_s <= 0:
-                buffer = self._stream.try_pop_buffer()
-            else:
-                buffer = self._stream.timeout_pop_buffer(round(left_s * 1e6))
-            if buffer is not None:
-                try:
-                    return self._raw(buffer)
-                finally:
-                    self._stream.push_buffer(buffer)
-            if left_s <= 0:
-                return None
-
     def close(self) -> None:
         # the stream goes first: its end resets the camera's stream port, which would be that of the next program
         self._stream = None
         self._device = None
         self._camera = None
+
+    def _fetch(self, timeout_s: float) -> RawFrame | None:
+        if timeout_s <= 0:
+            buffer = self._stream.try_pop_buffer()
+        else:
+            buffer = self._stream.timeout_pop_buffer(round(timeout_s * 1e6))
+        if buffer is None:
+            return None
+        try:
+            return self._raw(buffer)
+        finally:
+            self._stream.push_buffer(buffer)
 
     def _raw(self, buffer: Any) -> RawFrame:
         status = buffer.get_status()
@@ -183,22 +156,13 @@ class AravisSdk:
             if name == "packet_size" and held != value:
                 raise HardwareError(f"{self._where}: {name} was set to {value}, and the camera holds {held}")
 
-    def _is_float(self, feature: str) -> bool:
-        return isinstance(self._device.get_feature(feature), self._library.GcFloat)
+    def _type(self, feature: str, kind: Callable[[Any], object]) -> str:
+        """What the library calls the type of a feature's value."""
+        if kind in (str, bool):
+            return "string" if kind is str else "boolean"
+        return "float" if isinstance(self._device.get_feature(feature), self._library.GcFloat) else "integer"
 
-    def _try(self, what: str, action: Callable[[], Value]) -> Value:
-        if self._lost is not None:  # each question to a camera that is gone would take seconds
-            raise LinkLostError(self._lost)
-        try:
-            return action()
-        except self._failure as error:
-            lost = error.domain == "arv-device-error-quark" and error.code in (
-                self._library.DeviceError.NOT_CONNECTED,
-                self._library.DeviceError.TIMEOUT,
-                self._library.DeviceError.NOT_FOUND,
-            )
-            kind = LinkLostError if lost else HardwareError
-            gone = "the camera does not answer any more: " if lost else ""
-            message = f"{self._where}: {what}: {gone}{error.message}"
-            self._lost = message if lost else None
-            raise kind(message) from None
+    def _is_gone(self, error: Any) -> bool:
+        kinds = self._library.DeviceError
+        gone = (kinds.NOT_CONNECTED, kinds.TIMEOUT, kinds.NOT_FOUND)
+        return error.domain == "arv-device-error-quark" and error.code in gone

@@ -2,11 +2,15 @@
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices._camera_pixels import PixelFormat, choose_format
-from lightopt.rig.devices._camera_sdk import CameraSdk, CameraSettings, first_of, offset_of
+from lightopt.rig.devices._camera_sdk import CameraSdk, CameraSettings
 
-_AUTOMATIC = ("ExposureAuto", "GainAuto", "BlackLevelAuto", "BalanceWhiteAuto", "TargetBrightnessAuto")
-_ENABLED = ("GammaEnable", "LUTEnable", "ReverseX", "ReverseY")
-_JOINED = ("BinningHorizontal", "BinningVertical", "DecimationHorizontal", "DecimationVertical")
+_WITHOUT_CORRECTIONS: dict[str, str | bool | float] = {
+    **dict.fromkeys(("ExposureAuto", "GainAuto", "BlackLevelAuto", "BalanceWhiteAuto", "TargetBrightnessAuto"), "Off"),
+    "ExposureMode": "Timed",
+    **dict.fromkeys(("GammaEnable", "LUTEnable", "ReverseX", "ReverseY"), False),
+    **dict.fromkeys(("BinningHorizontal", "BinningVertical", "DecimationHorizontal", "DecimationVertical"), 1),
+    "Gamma": 1.0,
+}
 _PATTERNS = ("TestPattern", "TestImageSelector")
 _GAIN = ("Gain", "GainAbs", "GainRaw")
 
@@ -14,26 +18,12 @@ _GAIN = ("Gain", "GainAbs", "GainRaw")
 def switch_off_corrections(sdk: CameraSdk, settings: CameraSettings) -> None:
     """Switch off what falsifies levels; before the size is set, which binned pixels would limit."""
     where = settings.where
-    for name in _AUTOMATIC:
+    for name, value in _WITHOUT_CORRECTIONS.items():
         if sdk.has(name):
-            _choose(sdk, where, name, "Off")
+            _choose(sdk, where, name, value)
     for name in _PATTERNS:
         if sdk.has(name) and "Off" in sdk.entries(name):
             _choose(sdk, where, name, "Off")
-    if sdk.has("ExposureMode"):
-        _choose(sdk, where, "ExposureMode", "Timed")
-    for name in _ENABLED:
-        if sdk.has(name) and sdk.is_on(name):
-            sdk.switch_off(name)
-            _verify(where, name, False, sdk.is_on(name))
-    for name in _JOINED:
-        if sdk.has(name) and sdk.number(name) != 1:
-            sdk.set_number(name, 1)
-            _verify(where, name, 1, sdk.number(name))
-    if sdk.has("Gamma"):
-        if sdk.number("Gamma") != 1.0:
-            sdk.set_number("Gamma", 1.0)
-        _verify(where, "Gamma", 1.0, sdk.number("Gamma"))
 
 
 def set_image(sdk: CameraSdk, settings: CameraSettings) -> PixelFormat:
@@ -45,11 +35,11 @@ def set_image(sdk: CameraSdk, settings: CameraSettings) -> PixelFormat:
     _choose(sdk, where, "PixelFormat", chosen.name)
     moves = sdk.has("OffsetX") and sdk.has("OffsetY")
     if moves:  # the image could not be as large as the sensor otherwise
-        sdk.set_number("OffsetX", 0)
-        sdk.set_number("OffsetY", 0)
+        sdk.write("OffsetX", 0)
+        sdk.write("OffsetY", 0)
     sensor = int(sdk.bounds("Width")[1]), int(sdk.bounds("Height")[1])
     x, y = (max(1, int(sdk.bounds(name)[2])) if moves else 1 for name in ("OffsetX", "OffsetY"))
-    offset = offset_of(settings, sensor_px=sensor, steps_px=(x, y))
+    offset = _offset_of(settings, sensor_px=sensor, steps_px=(x, y))
     for name, size in zip(("Width", "Height"), settings.resolution_px, strict=True):
         low, _, step = sdk.bounds(name)
         if size < low or (step > 1 and (size - low) % step):
@@ -57,20 +47,44 @@ def set_image(sdk: CameraSdk, settings: CameraSettings) -> PixelFormat:
                 f"{where}: the rig's image is {size} pixels in {name}, and this camera can do {low:g} "
                 f"and more in steps of {max(1, step):g}; change camera.resolution_px"
             )
-        sdk.set_number(name, size)
-        _verify(where, name, size, sdk.number(name))
+        _choose(sdk, where, name, size)
     if moves:
         for name, at in zip(("OffsetX", "OffsetY"), offset, strict=True):
-            sdk.set_number(name, at)
-            _verify(where, name, at, sdk.number(name))
+            _choose(sdk, where, name, at)
     elif settings.offset_px is not None:
         raise InputError(f"{where}: this camera cannot move its image on the sensor; leave out offset_px")
     return chosen
 
 
+def _offset_of(settings: CameraSettings, *, sensor_px: tuple[int, int], steps_px: tuple[int, int]) -> tuple[int, int]:
+    """Corner of the rig's image on the sensor [pixels], from the left and from the top, in multiples of `steps_px`."""
+    size, where = settings.resolution_px, settings.where
+    if size[0] > sensor_px[0] or size[1] > sensor_px[1]:
+        raise InputError(
+            f"{where}: the rig's image of {size[0]} × {size[1]} pixels is larger than the camera's sensor of "
+            f"{sensor_px[0]} × {sensor_px[1]}; change camera.resolution_px"
+        )
+    if settings.offset_px is None:
+        x, y = ((sensor_px[i] - size[i]) // 2 // steps_px[i] * steps_px[i] for i in (0, 1))
+        return x, y
+    for name, offset, length, whole, step in zip(
+        ("left", "top"), settings.offset_px, size, sensor_px, steps_px, strict=True
+    ):
+        if offset + length > whole:
+            raise InputError(
+                f"{where}: {offset} pixels from the {name} and {length} of the image are more than the sensor's {whole}"
+            )
+        if offset % step:
+            raise InputError(
+                f"{where}: the image begins {offset} pixels from the {name}, and this camera can do multiples "
+                f"of {step} only"
+            )
+    return settings.offset_px
+
+
 def set_gain(sdk: CameraSdk, settings: CameraSettings) -> str | None:
     """Set the gain where the rig gives one; returns the feature that has it."""
-    feature, gain = first_of(sdk, *_GAIN), settings.gain
+    feature, gain = _first_of(sdk, *_GAIN), settings.gain
     if gain is None:
         return feature
     if feature is None:
@@ -78,8 +92,8 @@ def set_gain(sdk: CameraSdk, settings: CameraSettings) -> str | None:
     low, high, step = sdk.bounds(feature)
     if not low <= gain <= high:
         raise InputError(f"{settings.where}: expected a gain of {low:g} to {high:g} ({feature}), found {gain:g}")
-    sdk.set_number(feature, gain)
-    held = sdk.number(feature)
+    sdk.write(feature, gain)
+    held = sdk.read(feature, float)
     if abs(held - gain) > max(step, 0.01 * abs(gain), 0.1):
         _verify(settings.where, feature, gain, held)
     return feature
@@ -108,12 +122,11 @@ def set_trigger(sdk: CameraSdk, settings: CameraSettings) -> bool:
     return software
 
 
-def _choose(sdk: CameraSdk, where: str, feature: str, word: str) -> None:
-    """Choose an entry and verify it; one that is set already is not written: it may be fixed."""
-    if sdk.entry(feature) == word:
-        return
-    sdk.set_entry(feature, word)
-    _verify(where, feature, word, sdk.entry(feature))
+def _choose(sdk: CameraSdk, where: str, feature: str, value: str | bool | float) -> None:
+    """Set a feature and verify it; one that has the value already is not written: it may be fixed."""
+    if sdk.read(feature, type(value)) != value:
+        sdk.write(feature, value)
+        _verify(where, feature, value, sdk.read(feature, type(value)))
 
 
 def _verify(where: str, feature: str, wanted: object, held: object) -> None:
@@ -139,7 +152,7 @@ class ExposureTime:
     def __init__(self, sdk: CameraSdk, settings: CameraSettings) -> None:
         self._sdk = sdk
         self._where = settings.where
-        feature = first_of(sdk, *_FEATURES)
+        feature = _first_of(sdk, *_FEATURES)
         unit_us = None if feature is None else _unit_us(sdk, feature)
         self._feature = None if unit_us is None else feature
         self._unit_us = unit_us or 1.0
@@ -172,7 +185,7 @@ class ExposureTime:
         """What the camera holds [µs]."""
         if self._feature is None:
             return self.held_us
-        return self._sdk.number(self._feature) * self._unit_us
+        return self._sdk.read(self._feature, float) * self._unit_us
 
     def set_us(self, exposure_us: float) -> float:
         """Set the exposure time [µs] and return what the camera then holds; out of range is an InputError."""
@@ -180,7 +193,7 @@ class ExposureTime:
         if not low * (1 - _TOLERANCE) <= exposure_us <= high * (1 + _TOLERANCE):
             raise InputError(f"{self._where}: expected an exposure of {low:g} to {high:g} µs, found {exposure_us:g} µs")
         if self._feature is not None:
-            self._sdk.set_number(self._feature, min(max(exposure_us, low), high) / self._unit_us)
+            self._sdk.write(self._feature, min(max(exposure_us, low), high) / self._unit_us)
             self.held_us = self.read_us()
         return self.held_us
 
@@ -193,4 +206,9 @@ def _unit_us(sdk: CameraSdk, feature: str) -> float | None:
     if feature != _RAW:
         return 1.0
     # https://www.easymanua.ls/basler/scout-gige/manual?p=152
-    return sdk.number(_BASE) if sdk.has(_BASE) else None
+    return sdk.read(_BASE, float) if sdk.has(_BASE) else None
+
+
+def _first_of(sdk: CameraSdk, *names: str) -> str | None:
+    """The first of several names of a feature that the camera has."""
+    return next((name for name in names if sdk.has(name)), None)

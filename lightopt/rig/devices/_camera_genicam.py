@@ -1,26 +1,21 @@
 """Cameras of any maker through the maker's GenTL producer. The one home of harvesters and genicam."""
 
 import os
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSettings, RawFrame, choose_camera
-from lightopt.rig.devices._retry import LinkLostError
+from lightopt.rig.devices._camera_sdk import CameraInfo, CameraLibrary, CameraSettings, RawFrame, Value, choose_camera
 
 _BUFFERS = 4
-_SLICE_S = 0.1  # signals are heard between two waits
 
 # Errors of reading a register when the camera does not answer; other errors (no such address) are an answer.
 _GONE = ("IoException", "TimeoutException", "InvalidHandleException", "ClosedException")
-
-Value = TypeVar("Value")
 
 
 def load_harvester() -> Any:
@@ -48,13 +43,12 @@ def find_genicam_cameras(producer: Path | str) -> list[CameraInfo]:
         harvester.reset()
 
 
-class GenicamSdk:
+class GenicamSdk(CameraLibrary):
     """A camera opened with a maker's producer, as a :class:`~lightopt.rig.devices._camera_sdk.CameraSdk`."""
 
     def __init__(self, settings: CameraSettings) -> None:
-        self._where = settings.where
+        super().__init__(settings.where)
         self._acquirer: Any = None
-        self._lost: str | None = None
         self._harvester = _harvester(settings.producer or "", settings.where)
         try:
             if settings.packet_size is not None or settings.packet_delay_ns is not None:
@@ -77,10 +71,10 @@ class GenicamSdk:
         modes: Any = import_module("genicam.genapi").EAccessMode
         return mode in (modes.RW, modes.RO, modes.WO)
 
-    def number(self, feature: str) -> float:
-        return self._try(f"reading {feature}", lambda: float(self._node(feature).value))
+    def read(self, feature: str, kind: Callable[[Any], Value]) -> Value:
+        return self._try(f"reading {feature}", lambda: kind(self._node(feature).value))
 
-    def set_number(self, feature: str, value: float) -> None:
+    def write(self, feature: str, value: Any) -> None:
         node = self._node(feature)
         whole = type(node).__name__ == "IInteger"
         self._try(f"setting {feature}", lambda: setattr(node, "value", round(value) if whole else value))
@@ -97,20 +91,8 @@ class GenicamSdk:
         node = self._node(feature)
         return _known(lambda: str(node.unit or "").strip(), "")
 
-    def entry(self, feature: str) -> str:
-        return self._try(f"reading {feature}", lambda: str(self._node(feature).value))
-
-    def set_entry(self, feature: str, word: str) -> None:
-        self._try(f"setting {feature}", lambda: setattr(self._node(feature), "value", word))
-
     def entries(self, feature: str) -> tuple[str, ...]:
         return self._try(f"asking for the entries of {feature}", lambda: tuple(self._node(feature).symbolics))
-
-    def is_on(self, feature: str) -> bool:
-        return self._try(f"reading {feature}", lambda: bool(self._node(feature).value))
-
-    def switch_off(self, feature: str) -> None:
-        self._try(f"setting {feature}", lambda: setattr(self._node(feature), "value", False))
 
     def execute(self, feature: str) -> None:
         self._try(f"executing {feature}", lambda: self._node(feature).execute())
@@ -121,19 +103,6 @@ class GenicamSdk:
     def stop(self) -> None:
         self._try("stopping the acquisition", self._acquirer.stop)
 
-    def pop(self, timeout_s: float) -> RawFrame | None:
-        end = time.monotonic() + timeout_s
-        while True:
-            left_s = min(end - time.monotonic(), _SLICE_S)
-            buffer = self._try("waiting for a frame", lambda s=left_s: self._fetch(max(1e-3, s)))
-            if buffer is not None:
-                try:
-                    return self._raw(buffer)
-                finally:
-                    self._try("giving a buffer back", buffer.queue)
-            if left_s <= 0:
-                return None
-
     def close(self) -> None:
         self._nodes = None
         with suppress(Exception):  # it is given up in any case, and each step is tried
@@ -143,7 +112,16 @@ class GenicamSdk:
             self._harvester.reset()
         self._acquirer = None
 
-    def _fetch(self, timeout_s: float) -> Any:
+    def _fetch(self, timeout_s: float) -> RawFrame | None:
+        buffer = self._try("waiting for a frame", lambda: self._next_buffer(max(1e-3, timeout_s)))
+        if buffer is None:
+            return None
+        try:
+            return self._raw(buffer)
+        finally:
+            self._try("giving a buffer back", buffer.queue)
+
+    def _next_buffer(self, timeout_s: float) -> Any:
         """The next buffer, or None."""
         late: Any = import_module("genicam.gentl").TimeoutException
         try:
@@ -182,19 +160,9 @@ class GenicamSdk:
             timestamp_ns=stamp or None,
         )
 
-    def _try(self, what: str, action: Callable[[], Value]) -> Value:
-        if self._lost is not None:  # each question to a camera that is gone would take seconds
-            raise LinkLostError(self._lost)
-        try:
-            return action()
-        except Exception as error:  # the libraries have some forty kinds of errors and no common one
-            if self._is_gone():
-                self._lost = f"{self._where}: {what}: the camera does not answer any more: {error}"
-                raise LinkLostError(self._lost) from error
-            raise HardwareError(f"{self._where}: {what}: {error}") from error
-
-    def _is_gone(self) -> bool:
+    def _is_gone(self, error: Exception) -> bool:
         """Whether the camera leaves a plain query unanswered: errors of its features do not give the cause."""
+        del error
         if self._acquirer is None:
             return False
         try:

@@ -6,6 +6,7 @@ Names and layouts are those of the GenICam Pixel Format Naming Convention (PFNC 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,21 +112,13 @@ def _dense_12(data: UInt8, pixels: int) -> Levels:
     return levels.reshape(-1)[:pixels]
 
 
-def _packed_10(data: UInt8, pixels: int) -> Levels:
-    """Two pixels in three bytes: the upper eight bits of each outside, the lower two of both in the middle."""
+def _packed(low_bits: int, data: UInt8, pixels: int) -> Levels:
+    """Two pixels in three bytes: the upper eight bits of each outside, the lower ones of both in the middle."""
     three = _groups(data, 3)
+    mask = (1 << low_bits) - 1
     levels = np.empty((len(three), 2), np.uint16)
-    levels[:, 0] = three[:, 0] << 2 | three[:, 1] & 0x03
-    levels[:, 1] = three[:, 2] << 2 | three[:, 1] >> 4 & 0x03
-    return levels.reshape(-1)[:pixels]
-
-
-def _packed_12(data: UInt8, pixels: int) -> Levels:
-    """Two pixels in three bytes: the upper eight bits of each outside, the lower four of both in the middle."""
-    three = _groups(data, 3)
-    levels = np.empty((len(three), 2), np.uint16)
-    levels[:, 0] = three[:, 0] << 4 | three[:, 1] & 0x0F
-    levels[:, 1] = three[:, 2] << 4 | three[:, 1] >> 4
+    levels[:, 0] = three[:, 0] << low_bits | three[:, 1] & mask
+    levels[:, 1] = three[:, 2] << low_bits | three[:, 1] >> 4 & mask
     return levels.reshape(-1)[:pixels]
 
 
@@ -147,7 +140,7 @@ PIXEL_FORMATS: dict[str, PixelFormat] = {
         ("Mono16", 0x01100007, 16, _words),
         ("Mono10p", 0x010A0046, 10, _dense_10),
         ("Mono12p", 0x010C0047, 12, _dense_12),
-        ("Mono10Packed", 0x010C0004, 10, _packed_10),
-        ("Mono12Packed", 0x010C0006, 12, _packed_12),
+        ("Mono10Packed", 0x010C0004, 10, partial(_packed, 2)),
+        ("Mono12Packed", 0x010C0006, 12, partial(_packed, 4)),
     )
 }

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
 from lightopt.core.arrays import UInt8
-from lightopt.core.errors import InputError
+from lightopt.core.errors import HardwareError, InputError
+from lightopt.rig.devices._device import LinkLostError
+
+_SLICE_S = 0.1  # longest single wait for a frame: signals are heard between two
+
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,32 +81,6 @@ def choose_camera(here: list[CameraInfo], settings: CameraSettings) -> CameraInf
     return found[0]
 
 
-def offset_of(settings: CameraSettings, *, sensor_px: tuple[int, int], steps_px: tuple[int, int]) -> tuple[int, int]:
-    """Corner of the rig's image on the sensor [pixels], from the left and from the top, in multiples of `steps_px`."""
-    size, where = settings.resolution_px, settings.where
-    if size[0] > sensor_px[0] or size[1] > sensor_px[1]:
-        raise InputError(
-            f"{where}: the rig's image of {size[0]} × {size[1]} pixels is larger than the camera's sensor of "
-            f"{sensor_px[0]} × {sensor_px[1]}; change camera.resolution_px"
-        )
-    if settings.offset_px is None:
-        x, y = ((sensor_px[i] - size[i]) // 2 // steps_px[i] * steps_px[i] for i in (0, 1))
-        return x, y
-    for name, offset, length, whole, step in zip(
-        ("left", "top"), settings.offset_px, size, sensor_px, steps_px, strict=True
-    ):
-        if offset + length > whole:
-            raise InputError(
-                f"{where}: {offset} pixels from the {name} and {length} of the image are more than the sensor's {whole}"
-            )
-        if offset % step:
-            raise InputError(
-                f"{where}: the image begins {offset} pixels from the {name}, and this camera can do multiples "
-                f"of {step} only"
-            )
-    return settings.offset_px
-
-
 @dataclass(frozen=True, kw_only=True)
 class RawFrame:
     """A frame as it came over the cable.
@@ -136,11 +118,11 @@ class CameraSdk(Protocol):
 
     details: Maker, model, serial number, address, as far as they are known.
     has: Whether the camera has a feature and it can be used as things are.
-    number, set_number: Read or write a number; it is rounded where the feature is whole.
+    read, write: Value of a feature: a number, an entry of an enumeration (str), a truth value. A number is written
+        rounded where the feature is whole.
     bounds: Lowest and highest number, and the step between them (0: any).
     unit: Unit of a number (us, dB); empty where the camera gives none.
-    entry, set_entry, entries: Read or choose the entry of an enumeration; those that can be chosen.
-    is_on, switch_off: Read a truth value, or set it to false.
+    entries: Entries of an enumeration that can be chosen.
     execute: Execute a command.
     start: Begin an acquisition; no frame of a previous one is delivered afterwards.
     pop: The next frame, whole or not; None when none came in time.
@@ -149,15 +131,11 @@ class CameraSdk(Protocol):
     @property
     def details(self) -> dict[str, str]: ...
     def has(self, feature: str) -> bool: ...
-    def number(self, feature: str) -> float: ...
-    def set_number(self, feature: str, value: float) -> None: ...
+    def read(self, feature: str, kind: Callable[[Any], Value]) -> Value: ...
+    def write(self, feature: str, value: float | str | bool) -> None: ...
     def bounds(self, feature: str) -> tuple[float, float, float]: ...
     def unit(self, feature: str) -> str: ...
-    def entry(self, feature: str) -> str: ...
-    def set_entry(self, feature: str, word: str) -> None: ...
     def entries(self, feature: str) -> tuple[str, ...]: ...
-    def is_on(self, feature: str) -> bool: ...
-    def switch_off(self, feature: str) -> None: ...
     def execute(self, feature: str) -> None: ...
     def start(self) -> None: ...
     def stop(self) -> None: ...
@@ -165,6 +143,38 @@ class CameraSdk(Protocol):
     def close(self) -> None: ...
 
 
-def first_of(sdk: CameraSdk, *names: str) -> str | None:
-    """The first of several names of a feature that the camera has."""
-    return next((name for name in names if sdk.has(name)), None)
+class CameraLibrary(ABC):
+    """Calls of a camera's library: its errors become ours, and a camera that is gone is not queried again."""
+
+    _failure: type[Exception] = Exception  # errors of the library
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+        self._lost: str | None = None
+
+    def pop(self, timeout_s: float) -> RawFrame | None:
+        end = time.monotonic() + timeout_s
+        while True:
+            left_s = min(end - time.monotonic(), _SLICE_S)
+            if (frame := self._fetch(left_s)) is not None or left_s <= 0:
+                return frame
+
+    def _try(self, what: str, action: Callable[[], Value]) -> Value:
+        if self._lost is not None:  # each query would take seconds
+            raise LinkLostError(self._lost)
+        try:
+            return action()
+        except self._failure as error:
+            message = getattr(error, "message", error)
+            if self._is_gone(error):
+                self._lost = f"{self._where}: {what}: the camera does not answer any more: {message}"
+                raise LinkLostError(self._lost) from error
+            raise HardwareError(f"{self._where}: {what}: {message}") from error
+
+    @abstractmethod
+    def _fetch(self, timeout_s: float) -> RawFrame | None:
+        """The next frame, waited for at most so long [s]; without waiting where that is 0 or less."""
+
+    @abstractmethod
+    def _is_gone(self, error: Exception) -> bool:
+        """Whether the camera is gone, after an error of the library."""

@@ -4,7 +4,6 @@ Lights: `light_drivers`; stages: `stage_drivers`; cameras: `camera_drivers`.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -13,17 +12,18 @@ from lightopt.rig.devices._camera import MachineCamera
 from lightopt.rig.devices._camera_aravis import AravisSdk, find_aravis_cameras, load_aravis
 from lightopt.rig.devices._camera_genicam import GenicamSdk, find_genicam_cameras, find_producers, load_harvester
 from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSdk, CameraSettings
+from lightopt.rig.devices._device import Event
 from lightopt.rig.devices._light import LightController, LightSettings
 from lightopt.rig.devices._light_ccs import CcsController
 from lightopt.rig.devices._light_sa import SaController
 from lightopt.rig.devices._light_template import TemplateController
 from lightopt.rig.devices._serial_link import SerialLink
-from lightopt.rig.devices._serial_log import Event, SerialLog
+from lightopt.rig.devices._serial_log import SerialLog
 from lightopt.rig.devices._stage import Clock, Stage
 from lightopt.rig.devices._stage_dialogue import Axis, Dialogue
-from lightopt.rig.devices._stage_grbl import GrblDialogue, check_grbl
-from lightopt.rig.devices._stage_sigmakoki import GscDialogue, ShotDialogue, check_gsc, check_shot
-from lightopt.rig.devices._stage_zaber import ZaberDialogue, check_zaber
+from lightopt.rig.devices._stage_grbl import GrblDialogue
+from lightopt.rig.devices._stage_sigmakoki import GscDialogue, ShotDialogue
+from lightopt.rig.devices._stage_zaber import ZaberDialogue
 
 
 def light_drivers() -> dict[str, Callable[[LightSettings, SerialLog | None], LightController]]:
@@ -31,29 +31,9 @@ def light_drivers() -> dict[str, Callable[[LightSettings, SerialLog | None], Lig
     return {driver.NAME: driver.open for driver in (CcsController, SaController, TemplateController)}
 
 
-@dataclass(frozen=True)
-class StageDriver:
-    """A protocol of stages.
-
-    rtscts: Whether the device paces the line by RTS/CTS.
-    check: Refuses axes and speeds that it cannot have, as far as that is known without the device.
-    speak: Makes the dialogue from link, axes, and the longest time [s] that homing may take.
-    """
-
-    baud: int
-    check: Callable[[Sequence[Axis]], None]
-    speak: Callable[[SerialLink, Sequence[Axis], float], Dialogue]
-    rtscts: bool = False
-
-
-def stage_drivers() -> dict[str, StageDriver]:
+def stage_drivers() -> dict[str, type[Dialogue]]:
     """The protocols of stages by name."""
-    return {
-        "shot": StageDriver(9600, check_shot, lambda link, axes, _: ShotDialogue(link, axes), rtscts=True),
-        "gsc": StageDriver(9600, check_gsc, lambda link, axes, _: GscDialogue(link, axes)),
-        "grbl": StageDriver(115200, check_grbl, lambda link, axes, s: GrblDialogue(link, axes, home_timeout_s=s)),
-        "zaber": StageDriver(115200, check_zaber, lambda link, axes, _: ZaberDialogue(link, axes)),
-    }
+    return {"shot": ShotDialogue, "gsc": GscDialogue, "grbl": GrblDialogue, "zaber": ZaberDialogue}
 
 
 def camera_drivers() -> dict[str, Callable[[CameraSettings], CameraSdk]]:
@@ -68,7 +48,7 @@ def check_stage(driver: str, axes: Sequence[Axis]) -> None:
         raise InputError(f"unknown stage driver {driver}; there are: {', '.join(known)}")
     if not axes:
         raise InputError("the stage has no axis: hardware.stage needs elevation, rotation, or both")
-    known[driver].check(axes)
+    known[driver].check_axes(axes)
 
 
 def open_stage(
@@ -95,13 +75,13 @@ def open_stage(
     link = SerialLink(
         port,
         device=f"stage ({driver})",
-        baud=kind.baud if baud is None else baud,
-        rtscts=kind.rtscts,
+        baud=kind.BAUD if baud is None else baud,
+        rtscts=kind.RTSCTS,
         timeout_s=timeout_s,
         log=log,
     )
     try:
-        dialogue = kind.speak(link, axes, home_timeout_s)
+        dialogue = kind(link, axes, home_timeout_s=home_timeout_s)
     except LightoptError:
         link.close()
         raise

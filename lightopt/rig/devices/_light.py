@@ -11,13 +11,12 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, TypeVar
+from typing import ClassVar, TypeVar
 
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
-from lightopt.rig.devices._retry import RefusedError, Retry
-from lightopt.rig.devices._roles import Identity
+from lightopt.rig.devices._device import Identity, RefusedError, Retry
 from lightopt.rig.devices._serial_link import SerialLink
-from lightopt.rig.devices._serial_log import Event, SerialLog
+from lightopt.rig.devices._serial_log import SerialLog
 
 T = TypeVar("T")
 
@@ -54,11 +53,6 @@ class LightSettings:
     template: Mapping[str, str | None] | None = None
     timeout_s: float = 1.0
     max_levels: Mapping[int, int] = field(default_factory=dict[int, int])
-
-    @property
-    def limits(self) -> dict[str, Any]:
-        """Arguments that every driver has."""
-        return {"channels": self.channels, "top_level": self.top_level, "max_levels": self.max_levels}
 
 
 def all_off(controllers: Mapping[str, LightController], *, lit: Mapping[str, Collection[int]] | None = None) -> None:
@@ -123,7 +117,11 @@ class LightController(ABC):
     """Panels behind one controller on a serial link; channels are counted from 1, as printed on the device.
 
     Every method raises :class:`~lightopt.core.errors.HardwareError` when the device does not answer, answers no, or
-    does not hold what was set. `max_levels` are the highest allowed intensities by channel.
+    does not hold what was set.
+
+    channels, top_level: Number of channels, and the highest intensity.
+    events: Irregularities on the wire so far.
+    level_set_s: When [s, monotonic clock] the device had the last intensity, before it was read back.
     """
 
     NAME: ClassVar[str]
@@ -135,15 +133,14 @@ class LightController(ABC):
     GAP_S: ClassVar[float] = 0.0
     """Least time [s] that the controllers ask for between two commands."""
 
-    def __init__(
-        self, link: SerialLink, *, channels: int = 4, top_level: int = 255, max_levels: Mapping[int, int] | None = None
-    ) -> None:
+    def __init__(self, link: SerialLink, settings: LightSettings) -> None:
+        self.channels = settings.channels
+        self.events = link.events
         self._link = link
-        self._channels = channels
-        self._top_level = top_level
-        self._max_levels = max_levels or {}
+        self.top_level = settings.top_level
+        self._max_levels = settings.max_levels
         self._retry = Retry(link)
-        self._level_set_s = 0.0
+        self.level_set_s = 0.0
         self._reads = False  # whether levels can be read back, which each protocol finds out in its own way
 
     @classmethod
@@ -158,34 +155,10 @@ class LightController(ABC):
             log=log,
         )
         try:
-            return cls._on(link, settings)
+            return cls(link, settings)
         except BaseException:
             link.close()
             raise
-
-    @classmethod
-    def _on(cls, link: SerialLink, settings: LightSettings) -> LightController:
-        return cls(link, **settings.limits)
-
-    @property
-    def channels(self) -> int:
-        """Number of channels."""
-        return self._channels
-
-    @property
-    def top_level(self) -> int:
-        """Highest intensity."""
-        return self._top_level
-
-    @property
-    def level_set_s(self) -> float:
-        """When [s, monotonic clock] the device had the last intensity, before it was read back."""
-        return self._level_set_s
-
-    @property
-    def events(self) -> list[Event]:
-        """Irregularities on the wire so far."""
-        return self._link.events
 
     def identify(self) -> Identity:
         """Query the identity of the device; no light changes."""
@@ -203,7 +176,7 @@ class LightController(ABC):
         lock = self._link.lock
         with lock if level > 0 else lock.priority():
             self._send_level(channel, level)
-            self._level_set_s = time.monotonic()
+            self.level_set_s = time.monotonic()
             if not self._reads:
                 return None
             self._verify(channel, level)
@@ -240,17 +213,16 @@ class LightController(ABC):
         return True
 
     def _verify(self, channel: int, level: int) -> None:
-        """Raise unless the controller holds what was set."""
         if (held := self._query_level(channel)) != level:
             raise self._link.failure(f"channel {channel} was set to {level} but holds {held}")
 
     def _check(self, channel: int, level: int) -> None:
         """Refuse what the controller does not have or a channel may not be set to, before anything is sent."""
         device = self._link.device
-        if not 1 <= channel <= self._channels:
-            raise InputError(f"{device}: expected a channel from 1 to {self._channels}, found {channel}")
-        if not 0 <= level <= self._top_level:
-            raise InputError(f"{device}: expected an intensity from 0 to {self._top_level}, found {level}")
+        if not 1 <= channel <= self.channels:
+            raise InputError(f"{device}: expected a channel from 1 to {self.channels}, found {channel}")
+        if not 0 <= level <= self.top_level:
+            raise InputError(f"{device}: expected an intensity from 0 to {self.top_level}, found {level}")
         if level > self._max_levels.get(channel, level):
             raise InputError(
                 f"{device}: channel {channel} may have an intensity of {self._max_levels[channel]} at most "

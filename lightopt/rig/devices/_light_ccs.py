@@ -8,10 +8,9 @@ channel, ``O`` with data or ``N`` with the number of an error, and a checksum.
 from __future__ import annotations
 
 import re
-from typing import Any
 
+from lightopt.rig.devices._device import RefusedError, ReplyError, printable
 from lightopt.rig.devices._light import LightController, LightSettings
-from lightopt.rig.devices._retry import RefusedError, ReplyError, printable
 from lightopt.rig.devices._serial_link import SerialLink
 
 _DAMAGED = "02"
@@ -23,7 +22,7 @@ _REFUSALS = {
 
 
 class CcsController(LightController):
-    """A light controller with CCS ``@`` frames; `dialect` ``lan`` without unit number, ``serial`` with it.
+    """A light controller with CCS ``@`` frames: in dialect ``lan`` without unit number, in ``serial`` with it.
 
     The first thing on the wire is the question for the unit's status: some controllers need a power cycle after a
     connection on which nothing was sent. No light changes. A controller that refuses ``M`` cannot be read back.
@@ -33,16 +32,12 @@ class CcsController(LightController):
     BAUD = 38400
     GAP_S = 0.0055  # the controllers ask for 5 ms between commands
 
-    def __init__(self, link: SerialLink, *, dialect: str = "lan", **limits: Any) -> None:
-        super().__init__(link, **limits)
-        self._unit = "00" if dialect == "serial" else ""
-        self._digits = max(3, len(str(self._top_level)))
+    def __init__(self, link: SerialLink, settings: LightSettings) -> None:
+        super().__init__(link, settings)
+        self._unit = "00" if settings.dialect == "serial" else ""
+        self._digits = max(3, len(str(self.top_level)))
         self._status()
         self._reads = self._can_read_levels()
-
-    @classmethod
-    def _on(cls, link: SerialLink, settings: LightSettings) -> CcsController:
-        return cls(link, dialect=settings.dialect, **settings.limits)
 
     def _query_identity(self) -> dict[str, str]:
         return {"status": self._status()}
@@ -95,21 +90,22 @@ class CcsController(LightController):
         frame = self._frame(channel, instruction)
         reply = self._link.query(frame, end=b"\r\n")
         match = re.fullmatch(rb"(@(\d\d)([ON])([ -~]*))([0-9A-F]{2})\r\n", reply)
+        kind = ReplyError
         if match is None:
-            raise self._link.failure("the reply is not a frame", sent=frame, reply=reply, kind=ReplyError)
-        if match[5] != _checksum(match[1]):
-            raise self._link.failure("the reply has a wrong checksum", sent=frame, reply=reply, kind=ReplyError)
-        data = match[4].decode("ascii")
-        if int(match[2]) != channel - 1:
-            raise self._link.failure("the reply is for another channel", sent=frame, reply=reply, kind=ReplyError)
-        if match[3] == b"N":
-            code = data[:2]
+            problem = "the reply is not a frame"
+        elif match[5] != _checksum(match[1]):
+            problem = "the reply has a wrong checksum"
+        elif int(match[2]) != channel - 1:
+            problem = "the reply is for another channel"
+        elif match[3] == b"N":
+            code = match[4][:2].decode("ascii")
+            problem = _REFUSALS.get(code, f"it refuses (NG {match[4].decode('ascii')})")
             kind = ReplyError if code == _DAMAGED else RefusedError
-            problem = _REFUSALS.get(code, f"it refuses (NG {data})")
-            raise self._link.failure(problem, sent=frame, reply=reply, kind=kind)
-        if re.fullmatch(expected, data) is None:
-            raise self._link.failure("the reply is to another command", sent=frame, reply=reply, kind=ReplyError)
-        return data
+        elif re.fullmatch(expected, data := match[4].decode("ascii")) is None:
+            problem = "the reply is to another command"
+        else:
+            return data
+        raise self._link.failure(problem, sent=frame, reply=reply, kind=kind)
 
 
 def _checksum(body: bytes) -> bytes:

@@ -6,11 +6,10 @@ checksum.
 """
 
 import re
-from typing import Any
 
 from lightopt.core.errors import InputError
-from lightopt.rig.devices._light import LightController
-from lightopt.rig.devices._retry import RefusedError, ReplyError
+from lightopt.rig.devices._device import RefusedError, ReplyError
+from lightopt.rig.devices._light import LightController, LightSettings
 from lightopt.rig.devices._serial_link import SerialLink
 
 _LETTERS = "ABCDEF"
@@ -25,12 +24,12 @@ class SaController(LightController):
     NAME = "sa"
     BAUD = 19200
 
-    def __init__(self, link: SerialLink, **limits: Any) -> None:
-        super().__init__(link, **limits)
-        if self._channels > len(_LETTERS) or self._top_level > _TOP:
+    def __init__(self, link: SerialLink, settings: LightSettings) -> None:
+        super().__init__(link, settings)
+        if self.channels > len(_LETTERS) or self.top_level > _TOP:
             raise InputError(
                 f"{link.device}: the protocol has {len(_LETTERS)} channels and intensities up to {_TOP}, "
-                f"found channels: {self._channels}, top_level: {self._top_level}"
+                f"found channels: {self.channels}, top_level: {self.top_level}"
             )
         self._reads = self._can_read_levels()
 

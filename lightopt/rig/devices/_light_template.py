@@ -7,45 +7,37 @@ Latin-1, one byte per character.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from typing import Any
 
 from lightopt.core.errors import InputError
+from lightopt.rig.devices._device import ReplyError
 from lightopt.rig.devices._light import LightController, LightSettings
-from lightopt.rig.devices._retry import ReplyError
 from lightopt.rig.devices._serial_link import SerialLink
-from lightopt.rig.devices._serial_log import SerialLog
 
 
 class TemplateController(LightController):
     """A light controller with the commands of a template; opening asks for the intensity of channel 1 where it can.
 
-    template: ``set``, ``set_reply``, ``off``, ``off_reply``, ``read``, ``read_reply``, ``end`` as in the rig file; what
-        is None or absent does not exist. Fields of commands: ``{channel}`` from 1, ``{channel0}`` from 0, ``{letter}``,
-        ``{level}``. Patterns match a reply without its end.
+    Its template has ``set``, ``set_reply``, ``off``, ``off_reply``, ``read``, ``read_reply``, ``end`` as in the rig
+    file; what is None or absent does not exist. Fields of commands: ``{channel}`` from 1, ``{channel0}`` from 0,
+    ``{letter}``, ``{level}``. Patterns match a reply without its end.
     """
 
     NAME = "template"
     BAUD = 9600
 
-    def __init__(self, link: SerialLink, template: Mapping[str, str | None], **limits: Any) -> None:
-        super().__init__(link, **limits)
-        self._words = {key: text for key, text in template.items() if text is not None}
+    def __init__(self, link: SerialLink, settings: LightSettings) -> None:
+        super().__init__(link, settings)
+        if settings.template is None:
+            raise InputError(f"{link.device}: there is no template")
+        self._words = {key: text for key, text in settings.template.items() if text is not None}
         self._end = self._words.get("end", "").encode("latin-1")
         self._patterns: dict[str, re.Pattern[bytes]] = {}
         self._reads = "read" in self._words
-        self._check_template()
+        for verb in ("set", "off", "read"):
+            self._check_verb(verb)
+        if self._reads and "level" not in getattr(self._patterns.get("read"), "groupindex", {}):
+            raise InputError(f"{link.device}: template.read_reply has no group (?P<level>…)")
         self._query_identity()
-
-    @classmethod
-    def open(cls, settings: LightSettings, log: SerialLog | None = None) -> LightController:
-        if settings.template is None:
-            raise InputError(f"light controller {settings.name} (template): there is no template")
-        return super().open(settings, log)
-
-    @classmethod
-    def _on(cls, link: SerialLink, settings: LightSettings) -> TemplateController:
-        return cls(link, settings.template or {}, **settings.limits)
 
     def _query_identity(self) -> dict[str, str]:
         """Ask for an intensity where the template can; it has no question for a name."""
@@ -60,12 +52,6 @@ class TemplateController(LightController):
 
     def _query_level(self, channel: int) -> int:
         return self._retry.run(lambda: self._read_once(channel))
-
-    def _check_template(self) -> None:
-        for verb in ("set", "off", "read"):
-            self._check_verb(verb)
-        if self._reads and "level" not in getattr(self._patterns.get("read"), "groupindex", {}):
-            raise InputError(f"{self._link.device}: template.read_reply has no group (?P<level>…)")
 
     def _check_verb(self, verb: str) -> None:
         try:

@@ -16,8 +16,8 @@ from typing import TypeVar
 import serial
 
 from lightopt.core.errors import HardwareError
-from lightopt.rig.devices._retry import LinkLostError, PreemptedError, ReplyError, printable
-from lightopt.rig.devices._serial_log import Event, LogEntry, SerialLog, now
+from lightopt.rig.devices._device import Event, LinkLostError, PreemptedError, ReplyError, now, printable
+from lightopt.rig.devices._serial_log import LogEntry, SerialLog
 from lightopt.rig.devices._serial_ports import cannot_open
 
 try:
@@ -29,6 +29,8 @@ except ImportError:  # Windows
 _LOST = (serial.SerialException, OSError, _termios_error)
 _SLICE_S = 0.02  # longest single wait for a byte; a deadline is kept to within it
 _STALE_BYTES = 65536
+_QUIET_S = 0.05  # a silence that ends a reply without an end
+_DRAIN_S = 1.0  # longest that a line is listened to until it is silent
 _WRITE_S = 1.0  # a write has this long at least: flow control may hold it up longer than a quick reply takes
 _LATE_BYTES = 4096  # most that is read of what already lies in the input when a deadline is over
 _USUAL_BAUD = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600)
@@ -107,7 +109,7 @@ class SerialLink:
         self.events: list[Event] = []
         self.lock = PriorityLock()
         self._gap_s = gap_s
-        self._log = log
+        self._log = log or SerialLog()
         self._quiet_since = 0.0
         self._lost = False
         self._owed = False
@@ -124,23 +126,17 @@ class SerialLink:
             self._selectable = os.name == "posix" and _has_descriptor(self._serial)
         except (ValueError, *_LOST) as error:
             raise cannot_open(port, device, error) from None
-        if log is not None:
-            log.write(port, "note", f"opened at {baud} baud for {device}")
+        self._log.write(port, "note", f"opened at {baud} baud for {device}")
         if "://" not in port and baud not in _USUAL_BAUD:
             usual = ", ".join(map(str, _USUAL_BAUD))
             self.note(f"{device}: {baud} baud is unusual (usual are {usual}); garbage or silence may come of it")
 
-    @property
-    def retries(self) -> int:
-        """Number of commands that were sent again."""
-        return sum(event.retry for event in self.events)
-
-    def query(self, frame: bytes, *, end: bytes | re.Pattern[bytes] | None, deadline_s: float | None = None) -> bytes:
+    def query(self, frame: bytes, *, end: bytes | re.Pattern[bytes] | None) -> bytes:
         """Discard pending input, send a frame, and read the reply; see :meth:`read`."""
         with self.lock:
             self.send(frame)
             self._owed = True
-            reply = self.read(end=end, deadline_s=deadline_s, after=frame)
+            reply = self.read(end=end, after=frame)
             self._owed = False
             return reply
 
@@ -168,22 +164,16 @@ class SerialLink:
             try:
                 self._guarded(lambda: self._take(data), data)
             finally:  # bytes first: whatever becomes of the log, a light is switched off
-                if self._log is not None:
-                    self._log.write(self.port, "out", data, moment)
+                self._log.write(self.port, "out", data, moment)
             self._quiet_since = time.monotonic()
 
     def read(
-        self,
-        *,
-        end: bytes | re.Pattern[bytes] | None,
-        deadline_s: float | None = None,
-        after: bytes = b"",
-        quiet_s: float = 0.05,
+        self, *, end: bytes | re.Pattern[bytes] | None, deadline_s: float | None = None, after: bytes = b""
     ) -> bytes:
         """Read a reply up to and with its end. What lies in the input at the deadline was in time and is read, too.
 
-        end: Bytes that end it; or a pattern, which ends it where it is first found; or None: silence of `quiet_s` after
-            at least one byte.
+        end: Bytes that end it; or a pattern, which ends it where it is first found; or None: silence after at least one
+            byte.
         after: The command that was sent, for messages.
 
         Raises ReplyError when the deadline passes before the end, PreemptedError when something that cannot wait needs
@@ -208,23 +198,24 @@ class SerialLink:
                             return bytes(got)
                     else:
                         entry.write()
-                        if end is None and got and moment - heard >= quiet_s:
+                        if end is None and got and moment - heard >= _QUIET_S:
                             return bytes(got)
                     if self.lock.preempted:
                         raise self._preempted(after)
                     if moment >= until:
                         # a computer that was busy finds the reply there: it is the device that may be late
                         if late == _LATE_BYTES or not self._guarded(lambda: self._serial.in_waiting, after):
-                            raise self._late(bytes(got), after, limit_s)
+                            problem = f"{'the reply is incomplete' if got else 'no reply'} after {limit_s:g} s"
+                            raise self.failure(problem, sent=after, reply=bytes(got), kind=ReplyError)
                         late += 1
             finally:
                 entry.write()
                 self._quiet_since = time.monotonic()
 
-    def drain(self, quiet_s: float = 0.1, deadline_s: float = 1.0) -> None:
+    def drain(self, quiet_s: float = 0.1) -> None:
         """Read and discard until the line is silent for `quiet_s`: no late reply shall answer the next command."""
         with self.lock:
-            until = time.monotonic() + deadline_s
+            until = time.monotonic() + _DRAIN_S
             heard = time.monotonic()
             entry = LogEntry(self._log, self.port)
             stale = 0
@@ -259,8 +250,7 @@ class SerialLink:
         """Report an irregularity: in `events`, and to the log."""
         event = Event(now(), self.port, what, retry)
         self.events.append(event)
-        if self._log is not None:
-            self._log.note(event)
+        self._log.note(event)
 
     def failure(
         self, problem: str, *, sent: bytes = b"", reply: bytes | None = None, kind: type[HardwareError] = HardwareError
@@ -281,8 +271,7 @@ class SerialLink:
                     connection.close()
             except _LOST as error:
                 self.note(f"closing failed: {error}")
-            if self._log is not None:
-                self._log.write(self.port, "note", "closed")
+            self._log.write(self.port, "note", "closed")
 
     def _take(self, data: bytes) -> None:
         # pyserial calls a write late by the clock alone, even if every byte was taken at once: a computer that was busy
@@ -325,10 +314,6 @@ class SerialLink:
         return self.failure(
             "no longer waited for, because a light had to be switched off", sent=sent, kind=PreemptedError
         )
-
-    def _late(self, got: bytes, after: bytes, limit_s: float) -> HardwareError:
-        problem = "the reply is incomplete" if got else "no reply"
-        return self.failure(f"{problem} after {limit_s:g} s", sent=after, reply=got, kind=ReplyError)
 
     def _note_stale(self, count: int) -> None:
         if count:

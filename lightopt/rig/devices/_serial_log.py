@@ -3,26 +3,11 @@
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import TextIO
 
 from lightopt.core.errors import InputError
-
-
-@dataclass(frozen=True)
-class Event:
-    """An irregularity on a link, at a time (UTC, ISO 8601); `retry`: a command was sent again."""
-
-    time: str
-    port: str
-    what: str
-    retry: bool = False
-
-    def as_dict(self) -> dict[str, str | bool]:
-        """JSON form."""
-        return asdict(self)
+from lightopt.rig.devices._device import Event, now
 
 
 class SerialLog:
@@ -94,26 +79,18 @@ class SerialLog:
 class LogEntry:
     """Bytes that came together, on their way into the log."""
 
-    def __init__(self, log: SerialLog | None, port: str) -> None:
+    def __init__(self, log: SerialLog, port: str) -> None:
         self._log = log
         self._port = port
         self._time = ""
         self._data = bytearray()
 
     def add(self, data: bytes) -> None:
-        """Count bytes in."""
-        if self._log is not None:
-            self._time = self._time or now()
-            self._data += data
+        self._time = self._time or now()
+        self._data += data
 
     def write(self) -> None:
-        """Write down what has come so far."""
-        if self._log is not None and self._data:
+        if self._data:
             self._log.write(self._port, "in", bytes(self._data), self._time)
             self._time = ""
             self._data.clear()
-
-
-def now() -> str:
-    """Now, UTC, ISO 8601 with microseconds."""
-    return datetime.now(timezone.utc).strftime("%Y-%m-%dT%H:%M:%S.%fZ")

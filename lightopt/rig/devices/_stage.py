@@ -1,14 +1,13 @@
 """A stage: moves that are checked, watched and verified, whatever language the device speaks."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
-from lightopt.rig.devices._retry import ReplyError
-from lightopt.rig.devices._roles import Identity
-from lightopt.rig.devices._serial_log import Event
+from lightopt.rig.devices._device import Identity, ReplyError
 from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading
 
 HOME_FIRST = "home it first: lightopt bench home RIG"
@@ -18,6 +17,7 @@ _NEAR_S = 0.004  # and when it should arrive
 _MARGIN_S = 3.0  # beyond twice the travel time: ramps, replies
 _SETTLE_S = 0.5  # devices report that they stand still for a moment after the command that moves them
 _HALT_S = 2.0  # a stage comes to rest within
+_ONE_STEP = 1 + 1e-6
 
 
 @dataclass
@@ -69,15 +69,11 @@ class Stage:
         self._home_timeout_s = home_timeout_s
         self._clock = clock or Clock()
         self._link = dialogue.link
+        self.events = self._link.events
         self._prepared = False
         self._left_at: dict[str, float] | None = None
         self._homed = False
         self._lost: str | None = None
-
-    @property
-    def events(self) -> list[Event]:
-        """Irregularities on the link so far."""
-        return self._link.events
 
     def identify(self) -> Identity:
         """Query the identity of the device, without moving it."""
@@ -120,35 +116,23 @@ class Stage:
             if (problem := self._problem(reading)) is not None:
                 raise self._link.failure(f"was not moved: {problem}")
             angles = _angles(posture)
-            targets = {axis.name: axis.target(angles[axis.name], step=self._dialogue.step(axis)) for axis in self._axes}
-            self._dialogue.check({axis.device: targets[axis.name] for axis in self._axes})
-            far = {
-                axis.device: targets[axis.name]
-                for axis in self._axes
-                if abs(reading.units[axis.device] - targets[axis.name]) > self._dialogue.step(axis) / 2
+            targets = {
+                axis.device: axis.target(angles[axis.name], step=self._dialogue.step(axis)) for axis in self._axes
             }
-            if not far:
-                self._left_at = dict(reading.units)
-                return self._state(reading)
-            self._note_rounding(posture, targets)
-            longest_s = max(
-                abs(targets[axis.name] - reading.units[axis.device]) / axis.speed_units() for axis in self._axes
-            )
-            try:
-                if not self._prepared:
-                    self._dialogue.prepare()
-                    self._prepared = True
-                try:
-                    self._dialogue.go(far)
-                except ReplyError as error:
+            self._dialogue.check(targets)
+            if far := self._off(reading, targets, steps=0.5):
+                self._note_rounding(angles, targets)
+                travel_s = max(
+                    abs(targets[axis.device] - reading.units[axis.device]) / axis.speed_units() for axis in self._axes
+                )
+                with self._stopped_on_failure():
+                    if not self._prepared:
+                        self._dialogue.prepare()
+                        self._prepared = True
                     # whether it was taken shows in where the stage goes; sent again it might move twice
-                    self._link.note(f"{error}; not sent again, the position will show it")
-                reading = self._await_arrival(targets, longest_s)
-            except HardwareError as error:
-                raise self._stopped(error) from error
-            except BaseException:
-                self._link.note(self._stop_after())
-                raise
+                    with self._sent_once("position"):
+                        self._dialogue.go({axis.device: targets[axis.device] for axis in far})
+                    reading = self._await_arrival(targets, travel_s)
             self._left_at = dict(reading.units)
             return self._state(reading)
 
@@ -172,17 +156,10 @@ class Stage:
                 raise self._link.failure("is moving, so it was not homed; wait until it stands still")
             self._left_at = None
             self._homed = False
-            try:
-                try:
+            with self._stopped_on_failure():
+                with self._sent_once("state"):
                     self._dialogue.home()
-                except ReplyError as error:
-                    self._link.note(f"{error}; not sent again, the state will show it")
                 reading = self._await_homing()
-            except HardwareError as error:
-                raise self._stopped(error) from error
-            except BaseException:
-                self._link.note(self._stop_after())
-                raise
             self._homed = True
             self._lost = None
             self._left_at = dict(reading.units)
@@ -207,15 +184,22 @@ class Stage:
         """Give up the link; never moves an axis, never raises."""
         self._link.close()
 
-    def _note_rounding(self, posture: Posture, targets: Mapping[str, float]) -> None:
-        angles = _angles(posture)
+    def _note_rounding(self, angles: Mapping[str, float], targets: Mapping[str, float]) -> None:
         for axis in self._axes:
-            off = axis.angle_of(targets[axis.name]) - angles[axis.name]
-            if abs(off) > 1e-6:
+            rounded = axis.angle_of(targets[axis.device])
+            if abs(rounded - angles[axis.name]) > 1e-6:
                 self._link.note(
                     f"{self._link.device}: {axis.name}: {angles[axis.name]:g}° lies between two steps, "
-                    f"goes to {axis.angle_of(targets[axis.name]):.6g}°"
+                    f"goes to {rounded:.6g}°"
                 )
+
+    def _off(self, reading: Reading, targets: Mapping[str, float], *, steps: float = _ONE_STEP) -> list[Axis]:
+        """Axes that stand more than so many steps from their targets."""
+        return [
+            axis
+            for axis in self._axes
+            if abs(reading.units[axis.device] - targets[axis.device]) > steps * self._dialogue.step(axis)
+        ]
 
     def _problem(self, reading: Reading) -> str | None:
         """Why it is not where it was left, or must not be moved; None where nothing is wrong."""
@@ -227,17 +211,16 @@ class Stage:
             return f"{self._lost}; {HOME_FIRST}"
         if reading.referenced is False:
             return f"it does not know where its origin is; {HOME_FIRST}"
-        if self._left_at is None:
+        left = self._left_at
+        if left is None or not (moved := self._off(reading, left)):
             return None
-        for axis in self._axes:
-            left, stands = self._left_at[axis.device], reading.units[axis.device]
-            if abs(left - stands) > self._dialogue.step(axis):
-                self._lost = (
-                    f"{axis.name} was left at {axis.angle_of(left):.6g}° and stands at "
-                    f"{axis.angle_of(stands):.6g}° now: moved by hand, by another program, or switched off between"
-                )
-                return f"{self._lost}; {HOME_FIRST}"
-        return None
+        axis = moved[0]
+        self._lost = (
+            f"{axis.name} was left at {axis.angle_of(left[axis.device]):.6g}° and stands at "
+            f"{axis.angle_of(reading.units[axis.device]):.6g}° now: moved by hand, by another program, or switched off "
+            "between"
+        )
+        return f"{self._lost}; {HOME_FIRST}"
 
     def _await_arrival(self, targets: Mapping[str, float], travel_s: float) -> Reading:
         """Watch a move that should take `travel_s` until the stage stands at its targets."""
@@ -256,7 +239,7 @@ class Stage:
                         f"still moves after {limit_s:.1f} s, twice the time of the way and {_MARGIN_S:g} s: "
                         f"jammed, or slower than speed_deg_per_s says{self._where(reading, targets)}"
                     )
-            elif self._at_targets(reading, targets):
+            elif not self._off(reading, targets):
                 return reading
             else:
                 still_since = now if still_since is None else still_since
@@ -267,24 +250,18 @@ class Stage:
                     )
             self._clock.sleep(_POLL_S if now - started < travel_s - _POLL_S else _NEAR_S)
 
-    def _at_targets(self, reading: Reading, targets: Mapping[str, float]) -> bool:
-        return all(
-            abs(reading.units[axis.device] - targets[axis.name]) <= self._dialogue.step(axis) * (1 + 1e-6)
-            for axis in self._axes
-        )
-
     def _where(self, reading: Reading, targets: Mapping[str, float]) -> str:
+        """Where axes stand that are not at their targets, as the end of a message."""
         parts = [
-            f"{axis.name} should be at {axis.angle_of(targets[axis.name]):.6g}° and stands at "
+            f"{axis.name} should be at {axis.angle_of(targets[axis.device]):.6g}° and stands at "
             f"{axis.angle_of(reading.units[axis.device]):.6g}° ({reading.units[axis.device]:.10g} units)"
-            for axis in self._axes
-            if abs(reading.units[axis.device] - targets[axis.name]) > self._dialogue.step(axis)
+            for axis in self._off(reading, targets)
         ]
         return "; " + ", ".join(parts) if parts else ""
 
     def _await_homing(self) -> Reading:
         started = self._clock.now()
-        moved = self._dialogue.homes_to_end
+        moved = self._dialogue.HOMES_TO_END
         wrong_since: float | None = None
         while True:
             reading = self._dialogue.read()
@@ -305,9 +282,24 @@ class Stage:
                     raise self._link.failure(f"has not found its origin: {problem}")
             self._clock.sleep(_POLL_S)
 
-    def _stopped(self, error: HardwareError) -> HardwareError:
-        """Stop the stage after an error; returns the error with the outcome of stopping."""
-        return type(error)(*error.messages, self._stop_after(str(error)))
+    @contextmanager
+    def _sent_once(self, evidence: str) -> Generator[None]:
+        """Note a lost reply to a command that must not be sent again."""
+        try:
+            yield
+        except ReplyError as error:
+            self._link.note(f"{error}; not sent again, the {evidence} will show it")
+
+    @contextmanager
+    def _stopped_on_failure(self) -> Generator[None]:
+        """Stop the stage where this fails; the error has the outcome of stopping."""
+        try:
+            yield
+        except HardwareError as error:
+            raise type(error)(*error.messages, self._stop_after(str(error))) from error
+        except BaseException:
+            self._link.note(self._stop_after())
+            raise
 
     def _stop_after(self, reported: str = "") -> str:
         """Stop the stage after a failure; returns a message about the outcome."""
@@ -322,16 +314,14 @@ class Stage:
         return f"It stands still now{with_alarm}. Before the next move, {HOME_FIRST}"
 
     def _state(self, reading: Reading) -> StageState:
-        angles = {"elevation": 0.0, "rotation": 0.0}
-        for axis in self._axes:
-            angles[axis.name] = axis.angle_of(reading.units[axis.device])
+        angles = {axis.name: axis.angle_of(reading.units[axis.device]) for axis in self._axes}
         referenced = reading.referenced
         if self._lost is not None:
             referenced = False
         elif referenced is None and self._homed:
             referenced = True
         return StageState(
-            posture=Posture(elevation_deg=angles["elevation"], rotation_deg=angles["rotation"]),
+            posture=Posture(elevation_deg=angles.get("elevation", 0.0), rotation_deg=angles.get("rotation", 0.0)),
             moving=reading.moving,
             referenced=referenced,
             alarm=reading.alarm,

@@ -1,11 +1,13 @@
 """What the driver of a stage implements (:class:`Dialogue`), and its axes: angles of the rig, units of the device."""
 
 import math
-from collections.abc import Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar
 
 from lightopt.core.errors import InputError
+from lightopt.rig.devices._device import Retry
 from lightopt.rig.devices._serial_link import SerialLink
 
 _ROUNDING = 1e-9  # relative; angles that differ by less are the same
@@ -66,13 +68,9 @@ class Axis:
 
     def target(self, angle_deg: float, *, step: float) -> float:
         """Nearest multiple of a `step` [device units] to an angle [°]; an InputError for one outside the range."""
-        self.check(angle_deg)
-        return step * round(self.units_of(angle_deg) / step)
-
-    def check(self, angle_deg: float) -> None:
-        """Raise an :class:`~lightopt.core.errors.InputError` for an angle [°] outside the range."""
         if wrong := self.problems(angle_deg):
             raise InputError(*wrong)
+        return step * round(self.units_of(angle_deg) / step)
 
     def problems(self, angle_deg: float) -> list[str]:
         """Messages about what is wrong with an angle [°]; empty where it is allowed."""
@@ -103,34 +101,64 @@ class Reading:
     alarm: str | None = None
 
 
-class Dialogue(Protocol):
-    """The protocol of a stage. Positions are in device units, axes by the device's name of them.
+class Dialogue(ABC):
+    """The protocol of a stage on its `link`. Positions are in device units, axes by the device's name of them.
 
     Each method raises :class:`~lightopt.core.errors.HardwareError` when the device answers no, or not at all.
-
-    link: The wire.
-    homes_to_end: Whether `home` returns when the origins are found, rather than when the search has begun.
-    identify: What the device reports about itself.
-    read: Query positions and state; may be repeated.
-    step: Smallest distance [device units] between two positions of an axis.
-    check: Raise an InputError for targets that the device is known to refuse; sends nothing that moves.
-    prepare: Set speeds; once, before the first move.
-    go: Start a move; never sent twice. A ReplyError means that it is unknown whether the device took it.
-    home: Start to seek the origins, or seek them to the end, as the protocol has it; never sent twice.
-    homed: What is wrong with a reading after homing; None when all is well.
-    halt: Stop all axes at once.
     """
 
-    @property
-    def link(self) -> SerialLink: ...
-    @property
-    def homes_to_end(self) -> bool: ...
-    def identify(self) -> dict[str, str]: ...
-    def read(self) -> Reading: ...
-    def step(self, axis: Axis) -> float: ...
-    def check(self, targets: Mapping[str, float]) -> None: ...
-    def prepare(self) -> None: ...
-    def go(self, targets: Mapping[str, float]) -> None: ...
-    def home(self) -> None: ...
-    def homed(self, reading: Reading) -> str | None: ...
-    def halt(self) -> None: ...
+    BAUD: ClassVar[int]
+    """The protocol's usual baud rate."""
+
+    RTSCTS: ClassVar[bool] = False
+    """Whether the device paces the line by RTS/CTS."""
+
+    HOMES_TO_END: ClassVar[bool] = False
+    """Whether `home` returns when the origins are found, rather than when the search has begun."""
+
+    def __init__(self, link: SerialLink, axes: Sequence[Axis], *, home_timeout_s: float = 180.0) -> None:
+        self.link = link
+        self._retry = Retry(link)
+        self._axes = tuple(axes)
+        self._home_timeout_s = home_timeout_s
+
+    @classmethod
+    @abstractmethod
+    def check_axes(cls, axes: Sequence[Axis]) -> None:
+        """Refuse axes and speeds that the device cannot have, as far as that is known without it (InputError)."""
+
+    @abstractmethod
+    def identify(self) -> dict[str, str]:
+        """What the device reports about itself."""
+
+    @abstractmethod
+    def read(self) -> Reading:
+        """Query positions and state; may be repeated."""
+
+    def step(self, axis: Axis) -> float:  # noqa: ARG002  (a device that counts in steps)
+        """Smallest distance [device units] between two positions of an axis."""
+        return 1.0
+
+    @abstractmethod
+    def check(self, targets: Mapping[str, float]) -> None:
+        """Raise an InputError for targets that the device is known to refuse; sends nothing that moves."""
+
+    @abstractmethod
+    def prepare(self) -> None:
+        """Set speeds; once, before the first move."""
+
+    @abstractmethod
+    def go(self, targets: Mapping[str, float]) -> None:
+        """Start a move; never sent twice. A ReplyError means that it is unknown whether the device took it."""
+
+    @abstractmethod
+    def home(self) -> None:
+        """Start to seek the origins, or seek them to the end, as the protocol has it; never sent twice."""
+
+    def homed(self, reading: Reading) -> str | None:
+        """What is wrong with a reading after homing; None when all is well."""
+        return reading.alarm
+
+    @abstractmethod
+    def halt(self) -> None:
+        """Stop all axes at once."""

@@ -16,18 +16,13 @@ import math
 import re
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices._retry import LinkLostError, ReplyError, Retry
+from lightopt.rig.devices._device import LinkLostError, ReplyError
 from lightopt.rig.devices._serial_link import SerialLink
-from lightopt.rig.devices._stage_dialogue import Axis, Reading, describe_range
-from lightopt.rig.devices._stage_grbl_messages import (
-    CRITICAL_ALARMS,
-    describe_alarm,
-    describe_error,
-    parse_report,
-    parse_setting,
-)
+from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading, describe_range
 
 _AXES = ("X", "Y", "Z")
 _RESET = b"\x18"
@@ -45,23 +40,100 @@ _HELD = {
 }
 
 
-def check_grbl(axes: Sequence[Axis]) -> None:
-    """Refuse axes that Grbl does not have; the speeds that it allows are only known from the device."""
-    names = [axis.device for axis in axes]
-    if any(name not in _AXES for name in names) or len(set(names)) < len(names):
-        raise InputError(f"stage: Grbl's axes are X, Y and Z, each for one angle; found {', '.join(names)}")
+_CRITICAL = ("ALARM:1 ", "ALARM:2 ")  # Grbl then answers nothing, not even '?', until it is reset
+
+_ALARMS = {
+    1: "hard limit: a limit switch was hit, the position is lost",
+    2: "soft limit: the target lies outside the travel; the position is kept",
+    3: "reset in motion: steps may be lost",
+    4: "probe fail: the probe was in another state than expected",
+    5: "probe fail: the probe met nothing",
+    6: "homing fail: reset during homing",
+    7: "homing fail: the door was opened during homing",
+    8: "homing fail: pulling off did not release the limit switch",
+    9: "homing fail: no limit switch was found within the search distance",
+    10: "homing fail: the second limit switch of an axis was not found",
+}
+_ERRORS = {
+    1: "a letter was expected",
+    2: "a number is missing or not one",
+    3: "unknown $ command",
+    4: "a negative value where none may be",
+    5: "homing is not enabled ($22=0)",
+    6: "step pulse shorter than 3 µs",
+    7: "the settings could not be read from memory and were reset",
+    8: "not possible while the machine is not idle",
+    9: "locked by an alarm, or while jogging",
+    10: "soft limits need homing ($22=1)",
+    11: "the line is too long",
+    12: "the step rate is too high",
+    13: "the door is open",
+    14: "the startup line is too long",
+    15: "the jog target lies outside the travel",
+    16: "wrong jog command",
+    17: "laser mode needs a PWM output",
+    20: "unsupported command",
+    21: "two commands of one group in a line",
+    22: "the feed rate is missing",
+    23: "a whole number was expected",
+    24: "two commands that use the axis words",
+    25: "a word twice in a line",
+    26: "no axis words",
+    31: "axis words without a command that uses them",
+    33: "the target of the move is invalid",
+}
+_REPORT = re.compile(rb"<(?P<state>[A-Za-z]+(?::\d+)?)\|(?P<fields>[^<>]*)>\r?\n")
+_NUMBERS = re.compile(r"-?\d+(?:\.\d+)?(?:,-?\d+(?:\.\d+)?)*")
+_SETTING = re.compile(rb"\$(\d+)=(-?\d+(?:\.\d+)?)\r?\n")
 
 
-class GrblDialogue:
-    """The protocol of Grbl 1.1; see :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`; axes X, Y, Z."""
+@dataclass(frozen=True)
+class StatusReport:
+    """A status report: state (``Idle``, ``Run``, ``Hold:0``, …) and machine position of X, Y, Z [units of $100]."""
 
-    def __init__(self, link: SerialLink, axes: Sequence[Axis], *, home_timeout_s: float = 180.0) -> None:
-        check_grbl(axes)
-        self.link = link
-        self.homes_to_end = True
-        self._retry = Retry(link)
-        self._axes = tuple(axes)
-        self._home_timeout_s = home_timeout_s
+    state: str
+    position: tuple[float, ...]
+
+
+def parse_report(line: bytes) -> StatusReport | None:
+    r"""Read a status report; None when the line is none.
+
+    Raises ValueError for a status report without a machine position.
+
+    Examples
+    --------
+    >>> parse_report(b"<Run|MPos:-1.450,0.000,0.000|FS:175,0>\r\n")
+    StatusReport(state='Run', position=(-1.45, 0.0, 0.0))
+    """
+    match = _REPORT.fullmatch(line)
+    if match is None:
+        return None
+    text = match["fields"].decode("ascii", "replace")
+    fields = {key: value for key, _, value in (field.partition(":") for field in text.split("|"))}
+    position = fields.get("MPos", "")
+    if "WPos" in fields and not position:
+        raise ValueError("reports work positions; set $10=1, so that it reports machine positions")
+    if not _NUMBERS.fullmatch(position):
+        raise ValueError("a status report without a machine position")
+    return StatusReport(
+        state=match["state"].decode("ascii"), position=tuple(float(number) for number in position.split(","))
+    )
+
+
+def parse_setting(line: bytes) -> tuple[int, float] | None:
+    """Number and value of a line of ``$$``; None when the line is none."""
+    match = _SETTING.fullmatch(line)
+    return None if match is None else (int(match[1]), float(match[2]))
+
+
+class GrblDialogue(Dialogue):
+    """The protocol of Grbl 1.1; axes X, Y, Z."""
+
+    BAUD = 115200
+    HOMES_TO_END = True
+
+    def __init__(self, link: SerialLink, axes: Sequence[Axis], **options: Any) -> None:
+        super().__init__(link, axes, **options)
         self._settings: dict[int, float] | None = None
         self._here: dict[str, float] = {}
         self._critical: str | None = None
@@ -69,14 +141,17 @@ class GrblDialogue:
         self._homing = False
         self._greet()
 
+    @classmethod
+    def check_axes(cls, axes: Sequence[Axis]) -> None:
+        """Refuse axes that Grbl does not have; the speeds that it allows are only known from the device."""
+        names = [axis.device for axis in axes]
+        if any(name not in _AXES for name in names) or len(set(names)) < len(names):
+            raise InputError(f"stage: Grbl's axes are X, Y and Z, each for one angle; found {', '.join(names)}")
+
     def identify(self) -> dict[str, str]:
         lines = self._retry.run(lambda: self._line("$I"))
-        details: dict[str, str] = {}
-        for line in lines:
-            key, _, value = line.decode("ascii", "replace").strip().strip("[]").partition(":")
-            if key in ("VER", "OPT") and value:
-                details[key.lower()] = value.rstrip(":")
-        return details
+        fields = (line.decode("ascii", "replace").strip().strip("[]").partition(":") for line in lines)
+        return {key.lower(): value.rstrip(":") for key, _, value in fields if key in ("VER", "OPT") and value}
 
     def read(self) -> Reading:
         """Position and state; after an alarm that silences Grbl, the last known ones, without a query."""
@@ -146,10 +221,6 @@ class GrblDialogue:
         self._homing = True  # until it answers ok: while it seeks, it reports nothing and ignores a hold
         self._line("$H", deadline_s=self._home_timeout_s)
         self._homing = False
-
-    def homed(self, reading: Reading) -> str | None:
-        """Grbl answers ok when it is done, so it only has to be idle."""
-        return reading.alarm
 
     def halt(self) -> None:
         """Hold, and when it stands still reset, which forgets the rest of the way and keeps the position.
@@ -263,16 +334,15 @@ class GrblDialogue:
             if line == b"ok\r\n":
                 return before
             if line.startswith(b"error:"):
-                raise self.link.failure(f"refused: {describe_error(_code(line, self.link))}", sent=frame, reply=line)
+                raise self.link.failure(f"refused: {self._described(line, _ERRORS)}", sent=frame, reply=line)
             before.append(line)
 
     def _heard(self, until: float, sent: bytes) -> bytes:
         """The next line, once it is known to be neither an alarm nor a restart."""
         line = self.link.read(end=b"\n", deadline_s=max(0.0, until - time.monotonic()), after=sent)
         if line.startswith(b"ALARM:"):
-            code = _code(line, self.link)
-            words = describe_alarm(code)
-            if code in CRITICAL_ALARMS:
+            words = self._described(line, _ALARMS)
+            if words.startswith(_CRITICAL):
                 self._critical = words
             raise self.link.failure(words, sent=sent, reply=line)
         if _BANNER.match(line):
@@ -280,9 +350,9 @@ class GrblDialogue:
             self.link.note("Grbl restarted by itself: it was switched off, reset, or lost power")
         return line
 
-
-def _code(line: bytes, link: SerialLink) -> int:
-    digits = line.partition(b":")[2].strip()
-    if not digits.isdigit():
-        raise link.failure("a broken reply", reply=line, kind=ReplyError)
-    return int(digits)
+    def _described(self, line: bytes, meanings: Mapping[int, str]) -> str:
+        """An alarm or error with its meaning: ``error:5 (homing is not enabled)``."""
+        kind, _, number = line.decode("ascii", "replace").strip().partition(":")
+        if not number.isdigit():
+            raise self.link.failure("a broken reply", reply=line, kind=ReplyError)
+        return f"{kind}:{number} ({meanings.get(int(number), 'unknown')})"

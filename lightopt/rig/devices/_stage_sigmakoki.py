@@ -18,18 +18,17 @@ Sources: the docstrings that ``elerac/optosigma`` took from the GSC-01 and GSC-0
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 from lightopt.core.errors import InputError
-from lightopt.rig.devices._retry import ReplyError, Retry, printable
-from lightopt.rig.devices._serial_link import SerialLink
-from lightopt.rig.devices._stage_dialogue import Axis, Reading
+from lightopt.rig.devices._device import ReplyError, printable
+from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading
 
 END = b"\r\n"
 RAMP_MS = 200  # acceleration and deceleration; the controllers' own value at power-up
 
 _POSITION = re.compile(r"\s*([+-]?)\s*(\d+)\s*")
 _LIMITS = {"L": "axis 1", "M": "axis 2", "W": "both axes"}
-_SHOT_SPEEDS = (1, 500_000)  # [pulses/s]
 _GSC_SPEEDS = {1: (1, 200), 2: (50, 20_000)}  # speed ranges of D: [pulses/s]
 _GSC_FARTHEST = 16_777_214  # longest relative move [pulses]
 
@@ -45,33 +44,16 @@ class Status:
 
 
 def command(text: str) -> bytes:
-    """A command on the wire."""
     return text.encode("ascii") + END
 
 
 def signed(pulses: int) -> str:
-    """A distance or position as the commands write it.
-
-    Examples
-    --------
-    >>> signed(-2000)
-    '-P2000'
-    >>> signed(0)
-    '+P0'
-    """
+    """A distance or position as the commands write it."""
     return f"{'-' if pulses < 0 else '+'}P{abs(pulses)}"
 
 
 def axis_command(verb: str, values: Mapping[str, str]) -> str:
-    """A command for one axis or for both, from the words of each.
-
-    Examples
-    --------
-    >>> axis_command("A", {"1": "+P9000"})
-    'A:1+P9000'
-    >>> axis_command("A", {"2": "-P2000", "1": "+P1800"})
-    'A:W+P1800-P2000'
-    """
+    """A command for one axis or for both, from the words of each."""
     if len(values) == 1:
         ((axis, value),) = values.items()
         return f"{verb}:{axis}{value}"
@@ -104,53 +86,37 @@ def parse_status(line: bytes) -> Status:
     return Status(positions=tuple(positions), accepted=ack1 == "K", limit=_LIMITS.get(ack2), busy=ack3 == "B")
 
 
-def reading_of(status: Status, axes: Sequence[Axis]) -> Reading:
-    """A status as a reading of the axes that the rig uses; a ValueError when the controller has fewer."""
-    needed = max(int(axis.device) for axis in axes)
-    if len(status.positions) < needed:
-        raise ValueError(f"reports {len(status.positions)} axes, and the rig uses axis {needed}")
-    alarm = None
-    if status.limit is not None and not status.busy:
-        alarm = f"{status.limit} stopped at the limit switch"
-    return Reading(
-        units={axis.device: float(status.positions[int(axis.device) - 1]) for axis in axes},
-        moving=status.busy,
-        alarm=alarm,
-    )
+class _SigmakokiDialogue(Dialogue):
+    """What the two families share."""
 
+    BAUD = 9600
+    SPEEDS: ClassVar[tuple[int, int]]
+    """Slowest and fastest [pulses/s]."""
 
-def check_axes(axes: Sequence[Axis], *, slowest: int, fastest: int) -> None:
-    """Raise an InputError for axes other than 1 and 2, or speeds [pulses/s] that the controller does not have."""
-    wrong: list[str] = []
-    for axis in axes:
-        if axis.device not in ("1", "2"):
-            wrong.append(f"stage axis {axis.name}: the controller's axes are 1 and 2, found {axis.device}")
-        if not slowest <= round(axis.speed_units()) <= fastest:
-            wrong.append(
-                f"stage axis {axis.name}: {axis.speed_deg_per_s:g}°/s are {axis.speed_units():g} pulses/s; "
-                f"the controller takes {slowest} to {fastest}"
-            )
-    if len({axis.device for axis in axes}) < len(axes):
-        wrong.append("stage: elevation and rotation are the same axis of the controller")
-    if wrong:
-        raise InputError(*wrong)
+    @classmethod
+    def check_axes(cls, axes: Sequence[Axis]) -> None:
+        wrong: list[str] = []
+        slowest, fastest = cls.SPEEDS
+        for axis in axes:
+            if axis.device not in ("1", "2"):
+                wrong.append(f"stage axis {axis.name}: the controller's axes are 1 and 2, found {axis.device}")
+            if not slowest <= round(axis.speed_units()) <= fastest:
+                wrong.append(
+                    f"stage axis {axis.name}: {axis.speed_deg_per_s:g}°/s are {axis.speed_units():g} pulses/s; "
+                    f"the controller takes {slowest} to {fastest}"
+                )
+        if len({axis.device for axis in axes}) < len(axes):
+            wrong.append("stage: elevation and rotation are the same axis of the controller")
+        if wrong:
+            raise InputError(*wrong)
 
-
-class _SigmakokiDialogue:
-    """What the two families share; see :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`."""
-
-    def __init__(self, link: SerialLink, axes: Sequence[Axis]) -> None:
-        self.link = link
-        self.homes_to_end = False
-        self._retry = Retry(link)
-        self._axes = tuple(axes)
+    def identify(self) -> dict[str, str]:
+        line = self._retry.run(lambda: self.link.query(command("?:V"), end=END))
+        version = line.decode("ascii", "replace").strip()
+        return {"version": version} if version not in ("", "NG") else {}
 
     def read(self) -> Reading:
         return self._retry.run(self._status)[1]
-
-    def step(self, axis: Axis) -> float:  # noqa: ARG002  (the same for all)
-        """One pulse."""
-        return 1.0
 
     def homed(self, reading: Reading) -> str | None:
         """The count is 0 at the origin."""
@@ -159,38 +125,29 @@ class _SigmakokiDialogue:
         off = [f"axis {axis} reads {units:g}" for axis, units in reading.units.items() if units != 0]
         return f"{', '.join(off)} pulses, not 0" if off else None
 
-    def _version(self) -> str:
-        line = self._retry.run(lambda: self.link.query(command("?:V"), end=END))
-        return line.decode("ascii", "replace").strip()
-
     def _status(self) -> tuple[Status, Reading]:
         frame = command("Q:")
-        line = self._status_line(frame)
         try:
-            status = parse_status(line)
-            return status, reading_of(status, self._axes)
+            status = parse_status(self._status_line(frame))
         except ValueError as error:
             raise self.link.failure(str(error), sent=frame, kind=ReplyError) from None
+        needed = max(int(axis.device) for axis in self._axes)
+        if len(status.positions) < needed:
+            problem = f"reports {len(status.positions)} axes, and the rig uses axis {needed}"
+            raise self.link.failure(problem, sent=frame, kind=ReplyError)
+        alarm = f"{status.limit} stopped at the limit switch" if status.limit and not status.busy else None
+        units = {axis.device: float(status.positions[int(axis.device) - 1]) for axis in self._axes}
+        return status, Reading(units=units, moving=status.busy, alarm=alarm)
 
     def _status_line(self, frame: bytes) -> bytes:
         return self.link.query(frame, end=END)
 
 
-def check_shot(axes: Sequence[Axis]) -> None:
-    """Refuse axes and speeds that the SHOT family cannot have."""
-    check_axes(axes, slowest=_SHOT_SPEEDS[0], fastest=_SHOT_SPEEDS[1])
-
-
 class ShotDialogue(_SigmakokiDialogue):
     """The protocol of the SHOT family."""
 
-    def __init__(self, link: SerialLink, axes: Sequence[Axis]) -> None:
-        check_shot(axes)
-        super().__init__(link, axes)
-
-    def identify(self) -> dict[str, str]:
-        version = self._version()
-        return {} if version == "NG" else {"version": version}
+    RTSCTS = True
+    SPEEDS = (1, 500_000)
 
     def check(self, targets: Mapping[str, float]) -> None:
         """The controller has no limits to check against."""
@@ -198,7 +155,7 @@ class ShotDialogue(_SigmakokiDialogue):
     def prepare(self) -> None:
         for axis in self._axes:
             fast = round(axis.speed_units())
-            slow = max(_SHOT_SPEEDS[0], fast // 10)
+            slow = max(self.SPEEDS[0], fast // 10)
             text = f"D:{axis.device}S{slow}F{fast}R{RAMP_MS}"
             self._retry.run(lambda text=text: self._command(text))
 
@@ -224,23 +181,15 @@ class ShotDialogue(_SigmakokiDialogue):
             raise self.link.failure("expected OK or NG", sent=command(text), reply=reply, kind=ReplyError)
 
 
-def check_gsc(axes: Sequence[Axis]) -> None:
-    """Refuse axes and speeds that the GSC-02 cannot have."""
-    check_axes(axes, slowest=_GSC_SPEEDS[1][0], fastest=_GSC_SPEEDS[2][1])
-    _speed_command(axes)
-
-
 class GscDialogue(_SigmakokiDialogue):
     """The protocol of the GSC-02."""
 
-    def __init__(self, link: SerialLink, axes: Sequence[Axis]) -> None:
-        check_gsc(axes)
-        super().__init__(link, axes)
-        self._speeds = _speed_command(self._axes)
+    SPEEDS = (_GSC_SPEEDS[1][0], _GSC_SPEEDS[2][1])
 
-    def identify(self) -> dict[str, str]:
-        version = self._version()
-        return {"version": version} if version not in ("", "NG") else {}
+    @classmethod
+    def check_axes(cls, axes: Sequence[Axis]) -> None:
+        super().check_axes(axes)
+        _speed_command(axes)
 
     def check(self, targets: Mapping[str, float]) -> None:
         """Raise an InputError for a way that is longer than the command can express."""
@@ -253,7 +202,7 @@ class GscDialogue(_SigmakokiDialogue):
                 )
 
     def prepare(self) -> None:
-        self._command(self._speeds)
+        self._command(_speed_command(self._axes))
 
     def go(self, targets: Mapping[str, float]) -> None:
         """Set the way from here, and go; each command is sent once."""

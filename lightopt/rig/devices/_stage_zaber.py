@@ -11,11 +11,12 @@ import re
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from lightopt.core.errors import InputError
-from lightopt.rig.devices._retry import ReplyError, Retry, printable
+from lightopt.rig.devices._device import ReplyError, printable
 from lightopt.rig.devices._serial_link import SerialLink
-from lightopt.rig.devices._stage_dialogue import Axis, Reading
+from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading
 
 NOT_HOMED = frozenset({"WR", "WH"})
 
@@ -87,24 +88,12 @@ class Reply:
 
 
 def checksum(body: bytes) -> bytes:
-    """LRC of a message without its first and last characters: two's complement of the sum, two hexadecimal digits.
-
-    Examples
-    --------
-    >>> checksum(b"1 1 00 get pos")
-    b'2C'
-    """
+    """LRC of a message without its first and last characters: two's complement of the sum, two hexadecimal digits."""
     return f"{-sum(body) & 0xFF:02X}".encode("ascii")
 
 
 def frame(device: int, axis: int, number: int, command: str) -> bytes:
-    r"""A numbered command with its checksum.
-
-    Examples
-    --------
-    >>> frame(1, 1, 1, "home")
-    b'/1 1 01 home:34\n'
-    """
+    """A numbered command with its checksum."""
     body = " ".join(part for part in (str(device), str(axis), f"{number:02d}", command) if part).encode("ascii")
     return b"/" + body + b":" + checksum(body) + b"\n"
 
@@ -136,54 +125,33 @@ def parse_reply(line: bytes) -> Reply:
     )
 
 
-def describe_warning(flag: str) -> str:
-    """Flag and meaning of a warning."""
-    return f"{flag} ({_WARNINGS.get(flag, 'unknown')})"
-
-
-def describe_rejection(reason: str) -> str:
-    """Reason and meaning of a rejection."""
-    return f"{reason} ({_REJECTIONS.get(reason.split(' ')[0], 'unknown')})"
-
-
 _SPEED_UNIT = 1.6384  # maxspeed per microstep per second
 _STOPS = frozenset({"WL"})  # warnings after which the position is not to be trusted
 _ADDRESS = re.compile(r"(?:(?P<device>[1-9]\d?)/)?(?P<axis>[1-9])")
 
 
-@dataclass(frozen=True)
-class _Address:
-    device: int
-    axis: int
+class ZaberDialogue(Dialogue):
+    """The Zaber ASCII protocol. Axes are called ``2`` (axis 2 of device 1) or ``2/1`` (axis 1 of device 2)."""
 
+    BAUD = 115200
 
-def check_zaber(axes: Sequence[Axis]) -> None:
-    """Refuse axes that the protocol cannot address."""
-    if len({_address(axis) for axis in axes}) < len(axes):
-        raise InputError("stage: elevation and rotation are the same axis of the controller")
-
-
-class ZaberDialogue:
-    """The Zaber ASCII protocol; see :class:`~lightopt.rig.devices._stage_dialogue.Dialogue`.
-
-    Axes are called ``2`` (axis 2 of device 1) or ``2/1`` (axis 1 of device 2).
-    """
-
-    def __init__(self, link: SerialLink, axes: Sequence[Axis]) -> None:
-        self.link = link
-        self.homes_to_end = False
-        self._retry = Retry(link)
-        self._axes = tuple(axes)
-        check_zaber(axes)
+    def __init__(self, link: SerialLink, axes: Sequence[Axis], **options: Any) -> None:
+        super().__init__(link, axes, **options)
         self._addresses = {axis.device: _address(axis) for axis in axes}
+        self._devices = sorted({device for device, _ in self._addresses.values()})
         self._number = 0
         self._limits: dict[str, tuple[int, int]] = {}
         self._noted: set[str] = set()
 
+    @classmethod
+    def check_axes(cls, axes: Sequence[Axis]) -> None:
+        if len({_address(axis) for axis in axes}) < len(axes):
+            raise InputError("stage: elevation and rotation are the same axis of the controller")
+
     def identify(self) -> dict[str, str]:
         """Kind, serial number and firmware of each device."""
         details: dict[str, str] = {}
-        for device in sorted({address.device for address in self._addresses.values()}):
+        for device in self._devices:
             for setting in ("deviceid", "system.serial", "version"):
                 reply = self._retry.run(lambda d=device, s=setting: self._exchange(d, 0, f"get {s}"))
                 if reply.accepted:
@@ -202,16 +170,13 @@ class ZaberDialogue:
             homed = homed and reply.warning not in NOT_HOMED
             if reply.warning.startswith("F") or reply.warning in _STOPS:
                 alarms.append(
-                    f"axis {axis.device}: {describe_warning(reply.warning)}; when the cause is found, clear it with "
-                    f"/{self._addresses[axis.device].device} warnings clear, and home it"
+                    f"axis {axis.device}: {_described(reply.warning, _WARNINGS)}; when the cause is found, clear it "
+                    f"with /{self._addresses[axis.device][0]} warnings clear, and home it"
                 )
             elif reply.warning and reply.warning not in NOT_HOMED and reply.warning not in self._noted:
                 self._noted.add(reply.warning)
-                self.link.note(f"axis {axis.device} warns {describe_warning(reply.warning)}")
+                self.link.note(f"axis {axis.device} warns {_described(reply.warning, _WARNINGS)}")
         return Reading(units=units, moving=moving, referenced=homed, alarm="; ".join(alarms) or None)
-
-    def step(self, axis: Axis) -> float:  # noqa: ARG002  (the same for all)
-        return 1.0
 
     def check(self, targets: Mapping[str, float]) -> None:
         """Raise an InputError for targets outside the device's own limits."""
@@ -242,15 +207,14 @@ class ZaberDialogue:
 
     def homed(self, reading: Reading) -> str | None:
         """The device reports itself whether it is homed."""
-        if reading.alarm is not None:
-            return reading.alarm
-        return None if reading.referenced else "it still warns that it has no reference position"
+        unknown = None if reading.referenced else "it still warns that it has no reference position"
+        return reading.alarm or unknown
 
     def halt(self) -> None:
-        for device in sorted({address.device for address in self._addresses.values()}):
+        for device in self._devices:
             reply = self._retry.run(lambda d=device: self._exchange(d, 0, "stop"))
             if not reply.accepted:
-                raise self.link.failure(f"device {device} refused to stop: {describe_rejection(reply.data)}")
+                raise self.link.failure(f"device {device} refused to stop: {_described(reply.data, _REJECTIONS)}")
 
     def _start(self, commands: Mapping[str, str]) -> None:
         """Send each axis its command once; a lost reply does not keep the other axes from theirs."""
@@ -281,11 +245,10 @@ class ZaberDialogue:
         return reply, int(reply.data)
 
     def _accepted(self, axis: str, command: str) -> Reply:
-        address = self._addresses[axis]
-        reply = self._exchange(address.device, address.axis, command)
+        reply = self._exchange(*self._addresses[axis], command)
         if not reply.accepted:
             raise self.link.failure(
-                f"axis {axis} rejected it: {describe_rejection(reply.data)}", sent=command.encode("ascii")
+                f"axis {axis} rejected it: {_described(reply.data, _REJECTIONS)}", sent=command.encode("ascii")
             )
         return reply
 
@@ -309,10 +272,16 @@ class ZaberDialogue:
                 self.link.note(f"passed over {line!r}, which answers something else")
 
 
-def _address(axis: Axis) -> _Address:
+def _address(axis: Axis) -> tuple[int, int]:
+    """Numbers of the device and of its axis."""
     match = _ADDRESS.fullmatch(axis.device)
     if match is None:
         raise InputError(
             f"stage axis {axis.name}: expected an axis of device 1 (2), or device/axis (2/1), found {axis.device}"
         )
-    return _Address(device=int(match["device"] or 1), axis=int(match["axis"]))
+    return int(match["device"] or 1), int(match["axis"])
+
+
+def _described(text: str, meanings: Mapping[str, str]) -> str:
+    """A flag, or a reason with its details, and its meaning."""
+    return f"{text} ({meanings.get(text.split(' ')[0], 'unknown')})"

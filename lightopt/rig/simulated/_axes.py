@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from lightopt.rig.simulated._faults import Trigger, trigger
+from lightopt.rig.simulated._firmware import Trigger, trigger
 
 AXIS_FAULTS = ("stall", "limit", "lost_step")
 
@@ -23,31 +23,25 @@ class _Fault:
 
 
 class SimulatedAxis:
-    """One axis: where it really `stands` and what its controller believes (`count`) at power-up; its limit switches.
+    """One axis: where it really `stands` at power-up, and its limit switches.
 
+    fault: What it suffers in a coming move.
     at_limit: Whether the last move ended at a switch.
     homed: Whether it has found its origin since power-up.
     """
 
-    def __init__(
-        self, *, stands: float = 0.0, low: float = -math.inf, high: float = math.inf, count: float = 0.0
-    ) -> None:
+    def __init__(self, *, stands: float = 0.0, low: float = -math.inf, high: float = math.inf) -> None:
         self._low = low
         self._high = high
-        self._at_power_up = count
-        self._offset = stands - count  # real = count + offset
-        self._start = self._end = count
+        self._offset = stands  # real = count + offset
+        self._start = self._end = 0.0
         self._began = 0.0
         self._speed = 1.0
         self._homing: float | None = None
         self._ends_at_switch = self._ends_stalled = self._stays_busy = False
-        self._fault: _Fault | None = None
+        self.fault: _Fault | None = None
         self.at_limit = False
         self.homed = False
-
-    def set_fault(self, fault: _Fault | None) -> None:
-        """Suffer a fault in a coming move; None ends it."""
-        self._fault = fault
 
     def lose_steps(self, steps: float) -> None:
         """Lose steps: the axis stands that much short of its count from now on."""
@@ -55,10 +49,8 @@ class SimulatedAxis:
 
     def power_cycle(self, now: float) -> None:
         """Go off and on: the axis stays where it stands, and the count starts again."""
-        real = self.real(now)
         self.stop(now)
-        self._start = self._end = self._at_power_up
-        self._offset = real - self._at_power_up
+        self.set_count(0.0, now)
         self.at_limit = self.homed = False
 
     def count(self, now: float) -> float:
@@ -69,7 +61,6 @@ class SimulatedAxis:
         return self._start + math.copysign(gone, way)
 
     def real(self, now: float) -> float:
-        """Where it really stands."""
         return self.count(now) + self._offset
 
     def moving(self, now: float) -> bool:
@@ -79,13 +70,12 @@ class SimulatedAxis:
 
     @property
     def homing(self) -> bool:
-        """Whether it seeks its origin."""
         return self._homing is not None
 
-    def move(self, target: float, speed: float, now: float, *, delay_s: float = 0.0) -> None:
+    def move(self, target: float, speed: float, now: float) -> None:
         """Move the count to a target at a speed [units/s]."""
         self.at_limit = False
-        self._go(target, speed, now + delay_s)
+        self._go(target, speed, now)
 
     def home(self, speed: float, now: float, *, becomes: float = 0.0) -> None:
         """Seek the place that many units from the mechanical origin, where the count becomes right."""
@@ -97,14 +87,12 @@ class SimulatedAxis:
             self._advance(now)
 
     def stop(self, now: float) -> None:
-        """Stop at once."""
         here = self.count(now)
         self._start = self._end = here
         self._homing = None
         self._stays_busy = False
 
     def set_count(self, count: float, now: float) -> None:
-        """Set the count of the place where it stands."""
         real = self.real(now)
         self._start = self._end = count
         self._offset = real - count
@@ -115,10 +103,10 @@ class SimulatedAxis:
         self._speed = speed
         self._homing = None
         self._ends_at_switch = self._ends_stalled = False
-        if self._fault is not None and self._fault.trigger.strikes():
-            target = self._start + self._fault.share * (target - self._start)
-            self._ends_at_switch = self._fault.kind == "limit"
-            self._ends_stalled = self._fault.kind == "stall"
+        if self.fault is not None and self.fault.trigger.strikes():
+            target = self._start + self.fault.share * (target - self._start)
+            self._ends_at_switch = self.fault.kind == "limit"
+            self._ends_stalled = self.fault.kind == "stall"
         real = target + self._offset
         if not self._low <= real <= self._high:
             target = min(max(real, self._low), self._high) - self._offset
@@ -136,7 +124,7 @@ class SimulatedAxis:
 
     def _arrived(self) -> None:
         if self._ends_stalled:
-            self._stays_busy = self._fault is not None and self._fault.busy
+            self._stays_busy = self.fault is not None and self.fault.busy
             self._homing = None
         elif self._ends_at_switch:
             self.at_limit = True
@@ -157,29 +145,25 @@ class Axes:
     counting moves; ``lost_step`` (it lost ``steps``). ``clear`` ends them.
     """
 
-    def __init__(self, axes: Mapping[str, Mapping[str, float]], *, count: float = 0.0) -> None:
+    def __init__(self, axes: Mapping[str, Mapping[str, float]]) -> None:
         if not axes:
             raise ValueError("a stage has at least one axis")
-        self.by_name = {name: SimulatedAxis(**options, count=count) for name, options in axes.items()}
+        self.by_name = {name: SimulatedAxis(**options) for name, options in axes.items()}
 
     def __getitem__(self, name: str) -> SimulatedAxis:
         return self.by_name[name]
 
     def real(self, now: float) -> dict[str, float]:
-        """Where each really stands."""
         return {name: axis.real(now) for name, axis in self.by_name.items()}
 
     def moving(self, now: float) -> bool:
-        """Whether any moves."""
         return any(axis.moving(now) for axis in self.by_name.values())
 
     def stop(self, now: float) -> None:
-        """Stop all."""
         for axis in self.by_name.values():
             axis.stop(now)
 
     def power_cycle(self, now: float) -> None:
-        """Switch the controller off and on."""
         for axis in self.by_name.values():
             axis.power_cycle(now)
 
@@ -192,7 +176,7 @@ class Axes:
         axes = list(self.by_name.values()) if name is None else [self.by_name[name]]
         if fault == "clear":
             for axis in axes:
-                axis.set_fault(None)
+                axis.fault = None
         elif fault == "lost_step":
             steps = float(chosen.pop("steps", 100))
             if chosen:
@@ -203,6 +187,6 @@ class Axes:
             share, busy = float(chosen.pop("share", 0.5)), bool(chosen.pop("busy", False))
             strikes = trigger(fault, chosen)
             for axis in axes:
-                axis.set_fault(_Fault(fault, strikes, share, busy))
+                axis.fault = _Fault(fault, strikes, share, busy)
         else:
             raise ValueError(f'no fault called "{fault}"; there is {", ".join((*AXIS_FAULTS, *others))}, clear')

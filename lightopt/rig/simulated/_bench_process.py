@@ -51,7 +51,7 @@ class BenchProcess:
     tcp: Whether devices are on TCP instead of pseudo-terminals by default; None: only where there are none.
     **more: Further keys of the description that the process gets.
 
-    `ports` is what a driver opens, by device. Raises InputError when a device cannot be as described.
+    `ports` is what a driver opens, by device; `pid` its process id. InputError when a device cannot be as described.
     """
 
     def __init__(self, devices: Mapping[str, Mapping[str, Any]], *, tcp: bool | None = None, **more: Any) -> None:
@@ -61,6 +61,7 @@ class BenchProcess:
         self._replies: BinaryIO | None = None
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the process)
         self._process = start_process(json.dumps(spec), self._errors)
+        self.pid = self._process.pid
         try:
             hello = self._hello()
             self.ports: dict[str, str] = hello["ports"]
@@ -71,11 +72,6 @@ class BenchProcess:
         except BaseException:
             self.close()
             raise
-
-    @property
-    def pid(self) -> int:
-        """Process id of the bench."""
-        return self._process.pid
 
     def request(self, do: str, *, timeout_s: float = _REQUEST_S, **arguments: Any) -> tuple[dict[str, Any], bytes]:
         """Send a request to the bench; returns the answer and the bytes that came with it.

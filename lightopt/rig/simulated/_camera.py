@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -53,13 +53,6 @@ class BenchTruth:
     ambient_level: float = 0.0
     triggered: bool = True
 
-    @classmethod
-    def of(cls, data: Mapping[str, Any]) -> BenchTruth:
-        """From its JSON form."""
-        x, y, z = data["part_offset_mm"]
-        values: dict[str, Any] = {**data, "part_offset_mm": (x, y, z)}
-        return cls(**values)
-
 
 @dataclass(frozen=True, kw_only=True)
 class LightWire:
@@ -81,7 +74,6 @@ class AxisWire:
     zero: float
 
     def angle_deg(self, positions: Mapping[str, float]) -> float:
-        """Angle [°] at device positions."""
         return (positions[self.axis] - self.zero) / self.steps_per_deg
 
 
@@ -103,16 +95,11 @@ class CameraSetup:
     truth: BenchTruth = field(default_factory=BenchTruth)
     gige: bool = False
 
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return asdict(self)
-
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> CameraSetup:
-        """From its JSON form."""
         parts: dict[str, Any] = {
             "lights": tuple(LightWire(**wire) for wire in data["lights"]),
-            "truth": BenchTruth.of(data["truth"]),
+            "truth": BenchTruth(**data["truth"]),
         }
         for name in ("elevation", "rotation"):
             if data.get(name) is not None:
@@ -143,7 +130,6 @@ class BenchCamera:
         threading.Thread(target=self._build, name="scene", daemon=True).start()
 
     def requests(self) -> dict[str, Handler]:
-        """What the control socket can ask of the camera."""
         return {"camera": self._identity, "frame": self._frame, "prepare": self._prepare}
 
     def _build(self) -> BenchOptics:

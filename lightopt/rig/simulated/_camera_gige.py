@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.rig.simulated._faults import Trigger, trigger
+from lightopt.rig.simulated._firmware import Trigger, trigger
 
 Image = NDArray[np.integer[Any]]
 
@@ -129,12 +129,10 @@ class GigeCamera:
         self._c.arv_fake_camera_set_fill_pattern.argtypes = [ctypes.c_void_p, kind, ctypes.c_void_p]
         self._c.arv_buffer_get_data.restype = ctypes.c_void_p
         self._c.arv_buffer_get_data.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)]
-        self._c.arv_buffer_get_frame_id.restype = ctypes.c_uint64
-        self._c.arv_buffer_get_frame_id.argtypes = [ctypes.c_void_p]
-        self._c.arv_buffer_get_timestamp.restype = ctypes.c_uint64
-        self._c.arv_buffer_get_timestamp.argtypes = [ctypes.c_void_p]
-        self._c.arv_buffer_set_frame_id.argtypes = [ctypes.c_void_p, ctypes.c_uint64]
-        self._c.arv_buffer_set_timestamp.argtypes = [ctypes.c_void_p, ctypes.c_uint64]
+        for field in ("frame_id", "timestamp"):
+            get, put = (getattr(self._c, f"arv_buffer_{verb}_{field}") for verb in ("get", "set"))
+            get.restype, get.argtypes = ctypes.c_uint64, [ctypes.c_void_p]
+            put.argtypes = [ctypes.c_void_p, ctypes.c_uint64]
         self._c.arv_fake_camera_set_fill_pattern(_address(self._device), self._fill_c, None)
 
     def inject(self, fault: str, options: dict[str, Any]) -> None:
@@ -166,7 +164,6 @@ class GigeCamera:
             self._c.arv_buffer_set_timestamp(buffer, timestamp_ns)
 
     def close(self) -> None:
-        """End it."""
         self._faults.wake()
         self.unplug()
         self._port.close()
@@ -229,7 +226,6 @@ class GigeFaults:
         self._awake = threading.Event()
 
     def inject(self, fault: str, options: dict[str, Any]) -> None:
-        """Set a fault; ``clear`` ends all. Raises a ValueError for a fault or an option that there is not."""
         if fault == "clear":
             self._triggers = {}
             return
@@ -264,7 +260,6 @@ class GigeFaults:
         return float(exposure_us)
 
     def wake(self) -> None:
-        """Let a camera that hangs go on, so that it can end."""
         self._awake.set()
 
     @property
@@ -278,7 +273,6 @@ class GigeFaults:
         return old if "old_image" in self._now and old is not None else image
 
     def end(self, buffer: int, timestamp_ns: int) -> None:
-        """Stamp the frame."""
         if "stale" in self._now:
             self._camera.stamp(buffer, timestamp_ns=(self._stamp_ns or time.time_ns()) - _BACK_NS)
         else:

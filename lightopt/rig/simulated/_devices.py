@@ -4,12 +4,10 @@ import math
 import threading
 from collections import deque
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
 from typing import Any
 
-from lightopt.rig.simulated._faults import LINE_FAULTS, FaultyLine, Transmission
-from lightopt.rig.simulated._firmware import Firmware, LightFirmware, StageFirmware, build
-from lightopt.rig.simulated._wires import PtyWire, TcpWire, Wire, have_ptys
+from lightopt.rig.simulated._firmware import build
+from lightopt.rig.simulated._wires import LINE_FAULTS, FaultyLine, PtyWire, TcpWire, have_ptys
 
 _TRACE = 100_000
 
@@ -18,26 +16,15 @@ _AWAKE_S = 1.0  # a device is awake for so long after it was sent something
 _ASLEEP_S = 0.05  # how late another device may be: polling all of them as often would keep a bench busy
 
 
-@dataclass(frozen=True)
-class LightChange:
-    """A light that changed: when [s, monotonic clock], which, and its share of the highest brightness from then on."""
-
-    time: float
-    device: str
-    channel: int
-    level: float
-
-
 class Device:
     """A simulated device on its wire."""
 
-    def __init__(self, kind: str, options: dict[str, Any], wire: Wire) -> None:
-        self.kind = kind
-        self.firmware: Firmware = build(kind, options)
+    def __init__(self, kind: str, options: dict[str, Any], wire: PtyWire | TcpWire) -> None:
+        self.firmware = build(kind, options)
         self.wire = wire
         self.deliveries = 0
         self._line = FaultyLine()
-        self._out: list[Transmission] = []
+        self._out: list[tuple[float, bytes]] = []  # when [s], what
         self._received_at = -math.inf
         self._polled_at = -math.inf
 
@@ -66,12 +53,12 @@ class Device:
         """Send what is due, what the firmware sends on its own included."""
         self._polled_at = now
         self._reply(self.firmware.poll(now), now)
-        self._out.sort(key=lambda sent: sent.due)
-        while self._out and self._out[0].due <= now:
-            first = self._out.pop(0)
-            taken = self.wire.send(first.data)
-            if taken < len(first.data):
-                self._out.insert(0, Transmission(first.due, first.data[taken:]))
+        self._out.sort(key=lambda sent: sent[0])
+        while self._out and self._out[0][0] <= now:
+            due, data = self._out.pop(0)
+            taken = self.wire.send(data)
+            if taken < len(data):
+                self._out.insert(0, (due, data[taken:]))
                 return
 
     def inject(self, fault: str, options: dict[str, Any], now: float) -> None:
@@ -80,17 +67,9 @@ class Device:
         if fault in LINE_FAULTS or fault == "clear":
             self._line.inject(fault, options)
         if fault == "clear":
-            self._out = [sent for sent in self._out if sent.due <= now]  # late replies do not come any more
+            self._out = [sent for sent in self._out if sent[0] <= now]  # late replies do not come any more
         if fault not in LINE_FAULTS:
             self.firmware.inject(fault, options, now)
-
-    def levels(self) -> dict[int, float] | None:
-        """Brightness of each channel as a share of the highest; None for what is no light controller."""
-        return self.firmware.levels() if isinstance(self.firmware, LightFirmware) else None
-
-    def positions(self, now: float) -> dict[str, float] | None:
-        """Where each axis really stands, in device units; None for what is no stage."""
-        return self.firmware.positions(now) if isinstance(self.firmware, StageFirmware) else None
 
     def _reply(self, data: bytes, now: float) -> None:
         if data:
@@ -109,7 +88,8 @@ class SimulatedDevices:
     def __init__(self, devices: Mapping[str, Mapping[str, Any]], *, tcp: bool = not have_ptys) -> None:
         self.lock = threading.RLock()
         self._served = threading.Event()
-        self.trace: deque[LightChange] = deque(maxlen=_TRACE)
+        # changes of the lights: time [s, monotonic clock], device, channel, share of the highest brightness
+        self.trace: deque[tuple[float, str, int, float]] = deque(maxlen=_TRACE)
         self.devices: dict[str, Device] = {}
         self._brightness: dict[tuple[str, int], float] = {}
         for name, spec in devices.items():
@@ -118,11 +98,9 @@ class SimulatedDevices:
         self.levels()
 
     def ports(self) -> dict[str, str]:
-        """What clients open, by device."""
         return {name: device.wire.port for name, device in self.devices.items()}
 
     def waiting(self) -> list[int]:
-        """File descriptors to watch for something to read."""
         with self.lock:
             return [fd for device in self.devices.values() for fd in device.wire.waiting]
 
@@ -146,17 +124,16 @@ class SimulatedDevices:
     def levels(self) -> dict[str, dict[int, float]]:
         """Brightness of each channel of each light controller, as a share of the highest."""
         with self.lock:
-            found = {name: device.levels() for name, device in self.devices.items()}
+            found = {name: device.firmware.levels() for name, device in self.devices.items()}
         return {name: levels for name, levels in found.items() if levels is not None}
 
     def positions(self, now: float) -> dict[str, dict[str, float]]:
         """Where each axis of each stage really stands, in device units."""
         with self.lock:
-            found = {name: device.positions(now) for name, device in self.devices.items()}
+            found = {name: device.firmware.positions(now) for name, device in self.devices.items()}
         return {name: positions for name, positions in found.items() if positions is not None}
 
     def inject(self, name: str, fault: str, options: dict[str, Any], now: float) -> None:
-        """Set a fault of a device."""
         with self.lock:
             if name not in self.devices:
                 raise ValueError(f'no device called "{name}"; there is {", ".join(self.devices)}')
@@ -172,7 +149,6 @@ class SimulatedDevices:
         self._served.wait(1)
 
     def close(self) -> None:
-        """Pull every cable."""
         with self.lock:
             for device in self.devices.values():
                 device.wire.pull()
@@ -182,4 +158,4 @@ class SimulatedDevices:
             for channel, level in levels.items():
                 if self._brightness.get((name, channel), 0.0) != level:
                     self._brightness[name, channel] = level
-                    self.trace.append(LightChange(now, name, channel, level))
+                    self.trace.append((now, name, channel, level))

@@ -1,56 +1,116 @@
-"""Registry of simulated firmware, and what it implements. Add a new device here.
+"""Registry of simulated firmware, what all of it shares, and when its faults strike. Add a new device here.
 
-Firmware is written from the tables of its protocol, not from the driver: the two meet on the wire only.
+Firmware is written from the tables of its protocol, not from the driver: the two meet on the wire only. A fault strikes
+by count or by seeded chance, so that a failed test can be run again.
 """
 
-from collections.abc import Callable
+import random
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 from importlib import import_module
-from typing import Any, Protocol, cast, runtime_checkable
+from typing import Any, ClassVar, cast
 
 
-class Firmware(Protocol):
-    """A device behind a wire. Time [s] is given, never read, so that a dialogue can be replayed.
+class Trigger:
+    """Decides at each occasion whether a fault strikes.
 
-    feed: Take bytes off the wire and return the bytes to send; incomplete commands are kept.
-    poll: Bytes that the device sends on its own or late (banners, withheld replies); often none.
-    inject: Set a fault of the device from now on: a stalled axis, a light that stays dark; ``clear`` ends all. Faults
-        of the line never come here. Raises a ValueError that lists the faults that there are.
+    after: Occasions that pass unharmed first.
+    count: Occasions that it strikes; None: all that follow.
+    probability, seed: Chance that it strikes at an occasion that `after` and `count` leave to it.
     """
 
-    def feed(self, data: bytes, now: float) -> bytes: ...
-    def poll(self, now: float) -> bytes: ...
-    def inject(self, fault: str, options: dict[str, Any], now: float) -> None: ...
+    struck = 0
+    """How often faults struck in this process, those of all triggers together."""
+
+    def __init__(self, *, after: int = 0, count: int | None = 1, probability: float = 1.0, seed: int = 0) -> None:
+        if after < 0 or (count is not None and count < 1) or not 0 <= probability <= 1:
+            raise ValueError("after counts from 0, count from 1, and probability lies between 0 and 1")
+        self._after = after
+        self._left = count
+        self._probability = probability
+        self._random = random.Random(seed)  # noqa: S311  (chance of a fault, not a secret)
+
+    def strikes(self) -> bool:
+        """Whether the fault strikes at this occasion."""
+        if self._after > 0:
+            self._after -= 1
+            return False
+        if self._left == 0 or self._random.random() >= self._probability:
+            return False
+        if self._left is not None:
+            self._left -= 1
+        Trigger.struck += 1
+        return True
 
 
-@runtime_checkable
-class LightFirmware(Firmware, Protocol):
-    """A light controller.
-
-    levels: Brightness of each channel from 1 up, as a share of the highest intensity; 0 when off.
-    """
-
-    def levels(self) -> dict[int, float]: ...
+def trigger(fault: str, options: Mapping[str, Any]) -> Trigger:
+    """Trigger of a fault from the options of a request; a ValueError names the fault."""
+    try:
+        return Trigger(**options)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{fault}: {error}") from None
 
 
-@runtime_checkable
-class StageFirmware(Firmware, Protocol):
-    """A stage controller.
+class Firmware(ABC):
+    """A device behind a wire. Time [s] is given, never read, so that a dialogue can be replayed."""
 
-    positions: Where each axis really stands, in device units by the axis' name.
-    """
+    FAULTS: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    """Faults of replies by name, each with its option, if any, and the default of that, beside the trigger's."""
 
-    def positions(self, now: float) -> dict[str, float]: ...
+    def __init__(self) -> None:
+        self._buffer = b""
+        self._faults: dict[str, tuple[Trigger, Any]] = {}
+
+    @abstractmethod
+    def feed(self, data: bytes, now: float) -> bytes:
+        """Take bytes off the wire and return the bytes to send; incomplete commands are kept."""
+
+    def poll(self, now: float) -> bytes:  # noqa: ARG002
+        """Bytes that the device sends on its own or late (banners, withheld replies); often none."""
+        return b""
+
+    def levels(self) -> dict[int, float] | None:
+        """Brightness of each channel from 1 up, as a share of the highest; None for what is no light controller."""
+        return None
+
+    def positions(self, now: float) -> dict[str, float] | None:  # noqa: ARG002
+        """Where each axis really stands, in device units by the axis' name; None for what is no stage."""
+        return None
+
+    def inject(self, fault: str, options: Mapping[str, Any], now: float) -> None:
+        """Set a fault of the device from now on; ``clear`` ends all. Faults of the line never come here.
+
+        Raises a ValueError that lists the faults that there are.
+        """
+        if fault in self.FAULTS:
+            own = self.FAULTS[fault]
+            values = {**own, **options}
+            value = next((values.pop(name) for name in own), True)
+            self._faults[fault] = (trigger(fault, values), value)
+            return
+        if fault == "clear":
+            self._faults.clear()
+        self._suffer(fault, options, now)
+
+    @abstractmethod
+    def _suffer(self, fault: str, options: Mapping[str, Any], now: float) -> None:
+        """Set a fault of the lamps or axes, or of the whole device."""
+
+    def _struck(self, fault: str) -> Any:
+        """Option of a fault of replies that strikes now, True where it has none; None where it does not strike."""
+        strikes, value = self._faults.get(fault, (None, None))
+        return value if strikes is not None and strikes.strikes() else None
 
 
 # Imported when needed: a bench of two devices does not load the others.
 FIRMWARE = {
-    "ccs": ("lightopt.rig.simulated._light_ccs", "CcsFirmware"),
-    "sa": ("lightopt.rig.simulated._light_sa", "SaFirmware"),
-    "template": ("lightopt.rig.simulated._light_template", "TemplateFirmware"),
-    "shot": ("lightopt.rig.simulated._stage_sigmakoki", "ShotFirmware"),
-    "gsc": ("lightopt.rig.simulated._stage_sigmakoki", "GscFirmware"),
-    "grbl": ("lightopt.rig.simulated._stage_grbl", "GrblFirmware"),
-    "zaber": ("lightopt.rig.simulated._stage_zaber", "ZaberFirmware"),
+    "ccs": ("_light_ccs", "CcsFirmware"),
+    "sa": ("_light_sa", "SaFirmware"),
+    "template": ("_light_template", "TemplateFirmware"),
+    "shot": ("_stage_sigmakoki", "ShotFirmware"),
+    "gsc": ("_stage_sigmakoki", "GscFirmware"),
+    "grbl": ("_stage_grbl", "GrblFirmware"),
+    "zaber": ("_stage_zaber", "ZaberFirmware"),
 }
 
 
@@ -59,7 +119,7 @@ def build(kind: str, options: dict[str, Any]) -> Firmware:
     if kind not in FIRMWARE:
         raise ValueError(f'no firmware called "{kind}"; there is {", ".join(FIRMWARE)}')
     module, name = FIRMWARE[kind]
-    make = cast("Callable[..., Firmware]", getattr(import_module(module), name))
+    make = cast("Callable[..., Firmware]", getattr(import_module(f"{__package__}.{module}"), name))
     try:
         return make(**options)
     except TypeError as error:

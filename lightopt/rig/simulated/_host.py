@@ -15,14 +15,13 @@ import sys
 import threading
 import time
 from collections.abc import Mapping
-from dataclasses import astuple
 from typing import Any
 
 from lightopt.core.errors import error_text
 from lightopt.rig.simulated._camera import CAMERA, BenchCamera, CameraSetup, Handler, Response
 from lightopt.rig.simulated._camera_gige import GigeCamera
 from lightopt.rig.simulated._devices import SimulatedDevices
-from lightopt.rig.simulated._faults import Trigger
+from lightopt.rig.simulated._firmware import Trigger
 from lightopt.rig.simulated._wires import have_ptys
 
 
@@ -99,7 +98,7 @@ def _device_requests(devices: SimulatedDevices, gige: GigeCamera | None) -> dict
 
     def trace(_: Mapping[str, Any]) -> Response:
         with devices.lock:
-            return {"changes": [astuple(change) for change in devices.trace]}, b""
+            return {"changes": list(devices.trace)}, b""
 
     def fault(request: Mapping[str, Any]) -> Response:
         device, kind, options = request["device"], request["fault"], dict(request.get("options", {}))
@@ -148,7 +147,6 @@ class ControlServer:
         threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True).start()
 
     def close(self) -> None:
-        """Take no more connections."""
         self._server.shutdown()
         self._server.server_close()
 

@@ -1,9 +1,9 @@
 """What the channels of a simulated light controller hold and really shine, the faults of its lamps included."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
-from lightopt.rig.simulated._faults import Trigger, trigger
+from lightopt.rig.simulated._firmware import Firmware
 
 
 class Lamps:
@@ -15,6 +15,7 @@ class Lamps:
     each for one channel; ``power_cycle`` (the channels are as at power-up).
 
     levels: Intensities at power-up by channel, 0 where absent. Keys may be text, as in JSON.
+    level, on: Intensity that each channel holds, and whether it is switched on.
     """
 
     FAULTS = ("dark", "lit", "deaf", "aged", "swapped", "power_cycle")
@@ -24,56 +25,46 @@ class Lamps:
     ) -> None:
         self.channels = channels
         self.top_level = top_level
-        self._level = dict.fromkeys(range(1, channels + 1), 0)
-        self._on = dict.fromkeys(range(1, channels + 1), on)
+        self.level = dict.fromkeys(range(1, channels + 1), 0)
+        self.on = dict.fromkeys(range(1, channels + 1), on)
         self._faults: dict[int, str] = {}
         self._aged: dict[int, float] = {}
-        self._lamp_of = {channel: channel for channel in self._level}
+        self._lamp_of = {channel: channel for channel in self.level}
         for channel, level in (levels or {}).items():
-            if int(channel) not in self._level or not 0 <= level <= top_level:
+            if int(channel) not in self.level or not 0 <= level <= top_level:
                 raise ValueError(f"no level {level} on channel {channel} of {channels}")
-            self._level[int(channel)] = level
-        self._at_power_up = dict(self._level), dict(self._on)
-
-    def level(self, channel: int) -> int:
-        """Intensity that a channel holds, whether it is switched on or not."""
-        return self._level[channel]
-
-    def on(self, channel: int) -> bool:
-        """Whether a channel is switched on."""
-        return self._on[channel]
+            self.level[int(channel)] = level
+        self._at_power_up = dict(self.level), dict(self.on)
 
     def set_level(self, channel: int, level: int) -> None:
-        """Set a channel's intensity."""
         if self._faults.get(channel) != "deaf":
-            self._level[channel] = level
+            self.level[channel] = level
 
     def switch(self, channel: int, on: bool) -> None:
-        """Switch a channel on or off."""
         if self._faults.get(channel) != "deaf":
-            self._on[channel] = on
+            self.on[channel] = on
 
     def inject(self, fault: str, options: Mapping[str, Any], known: tuple[str, ...] = ()) -> None:
         """Let a channel suffer a fault: one of `FAULTS`, or ``clear``; `known` are others, for the message."""
         if fault == "clear":
             self._faults.clear()
             self._aged.clear()
-            self._lamp_of = {channel: channel for channel in self._level}
+            self._lamp_of = {channel: channel for channel in self.level}
             return
         if fault not in self.FAULTS:
             raise ValueError(f'no fault called "{fault}"; there are {", ".join((*self.FAULTS, *known, "clear"))}')
         if fault == "power_cycle":
-            self._level, self._on = (dict(held) for held in self._at_power_up)
+            self.level, self.on = (dict(held) for held in self._at_power_up)
             return
         more = {"aged": {"share"}, "swapped": {"other"}}.get(fault, set[str]())
-        if set(options) != {"channel", *more} or options["channel"] not in self._level:
+        if set(options) != {"channel", *more} or options["channel"] not in self.level:
             wants = "".join(f" and {name}" for name in more)
             raise ValueError(f"{fault} wants a channel from 1 to {self.channels}{wants}, got {dict(options)}")
         if fault == "aged":
             self._aged[options["channel"]] = float(options["share"])
             return
         if fault == "swapped":
-            if options["other"] not in self._level:
+            if options["other"] not in self.level:
                 raise ValueError(f"swapped wants another channel from 1 to {self.channels}, got {dict(options)}")
             channel, other = options["channel"], options["other"]
             self._lamp_of |= {channel: other, other: channel}
@@ -92,32 +83,20 @@ class Lamps:
             return 0.0
         if fault == "lit":
             return 1.0
-        return self._level[channel] / self.top_level if lit and self._on[channel] else 0.0
+        return self.level[channel] / self.top_level if lit and self.on[channel] else 0.0
 
 
-class LampFirmware:
+class LampFirmware(Firmware):
     """What the firmware of light controllers shares: lamps with their faults, and ``ng``, which refuses commands."""
 
-    def __init__(self, lamps: Lamps) -> None:
-        self._lamps = lamps
-        self._ng: Trigger | None = None
+    FAULTS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"ng": {}}
 
-    def poll(self, now: float) -> bytes:  # noqa: ARG002
-        """Nothing: it answers only."""
-        return b""
+    def __init__(self, lamps: Lamps) -> None:
+        super().__init__()
+        self._lamps = lamps
 
     def levels(self) -> dict[int, float]:
-        """Brightness of each channel."""
         return self._lamps.brightness()
 
-    def inject(self, fault: str, options: dict[str, Any], now: float) -> None:  # noqa: ARG002
-        """Set a fault, or ``clear`` all."""
-        if fault == "ng":
-            self._ng = trigger(fault, options)
-            return
-        if fault == "clear":
-            self._ng = None
-        self._lamps.inject(fault, options, ("ng",))
-
-    def _refuses(self) -> bool:
-        return self._ng is not None and self._ng.strikes()
+    def _suffer(self, fault: str, options: Mapping[str, Any], now: float) -> None:  # noqa: ARG002
+        self._lamps.inject(fault, options, tuple(self.FAULTS))

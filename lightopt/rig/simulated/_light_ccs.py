@@ -7,17 +7,16 @@ understood, mixed.
 
 import re
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
-from lightopt.rig.simulated._faults import Trigger, trigger
-from lightopt.rig.simulated._lamps import Lamps
+from lightopt.rig.simulated._lamps import LampFirmware, Lamps
 
 _COMMAND, _CHECKSUM, _VALUE = 1, 2, 3
 _LONGEST = 64
 _MODES = 10  # S00 is on/off, S01 … S10 are strobes
 
 
-class CcsFirmware:
+class CcsFirmware(LampFirmware):
     """A controller with CCS ``@`` frames.
 
     Faults besides those of its lamps, with the options of :class:`Trigger`: ``ng`` (option ``code``: 1 command,
@@ -25,6 +24,8 @@ class CcsFirmware:
 
     gap_s: Time [s] that must pass after a frame; a frame that comes before is ignored.
     """
+
+    FAULTS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"ng": {"code": _COMMAND}, "checksum": {}}
 
     def __init__(
         self,
@@ -35,14 +36,11 @@ class CcsFirmware:
         on: bool = True,
         gap_s: float = 0.0,
     ) -> None:
-        self._lamps = Lamps(channels, top_level, levels, on=on)
+        super().__init__(Lamps(channels, top_level, levels, on=on))
         self._digits = max(3, len(str(top_level)))
         self._mode = dict.fromkeys(range(1, channels + 1), 0)
         self._gap_s = gap_s
         self._last = -float("inf")
-        self._buffer = b""
-        self._ng: tuple[Trigger, int] | None = None
-        self._wrong: Trigger | None = None
 
     def feed(self, data: bytes, now: float) -> bytes:
         self._buffer += data
@@ -58,26 +56,14 @@ class CcsFirmware:
         self._buffer = self._buffer[start:][:_LONGEST] if start >= 0 else b""
         return replies
 
-    def poll(self, now: float) -> bytes:  # noqa: ARG002
-        return b""
-
     def levels(self) -> dict[int, float]:
         """Brightness of each channel; a channel in a strobe mode is dark, because it is never triggered."""
         return {c: share if self._mode[c] == 0 else 0.0 for c, share in self._lamps.brightness().items()}
 
-    def inject(self, fault: str, options: dict[str, Any], now: float) -> None:  # noqa: ARG002
-        if fault == "ng":
-            chosen = dict(options)
-            code = chosen.pop("code", _COMMAND)
-            if code not in (_COMMAND, _CHECKSUM, _VALUE):
-                raise ValueError(f"ng wants code 1, 2 or 3, got {code}")
-            self._ng = (trigger(fault, chosen), code)
-        elif fault == "checksum":
-            self._wrong = trigger(fault, options)
-        else:
-            if fault == "clear":
-                self._ng = self._wrong = None
-            self._lamps.inject(fault, options, ("ng", "checksum"))
+    def inject(self, fault: str, options: Mapping[str, Any], now: float) -> None:
+        if fault == "ng" and options.get("code", _COMMAND) not in (_COMMAND, _CHECKSUM, _VALUE):
+            raise ValueError(f"ng wants code 1, 2 or 3, got {options['code']}")
+        super().inject(fault, options, now)
 
     def _answer(self, frame: bytes) -> bytes:
         head = frame[1:3].decode("ascii", "replace") if frame[1:3].isdigit() else "00"
@@ -86,8 +72,8 @@ class CcsFirmware:
             return self._reply(head, f"N{_COMMAND:02d}")
         if int(match[4], 16) != sum(frame[:-2]) % 256:
             return self._reply(head, f"N{_CHECKSUM:02d}")
-        if self._ng is not None and self._ng[0].strikes():
-            return self._reply(head, f"N{self._ng[1]:02d}")
+        if (code := self._struck("ng")) is not None:
+            return self._reply(head, f"N{code:02d}")
         outcome = self._obey(int(match[1]) + 1, match[2].decode(), match[3].decode("ascii", "replace"))
         if isinstance(outcome, int):
             outcome = f"N{outcome:02d}"
@@ -96,7 +82,7 @@ class CcsFirmware:
     def _reply(self, head: str, outcome: str) -> bytes:
         body = f"@{head}{outcome}".encode("ascii")
         checksum = sum(body) % 256
-        if self._wrong is not None and self._wrong.strikes():
+        if self._struck("checksum"):
             checksum ^= 0x55
         return body + f"{checksum:02X}\r\n".encode("ascii")
 
@@ -114,7 +100,7 @@ class CcsFirmware:
             return "O00"
         if instruction == "M":
             lamps = self._lamps
-            level, mode, on = lamps.level(channel), self._mode[channel], int(lamps.on(channel))
+            level, mode, on = lamps.level[channel], self._mode[channel], int(lamps.on[channel])
             return f"OF{level:0{self._digits}d}.S{mode:02d}.L{on}"
         if value > {"F": self._lamps.top_level, "L": 1, "S": _MODES, "R": 0}[instruction]:
             return _VALUE

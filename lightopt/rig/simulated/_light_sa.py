@@ -26,7 +26,6 @@ class SaFirmware(LampFirmware):
         self._letters = "ABCDEF"[:channels]
         self._ack = ack
         self._master = True
-        self._buffer = b""
 
     def feed(self, data: bytes, now: float) -> bytes:  # noqa: ARG002
         self._buffer += data
@@ -42,7 +41,7 @@ class SaFirmware(LampFirmware):
 
     def _answer(self, command: str) -> str:
         match = re.fullmatch(r"S([A-FHL])(\d{4})?", command)
-        if match is None or self._refuses():
+        if match is None or self._struck("ng"):
             return "NG"
         letter, digits = match.groups()
         if letter in "HL":
@@ -54,7 +53,7 @@ class SaFirmware(LampFirmware):
             return "NG"
         channel = self._letters.index(letter) + 1
         if digits is None:
-            return f"{letter.lower()}{self._lamps.level(channel):04d}"
+            return f"{letter.lower()}{self._lamps.level[channel]:04d}"
         if int(digits) > self._lamps.top_level:
             return "NG"
         self._lamps.set_level(channel, int(digits))

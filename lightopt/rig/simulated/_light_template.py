@@ -32,31 +32,31 @@ class TemplateFirmware(LampFirmware):
             if verb in self._template
             for channel in range(1, channels + 1)
         ]
-        self._buffer = ""
+        self._text = ""
         for verb in ("set", "off", "read"):
             self._reply(verb, top_level)
 
     def feed(self, data: bytes, now: float) -> bytes:  # noqa: ARG002
-        self._buffer += data.decode("latin-1")
+        self._text += data.decode("latin-1")
         replies = "".join(self._answers())
-        self._buffer = self._buffer[-_LONGEST:]
+        self._text = self._text[-_LONGEST:]
         return replies.encode("latin-1")
 
     def _answers(self) -> Iterator[str]:
         while (found := self._first()) is not None:
             verb, channel, match = found
-            self._buffer = self._buffer[match.end() :]
+            self._text = self._text[match.end() :]
             level = int(match["level"]) if "level" in match.re.groupindex else 0
-            if level > self._lamps.top_level or self._refuses():
+            if level > self._lamps.top_level or self._struck("ng"):
                 yield "?" + self._end
                 continue
             if verb != "read":
                 self._lamps.set_level(channel, level)
-            yield self._reply(verb, self._lamps.level(channel))
+            yield self._reply(verb, self._lamps.level[channel])
 
     def _first(self) -> tuple[str, int, re.Match[str]] | None:
         """The earliest command in the buffer, with what lies before it thrown away."""
-        found = [(verb, channel, pattern.search(self._buffer)) for verb, channel, pattern in self._commands]
+        found = [(verb, channel, pattern.search(self._text)) for verb, channel, pattern in self._commands]
         hits = [(verb, channel, match) for verb, channel, match in found if match is not None]
         return min(hits, key=lambda hit: hit[2].start()) if hits else None
 
@@ -99,6 +99,14 @@ def example(pattern: str, level: int | None = None) -> str:
     raise ValueError(f"cannot make up a reply that matches {pattern!r}")
 
 
+_ATOM = re.compile(
+    r"\((?:\?:|\?P<(?P<name>\w+)>|(?!\?))|\[\^?\]?(?:\\.|[^\]\\])*\]|\\x[0-9a-fA-F]{2}|\\u[0-9a-fA-F]{4}|\\[^1-9]|[^(|)\\]",
+    re.DOTALL,
+)
+_REPETITION = re.compile(r"([*+?]|\{(\d*),?\d*\})[?+]?")
+_ALTERNATIVE, _END_OF_GROUP = re.compile(r"\|"), re.compile(r"\)")
+
+
 class _Maker:
     """One walk over a pattern."""
 
@@ -113,51 +121,33 @@ class _Maker:
             raise ValueError(f"cannot make up a reply that matches {self._pattern!r}")
         return text
 
-    def _rest(self) -> str:
-        return self._pattern[self._at :]
+    def _take(self, token: re.Pattern[str]) -> re.Match[str] | None:
+        match = token.match(self._pattern, self._at)
+        self._at = self._at if match is None else match.end()
+        return match
 
     def _alternatives(self) -> str:
         chosen = self._sequence()
-        while self._rest().startswith("|"):
-            self._at += 1
+        while self._take(_ALTERNATIVE):
             self._sequence()
         return chosen
 
     def _sequence(self) -> str:
         text = ""
-        while self._rest() and self._rest()[0] not in "|)":
-            atom = self._atom()
-            text += atom * self._fewest()
+        while match := self._take(_ATOM):
+            atom = self._example(match)
+            times = self._take(_REPETITION)
+            text += atom * (1 if times is None or times[1] == "+" else int(times[2] or 0))
         return text
 
-    def _fewest(self) -> int:
-        match = re.match(r"([*+?]|\{(\d*),?\d*\})[?+]?", self._rest())
-        if match is None:
-            return 1
-        self._at += match.end()
-        return 1 if match[1] == "+" else int(match[2] or 0)
-
-    def _atom(self) -> str:
-        rest = self._rest()
-        if rest[0] == "(":
-            return self._group()
-        single = re.match(r"\[\^?\]?(?:\\.|[^\]\\])*\]|\\x[0-9a-fA-F]{2}|\\u[0-9a-fA-F]{4}|\\.|.", rest, re.DOTALL)
-        if single is None or re.match(r"\\[1-9]", single[0]):
-            raise ValueError(f"cannot make up a reply that matches {self._pattern!r}")
-        self._at += single.end()
-        literal = not single[0].startswith(("\\", "[")) and single[0] not in ".^$"
-        if literal or re.fullmatch(single[0], ""):
-            return single[0] if literal else ""
-        everything = _CANDIDATES + "".join(map(chr, range(256)))
-        return next((c for c in everything if re.fullmatch(single[0], c)), "")
-
-    def _group(self) -> str:
-        head = re.match(r"\((?:\?:|\?P<(\w+)>|(?!\?))", self._rest())
-        if head is None:
-            raise ValueError(f"cannot make up a reply that matches {self._pattern!r}")
-        self._at += head.end()
-        text = self._alternatives()
-        if not self._rest().startswith(")"):
-            raise ValueError(f"cannot make up a reply that matches {self._pattern!r}")
-        self._at += 1
-        return self._level if head[1] == "level" else text
+    def _example(self, atom: re.Match[str]) -> str:
+        """Text that a group, a class of characters or a single character matches."""
+        if atom[0].startswith("("):
+            text = self._alternatives()
+            if self._take(_END_OF_GROUP) is None:
+                raise ValueError(f"cannot make up a reply that matches {self._pattern!r}")
+            return self._level if atom["name"] == "level" else text
+        if atom[0][0] not in "\\[.^$":
+            return atom[0]
+        everything = ["", *_CANDIDATES, *map(chr, range(256))]
+        return next((text for text in everything if re.fullmatch(atom[0], text)), "")

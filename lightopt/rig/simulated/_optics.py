@@ -30,24 +30,19 @@ class BenchOptics:
     """
 
     def __init__(self, scene: Scene, truth: BenchTruth) -> None:
-        self._scene = replace(
+        self.scene = replace(
             move_part(scene, np.eye(3), np.array(truth.part_offset_mm, np.float64)),
             sensor=replace(scene.sensor, black_level=scene.sensor.black_level + truth.dark_level),
         )
         self._truth = truth
-        self._caster: RayCaster = cast_rays_at(self._scene)
+        self._caster: RayCaster = cast_rays_at(self.scene)
         self._layers: OrderedDict[tuple[Posture, str], Float32] = OrderedDict()
         self._rendering = threading.Lock()
         self._taken: dict[bytes, int] = {}
 
-    @property
-    def scene(self) -> Scene:
-        """What is rendered."""
-        return self._scene
-
     def prepare(self, posture: Posture) -> None:
         """Render all lights at a posture, for frames to come."""
-        self._layer(posture, self._scene.lights[0].name)
+        self._layer(posture, self.scene.lights[0].name)
 
     def frame(
         self,
@@ -68,13 +63,13 @@ class BenchOptics:
         counted: Whether it counts among the frames that were taken before the next.
         """
         gain = 10.0 ** (gain_db / 20.0)
-        electrons = self._scene.sensor.electrons_per_level
+        electrons = self.scene.sensor.electrons_per_level
         sensor = replace(
-            self._scene.sensor,
+            self.scene.sensor,
             electrons_per_level=None if electrons is None else electrons / gain,
-            read_noise_levels=self._scene.sensor.read_noise_levels * gain,
+            read_noise_levels=self.scene.sensor.read_noise_levels * gain,
         )
-        level = np.full((self._scene.camera.height, self._scene.camera.width), self._truth.ambient_level, np.float32)
+        level = np.full((self.scene.camera.height, self.scene.camera.width), self._truth.ambient_level, np.float32)
         lit = {name: share for name, share in sorted(shares.items()) if share > 0.0}
         for name, share in lit.items():
             factor = self._truth.gains.get(name, 1.0)
@@ -83,7 +78,7 @@ class BenchOptics:
             level,
             sensor=sensor,
             exposure=exposure * gain,
-            full_scale=self._scene.reflectance.full_scale,
+            full_scale=self.scene.reflectance.full_scale,
             rng=self._noise(lit, posture, exposure, counted=counted),
         )
 
@@ -100,16 +95,13 @@ class BenchOptics:
 
     def _layer(self, posture: Posture, light: str) -> Float32:
         with self._rendering:
-            return self._rendered(posture, light)
-
-    def _rendered(self, posture: Posture, light: str) -> Float32:
-        if (posture, light) not in self._layers:
-            # all lights at once: the rays are cast once, and the others are wanted next
-            images = render_posture(self._scene, posture, caster=self._caster)
-            self._layers |= {(posture, image.light): image.level for image in images.lights}
-        layer = self._layers[posture, light]
-        for name in (one.name for one in self._scene.lights):
-            self._layers.move_to_end((posture, name))
-        while len(self._layers) > len(self._scene.lights) and len(self._layers) * layer.nbytes > _CACHE_BYTES:
-            self._layers.popitem(last=False)
-        return layer
+            if (posture, light) not in self._layers:
+                # all lights at once: the rays are cast once, and the others are wanted next
+                images = render_posture(self.scene, posture, caster=self._caster)
+                self._layers |= {(posture, image.light): image.level for image in images.lights}
+            layer = self._layers[posture, light]
+            for name in (one.name for one in self.scene.lights):
+                self._layers.move_to_end((posture, name))
+            while len(self._layers) > len(self.scene.lights) and len(self._layers) * layer.nbytes > _CACHE_BYTES:
+                self._layers.popitem(last=False)
+            return layer

@@ -9,10 +9,10 @@ locked start with homing enabled; a machine space from 0 down to −$130; no rep
 import math
 from collections import deque
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from lightopt.rig.simulated._axes import Axes
-from lightopt.rig.simulated._faults import Trigger, trigger
+from lightopt.rig.simulated._firmware import Firmware
 from lightopt.rig.simulated._stage_grbl_gcode import GcodeError, GrblSettings, Modes, Move, parse_line
 
 _NAMES = ("X", "Y", "Z")
@@ -25,7 +25,7 @@ _SLOW_START_S = 0.004  # a report so soon after the ok is still Idle
 _BRAKE_S = 0.02
 
 
-class GrblFirmware:
+class GrblFirmware(Firmware):
     """A Grbl 1.1h with three axes.
 
     Faults besides those of its axes (``limit`` raises ALARM:1): ``alarm`` (option ``code``; at once), ``refuse``
@@ -34,6 +34,8 @@ class GrblFirmware:
     settings: Settings other than the usual ones by number: ``{"22": 1}``.
     """
 
+    FAULTS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"refuse": {"code": 8}}
+
     def __init__(
         self,
         *,
@@ -41,13 +43,13 @@ class GrblFirmware:
         settings: Mapping[str, float] | None = None,
         home_speed: float = 50.0,
     ) -> None:
-        given = {} if axes is None else axes
+        super().__init__()
+        given = axes or {}
         if not set(given) <= set(_NAMES):
             raise ValueError(f"the axes are X, Y and Z, found {', '.join(given)}")
         self._axes = Axes({name: given.get(name, {}) for name in _NAMES})
         self._settings = GrblSettings(settings or {})
         self._home_speed = home_speed
-        self._refuse: tuple[Trigger, int] | None = None
         self._power_up()
 
     def feed(self, data: bytes, now: float) -> bytes:
@@ -66,12 +68,12 @@ class GrblFirmware:
             elif byte == b"~":
                 self._resume(now)
             elif byte in b"\r\n":
-                if self._line:
-                    self._lines.append(self._line.decode("ascii", "replace"))
-                self._line = b""
+                if self._buffer:
+                    self._lines.append(self._buffer.decode("ascii", "replace"))
+                self._buffer = b""
                 out += self._work(now)
             elif value < 0x80:
-                self._line += byte
+                self._buffer += byte
         return out
 
     def poll(self, now: float) -> bytes:
@@ -98,26 +100,19 @@ class GrblFirmware:
         return out + self._work(now)
 
     def positions(self, now: float) -> dict[str, float]:
-        """Where each axis really stands [mm, or degrees], from its switch."""
         return self._axes.real(now)
 
-    def inject(self, fault: str, options: dict[str, Any], now: float) -> None:
-        chosen = dict(options)
+    def _suffer(self, fault: str, options: Mapping[str, Any], now: float) -> None:
         if fault == "alarm":
-            code = int(chosen.pop("code", 1))
-            if chosen or not 1 <= code <= 10:
+            code = int(options.get("code", 1))
+            if set(options) - {"code"} or not 1 <= code <= 10:
                 raise ValueError("alarm wants a code from 1 to 10, and no other option")
             self._pending += self._alarm(code, now)
-        elif fault == "refuse":
-            code = int(chosen.pop("code", 8))
-            self._refuse = (trigger(fault, chosen), code)
         elif fault == "power_cycle":
             self._axes.power_cycle(now)
             self._power_up()
         else:
-            if fault == "clear":
-                self._refuse = None
-            self._axes.inject(fault, options, ("alarm", "refuse", "power_cycle"))
+            self._axes.inject(fault, options, ("alarm", *self.FAULTS, "power_cycle"))
 
     def _power_up(self) -> None:
         self._restart()
@@ -129,7 +124,7 @@ class GrblFirmware:
         self._critical = False
         self._withheld = b""
         self._pending = b""
-        self._line = b""
+        self._buffer = b""
         self._lines: deque[str] = deque()
         self._blocks: deque[tuple[dict[str, float], float]] = deque()
         self._going: tuple[dict[str, float], float] | None = None
@@ -232,8 +227,8 @@ class GrblFirmware:
         out = b""
         while self._lines and not self._waits():
             text = self._lines.popleft()
-            if self._refuse is not None and self._refuse[0].strikes():
-                out += f"error:{self._refuse[1]}\r\n".encode()
+            if (code := self._struck("refuse")) is not None:
+                out += f"error:{code}\r\n".encode()
                 continue
             try:
                 out += self._dollar(text, now) if text.startswith("$") else self._gcode(text, now)

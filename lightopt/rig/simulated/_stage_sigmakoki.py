@@ -6,11 +6,12 @@ power-up, wherever the axes stand.
 """
 
 import re
+from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from lightopt.rig.simulated._axes import Axes
-from lightopt.rig.simulated._faults import Trigger, trigger
+from lightopt.rig.simulated._firmware import Firmware
 
 _LONGEST = 256
 _SHOT_TOP_SPEED = 500_000  # [pulses/s]
@@ -31,7 +32,7 @@ def position_text(pulses: int, *, detached: bool) -> str:
     return f"{pulses:10d}"
 
 
-class _SigmakokiFirmware:
+class _SigmakokiFirmware(Firmware):
     """A controller with axis 1, or axes 1 and 2; speeds in pulses/s.
 
     Faults besides those of its axes: ``refuse`` (a command is refused and not obeyed), with the options of
@@ -40,6 +41,7 @@ class _SigmakokiFirmware:
     detached: Whether a sign stands at the left edge of its column rather than before the digits.
     """
 
+    FAULTS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"refuse": {}}
     VERSION: ClassVar[str]
     MOVES: ClassVar[tuple[str, ...]]
     STOP_ENDS_HOMING: ClassVar[bool] = True
@@ -56,6 +58,7 @@ class _SigmakokiFirmware:
         home_speed: float = 5000.0,
         detached: bool = False,
     ) -> None:
+        super().__init__()
         self._axes = Axes({"1": {}, "2": {}} if axes is None else axes)
         names = list(self._axes.by_name)
         if names not in (["1"], ["1", "2"]):
@@ -65,9 +68,7 @@ class _SigmakokiFirmware:
         self._speed = dict.fromkeys(names, speed)
         self._detached = detached
         self._planned: dict[str, tuple[str, int]] = {}  # axis: kind of move (A, M, J) and number
-        self._buffer = b""
         self._accepted = True
-        self._refuse: Trigger | None = None
 
     def feed(self, data: bytes, now: float) -> bytes:
         self._buffer += data
@@ -77,43 +78,35 @@ class _SigmakokiFirmware:
         for line in (line.decode("ascii", "replace") for line in whole):
             answer = self._question(line, now)
             if answer is None:
-                refused = self._refuse is not None and self._refuse.strikes()
-                self._accepted = not refused and self._obey(line, now)
+                self._accepted = not self._struck("refuse") and self._obey(line, now)
                 answer = self._acknowledgement()
             if answer is not None:
                 replies += answer.encode() + b"\r\n"
         return replies
 
-    def poll(self, now: float) -> bytes:  # noqa: ARG002
-        return b""
-
     def positions(self, now: float) -> dict[str, float]:
         return self._axes.real(now)
 
-    def inject(self, fault: str, options: dict[str, Any], now: float) -> None:
-        if fault == "refuse":
-            self._refuse = trigger(fault, options)
-        elif fault == "power_cycle":
+    def _suffer(self, fault: str, options: Mapping[str, Any], now: float) -> None:
+        if fault == "power_cycle":
             self._axes.power_cycle(now)
             self._speed = dict.fromkeys(self._speed, self._power_up_speed)
             self._planned.clear()
             self._buffer = b""
         else:
-            if fault == "clear":
-                self._refuse = None
-            self._axes.inject(fault, options, ("refuse", "power_cycle"))
+            self._axes.inject(fault, options, (*self.FAULTS, "power_cycle"))
 
+    @abstractmethod
     def _acknowledgement(self) -> str | None:
         """Reply to a command other than a question."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _homed_axes(self, words: str) -> list[str]:
         """Axes of ``H:``; empty or unknown ones where its words are wrong."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _set_speeds(self, words: str) -> bool:
         """Take the words of ``D:``."""
-        raise NotImplementedError
 
     def _question(self, line: str, now: float) -> str | None:
         if line == "Q:":
@@ -157,7 +150,7 @@ class _SigmakokiFirmware:
         match = re.fullmatch(rf"([12W])((?:{pattern.replace('(', '(?:')})+)", words)
         if match is None:
             return False
-        names = list(self._axes.by_name) if match[1] == "W" else [match[1]]
+        names = self._named(match[1])
         each = [m.groups() for m in re.finditer(pattern, match[2])]
         if len(each) != len(names) or not set(names) <= set(self._axes.by_name):
             return False
@@ -183,7 +176,6 @@ class _SigmakokiFirmware:
         return True
 
     def _home(self, names: list[str], now: float) -> bool:
-        """Seek the origin of axes."""
         if not names or not set(names) <= set(self._axes.by_name):
             return False
         self._planned = {}
@@ -203,9 +195,13 @@ class _SigmakokiFirmware:
             self._axes[words].stop(now)
         return True
 
+    def _named(self, word: str) -> list[str]:
+        """Axes that a word names: W is all."""
+        return list(self._axes.by_name) if word == "W" else [word]
+
     def _zero(self, words: str, now: float) -> bool:
         """Call the place where an axis stands 0."""
-        names = list(self._axes.by_name) if words == "W" else [words]
+        names = self._named(words)
         if not set(names) <= set(self._axes.by_name):
             return False
         for name in names:
@@ -235,13 +231,13 @@ class ShotFirmware(_SigmakokiFirmware):
         return ":" in line and super()._obey(line, now)
 
     def _homed_axes(self, words: str) -> list[str]:
-        return list(self._axes.by_name) if words == "W" else [words]
+        return self._named(words)
 
     def _set_speeds(self, words: str) -> bool:
         match = re.fullmatch(r"([12W])((?:S\d+F\d+R\d+)+)", words)
         if match is None:
             return False
-        names = list(self._axes.by_name) if match[1] == "W" else [match[1]]
+        names = self._named(match[1])
         each = [tuple(map(int, m)) for m in re.findall(r"S(\d+)F(\d+)R(\d+)", match[2])]
         right = all(1 <= s <= f <= _SHOT_TOP_SPEED and r <= 1000 for s, f, r in each)
         if not right or len(each) != len(names) or not set(names) <= set(self._axes.by_name):

@@ -6,10 +6,10 @@ A command with a wrong checksum is not answered. Each reply reports whether the 
 
 import re
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 from lightopt.rig.simulated._axes import Axes
-from lightopt.rig.simulated._faults import Trigger, trigger
+from lightopt.rig.simulated._firmware import Firmware
 
 _SPEED_UNIT = 1.6384
 _LONGEST = 256
@@ -18,7 +18,7 @@ _COMMAND = re.compile(
 )
 
 
-class ZaberFirmware:
+class ZaberFirmware(Firmware):
     """A chain with one device.
 
     Faults besides those of its axes (a stall flags FS, a switch WL): ``alarm`` (option ``flag``: a warning that stays,
@@ -31,6 +31,8 @@ class ZaberFirmware:
     home_speed: Speed of the search for the home sensor [microsteps/s].
     """
 
+    FAULTS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"refuse": {"reason": "BADDATA"}, "checksum": {}}
+
     def __init__(
         self,
         *,
@@ -40,6 +42,7 @@ class ZaberFirmware:
         home_speed: float = 50_000.0,
         checksums: bool = True,
     ) -> None:
+        super().__init__()
         self._axes = Axes({"1": {}, "2": {}} if axes is None else axes)
         names = list(self._axes.by_name)
         if names != [str(number + 1) for number in range(len(names))]:
@@ -53,9 +56,6 @@ class ZaberFirmware:
         self._flags: dict[str, set[str]] = {name: set() for name in names}
         self._moves = dict.fromkeys(names, False)
         self._to: dict[str, float] = {}
-        self._buffer = b""
-        self._refuse: tuple[Trigger, str] | None = None
-        self._wrong: Trigger | None = None
 
     def feed(self, data: bytes, now: float) -> bytes:
         self._buffer += data
@@ -63,27 +63,18 @@ class ZaberFirmware:
         self._buffer = rest[-_LONGEST:]
         return b"".join(self._answer(line.rstrip(b"\r"), now) for line in lines)
 
-    def poll(self, now: float) -> bytes:  # noqa: ARG002
-        """Return nothing: alerts are off."""
-        return b""
-
     def positions(self, now: float) -> dict[str, float]:
         return self._axes.real(now)
 
-    def inject(self, fault: str, options: dict[str, Any], now: float) -> None:
-        chosen = dict(options)
+    def _suffer(self, fault: str, options: Mapping[str, Any], now: float) -> None:
         if fault == "alarm":
-            flag, axis = str(chosen.pop("flag", "FS")), chosen.pop("axis", None)
-            if chosen or (axis is not None and axis not in self._flags):
+            chosen = {"flag": "FS", "axis": None, **options}
+            axis = chosen["axis"]
+            if len(chosen) > 2 or (axis is not None and axis not in self._flags):
                 raise ValueError("alarm wants a flag, and an axis of the device")
             self._axes.stop(now)
             for name in self._flags if axis is None else [axis]:
-                self._flags[name].add(flag)
-        elif fault == "refuse":
-            reason = str(chosen.pop("reason", "BADDATA"))
-            self._refuse = (trigger(fault, chosen), reason)
-        elif fault == "checksum":
-            self._wrong = trigger(fault, chosen)
+                self._flags[name].add(str(chosen["flag"]))
         elif fault == "power_cycle":
             self._axes.power_cycle(now)
             self._buffer = b""
@@ -91,9 +82,7 @@ class ZaberFirmware:
                 flags.clear()
                 self._moves[name] = False
         else:
-            if fault == "clear":
-                self._refuse = self._wrong = None
-            self._axes.inject(fault, options, ("alarm", "refuse", "checksum", "power_cycle"))
+            self._axes.inject(fault, options, ("alarm", *self.FAULTS, "power_cycle"))
 
     def _answer(self, line: bytes, now: float) -> bytes:
         start = line.rfind(b"/")
@@ -115,8 +104,8 @@ class ZaberFirmware:
             return self._reply(0, number, "RJ", "BADAXIS", now)
         words = (match["words"] or "").split()
         names = [str(axis)] if axis else list(self._flags)
-        if words and words[0] not in ("get", "warnings") and self._refuse and self._refuse[0].strikes():
-            return self._reply(axis, number, "RJ", self._refuse[1], now)
+        if words and words[0] not in ("get", "warnings") and (reason := self._struck("refuse")):
+            return self._reply(axis, number, "RJ", reason, now)
         data = self._obey(words, names, axis, now)
         rejected = data in ("BADCOMMAND", "BADDATA", "DEVICEONLY")
         return self._reply(axis, number, "RJ" if rejected else "OK", data, now)
@@ -129,7 +118,7 @@ class ZaberFirmware:
         if not self._checksums:
             return b"@" + body + b"\r\n"
         checksum = -sum(body) & 0xFF
-        if self._wrong is not None and self._wrong.strikes():
+        if self._struck("checksum"):
             checksum ^= 0x55
         return b"@" + body + f":{checksum:02X}\r\n".encode()
 
@@ -153,7 +142,6 @@ class ZaberFirmware:
         return next(iter(self._warnings(names, now)), "--")
 
     def _obey(self, words: list[str], names: list[str], axis: int, now: float) -> str:
-        """Execute a command; returns the answer."""
         if not words:
             return "0"
         verb, rest = words[0], words[1:]

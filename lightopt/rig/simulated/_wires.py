@@ -1,31 +1,23 @@
-"""The wires between simulated devices and their clients: pseudo-terminals, and TCP where there are none."""
+"""The wires between simulated devices and their clients: pseudo-terminals, and TCP where there are none.
+
+`port` of a wire is what a client opens; `waiting` are file descriptors to watch for something to read, none once the
+cable is pulled. Nothing is waited for: `receive` takes what has come, a connection included; `send` returns how many
+bytes the wire took, and without a client they are lost; `pull` pulls the cable, for good.
+
+Their faults are replies that are lost, late, cut short or garbled, and a cable that is pulled.
+"""
 
 import contextlib
 import os
+import random
 import socket
 import sys
-from typing import Protocol
+from collections.abc import Mapping
+from typing import Any
+
+from lightopt.rig.simulated._firmware import Trigger, trigger
 
 have_ptys = sys.platform != "win32"
-
-
-class Wire(Protocol):
-    """One end of a wire; everything on it is done without waiting.
-
-    port: What a client opens.
-    waiting: File descriptors to watch for something to read; none once the cable is pulled.
-    receive: Take what has come, a connection included; often nothing.
-    send: Send, and return how many bytes the wire took; without a client they are lost.
-    pull: Pull the cable, for good.
-    """
-
-    @property
-    def port(self) -> str: ...
-    @property
-    def waiting(self) -> tuple[int, ...]: ...
-    def receive(self) -> bytes: ...
-    def send(self, data: bytes) -> int: ...
-    def pull(self) -> None: ...
 
 
 class PtyWire:
@@ -39,12 +31,8 @@ class PtyWire:
         # The client's end stays open here too, so that clients can come and go; raw, or it would echo.
         tty.setraw(self._theirs)
         os.set_blocking(self._ours, False)
-        self._name = os.ttyname(self._theirs)
+        self.port = os.ttyname(self._theirs)
         self._open = True
-
-    @property
-    def port(self) -> str:
-        return self._name
 
     @property
     def waiting(self) -> tuple[int, ...]:
@@ -84,10 +72,7 @@ class TcpWire:
         self._number = 0
         self._pulled = False
         self._listen()
-
-    @property
-    def port(self) -> str:
-        return f"socket://127.0.0.1:{self._number}"
+        self.port = f"socket://127.0.0.1:{self._number}"
 
     @property
     def waiting(self) -> tuple[int, ...]:
@@ -155,3 +140,63 @@ class TcpWire:
         self._wedged = self._wedged or (self._wedges and not self._spoken)
         if not self._pulled:
             self._listen()
+
+
+# by name, each with its option and the default of that
+LINE_FAULTS: dict[str, dict[str, Any]] = {
+    "drop": {},
+    "delay": {"delay_s": 0.5},
+    "truncate": {"keep": 1},
+    "garbage_before": {"bytes": 3},
+    "garbage_instead": {"bytes": 5},
+    "vanish": {"obeyed": False},
+}
+
+
+class FaultyLine:
+    """Transmits the bytes that a device sends, with faults.
+
+    Faults, each with the options of :class:`Trigger`: ``drop``; ``delay`` (by ``delay_s``); ``truncate`` (to ``keep``
+    bytes); ``garbage_before`` and ``garbage_instead`` (so many ``bytes``); ``vanish`` (the cable is pulled when a
+    command arrives; ``obeyed``: whether the device still hears it). Occasions of ``vanish`` are deliveries of bytes to
+    the device, those of the others are replies.
+    """
+
+    def __init__(self) -> None:
+        self._faults: list[tuple[str, Trigger, dict[str, Any]]] = []
+
+    def inject(self, kind: str, options: Mapping[str, Any]) -> None:
+        """Set a fault from now on; ``clear`` ends all."""
+        if kind == "clear":
+            self._faults.clear()
+            return
+        chosen = dict(options)
+        values = {key: chosen.pop(key, value) for key, value in LINE_FAULTS[kind].items()}
+        values["seed"] = chosen.get("seed", 0)
+        self._faults.append((kind, trigger(kind, chosen), values))
+
+    def pulled(self) -> bool | None:
+        """Whether the cable is pulled as bytes arrive at the device: None if not, else whether it still hears them."""
+        for kind, strikes, options in self._faults:
+            if kind == "vanish" and strikes.strikes():
+                return bool(options["obeyed"])
+        return None
+
+    def carry(self, data: bytes, now: float) -> list[tuple[float, bytes]]:
+        """What arrives at the client of a reply that the device sends at a time [s], and when."""
+        due = now
+        for kind, strikes, options in self._faults:
+            if kind == "vanish" or not strikes.strikes():
+                continue
+            if kind == "drop":
+                data = b""
+            elif kind == "delay":
+                due = now + float(options["delay_s"])
+            elif kind == "truncate":
+                data = data[: int(options["keep"])]
+            else:
+                # bytes as a disturbed line has them: any but those that end or begin commands
+                chance = random.Random(int(options["seed"]))  # noqa: S311  (noise, not a secret)
+                noise = bytes(chance.choice(range(0x80, 0xFF)) for _ in range(int(options["bytes"])))
+                data = noise + (data if kind == "garbage_before" else b"")
+        return [(due, data)] if data else []

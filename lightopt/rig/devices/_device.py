@@ -1,13 +1,51 @@
-"""How a dialogue with a device fails, and commands sent again: only those that may be repeated, each reported."""
+"""What devices of all roles have in common: identity, events, how a dialogue fails, and commands that are sent again.
+
+A driver *has* a link and never *is* one, so that two drivers can be tested on one wire, and a wire replaced without a
+driver noticing.
+"""
 
 from collections.abc import Callable
-from typing import Protocol, TypeVar
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
+from typing import Any, Protocol, TypeVar
 
 from lightopt.core.errors import HardwareError
 
 ATTEMPTS = 3
 
 Value = TypeVar("Value")
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Identity of a device.
+
+    driver: Name of the driver, as in the rig file.
+    port: Where it is reached: serial port, URL, camera name or folder.
+    details: What the device answered about itself (version, serial number), by name; may be empty.
+    """
+
+    driver: str
+    port: str
+    details: dict[str, str] = field(default_factory=dict[str, str])
+
+    def as_dict(self) -> dict[str, Any]:
+        return {"driver": self.driver, "port": self.port, **self.details}
+
+
+@dataclass(frozen=True)
+class Event:
+    """An irregularity on a link, at a time (UTC, ISO 8601); `retry`: a command was sent again."""
+
+    time: str
+    port: str
+    what: str
+    retry: bool = False
+
+
+def now() -> str:
+    """Now, UTC, ISO 8601 with microseconds."""
+    return datetime.now(timezone.utc).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
 
 
 class ReplyError(HardwareError):
@@ -74,16 +112,13 @@ class Retry:
             except ReplyError as error:  # noqa: PERF203
                 if attempt >= self._attempts:
                     self._attempts = 1
-                    raise self._exhausted(error, attempt) from None
+                    raise ReplyError(f"{error} ({self._verb} {attempt} times)") if attempt > 1 else error from None
                 self._link.drain()  # a late reply must not be taken for the reply to the repeated command
                 self._link.note(f"{self._verb} again ({attempt} of {self._attempts - 1}) after: {error}", retry=True)
                 attempt += 1
             else:
                 self._attempts = ATTEMPTS
                 return answer
-
-    def _exhausted(self, error: ReplyError, attempts: int) -> ReplyError:
-        return ReplyError(f"{error} ({self._verb} {attempts} times)") if attempts > 1 else error
 
 
 def frame_limit_s(exposure_us: float, wait_s: float) -> float:
