@@ -7,9 +7,9 @@ from lightopt.core.errors import InputError, counted
 from lightopt.design._commands import HOME
 from lightopt.design._edited_files import planned_part_text
 from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, check_options, check_plan
+from lightopt.design._tolerances import lights_problem
 from lightopt.design.objectives._registry import OBJECTIVES
 from lightopt.design.postures._posture_grid import posture_grid
-from lightopt.design.tolerances._analysis import lights_problem
 
 
 def check_request(rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, folder: Path) -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 from lightopt.config import RigConfig
 from lightopt.core.transforms import Posture
 from lightopt.design._options import OptimizeOptions, PlanOptions
-from lightopt.design.exposures._selection import Brackets
-from lightopt.design.tolerances._analysis import Tolerances
+from lightopt.design._tolerances import Tolerances
+from lightopt.design.postures._exposures import Brackets
 from lightopt.scene import travel_order, travel_s
 
 HOME = Posture(0.0, 0.0)  # where the stage's way begins

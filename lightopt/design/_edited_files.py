@@ -6,10 +6,10 @@ from pathlib import Path
 from lightopt.config import PartConfig, RigConfig, copied_text, with_list
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
+from lightopt.design._candidates import Candidates
 from lightopt.design._commands import degrees_text
 from lightopt.design._previous_result import RIG_NAME
 from lightopt.design._result import SetResult, angles_of
-from lightopt.design.candidates._candidates import Candidates
 from lightopt.images import posture_folder
 
 

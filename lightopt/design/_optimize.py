@@ -12,24 +12,24 @@ from typing import Any
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
+from lightopt.design._candidates import Candidates, can_move, find_candidates
 from lightopt.design._checks import check_request
 from lightopt.design._commands import command_text
 from lightopt.design._edited_files import check_editable
 from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, known_provenance, run_provenance
-from lightopt.design._placed_lights import PlacedLights
+from lightopt.design._placed_lights import placed_commands, placed_lights, placed_tolerances
 from lightopt.design._previous_result import refuse_other_result
 from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult
 from lightopt.design._texts import combinations_text
 from lightopt.design.blind_spots._summary import BlindSpotSummary, PostureVisibility, planned_visibility
-from lightopt.design.candidates._angles import can_move
-from lightopt.design.candidates._candidates import Candidates, find_candidates
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.objectives._registry import objectives_named
-from lightopt.design.postures._image_evaluator import ImageEvaluator
+from lightopt.design.postures._exposures import plan_exposures
 from lightopt.design.postures._plan_postures import candidates_of, chosen_angles, detection_model_of, plan_postures
 from lightopt.design.postures._planned_scores import planned_answers
 from lightopt.design.responses._defect_hypotheses import defect_hypotheses
+from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.design.responses._posture_matrices import PostureMatrices
 from lightopt.design.search._best_positions import candidates_of_others, search_objectives, search_other_objectives
@@ -151,17 +151,6 @@ class _Problem:
             self.rig, self.part, self.scene, self.candidates, self.options, folder, self.caster, defects, run, table
         )
 
-    def evaluator(self, matrices: PostureMatrices, threads: int | None) -> ImageEvaluator:
-        """The part as the search sees it."""
-        return ImageEvaluator(
-            scene=self.scene,
-            table=matrices.patches(),
-            caster=self.caster,
-            detection=detection_model_of(self.scene, self.part, self.options),
-            shadows=self.options.shadows,
-            threads=threads,
-        )
-
 
 def _state_problem(
     rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, folder: Path | None, run: RunContext
@@ -182,12 +171,7 @@ def _state_problem(
     check_editable(rig)
     objectives = _objectives(rig, part, options, run)
     scene = build_scene(rig, part, postures=options.postures, points=options.points, defects=False)
-    thresholds = LevelThresholds.of_sensor(
-        shade_share=options.shade_below,
-        max_level=scene.sensor.max_level,
-        saturated_from=scene.sensor.saturated_from,
-        black_level=scene.sensor.black_level,
-    )
+    thresholds = LevelThresholds.of_sensor(scene.sensor, shade_share=options.shade_below)
     provenance = run_provenance(rig, part, scene, options, plan, objectives)
     if folder is not None:
         refuse_other_result(folder, provenance)
@@ -243,13 +227,13 @@ class _Found:
 def _search(problem: _Problem, matrices: PostureMatrices, run: RunContext) -> _Found:
     """The best positions for every objective, exactly."""
     objectives, thresholds, options = problem.objectives, problem.thresholds, problem.options
-    free = candidates_of_others(matrices, problem.rig, problem.all_candidates, len(objectives), run)
+    free = candidates_of_others(matrices, problem.all_candidates, len(objectives))
     if free is not None or options.places is None:
         run.inform(combinations_text(free or problem.candidates))
     first = objectives if free is None else objectives[:1]
-    results, visibility = search_objectives(matrices, first, thresholds, run)
+    results, visibility = search_objectives(matrices, first, thresholds)
     if free is not None:
-        results = search_other_objectives(matrices, free, results, objectives, thresholds, run)
+        results = search_other_objectives(matrices, free, results, objectives, thresholds)
     if options.report:
         matrices.patches()
     if matrices.coarse_warning is not None:
@@ -283,29 +267,49 @@ def _complete(
     chosen = None if postures is None else postures.chosen
     if any(result.answers[0].nothing is not None for result in found.results):
         return PlanResult(chosen=chosen), found.visibility
-    lights = PlacedLights.of(problem.rig, problem.options, found.results, found.candidates)
+    options = problem.options
+    lights = placed_lights(problem.rig, found.results, found.candidates, options)
     brackets, tolerances = None if chosen is None else chosen.brackets, ()
-    if plan.exposures or plan.tolerances is not None:
-        # all shares are of the surface that the postures were chosen on
-        evaluator = problem.evaluator(matrices, run.threads) if postures is None else postures.evaluator
-        if plan.exposures and chosen is None:
-            brackets = lights.exposures(evaluator, plan, run)
-        if plan.tolerances is not None:
-            objective = found.results[0].answers[0].objective
-            tolerances = lights.tolerances(evaluator, plan.tolerances, brackets, objective, problem.thresholds, run)
+    # all shares are of the surface that the postures were chosen on
+    evaluator = matrices.evaluator(detection_model_of(problem.scene, problem.part, options))
+    shares_on = evaluator if postures is None else postures.evaluator
+    if plan.exposures and chosen is None:
+        brackets = plan_exposures(
+            shares_on,
+            lights.postures,
+            [lights.panels(i) for i in range(len(lights.postures))],
+            plan.exposures,
+            min_images=options.min_images,
+            gain_points=plan.exposure_gain,
+            target=plan.target,
+            progress=run.stage("exposures"),
+        )
+    if brackets is not None:
+        lights = replace(lights, exposures=tuple(map(brackets.of, lights.postures)))
+    if plan.tolerances is not None:
+        tolerances = placed_tolerances(
+            lights,
+            shares_on,
+            plan.tolerances,
+            found.results[0].answers[0].objective,
+            problem.thresholds,
+            min_images=options.min_images,
+            run=run,
+        )
     if chosen is None and brackets is None:
         return PlanResult(tolerances=tolerances), found.visibility
-    planned = PlanResult(chosen=chosen, brackets=brackets, tolerances=tolerances, commands=lights.commands(brackets))
+    commands = placed_commands(lights, brackets, options)
+    planned = PlanResult(chosen=chosen, brackets=brackets, tolerances=tolerances, commands=commands)
     if problem.defects is None:
         return planned, found.visibility
-    candidates = found.candidates if chosen is None else candidates_of(problem.rig, problem.options)
+    candidates = found.candidates if chosen is None else candidates_of(problem.rig, options)
     visibility = planned_visibility(
-        problem.evaluator(matrices, run.threads),
-        lights.setup(brackets),
+        evaluator,
+        lights,
         candidates,
         all_exposures=plan.all_exposures,
         thresholds=problem.thresholds,
-        least=problem.options.min_images,
+        least=options.min_images,
         progress=run.stage("blind spots"),
     )
     return planned, visibility

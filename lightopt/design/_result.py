@@ -7,19 +7,19 @@ from typing import Any
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.transforms import Posture
+from lightopt.design._candidates import Candidates
 from lightopt.design._commands import Command, Way
 from lightopt.design._options import OptimizeOptions
+from lightopt.design._tolerances import ToleranceAnalysis
 from lightopt.design.blind_spots._summary import BlindSpotSummary
-from lightopt.design.candidates._candidates import Candidates
-from lightopt.design.exposures._selection import Brackets
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.postures._choice import PostureChoice
+from lightopt.design.postures._exposures import Brackets
 from lightopt.design.postures._posture_grid import ExcludedPosture
 from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds
+from lightopt.design.search._combinations import Ranked
 from lightopt.design.search._curves import Curve
 from lightopt.design.search._exact_search import SearchResult
-from lightopt.design.search._ranking import Ranked
-from lightopt.design.tolerances._analysis import ToleranceAnalysis
 from lightopt.geometry import RayCaster
 from lightopt.rendering import GRAZING_DEG, PatchTable
 from lightopt.scene import Scene

@@ -5,6 +5,7 @@ import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from lightopt.design._candidates import Candidates
 from lightopt.design._commands import Way
 from lightopt.design._result import (
     SHARES_OF,
@@ -16,11 +17,10 @@ from lightopt.design._result import (
     ToleranceResult,
     angles_of,
 )
-from lightopt.design.candidates._candidates import Candidates
-from lightopt.design.exposures._selection import Brackets
+from lightopt.design._tolerances import Offset
 from lightopt.design.objectives._objective import NEAR_PER_MILLE, share_of_whole
-from lightopt.design.search._ranking import Ranked
-from lightopt.design.tolerances._analysis import Offset
+from lightopt.design.postures._exposures import Brackets
+from lightopt.design.search._combinations import Ranked
 from lightopt.images import Overlap
 
 # what the share of the initial light positions is of

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 from lightopt.core.errors import counted
 from lightopt.core.transforms import Posture
+from lightopt.design._candidates import Candidates
 from lightopt.design._result import ObjectiveResult, SetResult
-from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.objectives._objective import NEAR_PER_MILLE, Objective, share_of_whole, share_text
 from lightopt.rendering import GRAZING_DEG
 

@@ -21,13 +21,12 @@ from lightopt.core.arrays import Bool, Float64, Int64
 from lightopt.core.errors import InputError, counted
 from lightopt.core.run_context import Share, part_of
 from lightopt.core.threads import blocks
-from lightopt.design.objectives._objective import INSPECTABLE_SURFACE, area_text
+from lightopt.design.objectives._objective import INSPECTABLE_SURFACE, Objective, area_text
 from lightopt.design.objectives._scores_by_image_counts import at_least, count_run_sums
 from lightopt.design.objectives._scores_by_packed_bits import bit_scores
 from lightopt.design.responses._defect_hypotheses import DefectHypothesis
-from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, area_units
+from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, Visibility
 from lightopt.design.responses._packed_bits import Words, unpack_flags
-from lightopt.design.responses._visibility import Visibility
 
 FLAG_BYTES = 1 << 27  # of the flags that the packed bits are given at once
 
@@ -46,7 +45,7 @@ def bit_run_scores(
 
     words: One array per light: bits of the hypotheses, shape (candidates, p, ⌈t / 64⌉).
     weights: Of the patches, shape (p,).
-    planes: The hypotheses' weights in binary, from :func:`lightopt.design.responses._visibility.weight_planes`.
+    planes: The hypotheses' weights in binary, from :func:`lightopt.design.responses._luminance_matrix.weight_planes`.
     hypothesis_weights: The same as numbers, shape (t,).
     Returns one number per combination, the last light's candidates varying fastest.
     """
@@ -107,7 +106,7 @@ def min_images_problem(min_images: int) -> str | None:
 
 
 @dataclass(frozen=True)
-class DetectabilityObjective:
+class DetectabilityObjective(Objective):
     """Defects that enough images show; see the module's text.
 
     min_images: Images that must show a defect.
@@ -120,7 +119,7 @@ class DetectabilityObjective:
     across_postures: bool = False
     name: str = "detectability"
     unit: str = "µm² × weight of the defects"
-    share_of: str = f"{INSPECTABLE_SURFACE}, × defects by weight"
+    share_of: str | None = f"{INSPECTABLE_SURFACE}, × defects by weight"
 
     def __post_init__(self) -> None:
         if problem := min_images_problem(self.min_images):
@@ -145,9 +144,6 @@ class DetectabilityObjective:
             f"objective detectability wants each defect seen in {self.min_images} images, and the rig has "
             f"{counted(lights, 'light')} only; lower option 'min_images'"
         )
-
-    def weights(self, areas: Float64) -> Int64:
-        return area_units(areas)
 
     def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
         del thresholds

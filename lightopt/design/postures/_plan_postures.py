@@ -11,6 +11,7 @@ from lightopt.core.arrays import Bool
 from lightopt.core.errors import CheckFailed, counted, percent
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
+from lightopt.design._candidates import Candidates, find_candidates
 from lightopt.design._commands import way_through
 from lightopt.design._options import OptimizeOptions, PlanOptions
 from lightopt.design._result import ChosenPostures
@@ -19,16 +20,16 @@ from lightopt.design.blind_spots._blind_spots import (
     DefectVisibility,
     blind_spots,
     blind_text,
+    by_light,
     defect_visibility,
 )
-from lightopt.design.candidates._candidates import Candidates, find_candidates
-from lightopt.design.exposures._joint_choice import choose_with_exposures
 from lightopt.design.objectives._objective import share_text
 from lightopt.design.postures._choice import PostureChoice, PostureRequest
-from lightopt.design.postures._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
+from lightopt.design.postures._joint_choice import choose_with_exposures
 from lightopt.design.postures._posture_grid import posture_grid, usable_postures
 from lightopt.design.responses._defect_hypotheses import defect_hypotheses
 from lightopt.design.responses._detection import Contrast, DetectionModel
+from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.rendering import PatchTable, build_patches, cast_rays_at
 from lightopt.scene import Scene, build_catalogue, build_lights, build_scene, pace_text
@@ -117,16 +118,11 @@ def _hint(lost: Mapping[int, float], evaluator: ImageEvaluator) -> str:
 
 def _lost(choice: PostureChoice, evaluator: ImageEvaluator, least: int) -> dict[int, float]:
     # surface × defects by reason, over all candidate postures, under the chosen lights
-    thresholds = LevelThresholds.of_sensor(
-        shade_share=0.0,
-        max_level=evaluator.scene.sensor.max_level,
-        saturated_from=evaluator.scene.sensor.saturated_from,
-        black_level=evaluator.scene.sensor.black_level,
-    )
+    thresholds = LevelThresholds.of_sensor(evaluator.scene.sensor, shade_share=0.0)
     seen: list[DefectVisibility] = []
     for posture in evaluator.table.postures:
         matrices = evaluator.matrices(posture, [[panel] for panel in choice.panels], exposures=evaluator.exposures)
-        seen.append(defect_visibility(matrices, thresholds, least=least))
+        seen.append(defect_visibility(by_light(matrices), thresholds, least=least))
     # the shares are of the surface that the camera sees in one of them
     areas = np.zeros(len(evaluator.table.patches))
     areas[evaluator.patches] = evaluator.table.patches.areas[evaluator.patches]

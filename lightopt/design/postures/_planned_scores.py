@@ -4,15 +4,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from lightopt.core.run_context import Share
+from lightopt.design._candidates import Candidates
 from lightopt.design._result import SHARES_OF, ChosenPostures, ObjectiveResult, SetResult, angles_of
-from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.objectives._detectability import DetectabilityObjective
-from lightopt.design.postures._counts import Counts, add_counts, covered_weight, zero_counts
-from lightopt.design.postures._image_evaluator import ImageEvaluator
 from lightopt.design.postures._light_positions import position_counts, position_counts_fit
+from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._packed_bits import unpack_flags
+from lightopt.design.responses._pair_counts import Counts, add_counts, covered_weight, zero_counts
+from lightopt.design.search._combinations import Ranked
 from lightopt.design.search._curves import Curve, score_curves
-from lightopt.design.search._ranking import Ranked
 from lightopt.scene import PanelLight
 
 # among what the lights of a plan are the best, or not known to be
@@ -30,7 +30,7 @@ class PlannedDetectability(DetectabilityObjective):
     area: Of that surface [µm²].
     """
 
-    share_of: str = SHARES_OF
+    share_of: str | None = SHARES_OF
     area: int = 0
 
     def full_score(self, area: int) -> int | None:

@@ -33,13 +33,12 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.core.provenance import computed_by, file_sha256
 from lightopt.core.run_context import RunContext, Share
 from lightopt.core.transforms import Posture
+from lightopt.design._candidates import Candidates
 from lightopt.design._options import OptimizeOptions
-from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.responses._defect_hypotheses import DefectHypothesis
 from lightopt.design.responses._detection import DetectionModel
-from lightopt.design.responses._luminance_matrix import LuminanceMatrix
-from lightopt.design.responses._matrix_computation import MOST_BYTES, luminance_matrix
-from lightopt.design.responses._visibility import Visibility
+from lightopt.design.responses._image_evaluator import MOST_BYTES, ImageEvaluator
+from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Visibility
 from lightopt.geometry import RayCaster
 from lightopt.images import make_folder, posture_folder, write_npz_atomic
 from lightopt.rendering import PatchTable, build_patches, patches_for_edge
@@ -197,7 +196,9 @@ class PostureMatrices:
             if cached is not None:
                 self.reused += 1
                 return cached
-        matrix = self._compute(posture, self.candidates.panels, self.detection, self._stage(posture), held)
+        (matrix,) = self.evaluator(self.detection).matrices(
+            posture, self.candidates.panels, most_bytes=MOST_BYTES // held, progress=self._stage(posture)
+        )
         if self.options.keep_matrix:
             make_folder(path.parent)
             write_matrix(path, matrix, self.candidates.angles, key=key)
@@ -213,34 +214,24 @@ class PostureMatrices:
 
     def levels(self, posture: Posture, candidates: Candidates) -> LuminanceMatrix:
         """The levels of a posture under other candidates; check :meth:`fits_memory` first."""
-        return self._compute(posture, candidates.panels, None, self._stage(posture), 1)
+        return self.evaluator(None).matrices(posture, candidates.panels, progress=self._stage(posture))[0]
 
     def at_positions(self, posture: Posture, panels: Sequence[PanelLight]) -> LuminanceMatrix:
         """The matrix of a posture with each light in one position."""
-        return self._compute(posture, [[panel] for panel in panels], self.detection, None, 1)
+        return self.evaluator(self.detection).matrices(posture, [[panel] for panel in panels])[0]
 
     def _stage(self, posture: Posture) -> Share | None:
         return self.run.stage(f"casting rays, {posture}")
 
-    def _compute(
-        self,
-        posture: Posture,
-        panels: Sequence[Sequence[PanelLight]],
-        detection: DetectionModel | None,
-        progress: Share | None,
-        held: int,
-    ) -> LuminanceMatrix:
-        return luminance_matrix(
-            self.scene,
-            self.patches(),
-            posture,
-            panels,
+    def evaluator(self, detection: DetectionModel | None) -> ImageEvaluator:
+        """The part and its patches; `detection` as for :class:`ImageEvaluator`."""
+        return ImageEvaluator(
+            scene=self.scene,
+            table=self.patches(),
             caster=self.caster,
             detection=detection,
             shadows=self.options.shadows,
             threads=self.run.threads,
-            most_bytes=MOST_BYTES // held,
-            progress=progress,
         )
 
 

@@ -17,12 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from lightopt.core.arrays import Int64, UInt64, read_only
-from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
-from lightopt.core.threads import run_all
+from lightopt.core.threads import available_processors, run_all
 from lightopt.design.responses._defect_hypotheses import DefectHypothesis
+from lightopt.design.responses._luminance_matrix import weight_planes
 from lightopt.design.responses._packed_bits import Words, add_counts, add_image, word_weight
-from lightopt.design.responses._visibility import weight_planes
 
 Counts = UInt64  # shape (k, p, words): flag l says that a pair is seen in l + 1 images or more
 
@@ -41,11 +40,6 @@ class PairWeights:
     factors: Int64
 
     def __post_init__(self) -> None:
-        if self.masks.ndim != 2 or self.factors.shape != (len(self.masks),):
-            raise InputError(
-                f"pair weights: expected masks of shape (groups, words) and as many factors, found "
-                f"{self.masks.shape} and {self.factors.shape}"
-            )
         for name in ("areas", "masks", "factors"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
@@ -97,11 +91,6 @@ def covered_weight(counts: Counts, weights: PairWeights) -> int:
     return int(_sum(counts[-1], weights.areas, weights.masks, weights.factors))
 
 
-def marginal_benefit(counts: Counts, more: Counts, weights: PairWeights) -> int:
-    """By how much :func:`total_benefit` grows when `more` is added to `counts`."""
-    return marginal_gains(counts, more, weights)[1]
-
-
 def marginal_gains(counts: Counts, more: Counts, weights: PairWeights) -> tuple[int, int]:
     """By how much :func:`covered_weight` and :func:`total_benefit` grow when `more` is added to `counts`."""
     covered, benefit = _gains(counts, more, weights.areas, weights.masks, weights.factors)
@@ -109,7 +98,7 @@ def marginal_gains(counts: Counts, more: Counts, weights: PairWeights) -> tuple[
 
 
 def all_marginal_gains(
-    counts: Counts, candidates: Sequence[Counts], weights: PairWeights, *, threads: int
+    counts: Counts, candidates: Sequence[Counts], weights: PairWeights, *, threads: int | None
 ) -> list[tuple[int, int]]:
     """:func:`marginal_gains` of each of some candidates."""
     gains: list[tuple[int, int]] = [(0, 0)] * len(candidates)
@@ -117,7 +106,7 @@ def all_marginal_gains(
     def add(i: int) -> None:
         gains[i] = marginal_gains(counts, candidates[i], weights)
 
-    run_all(((add, (i,)) for i in range(len(candidates))), threads=threads)
+    run_all(((add, (i,)) for i in range(len(candidates))), threads=threads or available_processors())
     return gains
 
 
