@@ -97,14 +97,16 @@ def write_design(
     files = dict(_further_files(result, blind_pictures or {}))
     sets = _image_sets(rigs, result) if result.options.images else []
     listed = _listed(folder, rigs, sets, overlaps=len(result.candidates.names) > 1)
-    listed["files"] = [{"file": name} for name in (*files, *([REPORT_NAME] if result.options.report else []))]
+    report = [REPORT_NAME] if result.options.report else []
+    listed["files"] = [{"file": name} for name in (*files, *report)]
     report_is_ours = begin_writing(folder, listed, force=force)
-    write_text_atomic(folder / RANKING_NAME, ranking_csv(result.results, result.candidates), overwrite=force)
-    for path, _, text in rigs:
-        make_folder(path.parent)
-        write_text_atomic(path, text, overwrite=force)
-    for name, content in files.items():
-        _write(folder / name, content, force)
+    ranking = ranking_csv(result.results, result.candidates)
+    for path, content in (
+        (folder / RANKING_NAME, ranking),
+        *((path, text) for path, _, text in rigs),
+        *((folder / name, content) for name, content in files.items()),
+    ):
+        _write(path, content, force)
     overlaps: list[Overlap] = []
     for images in sets:
         _render(images, result, force, run)
@@ -115,15 +117,10 @@ def write_design(
         document=result_document(result, listed, overlaps),
         overlaps=tuple(overlaps),
         warnings=tuple(dict.fromkeys((*result.warnings, *run.warnings))),
-        paths=tuple(
-            folder / name
-            for name in (
-                RESULT_NAME,
-                RANKING_NAME,
-                *files,
-                *(path.relative_to(folder) for path, _, _ in rigs),
-                *([REPORT_NAME] if result.options.report else []),
-            )
+        paths=(
+            *(folder / name for name in (RESULT_NAME, RANKING_NAME, *files)),
+            *(path for path, _, _ in rigs),
+            *(folder / name for name in report),
         ),
         force=force,
         replace_report=force or report_is_ours,

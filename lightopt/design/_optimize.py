@@ -4,10 +4,9 @@ Postures (where they are to be chosen) → candidate positions and their respons
 exposures, tolerances, blind spots.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.core.errors import InputError
@@ -19,6 +18,7 @@ from lightopt.design._edited_files import check_editable
 from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, known_provenance, run_provenance
 from lightopt.design._placed_lights import placed_commands, placed_lights, placed_tolerances
 from lightopt.design._previous_result import refuse_other_result
+from lightopt.design._problem import Problem, candidates_of, detection_model_of
 from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult
 from lightopt.design._texts import combinations_text
 from lightopt.design.blind_spots._summary import BlindSpotSummary, PostureVisibility, planned_visibility
@@ -26,15 +26,14 @@ from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.objectives._registry import objectives_named
 from lightopt.design.postures._exposures import plan_exposures
-from lightopt.design.postures._plan_postures import candidates_of, chosen_angles, detection_model_of, plan_postures
+from lightopt.design.postures._plan_postures import chosen_angles, plan_postures
 from lightopt.design.postures._planned_scores import planned_answers
 from lightopt.design.responses._defect_hypotheses import defect_hypotheses
 from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.design.responses._posture_matrices import PostureMatrices
 from lightopt.design.search._best_positions import candidates_of_others, search_objectives, search_other_objectives
-from lightopt.geometry import RayCaster
-from lightopt.rendering import PatchTable, cast_rays_at, refuse_unusable_scene
+from lightopt.rendering import cast_rays_at, refuse_unusable_scene
 from lightopt.scene import Scene, build_catalogue, build_scene, coarse_warnings
 
 
@@ -72,7 +71,7 @@ def optimize(
 
     problem = _state_problem(rig, part, options, plan, None if force else folder, run)
     table = None if postures is None else postures.evaluator.table_of(postures.chosen.way.order)
-    matrices = problem.matrices(folder, table, run)
+    matrices = PostureMatrices(problem, folder, run, table)
     found = _search(problem, matrices, run)
     if postures is not None:
         found = _scored_on_all_images(found, problem, postures, run)
@@ -83,18 +82,10 @@ def optimize(
         areas = matrices.patches().patches.areas
         blind = BlindSpotSummary.of(visibility, areas, problem.defects, found.candidates.names)
     return DesignResult(
+        **vars(replace(problem, candidates=found.candidates)),
         folder=folder,
-        rig=rig,
-        part=part,
-        options=options,
         command=command,
-        provenance=problem.provenance,
-        scene=problem.scene,
-        caster=problem.caster,
         patches=matrices.table,
-        all_candidates=problem.all_candidates,
-        candidates=found.candidates,
-        thresholds=problem.thresholds,
         results=found.results,
         plan=planned,
         blind=blind,
@@ -121,40 +112,9 @@ class _ChosenPostures:
         )
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Problem:
-    """A scene, objectives, and the candidate positions to search.
-
-    `candidates` are one of each light where positions were chosen before; `all_candidates` are those to choose from.
-    """
-
-    rig: RigConfig
-    part: PartConfig
-    options: OptimizeOptions
-    objectives: tuple[Objective, ...]
-    scene: Scene
-    caster: RayCaster
-    thresholds: LevelThresholds
-    candidates: Candidates
-    all_candidates: Candidates
-    provenance: Mapping[str, Any]
-
-    @property
-    def defects(self) -> DetectabilityObjective | None:
-        """The objective of defects; None where it is not among the objectives."""
-        return next((one for one in self.objectives if isinstance(one, DetectabilityObjective)), None)
-
-    def matrices(self, folder: Path, table: PatchTable | None, run: RunContext) -> PostureMatrices:
-        """The responses of the candidates; `table` has patches that were cut before."""
-        defects = None if self.defects is None else detection_model_of(self.scene, self.part, self.options)
-        return PostureMatrices(
-            self.rig, self.part, self.scene, self.candidates, self.options, folder, self.caster, defects, run, table
-        )
-
-
 def _state_problem(
     rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, folder: Path | None, run: RunContext
-) -> _Problem:
+) -> Problem:
     """Build the scene and the candidates; `folder` must hold no other result, None where it may."""
 
     def candidates_in(scene: Scene | None, places: Sequence[tuple[float, float]] | None) -> Candidates:
@@ -183,7 +143,7 @@ def _state_problem(
     if options.places is not None and any(map(can_move, rig.lights)):
         all_candidates = candidates_in(scene, None)
     run.warn(*scene.warnings, *coarse_warnings(scene.lights, scene.reflectance.sigma))
-    return _Problem(
+    return Problem(
         rig=rig,
         part=part,
         options=options,
@@ -224,16 +184,16 @@ class _Found:
     visibility: Sequence[PostureVisibility]
 
 
-def _search(problem: _Problem, matrices: PostureMatrices, run: RunContext) -> _Found:
+def _search(problem: Problem, matrices: PostureMatrices, run: RunContext) -> _Found:
     """The best positions for every objective, exactly."""
-    objectives, thresholds, options = problem.objectives, problem.thresholds, problem.options
-    free = candidates_of_others(matrices, problem.all_candidates, len(objectives))
+    objectives, options = problem.objectives, problem.options
+    free = candidates_of_others(matrices)
     if free is not None or options.places is None:
         run.inform(combinations_text(free or problem.candidates))
     first = objectives if free is None else objectives[:1]
-    results, visibility = search_objectives(matrices, first, thresholds)
+    results, visibility = search_objectives(matrices, first)
     if free is not None:
-        results = search_other_objectives(matrices, free, results, objectives, thresholds)
+        results = search_other_objectives(matrices, free, results)
     if options.report:
         matrices.patches()
     if matrices.coarse_warning is not None:
@@ -241,7 +201,7 @@ def _search(problem: _Problem, matrices: PostureMatrices, run: RunContext) -> _F
     return _Found(results=results, candidates=free or problem.candidates, visibility=visibility)
 
 
-def _scored_on_all_images(found: _Found, problem: _Problem, postures: _ChosenPostures, run: RunContext) -> _Found:
+def _scored_on_all_images(found: _Found, problem: Problem, postures: _ChosenPostures, run: RunContext) -> _Found:
     """The same positions, scored for defects by what the images of all chosen postures show together."""
     # one set of lights for all postures is one result
     result = planned_answers(
@@ -256,7 +216,7 @@ def _scored_on_all_images(found: _Found, problem: _Problem, postures: _ChosenPos
 
 
 def _complete(
-    problem: _Problem,
+    problem: Problem,
     matrices: PostureMatrices,
     found: _Found,
     plan: PlanOptions,
@@ -265,7 +225,8 @@ def _complete(
 ) -> tuple[PlanResult, Sequence[PostureVisibility]]:
     """Exposures and tolerances of the best positions, and what all images of the plan show of defects."""
     chosen = None if postures is None else postures.chosen
-    if any(result.answers[0].nothing is not None for result in found.results):
+    requested = chosen is not None or plan.exposures or plan.tolerances is not None
+    if not requested or any(result.answers[0].nothing is not None for result in found.results):
         return PlanResult(chosen=chosen), found.visibility
     options = problem.options
     lights = placed_lights(problem.rig, found.results, found.candidates, options)

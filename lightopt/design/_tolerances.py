@@ -21,7 +21,7 @@ import numpy as np
 from lightopt.config import RigConfig
 from lightopt.core.arrays import Int64, UInt64
 from lightopt.core.errors import InputError
-from lightopt.core.run_context import Share
+from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import available_processors
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import panels_of
@@ -114,11 +114,10 @@ def corners(tolerance: float) -> Iterator[Offset]:
 def draws(lights: int, tolerances: Tolerances) -> Iterator[tuple[Offset, list[Offset]]]:
     """Uniformly random offsets of the part and of each light, within the tolerances."""
     numbers = np.random.default_rng(tolerances.seed).uniform(-1.0, 1.0, (tolerances.draws, lights + 1, 2))
-    for draw in numbers:
-        pose, *rest = draw
+    for (tilt, rotation), *rest in numbers.tolist():
         yield (
-            (float(pose[0]) * tolerances.pose_deg, float(pose[1]) * tolerances.pose_deg),
-            [(float(e) * tolerances.light_deg, float(a) * tolerances.light_deg) for e, a in rest],
+            (tilt * tolerances.pose_deg, rotation * tolerances.pose_deg),
+            [(e * tolerances.light_deg, a * tolerances.light_deg) for e, a in rest],
         )
 
 
@@ -173,14 +172,7 @@ def analyse_tolerances(
         raise InputError(problem)
     varied = list(_varied_angles(names))
     pose_corners = list(corners(tolerances.pose_deg))
-    total, done = len(pose_corners) + tolerances.draws + len(varied), 0
-
-    def report() -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(done / total)
-
+    work = WorkCounter(len(pose_corners) + tolerances.draws + len(varied), progress)
     exact: list[Sequence[Offset]] = [[EXACT]] * len(names)
     nominal = int(score(EXACT, exact)[0])
     light_corners = list(corners(tolerances.light_deg))
@@ -191,16 +183,19 @@ def analyse_tolerances(
         if worst is None or table[least] < worst[0]:
             at = np.unravel_index(least, [len(light_corners)] * len(names))
             worst = int(table[least]), pose, tuple(light_corners[int(i)] for i in at)
-        report()
+        work.add(1)
+        work.report()
     assert worst is not None
     drawn: list[int] = []
     for pose, lights in draws(len(names), tolerances):
         drawn.append(int(score(pose, [[offset] for offset in lights])[0]))
-        report()
+        work.add(1)
+        work.report()
     widest: list[WidestTolerance] = []
     for angle in varied:
         widest.append(_widest_tolerance(score, exact, angle, tolerances.tolerance_target * nominal))
-        report()
+        work.add(1)
+        work.report()
     return ToleranceAnalysis(
         lights=tuple(names),
         score=nominal,

@@ -121,8 +121,7 @@ def select_exposures(
     Where none does, the two that add most together, as long as that is twice as much and anything. Below `target`, a
     share of the pairs, whatever adds anything is taken.
 
-    now: What the images of each posture show at exposure 1, from
-        :func:`images_of`.
+    now: What the images of each posture show at exposure 1, from :func:`images_of`.
     min_images: Images that must show a pair.
     least_gain: Share of the pairs.
     """

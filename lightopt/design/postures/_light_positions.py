@@ -28,7 +28,7 @@ from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import select_rows
 from lightopt.design.responses._packed_bits import Words, word_weight
 from lightopt.design.responses._pair_counts import Counts, PairWeights, add_counts, counts_of_images, zero_counts
-from lightopt.design.search._combinations import CombinationSpace, allowed_mask
+from lightopt.design.search._combinations import CombinationSpace, allowed_mask, digits
 from lightopt.design.search._exact_search import DEFAULT_LIMIT, TABLE_CELLS
 
 PositionCounts = UInt64  # counts of every place of a light, shape (places, k, p, words)
@@ -50,8 +50,7 @@ def combination_sums(
     )
     covered, benefit = tables[0], tables[-1]
     if left.any():
-        rest = PairWeights(areas=weights.areas[left], masks=weights.masks, factors=weights.factors)
-        plain = _added_up([positions[:, :, left] for positions in lights], rest, count, progress)
+        plain = _added_up([positions[:, :, left] for positions in lights], weights.of(left), count, progress)
         # not in place: with k = 1 both are the same table
         covered, benefit = covered + plain[0], benefit + plain[1]
     return covered, benefit
@@ -67,22 +66,15 @@ def _added_up(
     step = max(1, TASK_WORDS // (inner * lights[0][0, :, 0].size))
 
     def of_first(first: int, start: int, end: int) -> None:
-        some = [positions[:, :, start:end] for positions in lights]
-        own = PairWeights(areas=weights.areas[start:end], masks=weights.masks, factors=weights.factors)
-        if len(some) == 1:
-            _last(zero_counts(own, k), some[0][first : first + 1], *_numbers(own), covers[first], benefits[first])
-        else:
-            _through(some, 1, some[0][first], 0, own, covers[first], benefits[first])
+        own = weights.of(slice(start, end))
+        some = [positions[:, :, start:end] for positions in (lights[0][first : first + 1], *lights[1:])]
+        _through(some, 0, zero_counts(own, k), 0, own, covers[first], benefits[first])
 
     for start in range(0, patches, step):
         # a row of the tables is written by one task at a time
         tasks = ((of_first, (first, start, min(start + step, patches))) for first in range(sizes[0]))
         run_all(tasks, threads=threads, done=None if progress is None else lambda: progress(1.0))
     return covers.ravel(), benefits.ravel()
-
-
-def _numbers(weights: PairWeights) -> tuple[Int64, Words, Int64]:
-    return weights.areas, weights.masks, weights.factors
 
 
 def _through(
@@ -97,7 +89,7 @@ def _through(
     # sums of the combinations of the lights from `light` on, written from `start` on; where the next ones go
     if light == len(lights) - 1:
         end = start + len(lights[light])
-        _last(so_far, lights[light], *_numbers(weights), covered[start:end], benefit[start:end])
+        _last(so_far, lights[light], *weights.arrays, covered[start:end], benefit[start:end])
         return end
     for positions in lights[light]:
         start = _through(lights, light + 1, add_counts(so_far, positions), start, weights, covered, benefit)
@@ -175,11 +167,7 @@ def place_lights(
     boxes = [box for group in space.groups for box in (_boxes(group, table_cells) if exact else [group])]
     best: LightPositions | None = None
     for done, box in enumerate(boxes):
-
-        def report(share: float, before: int = done) -> None:
-            if progress is not None:
-                progress((before + share) / len(boxes))
-
+        report = part_of(progress, done / len(boxes), (done + 1) / len(boxes))
         found = (
             _best_of(lights, weights, space, box, threads, report)
             if exact
@@ -229,12 +217,8 @@ def _best_of(
         covered, benefit = np.where(allowed, covered, -1), np.where(allowed, benefit, -1)
     most = int(covered.max())
     at = int(np.argmax(np.where(covered == most, benefit, -1)))
-    value = int(benefit[at])
-    chosen: list[int] = []
-    for some in reversed(rows):
-        at, position = divmod(at, len(some))
-        chosen.append(int(some[position]))
-    return LightPositions(candidates=tuple(reversed(chosen)), covered=most, benefit=value, exact=True)
+    chosen = tuple(int(some[i]) for some, i in zip(rows, digits(at, rows), strict=True))
+    return LightPositions(candidates=chosen, covered=most, benefit=int(benefit[at]), exact=True)
 
 
 def _one_at_a_time(
@@ -252,9 +236,7 @@ def _one_at_a_time(
             found = _best_of(lights, weights, space, some, threads, None)
             assert found is not None
             if best is None or (found.covered, found.benefit) > (best.covered, best.benefit):
-                best = LightPositions(
-                    candidates=found.candidates, covered=found.covered, benefit=found.benefit, exact=False
-                )
+                best = replace(found, exact=False)
                 now, moved = list(found.candidates), True
     return best
 

@@ -11,9 +11,9 @@ from lightopt.core.arrays import Bool
 from lightopt.core.errors import CheckFailed, counted, percent
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
-from lightopt.design._candidates import Candidates, find_candidates
 from lightopt.design._commands import way_through
 from lightopt.design._options import OptimizeOptions, PlanOptions
+from lightopt.design._problem import candidates_of, detection_model_of
 from lightopt.design._result import ChosenPostures
 from lightopt.design.blind_spots._blind_spots import (
     BlindReason,
@@ -27,12 +27,10 @@ from lightopt.design.objectives._objective import share_text
 from lightopt.design.postures._choice import PostureChoice, PostureRequest
 from lightopt.design.postures._joint_choice import choose_with_exposures
 from lightopt.design.postures._posture_grid import posture_grid, usable_postures
-from lightopt.design.responses._defect_hypotheses import defect_hypotheses
-from lightopt.design.responses._detection import Contrast, DetectionModel
 from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.rendering import PatchTable, build_patches, cast_rays_at
-from lightopt.scene import Scene, build_catalogue, build_lights, build_scene, pace_text
+from lightopt.scene import build_lights, build_scene, pace_text
 
 NEAR_SHARE = 0.01  # the message names how many postures come this near to all of them
 
@@ -227,20 +225,3 @@ def chosen_angles(rig: RigConfig, choice: PostureChoice, options: OptimizeOption
     angles = candidates_of(rig, options)
     assert angles is not None
     return tuple(places[k] for places, k in zip(angles.angles, choice.lights, strict=True))
-
-
-def detection_model_of(scene: Scene, part: PartConfig, options: OptimizeOptions) -> DetectionModel:
-    """The part's defect catalogue, with the sensor's noise."""
-    return DetectionModel(
-        hypotheses=defect_hypotheses(build_catalogue(part)),
-        contrast=Contrast(sensor=scene.sensor, full_scale=scene.reflectance.full_scale, threshold=options.threshold),
-    )
-
-
-def candidates_of(rig: RigConfig, options: OptimizeOptions) -> Candidates | None:
-    """The positions that the lights are chosen from; None where no light moves."""
-    if all(light.elevation_range_deg is None and light.azimuth_range_deg is None for light in rig.lights):
-        return None
-    return find_candidates(
-        rig, step_deg=options.step_deg, common_elevation=options.common_elevation, points=options.points
-    )

@@ -13,7 +13,7 @@ as many give the same plan.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 
 from lightopt.core.errors import InputError
@@ -48,6 +48,7 @@ def merit(cover: Cover, request: PostureRequest) -> tuple[float, ...]:
     return (0.0, cover.covered, cover.benefit)
 
 
+@dataclass(eq=False)
 class AlternatingSearch:
     """Alternating search on the patches of an evaluator; results for lights or postures are cached.
 
@@ -58,21 +59,17 @@ class AlternatingSearch:
     prove: Whether all sets of postures are searched where that is little work.
     """
 
-    def __init__(
-        self,
-        evaluator: ImageEvaluator,
-        postures: Sequence[Posture],
-        candidates: Candidates | None,
-        *,
-        min_images: int,
-        where: str,
-        prove: bool,
-        run: RunContext,
-    ) -> None:
-        self.prove = prove
-        self.evaluator, self.postures = evaluator, postures
-        self.candidates, self.min_images = candidates, min_images
-        self._where, self._run, self._passes = where, run, 0
+    evaluator: ImageEvaluator
+    postures: Sequence[Posture]
+    candidates: Candidates | None
+    _: KW_ONLY
+    min_images: int
+    where: str
+    prove: bool
+    run: RunContext
+
+    def __post_init__(self) -> None:
+        self._passes = 0
         self._counts: dict[Lights, list[Counts]] = {}
         self._positions: dict[tuple[int, ...], LightPositions] = {}
         self._last_counts: tuple[tuple[int, ...], list[PositionCounts]] | None = None
@@ -167,7 +164,7 @@ class AlternatingSearch:
         return self._counts[lights]
 
     def _stage(self, name: str) -> Share | None:
-        return self._run.stage(f"{name}, {self._where}, pass {self._passes}")
+        return self.run.stage(f"{name}, {self.where}, pass {self._passes}")
 
 
 def choose_postures(
@@ -195,30 +192,29 @@ def choose_postures(
             f"is room for {MOST_COUNT_BYTES / 1e9:.2f} GB; raise option 'posture_step_deg' or lower option "
             "'patch_budget'"
         )
-    return _MultiStartSearch(whole, drawn, postures, start, candidates, request, run or RunContext()).choice()
+    return _MultiStartSearch(whole, drawn, postures, tuple(start), candidates, request, run or RunContext()).choice()
 
 
+@dataclass(eq=False)
 class _MultiStartSearch:
-    def __init__(
-        self,
-        whole: ImageEvaluator,
-        drawn: ImageEvaluator,
-        postures: Sequence[Posture],
-        start: Sequence[PanelLight],
-        candidates: Candidates | None,
-        request: PostureRequest,
-        run: RunContext,
-    ) -> None:
-        self.request, self.postures, self.start = request, postures, tuple(start)
-        self.candidates = candidates
-        search = partial(AlternatingSearch, postures=postures, candidates=candidates, run=run)
-        least = request.min_images
-        self.full_search = search(whole, min_images=least, where="all patches", prove=True)
-        self.drawn_search = self.full_search
-        if drawn.table is not whole.table:
-            self.drawn_search = search(drawn, min_images=least, where="drawn patches", prove=False)
+    whole: ImageEvaluator
+    drawn: ImageEvaluator
+    postures: Sequence[Posture]
+    start: tuple[PanelLight, ...]
+    candidates: Candidates | None
+    request: PostureRequest
+    run: RunContext
+
+    def __post_init__(self) -> None:
+        least = self.request.min_images
+        search = partial(
+            AlternatingSearch, postures=self.postures, candidates=self.candidates, min_images=least, run=self.run
+        )
+        self.full_search = self.drawn_search = search(self.whole, where="all patches", prove=True)
+        if self.drawn.table is not self.whole.table:
+            self.drawn_search = search(self.drawn, where="drawn patches", prove=False)
         self.on_all_patches = self.drawn_search is self.full_search or position_counts_fit(
-            whole, candidates, min_images=least
+            self.whole, self.candidates, min_images=least
         )
         self.starts = 1
         self._drawn: dict[int, Solution] = {}
@@ -283,18 +279,14 @@ class _MultiStartSearch:
         return self.full_search.improve(solution, MOST_FINAL_ITERATIONS, request) if self.on_all_patches else solution
 
     def _search_from_all_starts(self, request: PostureRequest) -> Solution:
-        best: Solution | None = None
-        starts = self._starts(request)
-        self.starts = len(starts)
-        for lights in starts:
+        found: list[Solution] = []
+        for lights in self._starts(request):
             panels = self.start if lights is None or self.candidates is None else self.candidates.panels_at(lights)
             cover = self.drawn_search.cover(panels, lights, request)
             solution = Solution(panels=panels, lights=lights, cover=cover, converged=False)
-            solution = self.drawn_search.improve(solution, MOST_ITERATIONS, request)
-            if best is None or merit(solution.cover, request) > merit(best.cover, request):
-                best = solution
-        assert best is not None
-        return best
+            found.append(self.drawn_search.improve(solution, MOST_ITERATIONS, request))
+        self.starts = len(found)
+        return max(found, key=lambda solution: merit(solution.cover, request))
 
     def _starts(self, request: PostureRequest) -> tuple[tuple[int, ...] | None, ...]:
         # the initial positions; the best for the best single posture; all at the lower, all at the upper ends

@@ -12,11 +12,11 @@ pairs with the last flag.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lightopt.core.arrays import Int64, UInt64, read_only
+from lightopt.core.arrays import Bool, Int64, UInt64, read_only
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import available_processors, run_all
 from lightopt.design.responses._defect_hypotheses import DefectHypothesis
@@ -48,6 +48,15 @@ class PairWeights:
         """Each patch by its area [µm²], each hypothesis by its own weight."""
         masks, factors = weight_planes(hypotheses)
         return PairWeights(areas=areas, masks=masks, factors=factors)
+
+    @property
+    def arrays(self) -> tuple[Int64, Words, Int64]:
+        """Areas, masks, factors."""
+        return self.areas, self.masks, self.factors
+
+    def of(self, patches: slice | Bool) -> PairWeights:
+        """Weights of some of the patches."""
+        return replace(self, areas=self.areas[patches])
 
     @property
     def total(self) -> int:
@@ -83,17 +92,17 @@ def counts_of_images(images: Sequence[Words], k: int) -> Counts:
 
 def total_benefit(counts: Counts, weights: PairWeights) -> int:
     """Σ weight · min(k, count)."""
-    return int(sum(_sum(flags, weights.areas, weights.masks, weights.factors) for flags in counts))
+    return int(sum(_sum(flags, *weights.arrays) for flags in counts))
 
 
 def covered_weight(counts: Counts, weights: PairWeights) -> int:
     """Σ weight · [count ≥ k]."""
-    return int(_sum(counts[-1], weights.areas, weights.masks, weights.factors))
+    return int(_sum(counts[-1], *weights.arrays))
 
 
 def marginal_gains(counts: Counts, more: Counts, weights: PairWeights) -> tuple[int, int]:
     """By how much :func:`covered_weight` and :func:`total_benefit` grow when `more` is added to `counts`."""
-    covered, benefit = _gains(counts, more, weights.areas, weights.masks, weights.factors)
+    covered, benefit = _gains(counts, more, *weights.arrays)
     return int(covered), int(benefit)
 
 

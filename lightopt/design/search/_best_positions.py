@@ -26,17 +26,18 @@ PIECE_PATCHES = 1 << 15  # patches for which an objective's definition is evalua
 
 
 def search_objectives(
-    source: PostureMatrices, objectives: tuple[Objective, ...], thresholds: LevelThresholds
+    source: PostureMatrices, objectives: tuple[Objective, ...]
 ) -> tuple[tuple[SetResult, ...], list[PostureVisibility]]:
     """The best sets of every posture, or of all together, and their blind spots where defects are wanted."""
     defects = next((one for one in objectives if isinstance(one, DetectabilityObjective)), None)
-    options, postures_of_all = source.options, source.scene.postures
+    problem, thresholds = source.problem, source.problem.thresholds
+    options, postures_of_all = problem.options, problem.scene.postures
     results: list[SetResult] = []
     blind_spots: list[PostureVisibility] = []
     # the matrices of postures that do not share their lights are never held together
     for postures in [postures_of_all] if options.common_lights else [(one,) for one in postures_of_all]:
         matrices = [source.matrix(posture, held=len(postures)) for posture in postures]
-        result = answer_set(matrices, postures, source.candidates, objectives, thresholds, options, source.run)
+        result = answer_set(matrices, postures, problem.candidates, objectives, thresholds, options, source.run)
         if defects is not None:
             best = result.answers[0].found.best.candidates
             blind_spots += [
@@ -102,10 +103,11 @@ def answer_set(
     )
 
 
-def candidates_of_others(source: PostureMatrices, free: Candidates, objectives: int) -> Candidates | None:
+def candidates_of_others(source: PostureMatrices) -> Candidates | None:
     """Candidates of the other objectives where the first one's positions were chosen before; None for none."""
-    places = source.options.places
-    if places is None or objectives == 1 or not any(map(can_move, source.rig.lights)):
+    problem = source.problem
+    places, free = problem.options.places, problem.all_candidates
+    if places is None or len(problem.objectives) == 1 or not any(map(can_move, problem.rig.lights)):
         return None
     among = all(place in some for place, some in zip(places, free.angles, strict=True))
     if among and source.fits_memory(free):
@@ -119,18 +121,14 @@ def candidates_of_others(source: PostureMatrices, free: Candidates, objectives: 
 
 
 def search_other_objectives(
-    source: PostureMatrices,
-    candidates: Candidates,
-    results: tuple[SetResult, ...],
-    objectives: tuple[Objective, ...],
-    thresholds: LevelThresholds,
+    source: PostureMatrices, candidates: Candidates, results: tuple[SetResult, ...]
 ) -> tuple[SetResult, ...]:
     """The results with the best positions of the other objectives added to those of the first.
 
     results: Of the first objective, with one position of each light, which was chosen before.
     candidates: All positions.
     """
-    options = source.options
+    options, objectives, thresholds = source.problem.options, source.problem.objectives, source.problem.thresholds
     assert options.places is not None
     at = tuple(some.index(place) for some, place in zip(candidates.angles, options.places, strict=True))
     completed: list[SetResult] = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -162,7 +163,10 @@ def rank(table: Int64, rows: Rows, usable: Sequence[Int64], *, allowed: Bool | N
     some = np.flatnonzero(scores >= least)
     if places is not None:
         some = places[some]
-    sums = _usable_of(some, rows, usable)
+    sums = sum(
+        (own[row][i] for row, own, i in zip(rows, usable, digits(some, rows), strict=True)),
+        start=np.zeros(len(some), np.int64),
+    )
     above, equal = table[some] > least, table[some] == least
     # of the many that may share the least score kept, those with the largest sums, then the first ones
     wanted = keep - int(above.sum())
@@ -171,7 +175,7 @@ def rank(table: Int64, rows: Rows, usable: Sequence[Int64], *, allowed: Bool | N
     chosen = above | (equal & (sums > edge))
     last = np.flatnonzero(equal & (sums == edge))[: keep - int(chosen.sum())]
     chosen[last] = True
-    columns = [row[i] for row, i in zip(rows, _digits(some[chosen], rows), strict=True)]
+    columns = [row[i] for row, i in zip(rows, digits(some[chosen], rows), strict=True)]
     candidates = np.stack(columns, axis=1)
     best = sorted(
         Ranked(-int(score), -int(total), tuple(int(c) for c in combination))
@@ -181,15 +185,9 @@ def rank(table: Int64, rows: Rows, usable: Sequence[Int64], *, allowed: Bool | N
     return Ranking(tuple(best), ties, len(scores))
 
 
-def _usable_of(places: Int64, rows: Rows, usable: Sequence[Int64]) -> Int64:
-    total = np.zeros(len(places), np.int64)
-    for row, sums, index in zip(rows, usable, _digits(places, rows), strict=True):
-        total += sums[row][index]
-    return total
-
-
-def _digits(places: Int64, rows: Rows) -> Iterator[Int64]:
-    # which of its rows each light has at places of a table; NumPy's own way is for a few dozen lights only
+def digits(places: Int64 | int, rows: Sequence[Int64]) -> Iterator[Any]:
+    """Which of its rows each light has at places of a table."""
+    # NumPy's own way is for a few dozen lights only
     stride = math.prod(len(row) for row in rows)
     for row in rows:
         stride //= len(row)
