@@ -13,14 +13,14 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.design._candidates import Candidates, can_move, find_candidates
 from lightopt.design._checks import check_request
-from lightopt.design._commands import command_text
+from lightopt.design._commands import command_text, plan_commands
 from lightopt.design._edited_files import check_editable
 from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, known_provenance, run_provenance
-from lightopt.design._placed_lights import placed_commands, placed_lights, placed_tolerances
 from lightopt.design._previous_result import refuse_other_result
 from lightopt.design._problem import Problem, candidates_of, detection_model_of
-from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult
+from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult, ToleranceResult, angles_of
 from lightopt.design._texts import combinations_text
+from lightopt.design._tolerances import ObjectiveAssessment, PairAssessment, Setup, Tolerances, analyse_tolerances
 from lightopt.design.blind_spots._summary import BlindSpotSummary, PostureVisibility, planned_visibility
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
@@ -29,7 +29,7 @@ from lightopt.design.postures._exposures import plan_exposures
 from lightopt.design.postures._plan_postures import chosen_angles, plan_postures
 from lightopt.design.postures._planned_scores import planned_answers
 from lightopt.design.responses._defect_hypotheses import defect_hypotheses
-from lightopt.design.responses._image_evaluator import ImageEvaluator
+from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.design.responses._posture_matrices import PostureMatrices
 from lightopt.design.search._best_positions import candidates_of_others, search_objectives, search_other_objectives
@@ -229,7 +229,7 @@ def _complete(
     if not requested or any(result.answers[0].nothing is not None for result in found.results):
         return PlanResult(chosen=chosen), found.visibility
     options = problem.options
-    lights = placed_lights(problem.rig, found.results, found.candidates, options)
+    lights = _placed_lights(problem.rig, found.results, found.candidates, options)
     brackets, tolerances = None if chosen is None else chosen.brackets, ()
     # all shares are of the surface that the postures were chosen on
     evaluator = matrices.evaluator(detection_model_of(problem.scene, problem.part, options))
@@ -248,7 +248,7 @@ def _complete(
     if brackets is not None:
         lights = replace(lights, exposures=tuple(map(brackets.of, lights.postures)))
     if plan.tolerances is not None:
-        tolerances = placed_tolerances(
+        tolerances = _placed_tolerances(
             lights,
             shares_on,
             plan.tolerances,
@@ -259,7 +259,7 @@ def _complete(
         )
     if chosen is None and brackets is None:
         return PlanResult(tolerances=tolerances), found.visibility
-    commands = placed_commands(lights, brackets, options)
+    commands = plan_commands(lights, options)
     planned = PlanResult(chosen=chosen, brackets=brackets, tolerances=tolerances, commands=commands)
     if problem.defects is None:
         return planned, found.visibility
@@ -274,3 +274,63 @@ def _complete(
         progress=run.stage("blind spots"),
     )
     return planned, visibility
+
+
+def _placed_lights(
+    rig: RigConfig, results: Sequence[SetResult], candidates: Candidates, options: OptimizeOptions
+) -> Setup:
+    """The lights at the positions that are best for the first objective in each posture, at exposure 1."""
+    angles = {
+        posture: angles_of(candidates, result.answers[0].found.best)
+        for result in results
+        for posture in result.postures
+    }
+    return Setup(
+        rig=rig,
+        postures=tuple(angles),
+        angles=tuple(angles.values()),
+        exposures=((1.0,),) * len(angles),
+        points=options.points,
+    )
+
+
+def _placed_tolerances(
+    setup: Setup,
+    evaluator: ImageEvaluator,
+    tolerances: Tolerances,
+    objective: Objective,
+    thresholds: LevelThresholds,
+    *,
+    min_images: int,
+    run: RunContext,
+) -> tuple[ToleranceResult, ...]:
+    """How far the objective's score falls, in each posture and in all together."""
+    drawn = replace(evaluator, table=drawn_patches(evaluator.table, DRAWN_PATCHES))
+    names = [light.name for light in setup.rig.lights]
+    several = len(setup.postures) > 1
+    # one posture alone shows nothing where it has fewer lights than images that must show a defect
+    groups = [setup.only(i) for i in range(len(setup.postures)) if len(names) >= min_images or not several]
+    groups += [setup] if several else []
+    found: list[ToleranceResult] = []
+    for group in groups:
+        if objective.name == DEFECT_OBJECTIVE:
+            score = PairAssessment(drawn, group, min_images=min_images)
+        else:
+            # an objective of levels knows exposure 1 only
+            score = ObjectiveAssessment(
+                replace(drawn, detection=None),
+                replace(group, exposures=((1.0,),) * len(group.postures)),
+                objective=objective,
+                thresholds=thresholds,
+            )
+        progress = run.stage(f"tolerances, {', '.join(map(str, group.postures))}")
+        found.append(
+            ToleranceResult(
+                postures=group.postures,
+                robustness=analyse_tolerances(score, names, tolerances, progress=progress),
+                unit=objective.unit,
+                patches=len(drawn.patches),
+                grain=drawn.table.grain,
+            )
+        )
+    return tuple(found)

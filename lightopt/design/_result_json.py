@@ -166,7 +166,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
         "all_candidates": round(cover.all_covered / total, 6),
         "lights_as_they_stand": None
         if before is None
-        else {"share": round(before.share, 6), "postures": before.postures, "share_of": INITIAL_SHARE_OF},
+        else {"share": round(before.share, 6), "postures": len(before.steps), "share_of": INITIAL_SHARE_OF},
         "postures": [
             {
                 **posture.as_dict(),

@@ -243,7 +243,7 @@ def test_postures_and_lights_are_chosen_together(world, least):
     alone = choose_postures(survey, survey, POSTURES, lights, None, PostureRequest(min_images=least, count=2))
     assert alone.lights is None
     assert alone.cover.share == pytest.approx(choice.initial.share)
-    assert choice.initial.postures == len(alone.cover.steps)
+    assert len(choice.initial.steps) == len(alone.cover.steps)
     # told of lights that moved only: of those that stay the plan itself says what they show
     assert alone.initial_if_moved is None
     moved = any(not np.allclose(a.outward, b.outward) for a, b in zip(choice.panels, lights, strict=True))

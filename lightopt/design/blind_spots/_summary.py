@@ -22,7 +22,7 @@ from lightopt.design.blind_spots._blind_spots import (
 )
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.responses._image_evaluator import ImageEvaluator
-from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
+from lightopt.design.responses._luminance_matrix import LevelThresholds
 
 BLIND_SHARES_OF = "the part's surface without that seen at grazing angles only, × defects by weight"
 """What shares of blind spots are shares of."""
@@ -112,22 +112,6 @@ class BlindSpotSummary:
             for code, share in spots.by_reason().items()
         ]
         return {"seen": round(spots.seen, 6), "blind": reasons, "left_out_of_surface": round(spots.left_out, 6)}
-
-
-def posture_visibility(
-    matrix: LuminanceMatrix,
-    posture: Posture,
-    thresholds: LevelThresholds,
-    *,
-    min_images: int,
-    candidates: Sequence[int],
-) -> PostureVisibility:
-    """What a posture's images show under a combination of light positions, and under all of them."""
-    return PostureVisibility(
-        posture=posture,
-        chosen=defect_visibility(by_light([matrix.combination(candidates)]), thresholds, least=min_images),
-        possible=defect_visibility(by_light([matrix]), thresholds, least=min_images),
-    )
 
 
 def reason_names(lights: Sequence[str]) -> list[tuple[int, str]]:

@@ -126,20 +126,6 @@ class PostureRequest:
 
 
 @dataclass(frozen=True, kw_only=True)
-class InitialLights:
-    """What the rig's lights show in their initial positions.
-
-    share: Of the pairs of the drawn patches, at exposure 1.
-    postures: Number of postures, chosen for these lights; fewer than the plan's where no other adds anything.
-    panels: The lights, world frame.
-    """
-
-    share: float
-    postures: int
-    panels: tuple[PanelLight, ...] = field(compare=False, repr=False)
-
-
-@dataclass(frozen=True, kw_only=True)
 class Solution:
     """Light positions, and the postures chosen for them.
 
@@ -165,6 +151,8 @@ class PostureChoice(Solution):
 
     postures: In the order in which they were chosen.
     starts: Number of starting positions of the search.
+    initial, initial_panels: What the rig's lights show in their initial positions, of the drawn patches at exposure 1,
+        in postures that are chosen for them, fewer than the plan's where no other adds anything; and these lights.
     on_all_patches: Whether the last iterations used all patches; not where memory is too small for so many positions.
     position_counts: What each position of each light shows of all patches in these postures, each image with the
         evaluator's exposures; None where that is no longer known.
@@ -172,15 +160,16 @@ class PostureChoice(Solution):
 
     postures: tuple[Posture, ...]
     starts: int
-    initial: InitialLights
+    initial: Cover
+    initial_panels: tuple[PanelLight, ...] = field(compare=False, repr=False)
     on_all_patches: bool
     position_counts: tuple[PositionCounts, ...] | None = field(default=None, compare=False, repr=False)
 
     @property
-    def initial_if_moved(self) -> InitialLights | None:
+    def initial_if_moved(self) -> Cover | None:
         """What the rig's lights show in their initial positions; None where they stay there."""
         same = (
             np.allclose(old.outward, new.outward, rtol=0.0, atol=1e-9)
-            for old, new in zip(self.initial.panels, self.panels, strict=True)
+            for old, new in zip(self.initial_panels, self.panels, strict=True)
         )
         return None if all(same) else self.initial

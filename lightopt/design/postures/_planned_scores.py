@@ -10,14 +10,13 @@ from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.postures._light_positions import position_counts, position_counts_fit
 from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._packed_bits import unpack_flags
-from lightopt.design.responses._pair_counts import Counts, add_counts, covered_weight, zero_counts
+from lightopt.design.responses._pair_counts import Counts, covered_weight, sum_counts
 from lightopt.design.search._combinations import Ranked
 from lightopt.design.search._curves import Curve, score_curves
 from lightopt.scene import PanelLight
 
 # among what the lights of a plan are the best, or not known to be
 PROVEN_OF = "positions of the lights in these postures at these exposures; for the postures see chosen_postures"
-
 
 # among what another objective's lights are the best where its own positions could not be searched
 PROVEN_OF_ONE = "the positions that the first objective chose, the only ones that were scored"
@@ -81,10 +80,8 @@ def _curves(
     )
 
     def score(combination: tuple[int, ...]) -> int:
-        total = zero_counts(evaluator.weights, chosen.least)
-        for places, k in zip(lights, combination, strict=True):
-            total = add_counts(total, places[k])
-        return covered_weight(total, evaluator.weights)
+        shown = (places[k] for places, k in zip(lights, combination, strict=True))
+        return covered_weight(sum_counts(shown, evaluator.weights, chosen.least), evaluator.weights)
 
     return score_curves(free, best, score)
 
@@ -121,8 +118,8 @@ def _planned(
 
 
 def _counts(chosen: ChosenPostures, evaluator: ImageEvaluator, panels: Sequence[PanelLight]) -> Counts:
-    total = zero_counts(evaluator.weights, chosen.least)
-    for posture in chosen.way.order:
-        there = replace(evaluator, exposures=chosen.exposures_of(posture))
-        total = add_counts(total, there.counts(posture, panels, min_images=chosen.least))
-    return total
+    images = (
+        replace(evaluator, exposures=chosen.exposures_of(posture)).counts(posture, panels, min_images=chosen.least)
+        for posture in chosen.way.order
+    )
+    return sum_counts(images, evaluator.weights, chosen.least)

@@ -20,7 +20,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext, Share
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
-from lightopt.design.postures._choice import Cover, InitialLights, Lights, PostureChoice, PostureRequest, Solution
+from lightopt.design.postures._choice import Cover, Lights, PostureChoice, PostureRequest, Solution
 from lightopt.design.postures._cover_search import best_set, greedy_cover, improve_by_exchange
 from lightopt.design.postures._light_positions import (
     MOST_COUNT_BYTES,
@@ -231,7 +231,8 @@ class _MultiStartSearch:
             **vars(solution),
             postures=tuple(self.postures[i] for i in solution.cover.chosen),
             starts=self.starts,
-            initial=InitialLights(share=initial.share, postures=len(initial.steps), panels=self.start),
+            initial=initial,
+            initial_panels=self.start,
             on_all_patches=self.on_all_patches,
             position_counts=self.full_search.position_counts(solution.cover.chosen),
         )

@@ -221,14 +221,13 @@ def luminance_matrix(
     detection: DetectionModel | None = None,
     shadows: bool = True,
     threads: int | None = None,
-    most_bytes: int = MOST_BYTES,
     progress: Share | None = None,
 ) -> LuminanceMatrix:
     """Delivered levels of the inspectable patches at exposure 1: see :meth:`ImageEvaluator.matrices`."""
     evaluator = ImageEvaluator(
         scene=scene, table=table, caster=caster, detection=detection, shadows=shadows, threads=threads
     )
-    return evaluator.matrices(posture, panels, most_bytes=most_bytes, progress=progress)[0]
+    return evaluator.matrices(posture, panels, progress=progress)[0]
 
 
 def patch_points(scene: Scene, table: PatchTable, posture: Posture) -> tuple[SurfacePoints, Index]:

@@ -13,7 +13,8 @@ from lightopt.design._candidates import Candidates, can_move
 from lightopt.design._options import OptimizeOptions
 from lightopt.design._result import ObjectiveResult, SetResult
 from lightopt.design._texts import cut_off
-from lightopt.design.blind_spots._summary import PostureVisibility, posture_visibility
+from lightopt.design.blind_spots._blind_spots import by_light, defect_visibility
+from lightopt.design.blind_spots._summary import PostureVisibility
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.responses._luminance_matrix import AREA_UNIT_MM2, LevelThresholds, LuminanceMatrix, area_units
@@ -39,9 +40,13 @@ def search_objectives(
         matrices = [source.matrix(posture, held=len(postures)) for posture in postures]
         result = answer_set(matrices, postures, problem.candidates, objectives, thresholds, options, source.run)
         if defects is not None:
-            best = result.answers[0].found.best.candidates
+            best, least = result.answers[0].found.best.candidates, defects.min_images
             blind_spots += [
-                posture_visibility(matrix, posture, thresholds, min_images=defects.min_images, candidates=best)
+                PostureVisibility(
+                    posture=posture,
+                    chosen=defect_visibility(by_light([matrix.combination(best)]), thresholds, least=least),
+                    possible=defect_visibility(by_light([matrix]), thresholds, least=least),
+                )
                 for matrix, posture in zip(matrices, postures, strict=True)
             ]
         del matrices
