@@ -49,8 +49,7 @@ from lightopt.design.responses._defect_hypotheses import DIRECTIONS, DefectHypot
 from lightopt.design.responses._detection import Contrast, DetectionModel
 from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches, luminance_matrix
 from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds, LuminanceMatrix, Visibility, area_units
-from lightopt.design.responses._packed_bits import unpack_flags
-from lightopt.design.responses._pair_counts import counts_of_images
+from lightopt.design.responses._packed_bits import counts_of_images, unpack_flags
 from lightopt.design.search._curves import Curve
 from lightopt.design.search._exact_search import search
 

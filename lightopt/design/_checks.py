@@ -5,7 +5,7 @@ from pathlib import Path
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, counted
 from lightopt.design._commands import HOME
-from lightopt.design._edited_files import planned_part_text
+from lightopt.design._files import planned_part_text
 from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, check_options
 from lightopt.design._tolerances import lights_problem
 from lightopt.design.objectives._registry import OBJECTIVES

@@ -14,7 +14,7 @@ from lightopt.core.run_context import RunContext
 from lightopt.design._candidates import Candidates, can_move, find_candidates
 from lightopt.design._checks import check_request
 from lightopt.design._commands import command_text, plan_commands
-from lightopt.design._edited_files import check_editable
+from lightopt.design._files import check_editable
 from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, known_provenance, run_provenance
 from lightopt.design._previous_result import refuse_other_result
 from lightopt.design._problem import Problem, candidates_of, detection_model_of
@@ -26,8 +26,7 @@ from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.objectives._registry import objectives_named
 from lightopt.design.postures._exposures import plan_exposures
-from lightopt.design.postures._plan_postures import chosen_angles, plan_postures
-from lightopt.design.postures._planned_scores import planned_answers
+from lightopt.design.postures._plan_postures import chosen_angles, plan_postures, planned_answers
 from lightopt.design.responses._defect_hypotheses import defect_hypotheses
 from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds

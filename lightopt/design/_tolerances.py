@@ -29,7 +29,7 @@ from lightopt.design.objectives._objective import Objective
 from lightopt.design.postures._light_positions import combination_sums
 from lightopt.design.responses._image_evaluator import ImageEvaluator, scattered_flags
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
-from lightopt.design.responses._pair_counts import counts_of_images, sum_counts
+from lightopt.design.responses._packed_bits import counts_of_images, sum_counts
 from lightopt.geometry import face_normals
 from lightopt.rendering import PatchTable, camera_visibility
 from lightopt.scene import PanelLight, view_from_part

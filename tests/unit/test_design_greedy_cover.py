@@ -16,7 +16,7 @@ from lightopt.core.transforms import Posture
 from lightopt.design import counts_of_images
 from lightopt.design.postures._cover_search import best_set, greedy_cover, improve_by_exchange
 from lightopt.design.postures._exposures import CandidateExposure, select_exposures
-from lightopt.design.responses._pair_counts import (
+from lightopt.design.responses._packed_bits import (
     PairWeights,
     add_counts,
     covered_weight,

@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 
 from lightopt.core.errors import InputError
 from lightopt.design.postures._choice import Cover, CoverStep
-from lightopt.design.responses._pair_counts import (
+from lightopt.design.responses._packed_bits import (
     Counts,
     PairWeights,
     add_counts,
@@ -40,7 +40,7 @@ MOST_WORK = 2_000_000_000
 
 BATCH = 16  # candidates whose gains are computed at once, whatever the number of threads
 
-Merit = tuple[int, int]  # covered weight, benefit: see `lightopt.design.responses._pair_counts`
+Merit = tuple[int, int]  # covered weight, benefit: see `lightopt.design.responses._packed_bits`
 
 
 def greedy_cover(

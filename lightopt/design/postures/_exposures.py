@@ -21,10 +21,10 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share
 from lightopt.core.transforms import Posture
 from lightopt.design.responses._image_evaluator import ImageEvaluator, scattered_flags
-from lightopt.design.responses._packed_bits import Words
-from lightopt.design.responses._pair_counts import (
+from lightopt.design.responses._packed_bits import (
     Counts,
     PairWeights,
+    Words,
     add_counts,
     counts_of_images,
     covered_weight,

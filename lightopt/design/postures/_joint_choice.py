@@ -19,7 +19,7 @@ from lightopt.design.postures._exposures import Brackets, plan_exposures
 from lightopt.design.postures._light_positions import best_positions, position_counts_fit
 from lightopt.design.postures._posture_search import choose_postures
 from lightopt.design.responses._image_evaluator import ImageEvaluator
-from lightopt.design.responses._pair_counts import Counts
+from lightopt.design.responses._packed_bits import Counts
 from lightopt.scene import PanelLight
 
 MOST_ITERATIONS = 2  # of the lights for the images as they are planned, at the end

@@ -3,7 +3,7 @@
 Every combination is tried, a table of so many after the other; where there are too many, lights are moved one at a
 time until that gains nothing.
 
-The postures' images of a position are counted before (see :mod:`lightopt.design.responses._pair_counts`), so that a
+The postures' images of a position are counted before (see :mod:`lightopt.design.responses._packed_bits`), so that a
 combination adds up one count per light, whatever the number of postures. Along the positions of a light these counts
 change a few times, and the sums come from the changes (:mod:`lightopt.design.objectives._scores_by_image_counts`).
 Patches whose counts change nearly everywhere are added up combination by combination, light after light; the last
@@ -26,8 +26,15 @@ from lightopt.design._candidates import Candidates
 from lightopt.design.objectives._scores_by_image_counts import at_least, count_run_sums, up_to
 from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import select_rows
-from lightopt.design.responses._packed_bits import Words, word_weight
-from lightopt.design.responses._pair_counts import Counts, PairWeights, add_counts, counts_of_images, zero_counts
+from lightopt.design.responses._packed_bits import (
+    Counts,
+    PairWeights,
+    Words,
+    add_counts,
+    counts_of_images,
+    word_weight,
+    zero_counts,
+)
 from lightopt.design.search._combinations import CombinationSpace, allowed_mask, digits
 from lightopt.design.search._exact_search import DEFAULT_LIMIT, TABLE_CELLS
 

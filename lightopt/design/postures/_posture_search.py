@@ -31,7 +31,7 @@ from lightopt.design.postures._light_positions import (
     position_counts_fit,
 )
 from lightopt.design.responses._image_evaluator import ImageEvaluator
-from lightopt.design.responses._pair_counts import Counts
+from lightopt.design.responses._packed_bits import Counts
 from lightopt.scene import PanelLight
 
 MOST_ITERATIONS, MOST_FINAL_ITERATIONS = 6, 3  # of the alternating search, on drawn patches and on all

@@ -20,8 +20,7 @@ from lightopt.core.threads import Task, available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.design.responses._detection import DetectionModel, PatchDetection
 from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Visibility, area_units
-from lightopt.design.responses._packed_bits import Words
-from lightopt.design.responses._pair_counts import Counts, PairWeights, counts_of_images
+from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, counts_of_images
 from lightopt.geometry import RayCaster, face_normals
 from lightopt.optics import expose
 from lightopt.rendering import PatchTable, SurfacePoints, converged_panel, shade_converged, shade_points, shadow_targets

@@ -21,7 +21,7 @@ from lightopt.core.arrays import Float64, Int32, Int64, read_only
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
 from lightopt.design.responses._defect_hypotheses import DefectHypothesis
-from lightopt.design.responses._packed_bits import Words, add_image, word_weight
+from lightopt.design.responses._packed_bits import Words, add_image, weight_planes, weighted_bits
 from lightopt.optics import Sensor
 
 Levels = NDArray[np.uint8 | np.uint16]
@@ -109,36 +109,6 @@ def select_rows(layer: Any, some: Int64) -> Any:
     if len(some) and some[-1] - some[0] == len(some) - 1:
         return layer[some[0] : some[-1] + 1]
     return layer[some]
-
-
-def weight_planes(hypotheses: Sequence[DefectHypothesis]) -> tuple[Words, Int64]:
-    """The hypotheses' weights in binary: masks of the hypotheses that have a bit, and the value of that bit.
-
-    Returns masks, shape (planes, ⌈t / 64⌉), and factors, shape (planes,), powers of two; bits that no weight has are
-    omitted.
-    """
-    masks: list[Words] = []
-    factors: list[int] = []
-    for bit in range(max(hypothesis.weight for hypothesis in hypotheses).bit_length()):
-        mask = np.zeros(-(-len(hypotheses) // 64), np.uint64)
-        for index, hypothesis in enumerate(hypotheses):
-            if hypothesis.weight >> bit & 1:
-                mask[index // 64] |= np.uint64(1 << index % 64)
-        if mask.any():
-            masks.append(mask)
-            factors.append(1 << bit)
-    return np.stack(masks), np.array(factors, np.int64)
-
-
-@kernel
-def weighted_bits(words: Words, masks: Words, factors: Int64) -> Int64:
-    """Sum of the weights of the hypotheses whose bits are set, of each row of words, shape (p,)."""
-    sums = np.zeros(len(words), np.int64)
-    for p in range(len(words)):
-        for w in range(words.shape[1]):
-            if words[p, w]:
-                sums[p] += word_weight(words[p, w], w, masks, factors)
-    return sums
 
 
 @dataclass(frozen=True, kw_only=True)
