@@ -7,6 +7,7 @@ Positions are scored on the levels that the camera would deliver at exposure 1. 
 of each light; the objectives are integers, so that sums are exact in any order and ties are ties.
 """
 
+from lightopt.design._candidates import find_candidates
 from lightopt.design._files import DesignOutput, finish_design, write_design
 from lightopt.design._optimize import optimize
 from lightopt.design._options import OptimizeOptions, PlanOptions
@@ -24,8 +25,9 @@ from lightopt.design._texts import (
     shown_text,
     ties_text,
 )
+from lightopt.design._tolerances import PairAssessment, Setup, Tolerances, analyse_tolerances
 from lightopt.design.blind_spots._blind_spots import BlindReason, BlindSpots, blind_text
-from lightopt.design.blind_spots._legend import (
+from lightopt.design.blind_spots._files import (
     BLIND_CLASSES,
     BlindClass,
     LegendRow,
@@ -35,27 +37,21 @@ from lightopt.design.blind_spots._legend import (
     blind_legend,
 )
 from lightopt.design.blind_spots._summary import BLIND_LIGHTS, BLIND_SHARES_OF, BlindSpotSummary
-from lightopt.design.candidates._candidates import find_candidates
-from lightopt.design.exposures._plan_exposures import DEFAULT_EXPOSURE_GAIN
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective, area_text, share_of_whole, share_text
 from lightopt.design.objectives._registry import OBJECTIVES
 from lightopt.design.postures._choice import PostureChoice, PostureRequest
-from lightopt.design.postures._counts import counts_of_images
-from lightopt.design.postures._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
+from lightopt.design.postures._exposures import DEFAULT_EXPOSURE_GAIN
 from lightopt.design.postures._light_positions import place_lights
-from lightopt.design.postures._multi_start_search import choose_postures
 from lightopt.design.postures._plan_postures import TargetNotReached
+from lightopt.design.postures._posture_search import choose_postures
 from lightopt.design.responses._defect_hypotheses import DIRECTIONS, DefectHypothesis, defect_hypotheses
 from lightopt.design.responses._detection import Contrast, DetectionModel
-from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds, LuminanceMatrix, area_units
-from lightopt.design.responses._matrix_computation import luminance_matrix
-from lightopt.design.responses._packed_bits import unpack_flags
-from lightopt.design.responses._visibility import Visibility
+from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches, luminance_matrix
+from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds, LuminanceMatrix, Visibility, area_units
+from lightopt.design.responses._packed_bits import counts_of_images, unpack_flags
 from lightopt.design.search._curves import Curve
 from lightopt.design.search._exact_search import search
-from lightopt.design.tolerances._analysis import Tolerances, analyse_tolerances
-from lightopt.design.tolerances._misaligned_scores import PairAssessment, Setup
 
 __all__ = [
     "BLIND_CLASSES",

@@ -5,17 +5,16 @@ from pathlib import Path
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, counted
 from lightopt.design._commands import HOME
-from lightopt.design._edited_files import planned_part_text
-from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, check_options, check_plan
+from lightopt.design._files import planned_part_text
+from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, check_options
+from lightopt.design._tolerances import lights_problem
 from lightopt.design.objectives._registry import OBJECTIVES
 from lightopt.design.postures._posture_grid import posture_grid
-from lightopt.design.tolerances._analysis import lights_problem
 
 
 def check_request(rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, folder: Path) -> None:
     """Refuse options that are out of range, contradict each other, or do not go with the rig and the part."""
-    check_options(options)
-    check_plan(plan)
+    check_options(options, plan)
     _check_image_count(rig, part, options, plan)
     if plan.tolerances is not None and (problem := lights_problem(len(rig.lights))):
         raise InputError(problem)

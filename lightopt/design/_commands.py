@@ -1,15 +1,16 @@
 """Commands: the one that requests a plan, and those that carry it out, with the stage's way in each."""
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from lightopt.config import RigConfig
 from lightopt.core.transforms import Posture
 from lightopt.design._options import OptimizeOptions, PlanOptions
-from lightopt.design.exposures._selection import Brackets
-from lightopt.design.tolerances._analysis import Tolerances
+from lightopt.design._previous_result import PLANNED_PART_NAME, RIG_NAME
+from lightopt.design._tolerances import Setup, Tolerances
+from lightopt.images import posture_folder
 from lightopt.scene import travel_order, travel_s
 
 HOME = Posture(0.0, 0.0)  # where the stage's way begins
@@ -46,26 +47,26 @@ def way_through(rig: RigConfig, postures: Sequence[Posture]) -> Way:
     return Way(order=order, seconds=sum(time(a, b) for a, b in zip((HOME, *order), order, strict=False)))
 
 
-def plan_commands(
-    rig: RigConfig, files: Mapping[Posture, str], part: str, brackets: Brackets | None, render: Sequence[str] = ()
-) -> tuple[Command, ...]:
+def plan_commands(setup: Setup, options: OptimizeOptions) -> tuple[Command, ...]:
     """Commands that carry a plan out, in the folder of its files: those that capture it, then those that render it.
 
-    One of each kind for all postures of the same rig file and exposures. `files` has the rig file of each posture,
-    `render` further options of the commands that render.
+    One of each kind for all postures of the same rig file and exposures.
     """
+    # as the rig files are written: one where all postures have the same lights
+    one_rig = len(set(setup.angles)) == 1
     groups: dict[tuple[str, tuple[float, ...]], list[Posture]] = {}
-    for posture, file in files.items():
-        groups.setdefault((file, brackets.of(posture) if brackets else (1.0,)), []).append(posture)
+    for posture, exposures in zip(setup.postures, setup.exposures, strict=True):
+        file = RIG_NAME if one_rig else f"{posture_folder(posture)}/{RIG_NAME}"
+        groups.setdefault((file, exposures), []).append(posture)
     captures: list[Command] = []
     renders: list[Command] = []
     for number, ((file, exposures), postures) in enumerate(groups.items(), start=1):
         end = "" if len(groups) == 1 else f"-{number}"
         chosen = [] if len(groups) == 1 else _posture_words(postures)
-        levels = f"--exposures {','.join(f'{exposure:.9g}' for exposure in exposures)}"
-        words = ["lightopt capture", file, part, *chosen, levels, f"-o captured{end}"]
-        captures.append(Command(text=" ".join(words), way=way_through(rig, postures)))
-        words = ["lightopt render", file, part, *chosen, levels, *render, f"-o rendered{end}"]
+        files = [file, PLANNED_PART_NAME, *chosen, f"--exposures {','.join(f'{one:.9g}' for one in exposures)}"]
+        way = way_through(setup.rig, postures)
+        captures.append(Command(text=" ".join(["lightopt capture", *files, f"-o captured{end}"]), way=way))
+        words = ["lightopt render", *files, *_render_words(options), f"-o rendered{end}"]
         renders.append(Command(text=" ".join(words)))
     return (*captures, *renders)
 
@@ -79,7 +80,7 @@ def command_text(rig: Path, part: Path, options: OptimizeOptions, plan: PlanOpti
     return " ".join(shlex.quote(word) for word in words)
 
 
-def render_words(options: OptimizeOptions) -> list[str]:
+def _render_words(options: OptimizeOptions) -> list[str]:
     """The options of ``lightopt render`` that make it see what the plan saw, where they differ from its defaults."""
     default = OptimizeOptions()
     words = _differing(
@@ -105,7 +106,7 @@ def _search_words(options: OptimizeOptions) -> list[str]:
         ("--common-lights", options.common_lights),
         ("--no-images", not options.images),
     )
-    return [*words, *render_words(options), *(flag for flag, given in flags if given)]
+    return [*words, *_render_words(options), *(flag for flag, given in flags if given)]
 
 
 def _plan_words(plan: PlanOptions) -> list[str]:

@@ -1,7 +1,8 @@
 """The files of a design: result.json, ranking.csv, rigs with the new angles, images, overlap maps, blind spots.
 
-:func:`write_design` writes all but the report, which shows what is written, and result.json, which says that all is
-there; :func:`finish_design` writes these.
+Rig and part files are the user's own text with new angles and postures, comments kept. :func:`write_design` writes all
+but the report, which shows what is written, and result.json, which says that all is there; :func:`finish_design` writes
+these.
 """
 
 import json
@@ -10,11 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lightopt.config import load_rig
+from lightopt.config import PartConfig, RigConfig, copied_text, load_rig, with_list
 from lightopt.core.arrays import UInt8
+from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
-from lightopt.design._edited_files import planned_part_text, rig_texts
+from lightopt.design._candidates import Candidates
+from lightopt.design._commands import degrees_text
 from lightopt.design._previous_result import (
     PLANNED_PART_NAME,
     REPORT_NAME,
@@ -23,7 +26,7 @@ from lightopt.design._previous_result import (
     begin_writing,
     end_writing,
 )
-from lightopt.design._result import DesignResult
+from lightopt.design._result import DesignResult, SetResult, angles_of
 from lightopt.design._result_json import ranking_csv, result_document
 from lightopt.design.blind_spots._files import BLIND_PNG, blind_files
 from lightopt.images import (
@@ -39,6 +42,72 @@ from lightopt.images import (
     write_text_atomic,
 )
 from lightopt.rendering import PatchTable, RenderOptions, render_image_set
+
+
+def check_editable(rig: RigConfig) -> None:
+    """Refuse a rig whose angles cannot be changed in its file: built in code, or with anchors and aliases."""
+    if not rig.source.text:
+        raise InputError(
+            f"{rig.source.path}: the rig was built in code, so that there is no file to write the new angles into; "
+            "load it from one"
+        )
+    _rig_text(rig, [(light.elevation_deg, light.azimuth_deg) for light in rig.lights], rig.source.path.parent)
+
+
+def rig_texts(
+    rig: RigConfig, results: Sequence[SetResult], candidates: Candidates, *, folder: Path
+) -> list[tuple[Path, tuple[Posture, ...], str]]:
+    """File, relative to the output `folder`, postures and text of each rig to write.
+
+    One rig where the same positions are best for all postures, else one per posture.
+    """
+    answered = [(result, result.answers[0]) for result in results if result.answers[0].nothing is None]
+    sets = [
+        (angles_of(candidates, answer.found.best), result.postures, Path(posture_folder(result.postures[0])))
+        for result, answer in answered
+    ]
+    if sets and len(answered) == len(results) and len({angles for angles, _, _ in sets}) == 1:
+        all_postures = tuple(posture for _, postures, _ in sets for posture in postures)
+        sets = [(sets[0][0], all_postures, Path())]
+    elif len(results) == 1:
+        sets = [(angles, postures, Path()) for angles, postures, _ in sets]
+    return [(home / RIG_NAME, postures, _rig_text(rig, angles, folder / home)) for angles, postures, home in sets]
+
+
+def _rig_text(rig: RigConfig, angles: Sequence[tuple[float, float]], home: Path) -> str:
+    values: dict[tuple[str | int, ...], str] = {}
+    for index, (light, (elevation, azimuth)) in enumerate(zip(rig.lights, angles, strict=True)):
+        if light.elevation_range_deg is not None:
+            values["lights", index, "elevation_deg"] = degrees_text(elevation)
+        if light.azimuth_range_deg is not None:
+            values["lights", index, "azimuth_deg"] = degrees_text(azimuth)
+    try:
+        return copied_text(rig, home, values)
+    except InputError as error:
+        raise InputError(*(f"{rig.source.path}: {text}" for text in error.messages)) from None
+
+
+def planned_part_text(part: PartConfig, postures: Sequence[Posture], *, folder: Path, comment: str) -> str:
+    """Text of a part file with other postures, below a comment; the mesh is named relative to `folder`.
+
+    Raises InputError: The part was not read from a file, or its file is written so that its postures cannot be
+        replaced.
+    """
+    if not part.source.text:
+        raise InputError(
+            f"{part.source.path}: the part was built in code, so that there is no file to write the planned postures "
+            "into; load it from one"
+        )
+    entries = [
+        f"{{elevation_deg: {degrees_text(p.elevation_deg)}, rotation_deg: {degrees_text(p.rotation_deg)}}}"
+        for p in postures
+    ]
+    try:
+        text = copied_text(part, folder)
+        return with_list(text, "postures", entries, comment=comment, replace=True)
+    except InputError as error:
+        raise InputError(*(f"{part.source.path}: {text}" for text in error.messages)) from None
+
 
 RANKING_NAME = "ranking.csv"
 IMAGES_NAME = "images"
@@ -97,14 +166,16 @@ def write_design(
     files = dict(_further_files(result, blind_pictures or {}))
     sets = _image_sets(rigs, result) if result.options.images else []
     listed = _listed(folder, rigs, sets, overlaps=len(result.candidates.names) > 1)
-    listed["files"] = [{"file": name} for name in (*files, *([REPORT_NAME] if result.options.report else []))]
+    report = [REPORT_NAME] if result.options.report else []
+    listed["files"] = [{"file": name} for name in (*files, *report)]
     report_is_ours = begin_writing(folder, listed, force=force)
-    write_text_atomic(folder / RANKING_NAME, ranking_csv(result.results, result.candidates), overwrite=force)
-    for path, _, text in rigs:
-        make_folder(path.parent)
-        write_text_atomic(path, text, overwrite=force)
-    for name, content in files.items():
-        _write(folder / name, content, force)
+    ranking = ranking_csv(result.results, result.candidates)
+    for path, content in (
+        (folder / RANKING_NAME, ranking),
+        *((path, text) for path, _, text in rigs),
+        *((folder / name, content) for name, content in files.items()),
+    ):
+        _write(path, content, force)
     overlaps: list[Overlap] = []
     for images in sets:
         _render(images, result, force, run)
@@ -115,15 +186,10 @@ def write_design(
         document=result_document(result, listed, overlaps),
         overlaps=tuple(overlaps),
         warnings=tuple(dict.fromkeys((*result.warnings, *run.warnings))),
-        paths=tuple(
-            folder / name
-            for name in (
-                RESULT_NAME,
-                RANKING_NAME,
-                *files,
-                *(path.relative_to(folder) for path, _, _ in rigs),
-                *([REPORT_NAME] if result.options.report else []),
-            )
+        paths=(
+            *(folder / name for name in (RESULT_NAME, RANKING_NAME, *files)),
+            *(path for path, _, _ in rigs),
+            *(folder / name for name in report),
         ),
         force=force,
         replace_report=force or report_is_ours,

@@ -4,37 +4,35 @@ Postures (where they are to be chosen) → candidate positions and their respons
 exposures, tolerances, blind spots.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
+from lightopt.design._candidates import Candidates, can_move, find_candidates
 from lightopt.design._checks import check_request
-from lightopt.design._commands import command_text
-from lightopt.design._edited_files import check_editable
+from lightopt.design._commands import command_text, plan_commands
+from lightopt.design._files import check_editable
 from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, known_provenance, run_provenance
-from lightopt.design._placed_lights import PlacedLights
 from lightopt.design._previous_result import refuse_other_result
-from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult
+from lightopt.design._problem import Problem, candidates_of, detection_model_of
+from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult, ToleranceResult, angles_of
 from lightopt.design._texts import combinations_text
+from lightopt.design._tolerances import ObjectiveAssessment, PairAssessment, Setup, Tolerances, analyse_tolerances
 from lightopt.design.blind_spots._summary import BlindSpotSummary, PostureVisibility, planned_visibility
-from lightopt.design.candidates._angles import can_move
-from lightopt.design.candidates._candidates import Candidates, find_candidates
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.objectives._registry import objectives_named
-from lightopt.design.postures._image_evaluator import ImageEvaluator
-from lightopt.design.postures._plan_postures import candidates_of, chosen_angles, detection_model_of, plan_postures
-from lightopt.design.postures._planned_scores import planned_answers
+from lightopt.design.postures._exposures import plan_exposures
+from lightopt.design.postures._plan_postures import chosen_angles, plan_postures, planned_answers
 from lightopt.design.responses._defect_hypotheses import defect_hypotheses
+from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.design.responses._posture_matrices import PostureMatrices
 from lightopt.design.search._best_positions import candidates_of_others, search_objectives, search_other_objectives
-from lightopt.geometry import RayCaster
-from lightopt.rendering import PatchTable, cast_rays_at, refuse_unusable_scene
+from lightopt.rendering import cast_rays_at, refuse_unusable_scene
 from lightopt.scene import Scene, build_catalogue, build_scene, coarse_warnings
 
 
@@ -72,7 +70,7 @@ def optimize(
 
     problem = _state_problem(rig, part, options, plan, None if force else folder, run)
     table = None if postures is None else postures.evaluator.table_of(postures.chosen.way.order)
-    matrices = problem.matrices(folder, table, run)
+    matrices = PostureMatrices(problem, folder, run, table)
     found = _search(problem, matrices, run)
     if postures is not None:
         found = _scored_on_all_images(found, problem, postures, run)
@@ -83,18 +81,10 @@ def optimize(
         areas = matrices.patches().patches.areas
         blind = BlindSpotSummary.of(visibility, areas, problem.defects, found.candidates.names)
     return DesignResult(
+        **vars(replace(problem, candidates=found.candidates)),
         folder=folder,
-        rig=rig,
-        part=part,
-        options=options,
         command=command,
-        provenance=problem.provenance,
-        scene=problem.scene,
-        caster=problem.caster,
         patches=matrices.table,
-        all_candidates=problem.all_candidates,
-        candidates=found.candidates,
-        thresholds=problem.thresholds,
         results=found.results,
         plan=planned,
         blind=blind,
@@ -121,51 +111,9 @@ class _ChosenPostures:
         )
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Problem:
-    """A scene, objectives, and the candidate positions to search.
-
-    `candidates` are one of each light where positions were chosen before; `all_candidates` are those to choose from.
-    """
-
-    rig: RigConfig
-    part: PartConfig
-    options: OptimizeOptions
-    objectives: tuple[Objective, ...]
-    scene: Scene
-    caster: RayCaster
-    thresholds: LevelThresholds
-    candidates: Candidates
-    all_candidates: Candidates
-    provenance: Mapping[str, Any]
-
-    @property
-    def defects(self) -> DetectabilityObjective | None:
-        """The objective of defects; None where it is not among the objectives."""
-        return next((one for one in self.objectives if isinstance(one, DetectabilityObjective)), None)
-
-    def matrices(self, folder: Path, table: PatchTable | None, run: RunContext) -> PostureMatrices:
-        """The responses of the candidates; `table` has patches that were cut before."""
-        defects = None if self.defects is None else detection_model_of(self.scene, self.part, self.options)
-        return PostureMatrices(
-            self.rig, self.part, self.scene, self.candidates, self.options, folder, self.caster, defects, run, table
-        )
-
-    def evaluator(self, matrices: PostureMatrices, threads: int | None) -> ImageEvaluator:
-        """The part as the search sees it."""
-        return ImageEvaluator(
-            scene=self.scene,
-            table=matrices.patches(),
-            caster=self.caster,
-            detection=detection_model_of(self.scene, self.part, self.options),
-            shadows=self.options.shadows,
-            threads=threads,
-        )
-
-
 def _state_problem(
     rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, folder: Path | None, run: RunContext
-) -> _Problem:
+) -> Problem:
     """Build the scene and the candidates; `folder` must hold no other result, None where it may."""
 
     def candidates_in(scene: Scene | None, places: Sequence[tuple[float, float]] | None) -> Candidates:
@@ -182,12 +130,7 @@ def _state_problem(
     check_editable(rig)
     objectives = _objectives(rig, part, options, run)
     scene = build_scene(rig, part, postures=options.postures, points=options.points, defects=False)
-    thresholds = LevelThresholds.of_sensor(
-        shade_share=options.shade_below,
-        max_level=scene.sensor.max_level,
-        saturated_from=scene.sensor.saturated_from,
-        black_level=scene.sensor.black_level,
-    )
+    thresholds = LevelThresholds.of_sensor(scene.sensor, shade_share=options.shade_below)
     provenance = run_provenance(rig, part, scene, options, plan, objectives)
     if folder is not None:
         refuse_other_result(folder, provenance)
@@ -199,7 +142,7 @@ def _state_problem(
     if options.places is not None and any(map(can_move, rig.lights)):
         all_candidates = candidates_in(scene, None)
     run.warn(*scene.warnings, *coarse_warnings(scene.lights, scene.reflectance.sigma))
-    return _Problem(
+    return Problem(
         rig=rig,
         part=part,
         options=options,
@@ -240,16 +183,16 @@ class _Found:
     visibility: Sequence[PostureVisibility]
 
 
-def _search(problem: _Problem, matrices: PostureMatrices, run: RunContext) -> _Found:
+def _search(problem: Problem, matrices: PostureMatrices, run: RunContext) -> _Found:
     """The best positions for every objective, exactly."""
-    objectives, thresholds, options = problem.objectives, problem.thresholds, problem.options
-    free = candidates_of_others(matrices, problem.rig, problem.all_candidates, len(objectives), run)
+    objectives, options = problem.objectives, problem.options
+    free = candidates_of_others(matrices)
     if free is not None or options.places is None:
         run.inform(combinations_text(free or problem.candidates))
     first = objectives if free is None else objectives[:1]
-    results, visibility = search_objectives(matrices, first, thresholds, run)
+    results, visibility = search_objectives(matrices, first)
     if free is not None:
-        results = search_other_objectives(matrices, free, results, objectives, thresholds, run)
+        results = search_other_objectives(matrices, free, results)
     if options.report:
         matrices.patches()
     if matrices.coarse_warning is not None:
@@ -257,7 +200,7 @@ def _search(problem: _Problem, matrices: PostureMatrices, run: RunContext) -> _F
     return _Found(results=results, candidates=free or problem.candidates, visibility=visibility)
 
 
-def _scored_on_all_images(found: _Found, problem: _Problem, postures: _ChosenPostures, run: RunContext) -> _Found:
+def _scored_on_all_images(found: _Found, problem: Problem, postures: _ChosenPostures, run: RunContext) -> _Found:
     """The same positions, scored for defects by what the images of all chosen postures show together."""
     # one set of lights for all postures is one result
     result = planned_answers(
@@ -272,7 +215,7 @@ def _scored_on_all_images(found: _Found, problem: _Problem, postures: _ChosenPos
 
 
 def _complete(
-    problem: _Problem,
+    problem: Problem,
     matrices: PostureMatrices,
     found: _Found,
     plan: PlanOptions,
@@ -281,31 +224,112 @@ def _complete(
 ) -> tuple[PlanResult, Sequence[PostureVisibility]]:
     """Exposures and tolerances of the best positions, and what all images of the plan show of defects."""
     chosen = None if postures is None else postures.chosen
-    if any(result.answers[0].nothing is not None for result in found.results):
+    requested = chosen is not None or plan.exposures or plan.tolerances is not None
+    if not requested or any(result.answers[0].nothing is not None for result in found.results):
         return PlanResult(chosen=chosen), found.visibility
-    lights = PlacedLights.of(problem.rig, problem.options, found.results, found.candidates)
+    options = problem.options
+    lights = _placed_lights(problem.rig, found.results, found.candidates, options)
     brackets, tolerances = None if chosen is None else chosen.brackets, ()
-    if plan.exposures or plan.tolerances is not None:
-        # all shares are of the surface that the postures were chosen on
-        evaluator = problem.evaluator(matrices, run.threads) if postures is None else postures.evaluator
-        if plan.exposures and chosen is None:
-            brackets = lights.exposures(evaluator, plan, run)
-        if plan.tolerances is not None:
-            objective = found.results[0].answers[0].objective
-            tolerances = lights.tolerances(evaluator, plan.tolerances, brackets, objective, problem.thresholds, run)
+    # all shares are of the surface that the postures were chosen on
+    evaluator = matrices.evaluator(detection_model_of(problem.scene, problem.part, options))
+    shares_on = evaluator if postures is None else postures.evaluator
+    if plan.exposures and chosen is None:
+        brackets = plan_exposures(
+            shares_on,
+            lights.postures,
+            [lights.panels(i) for i in range(len(lights.postures))],
+            plan.exposures,
+            min_images=options.min_images,
+            gain_points=plan.exposure_gain,
+            target=plan.target,
+            progress=run.stage("exposures"),
+        )
+    if brackets is not None:
+        lights = replace(lights, exposures=tuple(map(brackets.of, lights.postures)))
+    if plan.tolerances is not None:
+        tolerances = _placed_tolerances(
+            lights,
+            shares_on,
+            plan.tolerances,
+            found.results[0].answers[0].objective,
+            problem.thresholds,
+            min_images=options.min_images,
+            run=run,
+        )
     if chosen is None and brackets is None:
         return PlanResult(tolerances=tolerances), found.visibility
-    planned = PlanResult(chosen=chosen, brackets=brackets, tolerances=tolerances, commands=lights.commands(brackets))
+    commands = plan_commands(lights, options)
+    planned = PlanResult(chosen=chosen, brackets=brackets, tolerances=tolerances, commands=commands)
     if problem.defects is None:
         return planned, found.visibility
-    candidates = found.candidates if chosen is None else candidates_of(problem.rig, problem.options)
+    candidates = found.candidates if chosen is None else candidates_of(problem.rig, options)
     visibility = planned_visibility(
-        problem.evaluator(matrices, run.threads),
-        lights.setup(brackets),
+        evaluator,
+        lights,
         candidates,
         all_exposures=plan.all_exposures,
         thresholds=problem.thresholds,
-        least=problem.options.min_images,
+        least=options.min_images,
         progress=run.stage("blind spots"),
     )
     return planned, visibility
+
+
+def _placed_lights(
+    rig: RigConfig, results: Sequence[SetResult], candidates: Candidates, options: OptimizeOptions
+) -> Setup:
+    """The lights at the positions that are best for the first objective in each posture, at exposure 1."""
+    angles = {
+        posture: angles_of(candidates, result.answers[0].found.best)
+        for result in results
+        for posture in result.postures
+    }
+    return Setup(
+        rig=rig,
+        postures=tuple(angles),
+        angles=tuple(angles.values()),
+        exposures=((1.0,),) * len(angles),
+        points=options.points,
+    )
+
+
+def _placed_tolerances(
+    setup: Setup,
+    evaluator: ImageEvaluator,
+    tolerances: Tolerances,
+    objective: Objective,
+    thresholds: LevelThresholds,
+    *,
+    min_images: int,
+    run: RunContext,
+) -> tuple[ToleranceResult, ...]:
+    """How far the objective's score falls, in each posture and in all together."""
+    drawn = replace(evaluator, table=drawn_patches(evaluator.table, DRAWN_PATCHES))
+    names = [light.name for light in setup.rig.lights]
+    several = len(setup.postures) > 1
+    # one posture alone shows nothing where it has fewer lights than images that must show a defect
+    groups = [setup.only(i) for i in range(len(setup.postures)) if len(names) >= min_images or not several]
+    groups += [setup] if several else []
+    found: list[ToleranceResult] = []
+    for group in groups:
+        if objective.name == DEFECT_OBJECTIVE:
+            score = PairAssessment(drawn, group, min_images=min_images)
+        else:
+            # an objective of levels knows exposure 1 only
+            score = ObjectiveAssessment(
+                replace(drawn, detection=None),
+                replace(group, exposures=((1.0,),) * len(group.postures)),
+                objective=objective,
+                thresholds=thresholds,
+            )
+        progress = run.stage(f"tolerances, {', '.join(map(str, group.postures))}")
+        found.append(
+            ToleranceResult(
+                postures=group.postures,
+                robustness=analyse_tolerances(score, names, tolerances, progress=progress),
+                unit=objective.unit,
+                patches=len(drawn.patches),
+                grain=drawn.table.grain,
+            )
+        )
+    return tuple(found)

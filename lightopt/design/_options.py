@@ -9,13 +9,13 @@ from lightopt.config import PartConfig, RigConfig, input_hashes, points_problem
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
-from lightopt.design.exposures._plan_exposures import DEFAULT_EXPOSURE_GAIN, check_exposures
+from lightopt.design._tolerances import Tolerances
 from lightopt.design.objectives._detectability import DetectabilityObjective, min_images_problem
 from lightopt.design.objectives._objective import Objective
+from lightopt.design.postures._exposures import DEFAULT_EXPOSURE_GAIN, check_exposures
 from lightopt.design.postures._posture_grid import DEFAULT_OUTSIDE_PX, DEFAULT_POSTURE_STEP
 from lightopt.design.responses._detection import DEFAULT_CONTRAST, threshold_problem
 from lightopt.design.search._exact_search import DEFAULT_LIMIT
-from lightopt.design.tolerances._analysis import Tolerances
 from lightopt.rendering import DEFAULT_PATCH_BUDGET
 from lightopt.scene import Scene
 
@@ -62,8 +62,7 @@ class OptimizeOptions:
     places: tuple[tuple[float, float], ...] | None = None
 
 
-def check_options(options: OptimizeOptions) -> None:
-    """Refuse options that are out of range, all at once."""
+def _problems_of_options(options: OptimizeOptions) -> list[str]:
     problems: list[str] = []
     if options.points is not None and (problem := points_problem(options.points)):
         problems.append(f"option 'points': {problem}")
@@ -74,8 +73,7 @@ def check_options(options: OptimizeOptions) -> None:
         problems.append("option 'postures': the same posture was given twice")
     defects = (min_images_problem(options.min_images), threshold_problem(options.threshold))
     problems += [problem for problem in defects if problem is not None]
-    if problems:
-        raise InputError(*problems)
+    return problems
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,9 +127,9 @@ class PlanOptions:
         return facts
 
 
-def check_plan(plan: PlanOptions) -> None:
+def check_options(options: OptimizeOptions, plan: PlanOptions) -> None:
     """Refuse options that are out of range, all at once."""
-    problems: list[str] = []
+    problems = _problems_of_options(options)
     if plan.choose_postures is not None and plan.choose_postures < 1:
         problems.append(f"option 'choose_postures': expected 1 posture or more, found {plan.choose_postures}")
     if plan.target is not None and not 0.0 < plan.target <= 1.0:

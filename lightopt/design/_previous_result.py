@@ -62,20 +62,16 @@ def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> bo
         return ours
     _unlink(folder / RESULT_NAME)
     for document in previous:
-        for path in _paths(folder, document, "overlaps", "map"):
-            if path.name.startswith("overlap") and path.suffix == ".png":
-                _unlink(path)
+        maps = [path for path in _paths(folder, document, "overlaps", "map") if path.match("overlap*.png")]
+        files = [path for path in _paths(folder, document, "files", "file") if path.name in _FURTHER_NAMES]
+        rigs = [path for path in _paths(folder, document, "rigs", "file") if path.name == RIG_NAME]
+        for path in (*maps, *files, *rigs):
+            _unlink(path)
+            _remove_if_empty(path.parent, folder)
         for path in _paths(folder, document, "images", "folder"):
             remove_image_set(path)
             _remove_if_empty(path, folder)
-        for path in _paths(folder, document, "files", "file"):
-            if path.name in _FURTHER_NAMES:
-                _unlink(path)
-                _remove_if_empty(path.parent, folder)
-        for path in _paths(folder, document, "rigs", "file"):
-            if path.name == RIG_NAME:
-                _unlink(path)
-                _remove_if_empty(path.parent, folder)
+            _remove_if_empty(path.parent, folder)
     return ours
 
 

@@ -5,24 +5,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from lightopt.config import PartConfig, RigConfig
 from lightopt.core.transforms import Posture
+from lightopt.design._candidates import Candidates
 from lightopt.design._commands import Command, Way
-from lightopt.design._options import OptimizeOptions
+from lightopt.design._problem import Problem
+from lightopt.design._tolerances import ToleranceAnalysis
 from lightopt.design.blind_spots._summary import BlindSpotSummary
-from lightopt.design.candidates._candidates import Candidates
-from lightopt.design.exposures._selection import Brackets
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.postures._choice import PostureChoice
+from lightopt.design.postures._exposures import Brackets
 from lightopt.design.postures._posture_grid import ExcludedPosture
-from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds
+from lightopt.design.responses._luminance_matrix import Levels
+from lightopt.design.search._combinations import Ranked
 from lightopt.design.search._curves import Curve
 from lightopt.design.search._exact_search import SearchResult
-from lightopt.design.search._ranking import Ranked
-from lightopt.design.tolerances._analysis import ToleranceAnalysis
-from lightopt.geometry import RayCaster
 from lightopt.rendering import GRAZING_DEG, PatchTable
-from lightopt.scene import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,19 +189,12 @@ class PlanResult:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class DesignResult:
-    """Best light positions for a part, and what was planned beside them.
+class DesignResult(Problem):
+    """Best light positions for a part, and what was planned beside them; `candidates` are those of `results`.
 
     folder: Output folder.
-    options: With the postures and positions that were chosen, where requested.
     command: The command line that asks for this result.
-    provenance: Inputs, options and versions, from :func:`lightopt.core.provenance.provenance`.
-    scene, caster: The part in its postures, the lights as the rig file has them.
     patches: None where all matrices came from the cache and there is no report.
-    candidates: The positions that `results` are indices into: one of each light where they were chosen with the
-        postures.
-    all_candidates: The positions that there were to choose from.
-    thresholds: Which levels are usable [sensor level].
     results: One per posture, or one for all of them.
     plan: Postures, exposures, tolerances, commands.
     blind: Blind spots, where images are tested for defects.
@@ -213,17 +203,8 @@ class DesignResult:
     """
 
     folder: Path
-    rig: RigConfig
-    part: PartConfig
-    options: OptimizeOptions
     command: str
-    provenance: Mapping[str, Any]
-    scene: Scene
-    caster: RayCaster
     patches: PatchTable | None
-    candidates: Candidates
-    all_candidates: Candidates
-    thresholds: LevelThresholds
     results: tuple[SetResult, ...]
     plan: PlanResult
     blind: BlindSpotSummary | None

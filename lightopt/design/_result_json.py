@@ -5,6 +5,7 @@ import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from lightopt.design._candidates import Candidates
 from lightopt.design._commands import Way
 from lightopt.design._result import (
     SHARES_OF,
@@ -16,11 +17,9 @@ from lightopt.design._result import (
     ToleranceResult,
     angles_of,
 )
-from lightopt.design.candidates._candidates import Candidates
-from lightopt.design.exposures._selection import Brackets
 from lightopt.design.objectives._objective import NEAR_PER_MILLE, share_of_whole
-from lightopt.design.search._ranking import Ranked
-from lightopt.design.tolerances._analysis import Offset
+from lightopt.design.postures._exposures import Brackets
+from lightopt.design.search._combinations import Ranked
 from lightopt.images import Overlap
 
 # what the share of the initial light positions is of
@@ -167,7 +166,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
         "all_candidates": round(cover.all_covered / total, 6),
         "lights_as_they_stand": None
         if before is None
-        else {"share": round(before.share, 6), "postures": before.postures, "share_of": INITIAL_SHARE_OF},
+        else {"share": round(before.share, 6), "postures": len(before.steps), "share_of": INITIAL_SHARE_OF},
         "postures": [
             {
                 **posture.as_dict(),
@@ -234,10 +233,10 @@ def _tolerance_dict(one: ToleranceResult) -> dict[str, Any]:
         "unit": one.unit,
         "worst_corner": {
             "share_of_score": share(robustness.worst),
-            "part": _offset_dict(robustness.worst_pose, "tilt_deg", "rotation_deg"),
+            "part": dict(zip(("tilt_deg", "rotation_deg"), robustness.worst_pose, strict=True)),
             "lights": [
-                {"light": name, **_offset_dict(offset, "elevation_deg", "azimuth_deg")}
-                for name, offset in zip(robustness.lights, robustness.worst_lights, strict=True)
+                {"light": name, "elevation_deg": elevation, "azimuth_deg": azimuth}
+                for name, (elevation, azimuth) in zip(robustness.lights, robustness.worst_lights, strict=True)
             ],
         },
         "quantile_5_percent": share(robustness.quantile),
@@ -252,10 +251,6 @@ def _tolerance_dict(one: ToleranceResult) -> dict[str, Any]:
             for widest in robustness.widest
         ],
     }
-
-
-def _offset_dict(offset: Offset, first: str, second: str) -> dict[str, float]:
-    return {first: offset[0], second: offset[1]}
 
 
 def ranking_csv(results: tuple[SetResult, ...], candidates: Candidates) -> str:

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 from lightopt.core.errors import counted
 from lightopt.core.transforms import Posture
+from lightopt.design._candidates import Candidates
 from lightopt.design._result import ObjectiveResult, SetResult
-from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.objectives._objective import NEAR_PER_MILLE, Objective, share_of_whole, share_text
 from lightopt.rendering import GRAZING_DEG
 
@@ -41,16 +41,12 @@ def gap_text(answer: ObjectiveResult, result: SetResult) -> str:
 
 def ties_text(answer: ObjectiveResult) -> str:
     """How many other combinations share the optimum's score; not counted for a set that was chosen before."""
-    if answer.proven_of is not None:
-        return NOT_COUNTED
-    return f"{'' if answer.found.complete else '≥ '}{answer.found.ties:,}"
+    return NOT_COUNTED if answer.proven_of else f"{'' if answer.found.complete else '≥ '}{answer.found.ties:,}"
 
 
 def near_text(answer: ObjectiveResult) -> str:
     """How many other combinations score nearly as much; not counted for a set that was chosen before."""
-    if answer.proven_of is not None:
-        return NOT_COUNTED
-    return f"{'' if answer.found.near_exact else '≥ '}{answer.found.near:,}"
+    return NOT_COUNTED if answer.proven_of else f"{'' if answer.found.near_exact else '≥ '}{answer.found.near:,}"
 
 
 def shares_of(objectives: Sequence[Objective]) -> dict[str, list[str]]:

@@ -16,8 +16,8 @@ from lightopt.core.errors import counted as counted_text
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.design import DEFAULT_EXPOSURE_GAIN, DRAWN_PATCHES, PostureRequest, drawn_patches, find_candidates
-from lightopt.design.candidates._candidates import Candidates
-from lightopt.design.exposures._joint_choice import choose_with_exposures
+from lightopt.design._candidates import Candidates
+from lightopt.design.postures._joint_choice import choose_with_exposures
 from lightopt.design.postures._posture_grid import posture_grid, usable_postures
 from lightopt.scene import PanelLight, build_lights
 

@@ -66,12 +66,7 @@ def _best_sets(looked: Looked, rig: RigConfig, part: PartConfig, finish: str, st
     matrix = luminance_matrix(
         scene, survey.table, posture, candidates.panels, caster=survey.caster, detection=survey.detection
     )
-    thresholds = LevelThresholds.of_sensor(
-        shade_share=10 / 255,
-        max_level=scene.sensor.max_level,
-        saturated_from=scene.sensor.saturated_from,
-        black_level=scene.sensor.black_level,
-    )
+    thresholds = LevelThresholds.of_sensor(scene.sensor, shade_share=10 / 255)
     weights = area_units(matrix.areas)
     paper = search([matrix], OBJECTIVES["paper"], thresholds, space=candidates.space, keep=1).best.candidates
     seen: dict[tuple[int, ...], tuple[NDArray[np.int64], NDArray[np.int64]]] = {}

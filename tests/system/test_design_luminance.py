@@ -14,7 +14,7 @@ from worlds import PAPER, PARTS, posed_corners, scene_from_files
 from lightopt.config import load_rig
 from lightopt.core.transforms import Posture
 from lightopt.design import OBJECTIVES, LevelThresholds, area_units, find_candidates, luminance_matrix, search
-from lightopt.design.responses._matrix_computation import patch_points
+from lightopt.design.responses._image_evaluator import patch_points
 from lightopt.rendering import build_patches, cast_rays_at, render_posture
 
 LIGHTS = [

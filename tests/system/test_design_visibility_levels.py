@@ -15,7 +15,7 @@ from worlds import PAPER, posed_corners
 
 from lightopt.defects import BUILT_IN_CATALOGUE, PIXEL_RATIOS, DefectShape, pixel_shares, tangent_direction
 from lightopt.design import Contrast, DetectionModel, defect_hypotheses, find_candidates, luminance_matrix
-from lightopt.design.responses._matrix_computation import luminance_matrices, patch_points
+from lightopt.design.responses._image_evaluator import ImageEvaluator, patch_points
 from lightopt.optics import Sensor
 from lightopt.rendering import (
     build_patches,
@@ -54,9 +54,8 @@ def test_bits_are_the_definition_in_plain_numpy(tmp_path, shadows):
     table = build_patches(scene, caster=caster, budget=60)
     panels = find_candidates(rig, step_deg=10.0).panels
     exposures = (1.0, 0.25)
-    found = luminance_matrices(
-        scene, table, posture, panels, exposures=exposures, caster=caster, detection=inspection, shadows=shadows
-    )
+    evaluator = ImageEvaluator(scene=scene, table=table, caster=caster, detection=inspection, shadows=shadows)
+    found = evaluator.matrices(posture, panels, exposures=exposures)
     surface, seen = patch_points(scene, table, posture)
     visibility = found[0].visibility
     assert visibility is not None

@@ -117,7 +117,7 @@ def knob():
         caster = cast_rays_at(scene)
         table = build_patches(scene, caster=caster, budget=2000)
         candidates = find_candidates(rig, step_deg=30.0, points=1, scene=scene)
-        thresholds = LevelThresholds.of_sensor(shade_share=10 / 255, max_level=255, saturated_from=255)
+        thresholds = LevelThresholds.of_sensor(scene.sensor, shade_share=10 / 255)
         for counted in (False, True):
             some = replace(table, grazing=np.zeros_like(table.grazing)) if counted else table
             matrix = luminance_matrix(scene, some, scene.postures[0], candidates.panels, caster=caster)

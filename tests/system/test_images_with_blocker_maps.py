@@ -9,7 +9,7 @@ import pytest
 
 from lightopt import build_scene, load_part, load_rig
 from lightopt.core.transforms import Posture
-from lightopt.design.responses._matrix_computation import luminance_matrix
+from lightopt.design.responses._image_evaluator import luminance_matrix
 from lightopt.geometry import _blocker_maps as maps
 from lightopt.rendering import build_patches, cast_rays_at, panel_visibility, render_posture, trace_pixels
 

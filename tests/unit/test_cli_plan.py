@@ -17,7 +17,7 @@ from lightopt.cli._optimize_tables import show_plan
 from lightopt.config import load_part, load_rig
 from lightopt.core.transforms import Posture
 from lightopt.design import PlanResult, share_text
-from lightopt.design.exposures._selection import Brackets, FurtherExposure
+from lightopt.design.postures._exposures import Brackets, FurtherExposure
 from lightopt.images import read_image_set
 
 

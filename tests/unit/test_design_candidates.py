@@ -13,7 +13,7 @@ from lightopt import build_scene
 from lightopt.config import load_rig
 from lightopt.core.errors import InputError
 from lightopt.design import find_candidates
-from lightopt.design.candidates._angles import light_angles
+from lightopt.design._candidates import light_angles
 
 RIG = """\
 format: lightopt-rig/1

@@ -9,11 +9,11 @@ import pytest
 
 from lightopt.core.errors import InputError
 from lightopt.design import counts_of_images, place_lights
-from lightopt.design.candidates._combination_space import CombinationSpace
 from lightopt.design.objectives import _scores_by_image_counts as count_runs
-from lightopt.design.postures import _combinations as plain_sums
-from lightopt.design.postures._combinations import combination_sums
-from lightopt.design.postures._counts import PairWeights
+from lightopt.design.postures import _light_positions as plain_sums
+from lightopt.design.postures._light_positions import combination_sums
+from lightopt.design.responses._packed_bits import PairWeights
+from lightopt.design.search._combinations import CombinationSpace
 
 POSTURES = 2
 

@@ -12,10 +12,10 @@ from reference._search import all_combinations, coverage_value, paper_value
 
 from lightopt.core.errors import InputError
 from lightopt.design import OBJECTIVES, LevelThresholds, LuminanceMatrix, area_units, search
-from lightopt.design.candidates._combination_space import CombinationSpace
-from lightopt.design.objectives._scores_by_level_classes import run_scores
+from lightopt.design.objectives._coverage import run_scores
 from lightopt.design.objectives._scores_by_packed_bits import bit_scores
-from lightopt.design.search._ranking import NearBest
+from lightopt.design.search._combinations import CombinationSpace, NearBest
+from lightopt.optics import Sensor
 
 EIGHT_BITS = (np.uint8, 255)
 TWELVE_BITS = (np.uint16, 4080)
@@ -295,23 +295,26 @@ def test_refusals_say_what_to_do():
     with pytest.raises(InputError, match="leaves none usable"):
         LevelThresholds(shade=255, saturation=255)
     with pytest.raises(InputError, match="share of full scale from 0 to 1"):
-        LevelThresholds.of_sensor(shade_share=10.0, max_level=255, saturated_from=255)
+        LevelThresholds.of_sensor(Sensor(bit_depth=8), shade_share=10.0)
     with pytest.raises(InputError, match="expected uint8 or uint16 of shape"):
         LuminanceMatrix(levels=(np.zeros((2, 3)),), areas=np.ones(3))
 
 
 def test_thresholds_of_sensors():
-    assert LevelThresholds.of_sensor(shade_share=10 / 255, max_level=255, saturated_from=255) == LevelThresholds(
+    assert LevelThresholds.of_sensor(Sensor(bit_depth=8), shade_share=10 / 255) == LevelThresholds(
         shade=10, saturation=255
     )
-    assert LevelThresholds.of_sensor(shade_share=10 / 255, max_level=4095, saturated_from=4080) == LevelThresholds(
-        shade=161, saturation=4080
-    )
+    assert LevelThresholds.of_sensor(
+        Sensor(bit_depth=12, saturation_level=4080), shade_share=10 / 255
+    ) == LevelThresholds(shade=161, saturation=4080)
 
 
 def test_thresholds_are_of_light_above_black():
     # 10/255 of full scale of light delivers 10 levels above black, however dark black is
-    of = partial(LevelThresholds.of_sensor, max_level=255, saturated_from=250)
+    def of(*, shade_share, black_level=0.0):
+        sensor = Sensor(bit_depth=8, saturation_level=250, black_level=black_level)
+        return LevelThresholds.of_sensor(sensor, shade_share=shade_share)
+
     assert of(shade_share=10 / 255, black_level=16) == LevelThresholds(shade=26, saturation=250, black=16)
     assert of(shade_share=10 / 255, black_level=16.5) == LevelThresholds(shade=27, saturation=250, black=17)
     # what is delivered without light is never usable

@@ -17,11 +17,19 @@ from reference._search import all_combinations, coverage_value, paper_value
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
-from lightopt.design import OBJECTIVES, LevelThresholds, LuminanceMatrix, ObjectiveResult, area_units, search
+from lightopt.design import (
+    OBJECTIVES,
+    LevelThresholds,
+    LuminanceMatrix,
+    ObjectiveResult,
+    OptimizeOptions,
+    area_units,
+    search,
+)
+from lightopt.design._candidates import Candidates
 from lightopt.design._texts import cut_off
-from lightopt.design.candidates._candidates import Candidates
-from lightopt.design.candidates._combination_space import CombinationSpace
 from lightopt.design.search._best_positions import answer_set
+from lightopt.design.search._combinations import CombinationSpace
 
 HERE = Path(__file__).resolve().parent
 THRESHOLDS = LevelThresholds(shade=30, saturation=250, black=12)
@@ -132,9 +140,8 @@ def test_a_limit_under_which_nothing_scores_names_no_optimum():
     )
     result = answer_set(
         *([matrix], [Posture(0.0, 0.0)], candidates, [OBJECTIVES["paper"]], LevelThresholds(shade=10, saturation=255)),
-        rows=2,
-        limit=1,
-        run=RunContext(threads=1),
+        OptimizeOptions(rows=2, limit=1),
+        RunContext(threads=1),
     )
     (answer,) = result.answers
     assert answer.found.bound > 0
@@ -276,7 +283,7 @@ def test_scores_do_not_depend_on_how_the_work_is_cut(monkeypatch):
         "_paper": ("BLOCK_LEVELS", "LEAST_PATCHES"),
         "_scores_by_extreme_levels": ("TASK_LEVELS", "WALK_LEVELS"),
         "_scores_by_packed_bits": ("BLOCK_LEVELS", "LEAST_PATCHES", "TASK_WORDS"),
-        "_scores_by_level_classes": ("CHUNK_PATCHES", "CHUNK_BOXES"),
+        "_coverage": ("CHUNK_PATCHES", "CHUNK_BOXES"),
     }.items():
         for name in names:
             monkeypatch.setattr(f"lightopt.design.objectives.{module}.{name}", 50)

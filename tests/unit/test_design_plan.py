@@ -32,14 +32,13 @@ from lightopt.design import (
     find_candidates,
     luminance_matrix,
 )
+from lightopt.design._tolerances import ObjectiveAssessment
 from lightopt.design.blind_spots._summary import planned_visibility
-from lightopt.design.exposures._joint_choice import choose_with_exposures
-from lightopt.design.exposures._plan_exposures import plan_exposures
-from lightopt.design.postures import _alternating_search as turning
 from lightopt.design.postures import _light_positions as placing
+from lightopt.design.postures import _posture_search as turning
+from lightopt.design.postures._exposures import plan_exposures
+from lightopt.design.postures._joint_choice import choose_with_exposures
 from lightopt.design.postures._plan_postures import target_not_reached
-from lightopt.design.responses._matrix_computation import luminance_matrices, matrix_bytes
-from lightopt.design.tolerances._misaligned_scores import ObjectiveAssessment
 from lightopt.geometry import face_normals
 from lightopt.rendering import build_patches, camera_visibility, cast_rays_at
 from lightopt.scene import build_catalogue, build_lights, build_scene, view_from_part
@@ -244,7 +243,7 @@ def test_postures_and_lights_are_chosen_together(world, least):
     alone = choose_postures(survey, survey, POSTURES, lights, None, PostureRequest(min_images=least, count=2))
     assert alone.lights is None
     assert alone.cover.share == pytest.approx(choice.initial.share)
-    assert choice.initial.postures == len(alone.cover.steps)
+    assert len(choice.initial.steps) == len(alone.cover.steps)
     # told of lights that moved only: of those that stay the plan itself says what they show
     assert alone.initial_if_moved is None
     moved = any(not np.allclose(a.outward, b.outward) for a, b in zip(choice.panels, lights, strict=True))
@@ -317,12 +316,7 @@ def test_positions_that_memory_has_no_room_for_are_looked_at_in_pieces(world, mo
     candidates = find_candidates(rig, step_deg=5.0)
     setup = setup_of(rig, POSTURES[:2])
     sensor = survey.scene.sensor
-    thresholds = LevelThresholds.of_sensor(
-        shade_share=0.0,
-        max_level=sensor.max_level,
-        saturated_from=sensor.saturated_from,
-        black_level=sensor.black_level,
-    )
+    thresholds = LevelThresholds.of_sensor(sensor, shade_share=0.0)
 
     def looks():
         flags = survey.flags(POSTURES[0], candidates.panels)
@@ -334,9 +328,9 @@ def test_positions_that_memory_has_no_room_for_are_looked_at_in_pieces(world, mo
 
     free = looks()
     # room for three places of the five that each light has, at three exposures
-    room = 3 * matrix_bytes(survey.scene, len(survey.table.inspectable(POSTURES[0])), 3, survey.detection)
-    monkeypatch.setattr("lightopt.design.postures._image_evaluator.MOST_BYTES", room)
-    monkeypatch.setitem(luminance_matrices.__kwdefaults__, "most_bytes", room)
+    room = 3 * survey._position_bytes(len(survey.table.inspectable(POSTURES[0])), 3)
+    monkeypatch.setattr("lightopt.design.responses._image_evaluator.MOST_BYTES", room)
+    monkeypatch.setitem(ImageEvaluator.matrices.__kwdefaults__, "most_bytes", room)
     with pytest.raises(InputError, match="there is room for"):
         survey.matrices(POSTURES[0], candidates.panels, exposures=survey.exposures)
     for one, other in zip(free, looks(), strict=True):
@@ -523,7 +517,9 @@ def test_more_starts_are_never_worse_than_the_lights_as_they_stand_alone(world, 
     turns = turning.AlternatingSearch(
         survey, POSTURES, candidates, min_images=1, where="all patches", prove=True, run=RunContext()
     )
-    alone = turns.improve(turns.solution_for(build_lights(rig), None, wanted), 6, wanted)
+    lights = build_lights(rig)
+    begin = turning.Solution(panels=lights, cover=turns.cover(lights, None, wanted), converged=False)
+    alone = turns.improve(begin, 6, wanted)
     found = choose_postures(survey, survey, POSTURES, build_lights(rig), candidates, wanted)
     assert found.starts > 1
     assert found.cover.covered >= alone.cover.covered

@@ -174,14 +174,15 @@ def test_the_matrix_depends_on_the_version_of_what_loads_the_mesh(three, monkeyp
 def test_matrices_are_held_together_only_where_lights_are_common(three, monkeypatch):
     refs: list[weakref.ref[LuminanceMatrix]] = []
     alive: list[int] = []
-    real = _matrices.luminance_matrix
+    real = _matrices.ImageEvaluator.matrices
 
     def make(*arguments, **options):
         alive.append(sum(ref() is not None for ref in refs))
-        refs.append(weakref.ref(made := real(*arguments, **options)))
-        return made
+        (made,) = real(*arguments, **options)
+        refs.append(weakref.ref(made))
+        return (made,)
 
-    monkeypatch.setattr(_matrices, "luminance_matrix", make)
+    monkeypatch.setattr(_matrices.ImageEvaluator, "matrices", make)
     options = replace(KEPT, keep_matrix=False)
     design(three.rig, three.part, three.out / "own", options=options)
     design(three.rig, three.part, three.out / "common", options=replace(options, common_lights=True))

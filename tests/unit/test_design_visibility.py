@@ -10,7 +10,7 @@ import pytest
 from lightopt.core.errors import InputError
 from lightopt.defects import BUILT_IN_CATALOGUE, CatalogueEntry, DefectShape
 from lightopt.design import BlindReason, LevelThresholds, LuminanceMatrix, Visibility, blind_text, defect_hypotheses
-from lightopt.design.blind_spots._blind_spots import blind_spots, combined_visibility, defect_visibility
+from lightopt.design.blind_spots._blind_spots import blind_spots, by_light, defect_visibility
 
 THRESHOLDS = LevelThresholds(shade=10, saturation=255, black=2)
 
@@ -111,7 +111,7 @@ def test_reasons_are_those_that_stand_in_between():
     some = visibility_of(flags, trials, [1, 1, 1, 1, 1], patch=[1, 2, 3, 4, 5], grazing=[7])
     matrix = LuminanceMatrix(levels=levels, areas=some.areas, visibility=some)
     areas = np.array([3, 1, 1, 1, 1, 1, 0, 2.0])
-    found = blind_spots(areas, [defect_visibility([matrix], THRESHOLDS, least=2, candidates=(0, 0))])
+    found = blind_spots(areas, [defect_visibility(by_light([matrix]), THRESHOLDS, least=2)])
     expected = [
         BlindReason.SEEN,
         BlindReason.CONTRAST,
@@ -126,7 +126,7 @@ def test_reasons_are_those_that_stand_in_between():
     reasons = found.by_reason()
     assert reasons == pytest.approx({1: 0.375, 3: 0.25, 4: 0.078125, 5: 0.125})
     assert found.seen + sum(reasons.values()) == pytest.approx(1.0)
-    one = blind_spots(areas, [defect_visibility([matrix], THRESHOLDS, least=1, candidates=(0, 0))])
+    one = blind_spots(areas, [defect_visibility(by_light([matrix]), THRESHOLDS, least=1)])
     assert one.codes[5] == BlindReason.SATURATED
     assert blind_text(BlindReason.SATURATED + 1, ["left", "right"]) == "saturated by right"
     # light by light it is the same
@@ -138,10 +138,7 @@ def test_reasons_are_those_that_stand_in_between():
         )
         for k in (0, 1)
     ]
-    halves = [
-        defect_visibility([half], THRESHOLDS, least=2, candidates=(0,), first_light=k) for k, half in enumerate(parts)
-    ]
-    again = blind_spots(areas, [combined_visibility(*halves)])
+    again = blind_spots(areas, [defect_visibility((iter([(one, 0)]) for one in parts), THRESHOLDS, least=2)])
     assert again.codes.tolist() == found.codes.tolist()
     assert again.share.tolist() == found.share.tolist()
 
@@ -157,15 +154,14 @@ def test_all_positions_count_each_for_itself_and_postures_complete_each_other():
     flags = [np.zeros((2, 1, 8), bool) for _ in levels]
     flags[0][0, 0, :4] = True
     flags[0][1, 0, 4:6] = True
-    first = defect_visibility([matrix_with(flags, levels, trials)], THRESHOLDS, least=1)
+    first = defect_visibility(by_light([matrix_with(flags, levels, trials)]), THRESHOLDS, least=1)
     alone = blind_spots(np.ones(1), [first])
     assert alone.codes.tolist() == [BlindReason.CONTRAST]
     assert alone.seen == 6 / 8
     flags = [layer.copy() for layer in flags]
     flags[1][1, 0, 6:] = True
-    other = defect_visibility(
-        [matrix_with([flags[1], flags[1]], levels, trials)], THRESHOLDS, least=1, candidates=(1, 1)
-    )
+    both = matrix_with([flags[1], flags[1]], levels, trials).combination((1, 1))
+    other = defect_visibility(by_light([both]), THRESHOLDS, least=1)
     together = blind_spots(np.ones(1), [first, other])
     assert together.codes.tolist() == [BlindReason.SEEN]
     assert together.seen == 1.0
@@ -178,16 +174,16 @@ def test_images_of_other_postures_confirm_and_other_exposures_of_a_light_do_not(
     flags[0][0, 0] = True
     levels = (np.array([[60]], np.uint8), np.array([[2]], np.uint8))
     matrix = matrix_with(flags, levels, trials)
-    once = defect_visibility([matrix], THRESHOLDS, least=2)
+    once = defect_visibility(by_light([matrix]), THRESHOLDS, least=2)
     assert blind_spots(np.ones(1), [once]).seen == 0.0
     # the same image at another exposure shows the same trials: still one image
-    assert blind_spots(np.ones(1), [defect_visibility([matrix, matrix], THRESHOLDS, least=2)]).seen == 0.0
+    assert blind_spots(np.ones(1), [defect_visibility(by_light([matrix, matrix]), THRESHOLDS, least=2)]).seen == 0.0
     # the image of another posture is a second one
     assert blind_spots(np.ones(1), [once, once]).codes.tolist() == [BlindReason.SEEN]
     # an exposure that saturates nothing takes the glare away
     bright = matrix_with(flags, (np.array([[255]], np.uint8), np.array([[255]], np.uint8)), trials)
     dim = matrix_with(flags, (np.array([[60]], np.uint8), np.array([[60]], np.uint8)), trials)
-    glare = blind_spots(np.ones(1), [defect_visibility([bright], THRESHOLDS, least=2)])
+    glare = blind_spots(np.ones(1), [defect_visibility(by_light([bright]), THRESHOLDS, least=2)])
     assert glare.codes.tolist() == [BlindReason.SATURATED]
-    mended = blind_spots(np.ones(1), [defect_visibility([bright, dim], THRESHOLDS, least=2)])
+    mended = blind_spots(np.ones(1), [defect_visibility(by_light([bright, dim]), THRESHOLDS, least=2)])
     assert mended.codes.tolist() == [BlindReason.CONTRAST]

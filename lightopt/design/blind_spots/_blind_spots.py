@@ -22,10 +22,9 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Bool, Float64, Int32
-from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
+from lightopt.core.arrays import Float64, Int32
+from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, Visibility
 from lightopt.design.responses._packed_bits import Words, add_counts, add_image
-from lightopt.design.responses._visibility import Visibility
 from lightopt.rendering import grain_of
 
 
@@ -114,44 +113,39 @@ class DefectVisibility:
     first: NDArray[np.int16]
 
 
-def defect_visibility(
-    matrices: Iterable[LuminanceMatrix],
-    thresholds: LevelThresholds,
-    *,
-    least: int,
-    candidates: Sequence[int] | None = None,
-    first_light: int = 0,
-) -> DefectVisibility:
-    """What the images of a posture's lights show; all exposures of a light count as one image.
+def by_light(matrices: Sequence[LuminanceMatrix]) -> list[list[tuple[LuminanceMatrix, int]]]:
+    """The images of each light, for :func:`defect_visibility`, from matrices of all lights: one for each exposure."""
+    return [[(matrix, light) for matrix in matrices] for light in range(len(matrices[0].levels))]
 
-    matrices: Of the same lights, with their visibility: one for each exposure, or for some of the positions. From a
-        generator, only one is held at a time.
-    least: Images that must show a defect.
-    candidates: One position of each light; None for all: then an image shows what any of the light's positions shows.
-    first_light: The matrices' first light, in the rig's order.
+
+def defect_visibility(
+    lights: Iterable[Iterable[tuple[LuminanceMatrix, int]]], thresholds: LevelThresholds, *, least: int
+) -> DefectVisibility:
+    """What the images of a posture's lights show; `least` must show a defect.
+
+    lights: Of each light in the rig's order, matrices with their visibility and the light's index in them: one for each
+        exposure, or for some of the positions. They count as one image, which shows what any of them shows under any
+        of the positions. From a generator, only one is held at a time.
     """
     shown: DefectVisibility | None = None
-    images: list[tuple[Words, Bool, Bool]] = []
-    for matrix in matrices:
-        visibility = matrix.visibility
-        assert visibility is not None
-        if shown is None:
-            shown = _without_images(visibility, least)
-            images = [_dark_image(shown) for _ in visibility.words]
-        for light, (seen, good, bright) in enumerate(images):
-            rows = slice(None) if candidates is None else slice(candidates[light], candidates[light] + 1)
-            levels = matrix.levels[light][rows]
+    for light, matrices in enumerate(lights):
+        seen, good, bright = np.uint64(0), np.False_, np.False_
+        for matrix, layer in matrices:
+            visibility, levels = matrix.visibility, matrix.levels[layer]
+            assert visibility is not None
+            shown = shown or _without_images(visibility, least)
             saturated = levels >= thresholds.saturation
-            seen |= np.bitwise_or.reduce(visibility.words[light][rows], axis=0)
-            good |= ((levels > thresholds.black) & ~saturated).any(axis=0)
-            bright |= saturated.any(axis=0)
-    assert shown is not None
-    for light, (seen, good, bright) in enumerate(images):
+            seen = seen | np.bitwise_or.reduce(visibility.words[layer], axis=0)
+            good = good | ((levels > thresholds.black) & ~saturated).any(axis=0)
+            bright = bright | saturated.any(axis=0)
+        assert shown is not None
+        assert isinstance(seen, np.ndarray)
         add_image(shown.counts, seen)
         glare = bright & ~good
         shown.usable[:] += good
         shown.saturated[:] += glare
-        shown.first[glare & (shown.first < 0)] = first_light + light
+        shown.first[glare & (shown.first < 0)] = light
+    assert shown is not None
     return shown
 
 
@@ -164,23 +158,6 @@ def _without_images(visibility: Visibility, least: int) -> DefectVisibility:
         usable=np.zeros(count, np.int32),
         saturated=np.zeros(count, np.int32),
         first=np.full(count, -1, np.int16),
-    )
-
-
-def _dark_image(shown: DefectVisibility) -> tuple[Words, Bool, Bool]:
-    """An image without light: trials that it shows, and where it is usable and saturated."""
-    count = shown.counts.shape[1]
-    return np.zeros(shown.counts.shape[1:], np.uint64), np.zeros(count, np.bool_), np.zeros(count, np.bool_)
-
-
-def combined_visibility(one: DefectVisibility, other: DefectVisibility) -> DefectVisibility:
-    """What the images of different lights show together in the same posture."""
-    return DefectVisibility(
-        visibility=one.visibility,
-        counts=add_counts(one.counts, other.counts),
-        usable=one.usable + other.usable,
-        saturated=one.saturated + other.saturated,
-        first=np.where(one.first < 0, other.first, one.first),
     )
 
 

@@ -1,16 +1,113 @@
-"""Blind spots as files: a table, and a coloured surface in the coordinates of the part's file."""
+"""Blind spots as files: a table, and a coloured surface in the coordinates of the part's file.
+
+Their colours and legend are the same in pictures, ``blind.csv``, ``blind.ply`` and report.
+"""
 
 import csv
 import io
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
-from lightopt.design.blind_spots._blind_spots import BlindReason
-from lightopt.design.blind_spots._legend import BLIND_CLASSES, blind_class, blind_colours
+from lightopt.core.arrays import UInt8
+from lightopt.design.blind_spots._blind_spots import BlindReason, BlindSpots, blind_text
 from lightopt.design.blind_spots._summary import BLIND_LIGHTS, BlindSpotSummary, reason_names
+from lightopt.design.objectives._objective import share_text
 from lightopt.geometry import Patches
 from lightopt.scene import Placement
+
+Colour = tuple[int, int, int]  # red, green and blue, 0 to 255
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlindClass:
+    """Patches of one colour: why defects are not seen there, and whether others are.
+
+    :attr:`BlindReason.SATURATED` stands for every light.
+    """
+
+    code: BlindReason
+    some_seen: bool
+    label: str
+    colour: Colour
+
+
+@dataclass(frozen=True, kw_only=True)
+class LegendRow:
+    """A line of a legend: label, share, the share in words, and the colours that stand for it.
+
+    Shares are of the part's surface × defects; what is left out is a share of the whole surface.
+    """
+
+    label: str
+    share: float
+    amount: str
+    colours: tuple[Colour, ...]
+
+
+# Okabe and Ito, Color Universal Design (2008): apart with any colour vision; in the order of the legend
+_COLOURS = {
+    BlindReason.SEEN: (86, 180, 233),
+    BlindReason.CONTRAST: (240, 228, 66),
+    BlindReason.SATURATED: (213, 94, 0),
+    BlindReason.SHADOWED: (11, 60, 93),
+    BlindReason.GRAZING: (204, 121, 167),
+    BlindReason.CAMERA: (201, 206, 214),
+}
+_ONE_CLASS = (BlindReason.SEEN, BlindReason.GRAZING, BlindReason.CAMERA)
+
+
+def _classes_of(code: BlindReason, colour: Colour) -> tuple[BlindClass, ...]:
+    label = blind_text(code, ["a light"])
+    none_seen = BlindClass(code=code, some_seen=code == BlindReason.SEEN, label=label, colour=colour)
+    if code in _ONE_CLASS:
+        return (none_seen,)
+    red, green, blue = ((channel + 255) // 2 for channel in colour)
+    label = f"{label}, other defects seen"
+    return none_seen, BlindClass(code=code, some_seen=True, label=label, colour=(red, green, blue))
+
+
+BLIND_CLASSES = tuple(one for code, colour in _COLOURS.items() for one in _classes_of(code, colour))
+"""Seen, and each reason: in its own colour where no defect is seen, pale where others are."""
+
+
+def blind_class(code: int) -> BlindClass:
+    """The class of a code where no defect is seen, or where all are."""
+    return next(one for one in BLIND_CLASSES if one.code == min(code, BlindReason.SATURATED))
+
+
+def blind_classes(spots: BlindSpots) -> UInt8:
+    """Class of each patch, indices into :data:`BLIND_CLASSES`, shape (n,)."""
+    codes, some = np.minimum(spots.codes, BlindReason.SATURATED), spots.share > 0.0
+    classes = np.zeros(len(codes), np.uint8)
+    for index, one in enumerate(BLIND_CLASSES):
+        classes[(codes == one.code) & ((some == one.some_seen) | (one.code in _ONE_CLASS))] = index
+    return classes
+
+
+def blind_colours(spots: BlindSpots) -> UInt8:
+    """Colour of each patch, shape (n, 3)."""
+    return np.array([one.colour for one in BLIND_CLASSES], np.uint8)[blind_classes(spots)]
+
+
+def blind_legend(spots: BlindSpots) -> tuple[LegendRow, ...]:
+    """What is seen, and every reason that occurs, with the colours that stand for it."""
+    shares = dict.fromkeys(BlindReason, 0.0)
+    shares[BlindReason.SEEN], shares[BlindReason.GRAZING] = spots.seen, spots.left_out
+    for code, share in spots.by_reason().items():
+        shares[BlindReason(min(code, BlindReason.SATURATED))] += share
+    rows = [
+        LegendRow(
+            label=blind_class(code).label,
+            share=shares[code],
+            amount=share_text(shares[code], spots.grain),
+            colours=tuple(one.colour for one in BLIND_CLASSES if one.code == code),
+        )
+        for code in _COLOURS
+    ]
+    return tuple(row for row in rows if row.share > 0.0 or row is rows[0])
+
 
 BLIND_CSV, BLIND_PLY, BLIND_PNG = BLIND_NAMES = "blind.csv", "blind.ply", "blind.png"
 
@@ -45,7 +142,6 @@ def _csv(summary: BlindSpotSummary) -> str:
 def _ply(summary: BlindSpotSummary, patches: Patches, placement: Placement) -> bytes:
     # corners in the coordinates of the mesh file: x_file = Rᵀ·(x − t)
     vertices = (patches.vertices - placement.translation) @ placement.rotation
-    codes = [f"comment code {code}: {name}" for code, name in reason_names(summary.lights)]
     header = [
         "ply",
         "format binary_little_endian 1.0",
@@ -54,7 +150,7 @@ def _ply(summary: BlindSpotSummary, patches: Patches, placement: Placement) -> b
         "comment reachable and reachable_code: each light where it shows the defect, whatever the others",
         "comment seen, reachable: weighted share of the defects, 0 to 1",
         *(f"comment colour {' '.join(map(str, one.colour))}: {one.label}" for one in BLIND_CLASSES),
-        *codes,
+        *(f"comment code {code}: {name}" for code, name in reason_names(summary.lights)),
         f"element vertex {len(vertices)}",
         *(f"property float {axis}" for axis in "xyz"),
         f"element face {len(patches)}",
@@ -68,17 +164,10 @@ def _ply(summary: BlindSpotSummary, patches: Patches, placement: Placement) -> b
     ]
     faces = np.zeros(
         len(patches),
-        np.dtype(
-            [
-                ("count", "u1"),
-                ("corners", "<i4", 3),
-                ("colour", "u1", 3),
-                ("seen", "<f4"),
-                ("code", "u1"),
-                ("reachable", "<f4"),
-                ("reachable_code", "u1"),
-            ]
-        ),
+        {
+            "names": ("count", "corners", "colour", "seen", "code", "reachable", "reachable_code"),
+            "formats": ("u1", "(3,)<i4", "(3,)u1", "<f4", "u1", "<f4", "u1"),
+        },
     )
     faces["count"] = 3
     faces["corners"] = patches.triangles
@@ -86,10 +175,7 @@ def _ply(summary: BlindSpotSummary, patches: Patches, placement: Placement) -> b
     faces["seen"], faces["code"] = summary.chosen.share, np.minimum(summary.chosen.codes, 255)
     faces["reachable"] = summary.possible.share
     faces["reachable_code"] = np.minimum(summary.possible.codes, 255)
-    text = "".join(f"{_printable(line)}\n" for line in header)
-    return text.encode("ascii") + vertices.astype("<f4").tobytes() + faces.tobytes()
-
-
-def _printable(line: str) -> str:
     # a header is ASCII without control characters, whatever lights are called
-    return "".join(c if c.isascii() and c.isprintable() else "?" for c in line)
+    lines = ("".join(c if c.isascii() and c.isprintable() else "?" for c in line) for line in header)
+    text = "".join(f"{line}\n" for line in lines)
+    return text.encode("ascii") + vertices.astype("<f4").tobytes() + faces.tobytes()

@@ -4,28 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
-from itertools import chain
 from typing import Any
 
 from lightopt.core.arrays import Float64
 from lightopt.core.run_context import Share
 from lightopt.core.transforms import Posture
+from lightopt.design._candidates import Candidates
+from lightopt.design._tolerances import Setup
 from lightopt.design.blind_spots._blind_spots import (
     BlindReason,
     BlindSpots,
     DefectVisibility,
     blind_spots,
     blind_text,
-    combined_visibility,
+    by_light,
     defect_visibility,
 )
-from lightopt.design.candidates._candidates import Candidates
 from lightopt.design.objectives._detectability import DetectabilityObjective
-from lightopt.design.postures._image_evaluator import ImageEvaluator
-from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
-from lightopt.design.tolerances._misaligned_scores import Setup
-from lightopt.scene import PanelLight
+from lightopt.design.responses._image_evaluator import ImageEvaluator
+from lightopt.design.responses._luminance_matrix import LevelThresholds
 
 BLIND_SHARES_OF = "the part's surface without that seen at grazing angles only, × defects by weight"
 """What shares of blind spots are shares of."""
@@ -117,22 +114,6 @@ class BlindSpotSummary:
         return {"seen": round(spots.seen, 6), "blind": reasons, "left_out_of_surface": round(spots.left_out, 6)}
 
 
-def posture_visibility(
-    matrix: LuminanceMatrix,
-    posture: Posture,
-    thresholds: LevelThresholds,
-    *,
-    min_images: int,
-    candidates: Sequence[int],
-) -> PostureVisibility:
-    """What a posture's images show under a combination of light positions, and under all of them."""
-    return PostureVisibility(
-        posture=posture,
-        chosen=defect_visibility([matrix], thresholds, least=min_images, candidates=candidates),
-        possible=defect_visibility([matrix], thresholds, least=min_images),
-    )
-
-
 def reason_names(lights: Sequence[str]) -> list[tuple[int, str]]:
     """All codes and their names."""
     codes = [*BlindReason, *(BlindReason.SATURATED + light for light in range(1, len(lights)))]
@@ -156,35 +137,24 @@ def planned_visibility(
     """
     found: list[PostureVisibility] = []
     for index, posture in enumerate(setup.postures):
-        panels = [[setup.panel(index, light, (0.0, 0.0))] for light in range(len(setup.rig.lights))]
+        panels = [[panel] for panel in setup.panels(index)]
         matrices = evaluator.matrices(posture, panels, exposures=setup.exposures[index])
-        chosen = defect_visibility(matrices, thresholds, least=least)
-        positions = panels if candidates is None else candidates.panels
-        possible = _possible(evaluator, posture, positions, all_exposures, thresholds, least)
-        found.append(PostureVisibility(posture=posture, chosen=chosen, possible=possible))
+        # light by light, and of each as many positions as there is room for: all at all exposures would be much to hold
+        every = (
+            (
+                (matrix, 0)
+                for some in evaluator.in_batches(posture, positions, exposures=all_exposures)
+                for matrix in some
+            )
+            for positions in (panels if candidates is None else candidates.panels)
+        )
+        found.append(
+            PostureVisibility(
+                posture=posture,
+                chosen=defect_visibility(by_light(matrices), thresholds, least=least),
+                possible=defect_visibility(every, thresholds, least=least),
+            )
+        )
         if progress is not None:
             progress((index + 1) / len(setup.postures))
     return tuple(found)
-
-
-def _possible(
-    evaluator: ImageEvaluator,
-    posture: Posture,
-    positions: Sequence[Sequence[PanelLight]],
-    exposures: tuple[float, ...],
-    thresholds: LevelThresholds,
-    least: int,
-) -> DefectVisibility:
-    # light by light, and of each as many positions as there is room for: all at all exposures would be much to hold
-    return reduce(
-        combined_visibility,
-        (
-            defect_visibility(
-                chain.from_iterable(evaluator.in_batches(posture, panels, exposures=exposures)),
-                thresholds,
-                least=least,
-                first_light=light,
-            )
-            for light, panels in enumerate(positions)
-        ),
-    )

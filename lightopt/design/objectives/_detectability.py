@@ -21,75 +21,14 @@ from lightopt.core.arrays import Bool, Float64, Int64
 from lightopt.core.errors import InputError, counted
 from lightopt.core.run_context import Share, part_of
 from lightopt.core.threads import blocks
-from lightopt.design.objectives._objective import INSPECTABLE_SURFACE, area_text
+from lightopt.design.objectives._objective import INSPECTABLE_SURFACE, Objective, area_text
 from lightopt.design.objectives._scores_by_image_counts import at_least, count_run_sums
 from lightopt.design.objectives._scores_by_packed_bits import bit_scores
 from lightopt.design.responses._defect_hypotheses import DefectHypothesis
-from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, area_units
+from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, Visibility
 from lightopt.design.responses._packed_bits import Words, unpack_flags
-from lightopt.design.responses._visibility import Visibility
 
 FLAG_BYTES = 1 << 27  # of the flags that the packed bits are given at once
-
-
-def bit_run_scores(
-    words: Sequence[Words],
-    weights: Int64,
-    planes: tuple[Words, Int64],
-    hypothesis_weights: Int64,
-    *,
-    least: int,
-    threads: int,
-    progress: Share | None = None,
-) -> Int64:
-    """Σ weight of the patch · weight of the hypothesis · [shown in at least `least` images], for all combinations.
-
-    words: One array per light: bits of the hypotheses, shape (candidates, p, ⌈t / 64⌉).
-    weights: Of the patches, shape (p,).
-    planes: The hypotheses' weights in binary, from :func:`lightopt.design.responses._visibility.weight_planes`.
-    hypothesis_weights: The same as numbers, shape (t,).
-    Returns one number per combination, the last light's candidates varying fastest.
-    """
-    (table,), left = count_run_sums(
-        [layer[:, None] for layer in words],
-        weights,
-        planes,
-        at_least(least)[None],
-        threads=threads,
-        progress=part_of(progress, 0.0, 0.9),
-    )
-    if left.any():
-        table += _by_bits(
-            words, np.flatnonzero(left), weights, hypothesis_weights, least, threads, part_of(progress, 0.9, 1.0)
-        )
-    return table
-
-
-def _by_bits(
-    words: Sequence[Words],
-    some: Int64,
-    weights: Int64,
-    hypothesis_weights: Int64,
-    least: int,
-    threads: int,
-    progress: Share | None,
-) -> Int64:
-    # each (patch, hypothesis) as a patch of its own, usable where it is visible and never saturated
-    table = np.zeros(math.prod(len(layer) for layer in words), np.int64)
-    positions, count = sum(len(layer) for layer in words), len(hypothesis_weights)
-    parts = list(blocks(len(some), max(1, FLAG_BYTES // (positions * count))))
-    for number, (start, end) in enumerate(parts):
-        chosen = some[start:end]
-        table += bit_scores(
-            [unpack_flags(layer[:, chosen], count).reshape(len(layer), -1) for layer in words],
-            np.arange(len(chosen) * count),
-            np.outer(weights[chosen], hypothesis_weights).ravel(),
-            LevelThresholds(shade=1, saturation=2),
-            rule=(least, len(words)),
-            threads=threads,
-            progress=part_of(progress, number / len(parts), (number + 1) / len(parts)),
-        )
-    return table
 
 
 # what the number is, beside it in result.json
@@ -107,7 +46,7 @@ def min_images_problem(min_images: int) -> str | None:
 
 
 @dataclass(frozen=True)
-class DetectabilityObjective:
+class DetectabilityObjective(Objective):
     """Defects that enough images show; see the module's text.
 
     min_images: Images that must show a defect.
@@ -120,7 +59,7 @@ class DetectabilityObjective:
     across_postures: bool = False
     name: str = "detectability"
     unit: str = "µm² × weight of the defects"
-    share_of: str = f"{INSPECTABLE_SURFACE}, × defects by weight"
+    share_of: str | None = f"{INSPECTABLE_SURFACE}, × defects by weight"
 
     def __post_init__(self) -> None:
         if problem := min_images_problem(self.min_images):
@@ -146,9 +85,6 @@ class DetectabilityObjective:
             f"{counted(lights, 'light')} only; lower option 'min_images'"
         )
 
-    def weights(self, areas: Float64) -> Int64:
-        return area_units(areas)
-
     def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
         del thresholds
         per_trial = weights @ self._seen(_visibility(matrix))
@@ -166,15 +102,39 @@ class DetectabilityObjective:
         """By the places where bits change, or by packed bits."""
         del thresholds
         visibility = _visibility(matrix)
-        return bit_run_scores(
-            visibility.words,
+        (table,), left = count_run_sums(
+            [layer[:, None] for layer in visibility.words],
             weights,
             visibility.planes,
-            self._hypothesis_weights(),
-            least=self.min_images,
+            at_least(self.min_images)[None],
             threads=threads,
-            progress=progress,
+            progress=part_of(progress, 0.0, 0.9),
         )
+        if left.any():
+            table += self._by_bits(
+                visibility.words, np.flatnonzero(left), weights, threads, part_of(progress, 0.9, 1.0)
+            )
+        return table
+
+    def _by_bits(
+        self, words: Sequence[Words], some: Int64, weights: Int64, threads: int, progress: Share | None
+    ) -> Int64:
+        # each (patch, hypothesis) as a patch of its own, usable where it is visible and never saturated
+        table = np.zeros(math.prod(len(layer) for layer in words), np.int64)
+        positions, count = sum(len(layer) for layer in words), len(self.hypotheses)
+        parts = list(blocks(len(some), max(1, FLAG_BYTES // (positions * count))))
+        for number, (start, end) in enumerate(parts):
+            chosen = some[start:end]
+            table += bit_scores(
+                [unpack_flags(layer[:, chosen], count).reshape(len(layer), -1) for layer in words],
+                np.arange(len(chosen) * count),
+                np.outer(weights[chosen], self._hypothesis_weights()).ravel(),
+                LevelThresholds(shade=1, saturation=2),
+                rule=(self.min_images, len(words)),
+                threads=threads,
+                progress=part_of(progress, number / len(parts), (number + 1) / len(parts)),
+            )
+        return table
 
     def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
         """What could be seen if each light stood where it shows each defect best."""

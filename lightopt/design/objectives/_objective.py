@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 from lightopt.core.arrays import Float64, Int64
 from lightopt.core.errors import percent
 from lightopt.core.run_context import Share
-from lightopt.design.responses._luminance_matrix import AREA_UNIT_MM2, LevelThresholds, LuminanceMatrix
+from lightopt.design.responses._luminance_matrix import AREA_UNIT_MM2, LevelThresholds, LuminanceMatrix, area_units
 from lightopt.rendering import GRAZING_DEG
 
 # what shares of area are shares of
@@ -75,7 +76,7 @@ def share_text(share: float, grain: float, *, short_of: float = 1.0) -> str:
     return percent(share, digits, short_of=short_of)
 
 
-class Objective(Protocol):
+class Objective(ABC):
     """A score of a combination of light positions, in whole numbers; larger is better, 0 is nothing gained.
 
     name: As on the command line.
@@ -83,35 +84,39 @@ class Objective(Protocol):
     share_of: What a score is a share of, in words; None where it is no area.
     """
 
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def unit(self) -> str: ...
-
-    @property
-    def share_of(self) -> str | None: ...
+    name: str
+    unit: str
+    share_of: str | None
 
     def format_score(self, score: int, grain: float) -> str:
         """A score, or a difference of two, for people, with its unit; areas to the digits of their grain [µm²]."""
-        ...
+        return area_text(score, grain)
 
     def full_score(self, area: int) -> int | None:
         """The score of a fully covered inspectable area [µm²]; None where a score is no area."""
-        ...
-
-    def refusal(self, lights: int) -> str | None:
-        """Why the objective is undefined for this number of lights; None where it is defined."""
-        ...
+        return area
 
     def weights(self, areas: Float64) -> Int64:
         """How much each patch counts in the score and in its ties, shape (p,); areas in [mm²]."""
-        ...
+        return area_units(areas)
 
+    def details(self, matrices: Sequence[LuminanceMatrix], weights: Sequence[Int64]) -> Mapping[str, Any]:
+        """Further facts on one combination, as JSON; nothing for most objectives.
+
+        `matrices` have one candidate of each light; one matrix and one array of weights per posture.
+        """
+        del matrices, weights
+        return {}
+
+    @abstractmethod
+    def refusal(self, lights: int) -> str | None:
+        """Why the objective is undefined for this number of lights; None where it is defined."""
+
+    @abstractmethod
     def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
         """Score of one combination, directly from its definition; `matrix` has one candidate of each light."""
-        ...
 
+    @abstractmethod
     def scores(
         self,
         matrix: LuminanceMatrix,
@@ -125,15 +130,7 @@ class Objective(Protocol):
 
         `progress` is called often, from the calling thread; an exception that it raises ends the work soon.
         """
-        ...
 
+    @abstractmethod
     def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
         """A score that no combination exceeds."""
-        ...
-
-    def details(self, matrices: Sequence[LuminanceMatrix], weights: Sequence[Int64]) -> Mapping[str, Any]:
-        """Further facts on one combination, as JSON; nothing for most objectives.
-
-        `matrices` have one candidate of each light; one matrix and one array of weights per posture.
-        """
-        ...

@@ -21,10 +21,9 @@ is the cheaper way, in which lights with one candidate only are read once. The w
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from threading import Lock
-from typing import Any
 
 import numpy as np
 
@@ -32,6 +31,7 @@ from lightopt.core.arrays import Float64, Int64
 from lightopt.core.errors import counted
 from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import Task, blocks, run_all
+from lightopt.design.objectives._objective import Objective
 from lightopt.design.objectives._scores_by_extreme_levels import Capped, extreme_tasks, minimum_tasks
 from lightopt.design.responses._luminance_matrix import (
     Levels,
@@ -51,12 +51,12 @@ MOST_LIGHTS_IN_SETS = 16  # of more lights there are too many sets
 
 
 @dataclass(frozen=True)
-class PaperObjective:
+class PaperObjective(Objective):
     """The paper's evaluation value; see the module's text."""
 
     name: str = "paper"
     unit: str = "sensor level"
-    share_of: None = None
+    share_of: str | None = None
 
     def format_score(self, score: int, grain: float) -> str:
         """A plain number: sums of levels have no other unit."""
@@ -137,10 +137,6 @@ class PaperObjective:
             middle = np.where(greatest >= thresholds.shade, lit, 0)
             total += int(np.minimum(usable.sum(axis=0), middle.sum(axis=0)).sum())
         return total
-
-    def details(self, matrices: Sequence[LuminanceMatrix], weights: Sequence[Int64]) -> Mapping[str, Any]:
-        del matrices, weights
-        return {}
 
 
 def _tables(sizes: Sequence[int]) -> list[tuple[tuple[int, ...], int, Int64]]:

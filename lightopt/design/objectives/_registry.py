@@ -14,7 +14,7 @@ OBJECTIVES: dict[str, Objective] = {objective.name: objective for objective in (
 
 
 def objectives_named(
-    names: Sequence[str], detectability: Callable[[], DetectabilityObjective] | None = None
+    names: Sequence[str], detectability: Callable[[], DetectabilityObjective]
 ) -> tuple[Objective, ...]:
     """The objectives of these names; without names, all that need levels alone.
 
@@ -23,8 +23,7 @@ def objectives_named(
     Raises InputError: An unknown name, or one given twice.
     """
     factories: dict[str, Callable[[], Objective]] = {name: partial(OBJECTIVES.__getitem__, name) for name in OBJECTIVES}
-    if detectability is not None:
-        factories["detectability"] = detectability
+    factories["detectability"] = detectability
     problems = [
         f"option 'objectives': expected {' or '.join(factories)}, found \"{name}\""
         for name in names

@@ -59,7 +59,7 @@ def count_run_sums(
         candidate's images show it more than j times. A light has as many levels as images, or as many as matter.
     weights: Of the patches, shape (p,).
     planes: Masks of the hypotheses that share a factor, and the factors; see
-        :func:`lightopt.design.responses._visibility.weight_planes`.
+        :func:`lightopt.design.responses._luminance_matrix.weight_planes`.
     values: Of 0, 1, … images; more than the last have its value. One row per table, shape (v, n + 1).
     Returns tables: Shape (v, combinations), the last light's candidates varying fastest.
     Returns left: Patches that the tables omit since their flags change at too many places, shape (p,).

@@ -32,7 +32,7 @@ def bit_scores(
     threads: int,
     progress: Share | None = None,
 ) -> Int64:
-    """As :func:`._scores_by_level_classes.run_scores`, with the same parameters; at least two lights."""
+    """As :func:`lightopt.design.objectives._coverage.run_scores`, with the same parameters; at least two lights."""
     sizes = [len(layer) for layer in levels]
     table = np.zeros(math.prod(sizes), np.int64)
     work = WorkCounter(len(table) * len(chosen), progress)

@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from lightopt.core.transforms import Posture
-from lightopt.design.postures._combinations import PositionCounts
-from lightopt.design.postures._counts import (
-    Counts,
-    PairWeights,
-    add_counts,
-    covered_weight,
-    marginal_benefit,
-    total_benefit,
-    zero_counts,
-)
+from lightopt.design.postures._light_positions import PositionCounts
 from lightopt.design.search._exact_search import DEFAULT_LIMIT
 from lightopt.scene import PanelLight
+
+Lights = tuple[int, ...] | None  # candidate of each light; None for the rig's own positions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,24 +34,22 @@ class Cover:
     """A choice of candidates.
 
     steps: The chosen ones, in the order in which they were chosen.
-    dropped: Candidates that were chosen and made redundant by later ones.
     k: Images that must show a pair.
     total: Weight of all pairs.
     bounds: On the benefit of sets of 0, 1, 2, … candidates up to as many as were chosen.
     all_benefit, all_covered: Of all candidates together.
-    min_size: No set of fewer candidates reaches the target; None without a target, or where it cannot be reached.
+    target: Share of the weight that was to be seen; None without.
     sets, max_covered: Number of all sets of as many candidates, and what the best of them covers; None where not all
         were searched.
     """
 
     steps: tuple[CoverStep, ...]
-    dropped: tuple[int, ...]
     k: int
     total: int
     bounds: tuple[int, ...]
     all_benefit: int
     all_covered: int
-    min_size: int | None
+    target: float | None = None
     sets: int | None = None
     max_covered: int | None = None
 
@@ -94,16 +84,12 @@ class Cover:
         return min(self.bounds[count] / self.k, self.all_covered) / max(1, self.total)
 
     @property
-    def bound(self) -> int:
-        """No set of as many candidates has more benefit."""
-        return self.bounds[-1]
-
-    def fewest(self, target: float) -> int | None:
-        """No set of fewer candidates shows this share; None where all together do not."""
-        if self.all_covered < target * self.total:
+    def min_size(self) -> int | None:
+        """No set of fewer candidates reaches the target; None without one, or where all together do not reach it."""
+        if self.target is None or self.all_covered < self.target * self.total:
             return None
         # a pair seen in k images has benefit k
-        enough = [size for size, bound in enumerate(self.bounds) if bound >= self.k * target * self.total]
+        enough = [size for size, bound in enumerate(self.bounds) if bound >= self.k * self.target * self.total]
         return enough[0] if enough else len(self.steps)
 
     @property
@@ -115,28 +101,12 @@ class Cover:
     @property
     def proven(self) -> bool:
         """Whether no set of as many covers more."""
-        most = min(self.bound // self.k, self.all_covered) if self.max_covered is None else self.max_covered
+        most = min(self.bounds[-1] // self.k, self.all_covered) if self.max_covered is None else self.max_covered
         return self.covered >= most
 
     def with_search(self, max_covered: int, sets: int | None) -> Cover:
         """With the outcome of a search of all sets; unchanged where the search ended without a proof."""
         return self if sets is None else replace(self, sets=sets, max_covered=max_covered)
-
-
-def cover_steps(ordered: Sequence[tuple[int, Counts]], weights: PairWeights) -> tuple[CoverStep, ...]:
-    """What candidates add one after the other: index and counts of each."""
-    steps: list[CoverStep] = []
-    now: Counts | None = None
-    for one, counts in ordered:
-        now = zero_counts(weights, len(counts)) if now is None else now
-        gain = marginal_benefit(now, counts, weights)
-        now = add_counts(now, counts)
-        steps.append(
-            CoverStep(
-                candidate=one, gain=gain, benefit=total_benefit(now, weights), covered=covered_weight(now, weights)
-            )
-        )
-    return tuple(steps)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,53 +126,50 @@ class PostureRequest:
 
 
 @dataclass(frozen=True, kw_only=True)
-class InitialLights:
-    """What the rig's lights show in their initial positions.
+class Solution:
+    """Light positions, and the postures chosen for them.
 
-    share: Of the pairs of the drawn patches, at exposure 1.
-    postures: Number of postures, chosen for these lights; fewer than the plan's where no other adds anything.
-    panels: The lights, world frame.
+    panels, lights: The lights, world frame, and the index of each one's candidate; None where they keep their initial
+        positions.
+    cover: The postures, with their gains and bound, over all patches and candidate postures, with these lights.
+    exact: Whether every combination of the lights was tried in every iteration.
+    iterations: How often the lights were placed on the way.
+    converged: Whether no combination of the positions tried last shows more in these postures.
     """
 
-    share: float
-    postures: int
-    panels: tuple[PanelLight, ...] = field(compare=False, repr=False)
+    panels: tuple[PanelLight, ...]
+    cover: Cover
+    lights: Lights = None
+    exact: bool = True
+    iterations: int = 0
+    converged: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
-class PostureChoice:
-    """The postures and lights that were chosen.
+class PostureChoice(Solution):
+    """The postures and lights that were chosen, on all patches.
 
     postures: In the order in which they were chosen.
-    cover: Their gains and bound, over all patches and candidate postures, with these lights.
-    lights: Candidate index of each light; None where the lights keep their initial positions.
-    panels: The lights, world frame.
-    exact: Whether every combination of the lights was tried in each iteration.
-    iterations: How often the lights were placed on the way to this choice.
     starts: Number of starting positions of the search.
+    initial, initial_panels: What the rig's lights show in their initial positions, of the drawn patches at exposure 1,
+        in postures that are chosen for them, fewer than the plan's where no other adds anything; and these lights.
     on_all_patches: Whether the last iterations used all patches; not where memory is too small for so many positions.
-    converged: Whether no combination of the positions tried last shows more of all patches in these postures.
     position_counts: What each position of each light shows of all patches in these postures, each image with the
         evaluator's exposures; None where that is no longer known.
     """
 
     postures: tuple[Posture, ...]
-    cover: Cover
-    lights: tuple[int, ...] | None
-    panels: tuple[PanelLight, ...]
-    exact: bool
-    iterations: int
     starts: int
-    initial: InitialLights
+    initial: Cover
+    initial_panels: tuple[PanelLight, ...] = field(compare=False, repr=False)
     on_all_patches: bool
-    converged: bool
     position_counts: tuple[PositionCounts, ...] | None = field(default=None, compare=False, repr=False)
 
     @property
-    def initial_if_moved(self) -> InitialLights | None:
+    def initial_if_moved(self) -> Cover | None:
         """What the rig's lights show in their initial positions; None where they stay there."""
         same = (
             np.allclose(old.outward, new.outward, rtol=0.0, atol=1e-9)
-            for old, new in zip(self.initial.panels, self.panels, strict=True)
+            for old, new in zip(self.initial_panels, self.panels, strict=True)
         )
         return None if all(same) else self.initial

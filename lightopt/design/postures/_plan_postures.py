@@ -1,6 +1,6 @@
-"""Choose the postures of a plan, or say why a target is out of reach: the entry to this package."""
+"""Choose the postures of a plan, or say why a target is out of reach; then score it by all of its images together."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -9,29 +9,144 @@ import numpy as np
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Bool
 from lightopt.core.errors import CheckFailed, counted, percent
-from lightopt.core.run_context import RunContext
+from lightopt.core.run_context import RunContext, Share
 from lightopt.core.transforms import Posture
+from lightopt.design._candidates import Candidates
 from lightopt.design._commands import way_through
 from lightopt.design._options import OptimizeOptions, PlanOptions
-from lightopt.design._result import ChosenPostures
+from lightopt.design._problem import candidates_of, detection_model_of
+from lightopt.design._result import SHARES_OF, ChosenPostures, ObjectiveResult, SetResult, angles_of
 from lightopt.design.blind_spots._blind_spots import (
     BlindReason,
     DefectVisibility,
     blind_spots,
     blind_text,
+    by_light,
     defect_visibility,
 )
-from lightopt.design.candidates._candidates import Candidates, find_candidates
-from lightopt.design.exposures._joint_choice import choose_with_exposures
+from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import share_text
 from lightopt.design.postures._choice import PostureChoice, PostureRequest
-from lightopt.design.postures._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
+from lightopt.design.postures._joint_choice import choose_with_exposures
+from lightopt.design.postures._light_positions import position_counts, position_counts_fit
 from lightopt.design.postures._posture_grid import posture_grid, usable_postures
-from lightopt.design.responses._defect_hypotheses import defect_hypotheses
-from lightopt.design.responses._detection import Contrast, DetectionModel
+from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
+from lightopt.design.responses._packed_bits import Counts, covered_weight, sum_counts, unpack_flags
+from lightopt.design.search._combinations import Ranked
+from lightopt.design.search._curves import Curve, score_curves
 from lightopt.rendering import PatchTable, build_patches, cast_rays_at
-from lightopt.scene import Scene, build_catalogue, build_lights, build_scene, pace_text
+from lightopt.scene import PanelLight, build_lights, build_scene, pace_text
+
+# among what the lights of a plan are the best, or not known to be
+PROVEN_OF = "positions of the lights in these postures at these exposures; for the postures see chosen_postures"
+
+# among what another objective's lights are the best where its own positions could not be searched
+PROVEN_OF_ONE = "the positions that the first objective chose, the only ones that were scored"
+
+
+@dataclass(frozen=True)
+class PlannedDetectability(DetectabilityObjective):
+    """Detectability of all planned images together, as a share of what the camera sees in any candidate posture.
+
+    area: Of that surface [µm²].
+    """
+
+    share_of: str | None = SHARES_OF
+    area: int = 0
+
+    def full_score(self, area: int) -> int | None:
+        """The same whatever the area of the chosen postures."""
+        del area
+        return super().full_score(self.area)
+
+
+def planned_answers(
+    result: SetResult,
+    chosen: ChosenPostures,
+    evaluator: ImageEvaluator,
+    candidates: Candidates,
+    free: Candidates | None,
+    progress: Share | None = None,
+) -> SetResult:
+    """The best lights of each objective, scored for defects by what they show in the plan's postures and exposures.
+
+    result: Of the chosen postures; the first objective is detectability.
+    candidates: Positions of the lights that the result is of.
+    free: All positions to choose from: the curves go through them, where the chosen ones are among them; None where
+        no light moves.
+    progress: Called with the share of the curves that is done.
+    """
+    first = result.answers[0].objective
+    assert isinstance(first, DetectabilityObjective)
+    goal = PlannedDetectability(first.hypotheses, first.min_images, area=int(evaluator.weights.areas.sum()))
+    answers = tuple(_planned(answer, goal, chosen, evaluator, candidates, free) for answer in result.answers)
+    best = answers[0].found.best
+    at = angles_of(candidates, best)
+    curves: tuple[Curve, ...] = ()
+    if (
+        free is not None
+        and all(angles in some for angles, some in zip(at, free.angles, strict=True))
+        and position_counts_fit(evaluator, free, min_images=chosen.least)
+    ):
+        here = tuple(some.index(angles) for angles, some in zip(at, free.angles, strict=True))
+        curves = _curves(replace(best, candidates=here), chosen, evaluator, free, progress)
+    return replace(result, answers=answers, curves=curves)
+
+
+def _curves(
+    best: Ranked, chosen: ChosenPostures, evaluator: ImageEvaluator, free: Candidates, progress: Share | None
+) -> tuple[Curve, ...]:
+    postures = [(posture, chosen.exposures_of(posture)) for posture in chosen.way.order]
+    lights = chosen.choice.position_counts or position_counts(
+        evaluator, postures, free, min_images=chosen.least, progress=progress
+    )
+
+    def score(combination: tuple[int, ...]) -> int:
+        shown = (places[k] for places, k in zip(lights, combination, strict=True))
+        return covered_weight(sum_counts(shown, evaluator.weights, chosen.least), evaluator.weights)
+
+    return score_curves(free, best, score)
+
+
+def _planned(
+    answer: ObjectiveResult,
+    goal: PlannedDetectability,
+    chosen: ChosenPostures,
+    evaluator: ImageEvaluator,
+    candidates: Candidates,
+    free: Candidates | None,
+) -> ObjectiveResult:
+    best = answer.found.best
+    panels = candidates.panels_at(best.candidates)
+    counts = _counts(chosen, evaluator, panels)
+    score = covered_weight(counts, evaluator.weights)
+    scores = {**answer.scores, goal.name: score}
+    if answer.objective.name != goal.name:
+        searched = free is None or any(len(some) > 1 for some in candidates.angles)
+        return replace(answer, scores=scores, proven_of=None if searched else PROVEN_OF_ONE)
+    # where no other positions show more in these postures; else no bound is known but all there is to see
+    best_there = chosen.choice.exact and chosen.choice.converged
+    bound = score if best_there else evaluator.weights.total
+    seen = evaluator.weights.areas @ unpack_flags(counts[-1], len(goal.hypotheses))
+    return replace(
+        answer,
+        objective=goal,
+        found=replace(answer.found, ranking=(replace(best, negative_score=-score),), bound=bound),
+        scores=scores,
+        details=goal.facts(seen, goal.area),
+        nothing=None,
+        proven_of=PROVEN_OF,
+    )
+
+
+def _counts(chosen: ChosenPostures, evaluator: ImageEvaluator, panels: Sequence[PanelLight]) -> Counts:
+    images = (
+        replace(evaluator, exposures=chosen.exposures_of(posture)).counts(posture, panels, min_images=chosen.least)
+        for posture in chosen.way.order
+    )
+    return sum_counts(images, evaluator.weights, chosen.least)
+
 
 NEAR_SHARE = 0.01  # the message names how many postures come this near to all of them
 
@@ -117,16 +232,11 @@ def _hint(lost: Mapping[int, float], evaluator: ImageEvaluator) -> str:
 
 def _lost(choice: PostureChoice, evaluator: ImageEvaluator, least: int) -> dict[int, float]:
     # surface × defects by reason, over all candidate postures, under the chosen lights
-    thresholds = LevelThresholds.of_sensor(
-        shade_share=0.0,
-        max_level=evaluator.scene.sensor.max_level,
-        saturated_from=evaluator.scene.sensor.saturated_from,
-        black_level=evaluator.scene.sensor.black_level,
-    )
+    thresholds = LevelThresholds.of_sensor(evaluator.scene.sensor, shade_share=0.0)
     seen: list[DefectVisibility] = []
     for posture in evaluator.table.postures:
         matrices = evaluator.matrices(posture, [[panel] for panel in choice.panels], exposures=evaluator.exposures)
-        seen.append(defect_visibility(matrices, thresholds, least=least))
+        seen.append(defect_visibility(by_light(matrices), thresholds, least=least))
     # the shares are of the surface that the camera sees in one of them
     areas = np.zeros(len(evaluator.table.patches))
     areas[evaluator.patches] = evaluator.table.patches.areas[evaluator.patches]
@@ -231,20 +341,3 @@ def chosen_angles(rig: RigConfig, choice: PostureChoice, options: OptimizeOption
     angles = candidates_of(rig, options)
     assert angles is not None
     return tuple(places[k] for places, k in zip(angles.angles, choice.lights, strict=True))
-
-
-def detection_model_of(scene: Scene, part: PartConfig, options: OptimizeOptions) -> DetectionModel:
-    """The part's defect catalogue, with the sensor's noise."""
-    return DetectionModel(
-        hypotheses=defect_hypotheses(build_catalogue(part)),
-        contrast=Contrast(sensor=scene.sensor, full_scale=scene.reflectance.full_scale, threshold=options.threshold),
-    )
-
-
-def candidates_of(rig: RigConfig, options: OptimizeOptions) -> Candidates | None:
-    """The positions that the lights are chosen from; None where no light moves."""
-    if all(light.elevation_range_deg is None and light.azimuth_range_deg is None for light in rig.lights):
-        return None
-    return find_candidates(
-        rig, step_deg=options.step_deg, common_elevation=options.common_elevation, points=options.points
-    )

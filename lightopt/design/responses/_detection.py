@@ -74,76 +74,9 @@ class Contrast:
         if problem := threshold_problem(self.threshold):
             raise InputError(problem)
 
-    def words(
-        self,
-        good: Float64,
-        varied: Float64,
-        *,
-        pixel_fill: PixelFill,
-        footprints: Float64,
-        cosines: Float64,
-        exposure: float,
-    ) -> Words:
-        """Bits of the visible hypotheses, shape (k, ⌈t / 64⌉).
 
-        good, varied: Linear levels of the good surface and of the hypotheses where they fill the pixel [grey level at
-            exposure 1], shapes (k,) and (k, t).
-        footprints: Side of a pixel's footprint on a plane that faces the camera [mm], shape (k,).
-        cosines: Of the angle between normal and view, above 0, shape (k,).
-        """
-        return _contrast_words(
-            good,
-            varied,
-            pixel_fill.first,
-            pixel_fill.facing,
-            pixel_fill.width,
-            pixel_fill.shares,
-            footprints,
-            cosines,
-            exposure * self.sensor.max_level / self.full_scale,
-            self.sensor.black_level,
-            self.sensor.saturated_from,
-            self.threshold,
-            self.sensor.read_noise_levels,
-            self.sensor.electrons_per_level or math.inf,
-        )
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class PixelFill:
-    """How far e defects fill a pixel; the hypotheses of a defect are adjacent.
-
-    first: Index of each defect's first hypothesis, and the number of hypotheses; shape (e + 1,).
-    facing: Whether only walls that face each other share a pixel, as a scratch's two do; else those of all directions
-        do.
-    width: [mm], shape (e,).
-    shares: From :func:`lightopt.defects.pixel_shares`, shape (e, n, 4).
-    """
-
-    first: Int64
-    facing: Bool
-    width: Float64
-    shares: Float64
-
-
-def pixel_fill(hypotheses: Sequence[DefectHypothesis]) -> PixelFill:
-    """How far the defects of hypotheses fill a pixel, in their order."""
-    # hypotheses of a defect differ by weight and direction only
-    groups = [list(some) for _, some in groupby(hypotheses, key=lambda one: replace(one, weight=0, direction=0.0))]
-    defects = [some[0] for some in groups]
-    return PixelFill(
-        first=np.cumsum([0, *(len(some) for some in groups)]).astype(np.int64),
-        facing=np.array([defect.kind == "scratch" for defect in defects], np.bool_),
-        width=np.array([defect.width for defect in defects]),
-        shares=np.stack(
-            [
-                pixel_shares(DefectShape(kind=one.kind, length=one.length, width=one.width, slope=one.slope))
-                for one in defects
-            ]
-        ),
-    )
-
-
+# linear levels where the surface is good and where a hypothesis fills the pixel [grey level at exposure 1], shapes (k,)
+# and (k, t); a pixel's footprint on a plane that faces the camera [mm]; bits of the visible hypotheses
 @kernel
 def _contrast_words(
     good: Float64,
@@ -218,9 +151,25 @@ class DetectionModel:
     contrast: Contrast
 
     @cached_property
-    def pixel_fill(self) -> PixelFill:
-        """How far the defects fill a pixel."""
-        return pixel_fill(self.hypotheses)
+    def pixel_fill(self) -> tuple[Int64, Bool, Float64, Float64]:
+        """How far e defects fill a pixel; the hypotheses of a defect are adjacent.
+
+        Index of each defect's first hypothesis and the number of hypotheses, shape (e + 1,); whether only walls that
+        face each other share a pixel, as a scratch's two do, or else those of all directions, shape (e,); widths [mm],
+        shape (e,); shares from :func:`lightopt.defects.pixel_shares`, shape (e, n, 4).
+        """
+        # hypotheses of a defect differ by weight and direction only
+        groups = [
+            list(some) for _, some in groupby(self.hypotheses, key=lambda one: replace(one, weight=0, direction=0.0))
+        ]
+        defects = [some[0] for some in groups]
+        shapes = [DefectShape(kind=one.kind, length=one.length, width=one.width, slope=one.slope) for one in defects]
+        return (
+            np.cumsum([0, *map(len, groups)]).astype(np.int64),
+            np.array([defect.kind == "scratch" for defect in defects], np.bool_),
+            np.array([defect.width for defect in defects]),
+            np.stack([pixel_shares(shape) for shape in shapes]),
+        )
 
 
 class PatchDetection:
@@ -263,14 +212,21 @@ class PatchDetection:
             reflectance=self.reflectance,
             caster=blocker,
         )
+        contrast = self.detection.contrast
+        sensor = contrast.sensor
         return shaded.plain, [
-            self.detection.contrast.words(
+            _contrast_words(
                 shaded.good,
                 shaded.varied,
-                pixel_fill=self.detection.pixel_fill,
-                footprints=self._footprint * self._depths[here],
-                cosines=self.cosines[here],
-                exposure=exposure,
+                *self.detection.pixel_fill,
+                self._footprint * self._depths[here],
+                self.cosines[here],
+                exposure * sensor.max_level / contrast.full_scale,
+                sensor.black_level,
+                sensor.saturated_from,
+                contrast.threshold,
+                sensor.read_noise_levels,
+                sensor.electrons_per_level or math.inf,
             )
             for exposure in exposures
         ]

@@ -1,22 +1,114 @@
-"""The luminance matrix: what the camera would deliver for every patch under every candidate position of a light."""
+"""The luminance matrix: what the camera would deliver for every patch under every candidate position of a light.
+
+With it go visibility bits: which defects the same images show at the patches. Bit t % 64 of word t // 64 of a patch is
+hypothesis t. Patches are addressed by their index in the refined mesh of the run
+(:class:`lightopt.rendering.PatchTable`), which is refined once for all postures: the same index is the same patch in
+every posture.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Float64, Int64, read_only
+from lightopt.core.arrays import Float64, Int32, Int64, read_only
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
-from lightopt.design.responses._visibility import Visibility, select_rows
+from lightopt.design.responses._defect_hypotheses import DefectHypothesis
+from lightopt.design.responses._packed_bits import Words, add_image, weight_planes, weighted_bits
+from lightopt.optics import Sensor
 
 Levels = NDArray[np.uint8 | np.uint16]
 
 AREA_UNIT_MM2 = 1e-6  # areas are counted in whole square micrometres, so that sums are exact in any order
+
+
+@dataclass(frozen=True, kw_only=True)
+class Visibility:
+    """Which (patch, hypothesis) the image of each light position shows in one posture.
+
+    words: One array per light, in the rig's order: bits of the visible hypotheses, shape (candidates of the light, p,
+        ⌈t / 64⌉).
+    areas: Of the inspectable patches [mm²], shape (p,).
+    patch: Their indices among the patches of the run, ascending, shape (p,).
+    grazing: Indices of the patches seen at a grazing angle, which are excluded, ascending.
+    """
+
+    hypotheses: tuple[DefectHypothesis, ...]
+    words: tuple[Words, ...]
+    areas: Float64
+    patch: Int32
+    grazing: Int32
+
+    def __post_init__(self) -> None:
+        shape = len(self.areas), -(-len(self.hypotheses) // 64)
+        for index, layer in enumerate(self.words):
+            if layer.ndim != 3 or layer.shape[1:] != shape or layer.dtype != np.uint64:
+                raise InputError(
+                    f"visibility: light {index}: expected uint64 of shape (candidates, {shape[0]}, {shape[1]}), "
+                    f"found {layer.dtype} {layer.shape}"
+                )
+        for name in ("areas", "patch"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+        object.__setattr__(self, "words", tuple(map(read_only, self.words)))
+
+    @cached_property
+    def planes(self) -> tuple[Words, Int64]:
+        """The hypotheses' weights in binary: see :func:`weight_planes`."""
+        return weight_planes(self.hypotheses)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of candidates of each light."""
+        return tuple(len(layer) for layer in self.words)
+
+    @property
+    def total_weight(self) -> int:
+        return sum(hypothesis.weight for hypothesis in self.hypotheses)
+
+    def rows(self, rows: Sequence[Int64]) -> Visibility:
+        """Some candidates of each light, given by ascending indices."""
+        words = tuple(select_rows(layer, some) for layer, some in zip(self.words, rows, strict=True))
+        return replace(self, words=words)
+
+    def patches(self, start: int, end: int) -> Visibility:
+        return replace(
+            self,
+            words=tuple(layer[:, start:end] for layer in self.words),
+            areas=self.areas[start:end],
+            patch=self.patch[start:end],
+        )
+
+    def seen(self, candidates: Sequence[int], least: int) -> Words:
+        """What at least `least` images show with one position of each light, shape (p, ⌈t / 64⌉)."""
+        return self._at_least([layer[k] for layer, k in zip(self.words, candidates, strict=True)], least)
+
+    def reachable(self, least: int) -> Words:
+        """What at least `least` images show if each light takes, for each hypothesis, the position that shows it."""
+        return self._at_least([np.bitwise_or.reduce(layer, axis=0) for layer in self.words], least)
+
+    def weights(self, seen: Words) -> Int64:
+        """Sum of the weights of the hypotheses whose bits are set, shape (p,)."""
+        return weighted_bits(seen, *self.planes)
+
+    def _at_least(self, images: Sequence[Words], least: int) -> Words:
+        counters = np.zeros((max(1, least), len(self.areas), images[0].shape[1]), np.uint64)
+        for image in images:
+            add_image(counters, image)
+        return counters[-1]
+
+
+def select_rows(layer: Any, some: Int64) -> Any:
+    """Some rows of an array, ascending; a contiguous range without a copy."""
+    if len(some) and some[-1] - some[0] == len(some) - 1:
+        return layer[some[0] : some[-1] + 1]
+    return layer[some]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,21 +133,19 @@ class LevelThresholds:
             )
 
     @staticmethod
-    def of_sensor(
-        *, shade_share: float, max_level: int, saturated_from: float, black_level: float = 0.0
-    ) -> LevelThresholds:
+    def of_sensor(sensor: Sensor, *, shade_share: float) -> LevelThresholds:
         """Thresholds of a sensor: shaded is what has less light than ``black + shade_share · full scale`` delivers.
 
-        What is delivered without light is shaded whatever the share. Levels are in [sensor level].
+        What is delivered without light is shaded whatever the share.
         """
         if not (math.isfinite(shade_share) and 0.0 <= shade_share <= 1.0):
             raise InputError(
                 f"shade-below: expected a share of full scale from 0 to 1, such as 10/255, found {shade_share:g}"
             )
         # the least whole level that is not below the share; a share such as 10/255 must not round past its level
-        shade = math.ceil(black_level + shade_share * max_level - 1e-9)
-        black = math.floor(black_level + 0.5)
-        return LevelThresholds(shade=max(shade, black + 1), saturation=math.ceil(saturated_from), black=black)
+        shade = math.ceil(sensor.black_level + shade_share * sensor.max_level - 1e-9)
+        black = math.floor(sensor.black_level + 0.5)
+        return LevelThresholds(shade=max(shade, black + 1), saturation=math.ceil(sensor.saturated_from), black=black)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,11 +1,26 @@
-"""Bool packed into words of 64: counted over images, weighted, and counted where two rows share them."""
+"""Flags packed into words of 64: of patches, or of pairs; counted over images and weighted.
+
+A *pair* is a patch and a defect hypothesis on it. Word w of patch p holds the flags of 64 hypotheses. A count of images
+from 0 to k takes k words of each: flag l − 1 says "seen in l images or more".
+
+The *benefit* of a count is the sum of its flags, each times its pair's weight; the weight *covered* is that of the
+pairs with the last flag.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Int64, UInt8, UInt64
+from lightopt.core.arrays import Bool, Int64, UInt8, UInt64, read_only
 from lightopt.core.kernels import kernel
+from lightopt.core.threads import available_processors, run_all
+from lightopt.design.responses._defect_hypotheses import DefectHypothesis
 
 Words = UInt64
+Counts = UInt64  # shape (k, p, words): flag l says that a pair is seen in l + 1 images or more
 
 
 def pack_flags(rows: Bool) -> Words:
@@ -83,3 +98,161 @@ def common_bits(left: Words, right: Words) -> np.int64:
     for w in range(len(left)):
         total += _count_bits(left[w] & right[w])
     return np.int64(total)
+
+
+def weight_planes(hypotheses: Sequence[DefectHypothesis]) -> tuple[Words, Int64]:
+    """The hypotheses' weights in binary: masks of the hypotheses that have a bit, and the value of that bit.
+
+    Returns masks, shape (planes, ⌈t / 64⌉), and factors, shape (planes,), powers of two; bits that no weight has are
+    omitted.
+    """
+    masks: list[Words] = []
+    factors: list[int] = []
+    for bit in range(max(hypothesis.weight for hypothesis in hypotheses).bit_length()):
+        mask = np.zeros(-(-len(hypotheses) // 64), np.uint64)
+        for index, hypothesis in enumerate(hypotheses):
+            if hypothesis.weight >> bit & 1:
+                mask[index // 64] |= np.uint64(1 << index % 64)
+        if mask.any():
+            masks.append(mask)
+            factors.append(1 << bit)
+    return np.stack(masks), np.array(factors, np.int64)
+
+
+@kernel
+def weighted_bits(words: Words, masks: Words, factors: Int64) -> Int64:
+    """Sum of the weights of the hypotheses whose bits are set, of each row of words, shape (p,)."""
+    sums = np.zeros(len(words), np.int64)
+    for p in range(len(words)):
+        for w in range(words.shape[1]):
+            if words[p, w]:
+                sums[p] += word_weight(words[p, w], w, masks, factors)
+    return sums
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PairWeights:
+    """Weight of each pair of patch and hypothesis: the patch's area times the hypothesis's factor.
+
+    areas: Of the patches [µm²], shape (p,).
+    masks: The hypotheses of one factor each, as flags; shape (groups, words).
+    factors: Whole numbers, shape (groups,).
+    """
+
+    areas: Int64
+    masks: Words
+    factors: Int64
+
+    def __post_init__(self) -> None:
+        for name in ("areas", "masks", "factors"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    @staticmethod
+    def of_hypotheses(hypotheses: Sequence[DefectHypothesis], areas: Int64) -> PairWeights:
+        """Each patch by its area [µm²], each hypothesis by its own weight."""
+        masks, factors = weight_planes(hypotheses)
+        return PairWeights(areas=areas, masks=masks, factors=factors)
+
+    @property
+    def arrays(self) -> tuple[Int64, Words, Int64]:
+        """Areas, masks, factors."""
+        return self.areas, self.masks, self.factors
+
+    def of(self, patches: slice | Bool) -> PairWeights:
+        """Weights of some of the patches."""
+        return replace(self, areas=self.areas[patches])
+
+    @property
+    def total(self) -> int:
+        hypotheses = sum(
+            int(factor) * sum(int(word).bit_count() for word in mask)
+            for factor, mask in zip(self.factors, self.masks, strict=True)
+        )
+        return int(self.areas.sum()) * hypotheses
+
+
+def zero_counts(weights: PairWeights, k: int) -> Counts:
+    return np.zeros((k, len(weights.areas), weights.masks.shape[1]), np.uint64)
+
+
+def sum_counts(some: Iterable[Counts], weights: PairWeights, k: int) -> Counts:
+    """The sum of several counts, up to k, shape (k, p, words)."""
+    now = zero_counts(weights, k)
+    for counts in some:
+        now = add_counts(now, counts)
+    return now
+
+
+def counts_of_images(images: Sequence[Words], k: int) -> Counts:
+    """In how many of some images each pair is seen, up to k, shape (k, p, words).
+
+    `images` are the flags of each image, shape (p, words); at least one.
+    """
+    total = np.zeros((k, *images[0].shape), np.uint64)
+    for flags in images:
+        add_image(total, flags)
+    return total
+
+
+def total_benefit(counts: Counts, weights: PairWeights) -> int:
+    """Σ weight · min(k, count)."""
+    return int(sum(_sum(flags, *weights.arrays) for flags in counts))
+
+
+def covered_weight(counts: Counts, weights: PairWeights) -> int:
+    """Σ weight · [count ≥ k]."""
+    return int(_sum(counts[-1], *weights.arrays))
+
+
+def marginal_gains(counts: Counts, more: Counts, weights: PairWeights) -> tuple[int, int]:
+    """By how much :func:`covered_weight` and :func:`total_benefit` grow when `more` is added to `counts`."""
+    covered, benefit = _gains(counts, more, *weights.arrays)
+    return int(covered), int(benefit)
+
+
+def all_marginal_gains(
+    counts: Counts, candidates: Sequence[Counts], weights: PairWeights, *, threads: int | None
+) -> list[tuple[int, int]]:
+    """:func:`marginal_gains` of each of some candidates."""
+    gains: list[tuple[int, int]] = [(0, 0)] * len(candidates)
+
+    def add(i: int) -> None:
+        gains[i] = marginal_gains(counts, candidates[i], weights)
+
+    run_all(((add, (i,)) for i in range(len(candidates))), threads=threads or available_processors())
+    return gains
+
+
+@kernel
+def _sum(flags: Words, areas: Int64, masks: Words, factors: Int64) -> np.int64:
+    total = np.int64(0)
+    for p in range(flags.shape[0]):
+        hypotheses = np.int64(0)
+        for w in range(flags.shape[1]):
+            if flags[p, w]:
+                hypotheses += word_weight(flags[p, w], w, masks, factors)
+        total += areas[p] * hypotheses
+    return total
+
+
+@kernel
+def _gains(counts: Counts, more: Counts, areas: Int64, masks: Words, factors: Int64) -> tuple[np.int64, np.int64]:
+    covered, benefit = np.int64(0), np.int64(0)
+    k = counts.shape[0]
+    for p in range(counts.shape[1]):
+        most, each = np.int64(0), np.int64(0)
+        for w in range(counts.shape[2]):
+            if more[0, p, w]:
+                for level in range(k):
+                    flags = more[level, p, w]
+                    for low in range(level):
+                        flags |= counts[low, p, w] & more[level - 1 - low, p, w]
+                    flags &= ~counts[level, p, w]
+                    if flags:
+                        value = word_weight(flags, w, masks, factors)
+                        each += value
+                        if level == k - 1:
+                            most += value
+        covered += areas[p] * most
+        benefit += areas[p] * each
+    return covered, benefit

@@ -21,7 +21,7 @@ A cached matrix is an ``.npz`` with the arrays
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -29,26 +29,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.config import PartConfig, RigConfig
 from lightopt.core.provenance import computed_by, file_sha256
 from lightopt.core.run_context import RunContext, Share
 from lightopt.core.transforms import Posture
-from lightopt.design._options import OptimizeOptions
-from lightopt.design.candidates._candidates import Candidates
+from lightopt.design._candidates import Candidates
+from lightopt.design._problem import Problem, detection_model_of
 from lightopt.design.responses._defect_hypotheses import DefectHypothesis
 from lightopt.design.responses._detection import DetectionModel
-from lightopt.design.responses._luminance_matrix import LuminanceMatrix
-from lightopt.design.responses._matrix_computation import MOST_BYTES, luminance_matrix
-from lightopt.design.responses._visibility import Visibility
-from lightopt.geometry import RayCaster
+from lightopt.design.responses._image_evaluator import MOST_BYTES, ImageEvaluator
+from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Visibility
 from lightopt.images import make_folder, posture_folder, write_npz_atomic
 from lightopt.rendering import PatchTable, build_patches, patches_for_edge
-from lightopt.scene import PanelLight, Scene, chord_tolerance, pixel_footprint
-
-
-def matrix_key(facts: Mapping[str, Any]) -> str:
-    """SHA-256 of JSON facts, independent of their order."""
-    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+from lightopt.scene import PanelLight, chord_tolerance, pixel_footprint
 
 
 def write_matrix(
@@ -124,20 +116,17 @@ class PostureMatrices:
     reused: How many matrices were read from the cache.
     """
 
-    rig: RigConfig
-    part: PartConfig
-    scene: Scene
-    candidates: Candidates
-    options: OptimizeOptions
+    problem: Problem
     folder: Path
-    caster: RayCaster
-    detection: DetectionModel | None
     run: RunContext
     table: PatchTable | None = None
     reused: int = 0
 
     def __post_init__(self) -> None:
-        self._facts = _matrix_facts(self.rig, self.part, self.scene, self.candidates, self.options, self.detection)
+        problem, self.detection = self.problem, None
+        if problem.defects is not None:
+            self.detection = detection_model_of(problem.scene, problem.part, problem.options)
+        self._facts = _matrix_facts(problem, self.detection)
         if self.table is not None:
             self._facts["patches"] = hashlib.sha256(self.table.patches.centroids.tobytes()).hexdigest()
 
@@ -146,7 +135,8 @@ class PostureMatrices:
         """A warning where patches are so large that variation within one matters; None where they are not."""
         if self.table is None:
             return None
-        low, high = self.scene.mesh.bounds
+        scene = self.problem.scene
+        low, high = scene.mesh.bounds
         size = float(np.linalg.norm(high - low))
         longest = max(COARSE_SHARE * size, self.table.footprint)
         if self.table.max_edge <= longest:
@@ -159,22 +149,23 @@ class PostureMatrices:
     def _advice(self, longest: float) -> str:
         # how many patches are needed; where the mesh itself has more triangles, how to get fewer
         assert self.table is not None
+        scene, part, options = self.problem.scene, self.problem.part, self.problem.options
         # refinement may end somewhat before the budget is used up
-        needed = 1.02 * patches_for_edge(self.table, self.scene.mesh, 0.8 * longest)
+        needed = 1.02 * patches_for_edge(self.table, scene.mesh, 0.8 * longest)
         step = 10 ** max(0, math.floor(math.log10(needed)) - 1)
         text = f"option 'patch_budget' {step * math.ceil(needed / step)} cuts them to {longest:.2g} mm or less"
         if not self.table.seen_faces:
             return text
         text += (
-            f". The mesh itself has {len(self.scene.mesh.faces):,} triangles, {self.table.seen_faces:,} of which may "
-            f"show: option 'patch_budget' {self.options.patch_budget} cannot make fewer. "
+            f". The mesh itself has {len(scene.mesh.faces):,} triangles, {self.table.seen_faces:,} of which may "
+            f"show: option 'patch_budget' {options.patch_budget} cannot make fewer. "
         )
-        mesh = self.part.mesh
+        mesh = part.mesh
         if not mesh.of_step:
             return f"{text}For fewer, export it with a coarser tolerance"
-        now = chord_tolerance(self.part, pixel_footprint(self.scene.camera, self.rig.camera.distance_mm))
+        now = chord_tolerance(part, pixel_footprint(scene.camera, self.problem.rig.camera.distance_mm))
         # triangles of a curved surface go about with 1 / tolerance; half of the patches are left to cut long ones
-        coarser = now * 2.0 * self.table.seen_faces / self.options.patch_budget
+        coarser = now * 2.0 * self.table.seen_faces / options.patch_budget
         digit = 10.0 ** math.floor(math.log10(coarser))
         return (
             f"{text}For fewer, give the part file a coarser mesh.chord_tolerance_mm, such as "
@@ -184,28 +175,32 @@ class PostureMatrices:
     def patches(self) -> PatchTable:
         """The patches, made when first needed."""
         if self.table is None:
-            self.table = build_patches(self.scene, caster=self.caster, budget=self.options.patch_budget)
+            problem = self.problem
+            self.table = build_patches(problem.scene, caster=problem.caster, budget=problem.options.patch_budget)
         return self.table
 
     def matrix(self, posture: Posture, *, held: int) -> LuminanceMatrix:
         """The luminance matrix of a posture, one of `held` that are in memory together."""
-        key = matrix_key({**self._facts, "posture": posture.as_dict()})
+        facts = {**self._facts, "posture": posture.as_dict()}
+        key = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
         path = self.folder / posture_folder(posture) / MATRIX_NAME
         hypotheses = None if self.detection is None else self.detection.hypotheses
-        if self.options.keep_matrix:
-            cached = read_matrix(path, key=key, lights=len(self.candidates.names), hypotheses=hypotheses)
+        if self.problem.options.keep_matrix:
+            cached = read_matrix(path, key=key, lights=len(self.problem.candidates.names), hypotheses=hypotheses)
             if cached is not None:
                 self.reused += 1
                 return cached
-        matrix = self._compute(posture, self.candidates.panels, self.detection, self._stage(posture), held)
-        if self.options.keep_matrix:
+        (matrix,) = self.evaluator(self.detection).matrices(
+            posture, self.problem.candidates.panels, most_bytes=MOST_BYTES // held, progress=self._stage(posture)
+        )
+        if self.problem.options.keep_matrix:
             make_folder(path.parent)
-            write_matrix(path, matrix, self.candidates.angles, key=key)
+            write_matrix(path, matrix, self.problem.candidates.angles, key=key)
         return matrix
 
     def fits_memory(self, candidates: Candidates) -> bool:
         """Whether memory suffices for the levels of other candidates, in all postures together."""
-        dtype = 1 if self.scene.sensor.bit_depth <= 8 else 2
+        dtype = 1 if self.problem.scene.sensor.bit_depth <= 8 else 2
         positions = sum(candidates.space.sizes)
         table = self.patches()
         patches = sum(len(table.inspectable(posture)) for posture in table.postures)
@@ -213,48 +208,32 @@ class PostureMatrices:
 
     def levels(self, posture: Posture, candidates: Candidates) -> LuminanceMatrix:
         """The levels of a posture under other candidates; check :meth:`fits_memory` first."""
-        return self._compute(posture, candidates.panels, None, self._stage(posture), 1)
+        return self.evaluator(None).matrices(posture, candidates.panels, progress=self._stage(posture))[0]
 
     def at_positions(self, posture: Posture, panels: Sequence[PanelLight]) -> LuminanceMatrix:
         """The matrix of a posture with each light in one position."""
-        return self._compute(posture, [[panel] for panel in panels], self.detection, None, 1)
+        return self.evaluator(self.detection).matrices(posture, [[panel] for panel in panels])[0]
 
     def _stage(self, posture: Posture) -> Share | None:
         return self.run.stage(f"casting rays, {posture}")
 
-    def _compute(
-        self,
-        posture: Posture,
-        panels: Sequence[Sequence[PanelLight]],
-        detection: DetectionModel | None,
-        progress: Share | None,
-        held: int,
-    ) -> LuminanceMatrix:
-        return luminance_matrix(
-            self.scene,
-            self.patches(),
-            posture,
-            panels,
-            caster=self.caster,
+    def evaluator(self, detection: DetectionModel | None) -> ImageEvaluator:
+        """The part and its patches; `detection` as for :class:`ImageEvaluator`."""
+        return ImageEvaluator(
+            scene=self.problem.scene,
+            table=self.patches(),
+            caster=self.problem.caster,
             detection=detection,
-            shadows=self.options.shadows,
+            shadows=self.problem.options.shadows,
             threads=self.run.threads,
-            most_bytes=MOST_BYTES // held,
-            progress=progress,
         )
 
 
-def _matrix_facts(
-    rig: RigConfig,
-    part: PartConfig,
-    scene: Scene,
-    candidates: Candidates,
-    options: OptimizeOptions,
-    detection: DetectionModel | None,
-) -> dict[str, Any]:
+def _matrix_facts(problem: Problem, detection: DetectionModel | None) -> dict[str, Any]:
     # all that a level depends on, and nothing else: not the names and ranges of the lights, nor the sensor's noise and
     # saturation, which thresholds are made of
     moving = {"name", "elevation_deg", "azimuth_deg", "elevation_range_deg", "azimuth_range_deg"}
+    rig, part, scene, options = problem.rig, problem.part, problem.scene, problem.options
     mesh = part.source.resolve(part.mesh.file)
     defects: dict[str, Any] = {}
     if detection is not None:
@@ -270,7 +249,7 @@ def _matrix_facts(
         "sensor": {"bit_depth": scene.sensor.bit_depth, "black_level": scene.sensor.black_level},
         "light_source": rig.light_source.model_dump(mode="json"),
         "lights": [light.model_dump(mode="json", exclude=moving) for light in rig.lights],
-        "angles_deg": [list(map(list, angles)) for angles in candidates.angles],
+        "angles_deg": [list(map(list, angles)) for angles in problem.candidates.angles],
         "pivot_mm": list(rig.stage.pivot_mm),
         "part": part.model_dump(mode="json", exclude=_NOT_OF_LEVELS),
         # of the file's name only what says how it is read

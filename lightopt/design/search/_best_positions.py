@@ -5,16 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from lightopt.config import RigConfig
 from lightopt.core.errors import InputError, LightoptError
 from lightopt.core.run_context import RunContext
 from lightopt.core.threads import blocks
 from lightopt.core.transforms import Posture
+from lightopt.design._candidates import Candidates, can_move
+from lightopt.design._options import OptimizeOptions
 from lightopt.design._result import ObjectiveResult, SetResult
 from lightopt.design._texts import cut_off
-from lightopt.design.blind_spots._summary import PostureVisibility, posture_visibility
-from lightopt.design.candidates._angles import can_move
-from lightopt.design.candidates._candidates import Candidates
+from lightopt.design.blind_spots._blind_spots import by_light, defect_visibility
+from lightopt.design.blind_spots._summary import PostureVisibility
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.responses._luminance_matrix import AREA_UNIT_MM2, LevelThresholds, LuminanceMatrix, area_units
@@ -27,34 +27,30 @@ PIECE_PATCHES = 1 << 15  # patches for which an objective's definition is evalua
 
 
 def search_objectives(
-    source: PostureMatrices, objectives: tuple[Objective, ...], thresholds: LevelThresholds, run: RunContext
+    source: PostureMatrices, objectives: tuple[Objective, ...]
 ) -> tuple[tuple[SetResult, ...], list[PostureVisibility]]:
     """The best sets of every posture, or of all together, and their blind spots where defects are wanted."""
     defects = next((one for one in objectives if isinstance(one, DetectabilityObjective)), None)
-    options, postures_of_all = source.options, source.scene.postures
+    problem, thresholds = source.problem, source.problem.thresholds
+    options, postures_of_all = problem.options, problem.scene.postures
     results: list[SetResult] = []
     blind_spots: list[PostureVisibility] = []
     # the matrices of postures that do not share their lights are never held together
     for postures in [postures_of_all] if options.common_lights else [(one,) for one in postures_of_all]:
         matrices = [source.matrix(posture, held=len(postures)) for posture in postures]
-        result = answer_set(
-            matrices,
-            postures,
-            source.candidates,
-            objectives,
-            thresholds,
-            rows=options.rows,
-            limit=options.limit,
-            run=run,
-        )
+        result = answer_set(matrices, postures, problem.candidates, objectives, thresholds, options, source.run)
         if defects is not None:
-            best = result.answers[0].found.best.candidates
+            best, least = result.answers[0].found.best.candidates, defects.min_images
             blind_spots += [
-                posture_visibility(matrix, posture, thresholds, min_images=defects.min_images, candidates=best)
+                PostureVisibility(
+                    posture=posture,
+                    chosen=defect_visibility(by_light([matrix.combination(best)]), thresholds, least=least),
+                    possible=defect_visibility(by_light([matrix]), thresholds, least=least),
+                )
                 for matrix, posture in zip(matrices, postures, strict=True)
             ]
         del matrices
-        _warn_of_limit(result.answers, postures, run)
+        _warn_of_limit(result.answers, postures, source.run)
         results.append(result)
     return tuple(results), blind_spots
 
@@ -65,14 +61,12 @@ def answer_set(
     candidates: Candidates,
     objectives: Sequence[Objective],
     thresholds: LevelThresholds,
-    *,
-    rows: int,
-    limit: int,
+    options: OptimizeOptions,
     run: RunContext,
 ) -> SetResult:
     """The best light positions for postures that share them: each objective is optimised, and scored under all.
 
-    `rows` and `limit` are `keep` and `limit` of :func:`lightopt.design.search`, which says what is raised.
+    Raises InputError: As :func:`lightopt.design.search`.
     """
     for matrix, posture in zip(matrices, postures, strict=True):
         if not len(matrix.areas):
@@ -83,7 +77,7 @@ def answer_set(
             )
     answers: list[ObjectiveResult] = []
     for objective in objectives:
-        found = _search(matrices, postures, candidates, objective, thresholds, rows, limit, run)
+        found = _search(matrices, postures, candidates, objective, thresholds, options, run)
         chosen = [matrix.combination(found.best.candidates) for matrix in matrices]
         answer = _answer(objective, found, chosen, matrices, objectives, thresholds)
         if answer.scores[objective.name] != found.best.score:
@@ -114,18 +108,17 @@ def answer_set(
     )
 
 
-def candidates_of_others(
-    source: PostureMatrices, rig: RigConfig, free: Candidates, objectives: int, run: RunContext
-) -> Candidates | None:
+def candidates_of_others(source: PostureMatrices) -> Candidates | None:
     """Candidates of the other objectives where the first one's positions were chosen before; None for none."""
-    places = source.options.places
-    if places is None or objectives == 1 or not any(map(can_move, rig.lights)):
+    problem = source.problem
+    places, free = problem.options.places, problem.all_candidates
+    if places is None or len(problem.objectives) == 1 or not any(map(can_move, problem.rig.lights)):
         return None
     among = all(place in some for place, some in zip(places, free.angles, strict=True))
     if among and source.fits_memory(free):
         return free
     why = "they are too many for memory" if among else "the chosen ones are not among them"
-    run.warn(
+    source.run.warn(
         f"the other objectives are scored where the lights were chosen to stand, their own best positions are not "
         f"searched: {why}"
     )
@@ -133,19 +126,14 @@ def candidates_of_others(
 
 
 def search_other_objectives(
-    source: PostureMatrices,
-    candidates: Candidates,
-    results: tuple[SetResult, ...],
-    objectives: tuple[Objective, ...],
-    thresholds: LevelThresholds,
-    run: RunContext,
+    source: PostureMatrices, candidates: Candidates, results: tuple[SetResult, ...]
 ) -> tuple[SetResult, ...]:
     """The results with the best positions of the other objectives added to those of the first.
 
     results: Of the first objective, with one position of each light, which was chosen before.
     candidates: All positions.
     """
-    options = source.options
+    options, objectives, thresholds = source.problem.options, source.problem.objectives, source.problem.thresholds
     assert options.places is not None
     at = tuple(some.index(place) for some, place in zip(candidates.angles, options.places, strict=True))
     completed: list[SetResult] = []
@@ -157,14 +145,12 @@ def search_other_objectives(
                 chosen = result.answers[0].found
                 found = replace(chosen, ranking=(replace(chosen.best, candidates=at),))
             else:
-                found = _search(
-                    levels, result.postures, candidates, objective, thresholds, options.rows, options.limit, run
-                )
+                found = _search(levels, result.postures, candidates, objective, thresholds, options, source.run)
             panels = candidates.panels_at(found.best.candidates)
             matrices = [source.at_positions(posture, panels) for posture in result.postures]
             answers.append(_answer(objective, found, matrices, levels, objectives, thresholds))
         completed.append(replace(result, answers=tuple(answers)))
-        _warn_of_limit(answers[1:], result.postures, run)
+        _warn_of_limit(answers[1:], result.postures, source.run)
     return tuple(completed)
 
 
@@ -174,8 +160,7 @@ def _search(
     candidates: Candidates,
     objective: Objective,
     thresholds: LevelThresholds,
-    rows: int,
-    limit: int,
+    options: OptimizeOptions,
     run: RunContext,
 ) -> SearchResult:
     return search(
@@ -183,8 +168,8 @@ def _search(
         objective,
         thresholds,
         space=candidates.space,
-        keep=rows,
-        limit=limit,
+        keep=options.rows,
+        limit=options.limit,
         threads=run.threads,
         progress=run.stage(f"{objective.name}, {', '.join(map(str, postures))}"),
     )

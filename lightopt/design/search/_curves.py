@@ -4,9 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from lightopt.design.candidates._candidates import Candidates
-from lightopt.design.candidates._combination_space import is_allowed
-from lightopt.design.search._ranking import Ranked
+from lightopt.design._candidates import Candidates
+from lightopt.design.search._combinations import Ranked, is_allowed
 
 TOGETHER = "all lights together"
 

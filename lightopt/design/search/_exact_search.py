@@ -21,10 +21,9 @@ from lightopt.core.arrays import Int64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share, part_of
 from lightopt.core.threads import available_processors
-from lightopt.design.candidates._combination_space import CombinationSpace, Rows, allowed_mask
 from lightopt.design.objectives._objective import Objective, near_margin
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, area_units, usable_sums
-from lightopt.design.search._ranking import NearBest, Ranked, Ranking, rank
+from lightopt.design.search._combinations import CombinationSpace, NearBest, Ranked, Ranking, Rows, allowed_mask, rank
 
 TABLE_CELLS = 1 << 22  # most combinations that are enumerated at once: 32 MiB of scores
 MOST_COMBINATIONS = 10**300  # larger spaces are refused: a light or two fewer would not help either

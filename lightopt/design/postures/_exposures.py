@@ -1,4 +1,4 @@
-"""Which of the candidate exposures are planned: those that show enough more.
+"""Further exposures of chosen postures: those that show enough more are planned.
 
 Candidates are the postures' images at other exposures, all lights together; the one that shows most pairs more is
 planned, then the next, as long as it shows enough more, or the target needs it. Where two images must show a pair, two
@@ -11,25 +11,44 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
 
+import numpy as np
+
+from lightopt.core.errors import InputError
+from lightopt.core.run_context import Share
 from lightopt.core.transforms import Posture
-from lightopt.design.postures._counts import (
+from lightopt.design.responses._image_evaluator import ImageEvaluator, scattered_flags
+from lightopt.design.responses._packed_bits import (
     Counts,
     PairWeights,
+    Words,
     add_counts,
     counts_of_images,
     covered_weight,
     sum_counts,
     total_benefit,
 )
-from lightopt.design.responses._packed_bits import Words
+from lightopt.scene import PanelLight
+
+DEFAULT_EXPOSURE_GAIN = 1.0
+"""Points (hundredths of the pairs) that a further exposure of a posture has to add by default."""
+
+MOST_IMAGE_BYTES = 1_500_000_000  # of what all postures' images show at all exposures, which is held at a time
 
 # a further exposure is planned: it adds as much as one has to; it does with another, the two twice as much; or less,
 # and the target was not reached without it
 Reason = Literal["gain", "pair", "target"]
+
+# what a candidate adds alone to the weight of the pairs that are seen in enough images; and at most this weight of the
+# other pairs is then seen in more images than before
+_Gain = tuple[int, int]
+
+# flags of the pairs that the images of a posture show, shape (lights, p, words); where one image is enough, of all
+# together, shape (1, p, words)
+Images = Words
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,18 +92,13 @@ class Brackets:
         return tuple(sorted([1.0, *further], reverse=True))
 
 
-# flags of the pairs that the images of a posture show, shape (lights, p, words); where one image is enough, of all
-# together, shape (1, p, words)
-Images = Words
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CandidateExposure:
     """A further exposure of a posture that may be planned.
 
     posture: Index of the posture.
     exposure: Relative to exposure 1.
-    images: Flags of the pairs that it shows, from :func:`lightopt.design.exposures._plan_exposures.images_of`.
+    images: Flags of the pairs that it shows, from :func:`images_of`.
     """
 
     posture: int
@@ -107,8 +121,7 @@ def select_exposures(
     Where none does, the two that add most together, as long as that is twice as much and anything. Below `target`, a
     share of the pairs, whatever adds anything is taken.
 
-    now: What the images of each posture show at exposure 1, from
-        :func:`lightopt.design.exposures._plan_exposures.images_of`.
+    now: What the images of each posture show at exposure 1, from :func:`images_of`.
     min_images: Images that must show a pair.
     least_gain: Share of the pairs.
     """
@@ -134,7 +147,7 @@ def select_exposures(
             planned.add(candidate)
             further.append(considered(candidate, planned.covered - covered, reason))
         left = [candidate for i, candidate in enumerate(left) if i not in chosen]
-    further += [considered(one, gain.covered, None) for one, gain in zip(left, gains, strict=True)]
+    further += [considered(one, gain, None) for one, (gain, _) in zip(left, gains, strict=True)]
     return Brackets(before=before / total, after=planned.covered / total, further=tuple(further), least_gain=least_gain)
 
 
@@ -142,10 +155,10 @@ def _next(
     planned: _PlannedImages, candidates: Sequence[CandidateExposure], gains: Sequence[_Gain], least: float, short: bool
 ) -> tuple[tuple[int, ...], Reason]:
     """Indices of what to plan next, and why; none where nothing is enough and the target is met or out of reach."""
-    best = max(range(len(candidates)), key=lambda i: gains[i].covered, default=None)
+    best = max(range(len(candidates)), key=lambda i: gains[i][0], default=None)
     if best is None:
         return (), "gain"
-    alone = gains[best].covered
+    alone = gains[best][0]
     if alone >= max(1.0, least):
         return (best,), "gain"
     # in vain where two do not add twice as much; with the target out of reach alone, any gain will do
@@ -154,18 +167,6 @@ def _next(
     if pair is not None:
         return pair[1], "pair" if pair[0] >= 2.0 * least else "target"
     return ((best,), "target") if short and alone > 0 else ((), "gain")
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Gain:
-    """What a candidate adds alone.
-
-    covered: To the weight of the pairs that are seen in enough images.
-    nearer: At most this weight of the other pairs is seen in more images than before.
-    """
-
-    covered: int
-    nearer: int
 
 
 class _PlannedImages:
@@ -187,7 +188,7 @@ class _PlannedImages:
             now = add_counts(others[at], self._counts(self._images[at] | candidate.images))
             more = covered_weight(now, self._weights) - self.covered
             # the benefit of a pair grows by one at least where it is now seen often enough, or only once more
-            gains.append(_Gain(covered=more, nearer=total_benefit(now, self._weights) - self._benefit - more))
+            gains.append((more, total_benefit(now, self._weights) - self._benefit - more))
         return gains
 
     def best_pair(
@@ -199,7 +200,7 @@ class _PlannedImages:
         """
         # what both are needed for is nearer with either
         most = {
-            (i, j): gains[i].covered + gains[j].covered + min(gains[i].nearer, gains[j].nearer)
+            (i, j): gains[i][0] + gains[j][0] + min(gains[i][1], gains[j][1])
             for i, j in combinations(range(len(candidates)), 2)
         }
         best: tuple[int, tuple[int, int]] | None = None
@@ -208,7 +209,7 @@ class _PlannedImages:
                 break
             gain = self._gain_of(candidates[i], candidates[j])
             if gain >= (at_least if best is None else best[0] + 1):
-                best = gain, ((j, i) if gains[j].covered > gains[i].covered else (i, j))
+                best = gain, ((j, i) if gains[j][0] > gains[i][0] else (i, j))
         return best
 
     def add(self, candidate: CandidateExposure) -> None:
@@ -231,7 +232,7 @@ class _PlannedImages:
 
     def _update(self) -> None:
         total = self._without(set())
-        self.covered, self._benefit = (covered_weight(total, self._weights), total_benefit(total, self._weights))
+        self.covered, self._benefit = covered_weight(total, self._weights), total_benefit(total, self._weights)
 
     def _without(self, postures: set[int]) -> Counts:
         rest = (own for i, own in enumerate(self._own) if i not in postures)
@@ -239,3 +240,82 @@ class _PlannedImages:
 
     def _counts(self, images: Images) -> Counts:
         return counts_of_images(list(images), self._seen_in)
+
+
+def check_exposures(exposures: Sequence[float], gain_points: float) -> list[str]:
+    """What is wrong with exposures and the required gain."""
+    problems = [
+        f"option 'exposures': expected numbers above 0, such as 1/16,1/4,1,4,16, found {exposure:g}"
+        for exposure in exposures
+        if not (math.isfinite(exposure) and exposure > 0.0)
+    ]
+    if len(set(exposures)) < len(exposures):
+        problems.append("option 'exposures': the same exposure was given twice")
+    if not (math.isfinite(gain_points) and 0.0 <= gain_points <= 100.0):
+        problems.append(f"option 'exposure_gain': expected points from 0 to 100, found {gain_points:g}")
+    return problems
+
+
+def plan_exposures(
+    evaluator: ImageEvaluator,
+    postures: Sequence[Posture],
+    lights: Sequence[Sequence[PanelLight]],
+    exposures: Sequence[float],
+    *,
+    min_images: int,
+    gain_points: float = DEFAULT_EXPOSURE_GAIN,
+    target: float | None = None,
+    progress: Share | None = None,
+) -> Brackets:
+    """Plan a further exposure only where it shows more by at least a given gain, or where the target needs it.
+
+    lights: The panels posture by posture, world frame.
+    exposures: Further exposures to choose from; 1 is taken anyway.
+    min_images: Images that must show a pair, of all postures together.
+    gain_points: The least gain [hundredths of the pairs].
+    target: Share of the pairs that is to be shown.
+    Raises InputError: More images than memory is meant for.
+    """
+    further = [exposure for exposure in exposures if exposure != 1.0]
+    layers = 1 if min_images == 1 else max(map(len, lights))
+    pair_bytes = len(evaluator.patches) * evaluator.weights.masks.shape[1] * 8
+    size = len(postures) * (1 + len(further)) * layers * pair_bytes
+    if size > MOST_IMAGE_BYTES:
+        raise InputError(
+            f"option 'exposures': {len(postures)} postures × {1 + len(further)} exposures × {layers} lights × "
+            f"{len(evaluator.patches):,} patches are {size / 1e9:.2f} GB, and there is room for "
+            f"{MOST_IMAGE_BYTES / 1e9:.2f} GB; choose from fewer exposures, or lower option 'patch_budget'"
+        )
+    now: list[Images] = []
+    candidates: list[CandidateExposure] = []
+    for index, (posture, panels) in enumerate(zip(postures, lights, strict=True)):
+        matrices = evaluator.matrices(posture, [[panel] for panel in panels], exposures=(1.0, *further))
+        first, *rest = (
+            images_of(
+                [scattered_flags([matrix], evaluator.patches, light=light, place=0) for light in range(len(panels))],
+                min_images,
+            )
+            for matrix in matrices
+        )
+        now.append(first)
+        candidates += [
+            CandidateExposure(posture=index, exposure=exposure, images=images)
+            for exposure, images in zip(further, rest, strict=True)
+        ]
+        if progress is not None:
+            progress((index + 1) / len(postures))
+    found = select_exposures(
+        postures,
+        now,
+        candidates,
+        evaluator.weights,
+        min_images=min_images,
+        least_gain=gain_points / 100.0,
+        target=target,
+    )
+    return replace(found, grain=evaluator.table.grain)
+
+
+def images_of(flags: Sequence[Words], min_images: int) -> Images:
+    """The flags of a posture's lights; where one image is enough, only what they show together matters."""
+    return np.bitwise_or.reduce(flags, axis=0)[None] if min_images == 1 else np.stack(flags)

@@ -1,15 +1,62 @@
-"""The best combinations of a table of scores, with ties in a fixed order."""
+"""Combinations of candidate positions: which are allowed, and which are the best of a table, ties in a fixed order."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from lightopt.core.arrays import Bool, Int64
-from lightopt.design.candidates._combination_space import Rows
+
+Rows = tuple[Int64, ...]  # candidates of each light, ascending: all their combinations are meant
+
+
+def _no_clashes() -> Mapping[tuple[int, int], Bool]:
+    return {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CombinationSpace:
+    """The combinations to search.
+
+    sizes: Number of candidates per light.
+    groups: Disjoint sets of combinations; together they are the space. Lights that move independently make one group.
+    clashes: For pairs of lights (i, j), i < j: which of their candidates collide, shape (sizes[i], sizes[j]).
+    """
+
+    sizes: tuple[int, ...]
+    groups: tuple[Rows, ...]
+    clashes: Mapping[tuple[int, int], Bool] = field(default_factory=_no_clashes)
+
+    @staticmethod
+    def of(sizes: Sequence[int]) -> CombinationSpace:
+        return CombinationSpace(sizes=tuple(sizes), groups=(tuple(np.arange(n) for n in sizes),))
+
+
+def is_allowed(space: CombinationSpace, combination: Sequence[int]) -> bool:
+    """Whether one combination, a candidate of each light, belongs to the space."""
+    if any(clash[combination[i], combination[j]] for (i, j), clash in space.clashes.items()):
+        return False
+    return any(all(k in row for k, row in zip(combination, rows, strict=True)) for rows in space.groups)
+
+
+def allowed_mask(space: CombinationSpace, rows: Rows) -> Bool | None:
+    """Which combinations of `rows` have no clash, the last light's varying fastest; None where all are allowed."""
+    mask: Bool | None = None
+    sizes = [len(r) for r in rows]
+    for (i, j), clash in space.clashes.items():
+        some = clash[np.ix_(rows[i], rows[j])]
+        if some.any():
+            if mask is None:
+                mask = np.ones(math.prod(sizes), np.bool_)
+            between, after = math.prod(sizes[i + 1 : j]), math.prod(sizes[j + 1 :])
+            pairs = mask.reshape(-1, sizes[i], between, sizes[j], after)
+            pairs &= ~some[:, None, :, None]
+    return mask
+
 
 MOST_NEAR = 1 << 24  # scores near the best that are held at a time: 128 MiB
 
@@ -116,7 +163,10 @@ def rank(table: Int64, rows: Rows, usable: Sequence[Int64], *, allowed: Bool | N
     some = np.flatnonzero(scores >= least)
     if places is not None:
         some = places[some]
-    sums = _usable_of(some, rows, usable)
+    sums = sum(
+        (own[row][i] for row, own, i in zip(rows, usable, digits(some, rows), strict=True)),
+        start=np.zeros(len(some), np.int64),
+    )
     above, equal = table[some] > least, table[some] == least
     # of the many that may share the least score kept, those with the largest sums, then the first ones
     wanted = keep - int(above.sum())
@@ -125,7 +175,7 @@ def rank(table: Int64, rows: Rows, usable: Sequence[Int64], *, allowed: Bool | N
     chosen = above | (equal & (sums > edge))
     last = np.flatnonzero(equal & (sums == edge))[: keep - int(chosen.sum())]
     chosen[last] = True
-    columns = [row[i] for row, i in zip(rows, _digits(some[chosen], rows), strict=True)]
+    columns = [row[i] for row, i in zip(rows, digits(some[chosen], rows), strict=True)]
     candidates = np.stack(columns, axis=1)
     best = sorted(
         Ranked(-int(score), -int(total), tuple(int(c) for c in combination))
@@ -135,15 +185,9 @@ def rank(table: Int64, rows: Rows, usable: Sequence[Int64], *, allowed: Bool | N
     return Ranking(tuple(best), ties, len(scores))
 
 
-def _usable_of(places: Int64, rows: Rows, usable: Sequence[Int64]) -> Int64:
-    total = np.zeros(len(places), np.int64)
-    for row, sums, index in zip(rows, usable, _digits(places, rows), strict=True):
-        total += sums[row][index]
-    return total
-
-
-def _digits(places: Int64, rows: Rows) -> Iterator[Int64]:
-    # which of its rows each light has at places of a table; NumPy's own way is for a few dozen lights only
+def digits(places: Int64 | int, rows: Sequence[Int64]) -> Iterator[Any]:
+    """Which of its rows each light has at places of a table."""
+    # NumPy's own way is for a few dozen lights only
     stride = math.prod(len(row) for row in rows)
     for row in rows:
         stride //= len(row)

@@ -1,10 +1,10 @@
 """Postures, lights and exposures chosen together.
 
 Two plans are made, one with postures and lights as chosen for exposure 1 alone, one with those chosen for what the
-images show with any of the exposures; to either the exposures with enough gain are added (:mod:`._plan_exposures`). The
-plan is kept that reaches the target with fewer postures, and then the one that shows more, after deducting the least
-gain for each further exposure. Each exposure of the first plan adds as much as that at least: so what is kept shows no
-less than the plan without further exposures.
+images show with any of the exposures; to either the exposures with enough gain are added (:mod:`._exposures`). The plan
+is kept that reaches the target with fewer postures, and then the one that shows more, after deducting the least gain
+for each further exposure. Each exposure of the first plan adds as much as that at least: so what is kept shows no less
+than the plan without further exposures.
 """
 
 from collections.abc import Sequence
@@ -12,16 +12,14 @@ from dataclasses import dataclass, replace
 
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
-from lightopt.design.candidates._candidates import Candidates
-from lightopt.design.exposures._plan_exposures import plan_exposures
-from lightopt.design.exposures._selection import Brackets
-from lightopt.design.postures._best_set import best_set
-from lightopt.design.postures._choice import Cover, PostureChoice, PostureRequest, cover_steps
-from lightopt.design.postures._counts import Counts
-from lightopt.design.postures._greedy_cover import greedy_cover, greedy_order
-from lightopt.design.postures._image_evaluator import ImageEvaluator
+from lightopt.design._candidates import Candidates
+from lightopt.design.postures._choice import Cover, PostureChoice, PostureRequest
+from lightopt.design.postures._cover_search import best_set, cover_steps, greedy_cover, greedy_order
+from lightopt.design.postures._exposures import Brackets, plan_exposures
 from lightopt.design.postures._light_positions import best_positions, position_counts_fit
-from lightopt.design.postures._multi_start_search import choose_postures
+from lightopt.design.postures._posture_search import choose_postures
+from lightopt.design.responses._image_evaluator import ImageEvaluator
+from lightopt.design.responses._packed_bits import Counts
 from lightopt.scene import PanelLight
 
 MOST_ITERATIONS = 2  # of the lights for the images as they are planned, at the end
@@ -49,7 +47,7 @@ def choose_with_exposures(
         Where a target cannot be reached, what was chosen for all exposures, and no brackets.
 
     Raises InputError: As :func:`lightopt.design.choose_postures` and
-        :func:`lightopt.design.exposures._plan_exposures.plan_exposures`.
+        :func:`lightopt.design.postures._exposures.plan_exposures`.
     """
     levels = tuple(dict.fromkeys((1.0, *exposures)))
     if len(levels) == 1:
@@ -154,13 +152,11 @@ class _JointPlanner:
         cover = replace(
             free,
             steps=cover_steps([(i, own[i]) for i in greedy_order(own, weights)], weights),
-            dropped=choice.cover.dropped,
             # where fewer postures show everything, more cannot add to it
             bounds=(*free.bounds, *([free.all_benefit] * (len(indices) - len(free.steps)))),
         )
-        target = self.request.target
-        if target is not None:
-            return replace(cover, min_size=cover.fewest(target))
+        if self.request.target is not None:
+            return replace(cover, target=self.request.target)
         _, most, sets = best_set(every, weights, free.chosen, len(indices), threads=self.whole.threads)
         return cover.with_search(most, sets)
 

@@ -1,17 +1,17 @@
-"""Candidate positions of the lights: which are possible, which are excluded and why, and which collide."""
+"""Candidate positions of the lights: the angles in their ranges, which are excluded and why, and which collide."""
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from lightopt.config import RigConfig
+from lightopt.config import LightConfig, RigConfig
 from lightopt.core.arrays import Bool
 from lightopt.core.errors import InputError, counted
-from lightopt.design.candidates._angles import can_move, common_elevations, light_angles
-from lightopt.design.candidates._combination_space import CombinationSpace, Rows
+from lightopt.design.search._combinations import CombinationSpace, Rows
 from lightopt.rendering import panels_in_part
 from lightopt.scene import (
     PanelLight,
@@ -24,7 +24,77 @@ from lightopt.scene import (
     rectangles_meet,
 )
 
-Angles = tuple[float, float]
+Angles = tuple[float, float]  # elevation and azimuth [°]
+Reason = tuple[str, str, float | None]  # text, kind and amount of an `ExcludedPosition`
+
+MOST_POSITIONS = 100_000  # candidate positions of a light; more are refused
+
+
+def can_move(light: LightConfig) -> bool:
+    """Whether a light has a range in either angle."""
+    return light.elevation_range_deg is not None or light.azimuth_range_deg is not None
+
+
+def light_angles(
+    rig: RigConfig, index: int, *, step_deg: float, elevations: Sequence[float] | None = None
+) -> list[Angles]:
+    """Candidate (elevation, azimuth) of a light [°], ascending by elevation, then azimuth.
+
+    Both ends of a range are candidates, and from the lower one on every `step_deg`. A light without a range stays at
+    that angle. `elevations` replaces those of the light's range, for lights that share their elevation.
+
+    Raises InputError: A step that is not a positive number, or that makes too many positions.
+    """
+    if not (math.isfinite(step_deg) and step_deg > 0.0):
+        raise InputError(f"option 'step_deg': expected degrees above 0, found {step_deg:g}")
+    light = rig.lights[index]
+    if elevations is None or light.elevation_range_deg is None:
+        elevations = _steps(light.elevation_range_deg, light.elevation_deg, step_deg)
+    azimuths = _steps(light.azimuth_range_deg, light.azimuth_deg, step_deg)
+    if len(azimuths) > 1 and math.isclose(azimuths[-1] - azimuths[0], 360.0):
+        azimuths.pop()  # the full turn ends where it begins
+    if len(elevations) * len(azimuths) > MOST_POSITIONS:
+        raise InputError(
+            f"{rig.source.at('lights', index)}: at option 'step_deg' {step_deg:g} light {light.name} has more than "
+            f"{MOST_POSITIONS:,} positions, the most that are accepted; take a larger step"
+        )
+    return [(elevation, azimuth) for elevation in elevations for azimuth in azimuths]
+
+
+def common_elevations(rig: RigConfig, *, step_deg: float) -> list[float] | None:
+    """The elevations that all lights with an elevation range can share [°]; None where no light has one.
+
+    Raises InputError: Ranges that do not overlap.
+    """
+    movable = [light for light in rig.lights if light.elevation_range_deg is not None]
+    if not movable:
+        return None
+    highest_low = max(movable, key=lambda light: _ends(light)[0])
+    lowest_high = min(movable, key=lambda light: _ends(light)[1])
+    low, high = _ends(highest_low)[0], _ends(lowest_high)[1]
+    if low > high:
+        raise InputError(
+            f"{rig.source.at('lights')}: option 'common_elevation': {highest_low.name} stays at {low:g}° or above and "
+            f"{lowest_high.name} at {high:g}° or below, so that there is no elevation for both; widen a range"
+        )
+    return _steps((low, high), low, step_deg)
+
+
+def _ends(light: LightConfig) -> tuple[float, float]:
+    assert light.elevation_range_deg is not None
+    return light.elevation_range_deg
+
+
+def _steps(ends: tuple[float, float] | None, now: float, step: float) -> list[float]:
+    if ends is None:
+        return [now]
+    low, high = ends
+    # a last step that only rounding keeps from the end is the end
+    count = (high - low) / step + 1e-9  # infinite for the least of steps
+    if count > MOST_POSITIONS:
+        return [low] * (MOST_POSITIONS + 1)
+    angles = [round(low + k * step, 9) for k in range(math.floor(count) + 1)]
+    return angles if math.isclose(angles[-1], high, abs_tol=1e-9) else [*angles, high]
 
 
 @dataclass(frozen=True)
@@ -96,8 +166,8 @@ def find_candidates(
     for index in range(len(rig.lights)):
         free: list[tuple[Angles, PanelLight]] = []
         angles = light_angles(rig, index, step_deg=step_deg, elevations=shared) if places is None else [places[index]]
-        for at, panel in zip(angles, _panels(rig, index, angles, points), strict=True):
-            reason = _reason(panel, camera) or _part_in_the_way(panel, scene)
+        for at, panel in zip(angles, panels_of(rig, index, angles, points), strict=True):
+            reason = _reason(panel, camera, scene)
             if reason is None:
                 free.append((at, panel))
             else:
@@ -114,6 +184,7 @@ def find_candidates(
     _check_any(rig, rows, left_out)
     angles_left = tuple(tuple(possible[i][k][0] for k in row) for i, row in enumerate(rows))
     sizes = tuple(len(row) for row in rows)
+    left_clashes = {(i, j): clash[np.ix_(rows[i], rows[j])] for (i, j), clash in clashes.items()}
     return Candidates(
         names=tuple(light.name for light in rig.lights),
         angles=angles_left,
@@ -122,20 +193,15 @@ def find_candidates(
         space=CombinationSpace(
             sizes=sizes,
             groups=_groups(rig, angles_left, sizes, shared),
-            clashes={
-                pair: clash[np.ix_(rows[pair[0]], rows[pair[1]])]
-                for pair, clash in clashes.items()
-                if clash[np.ix_(rows[pair[0]], rows[pair[1]])].any()
-            },
+            clashes={pair: clash for pair, clash in left_clashes.items() if clash.any()},
         ),
     )
 
 
 def _check_any(rig: RigConfig, rows: Sequence[Sequence[int]], left_out: Sequence[ExcludedPosition]) -> None:
     problems: list[str] = []
-    for index, row in enumerate(rows):
+    for index, (light, row) in enumerate(zip(rig.lights, rows, strict=True)):
         if not row:
-            light = rig.lights[index]
             reasons = _grouped([out for out in left_out if out.light == light.name])
             key = "elevation_range_deg" if light.elevation_range_deg is not None else "elevation_deg"
             problems.append(
@@ -146,15 +212,13 @@ def _check_any(rig: RigConfig, rows: Sequence[Sequence[int]], left_out: Sequence
         raise InputError(*problems)
 
 
-def _panels(
+def panels_of(
     rig: RigConfig, index: int, angles: Sequence[Angles], points: int | Literal["auto"] | None
 ) -> tuple[PanelLight, ...]:
+    """A light's panels at angles [°], world frame; `points` instead of the rig's point lights per panel."""
     light = rig.lights[index]
     moved = tuple(light.model_copy(update={"elevation_deg": e, "azimuth_deg": a}) for e, a in angles)
     return build_lights(rig.model_copy(update={"lights": moved}), None, points)
-
-
-Reason = tuple[str, str, float | None]  # text, kind and amount of a `LeftOut`
 
 
 def _grouped(left_out: Sequence[ExcludedPosition]) -> list[str]:
@@ -179,7 +243,7 @@ def _span(amounts: Sequence[float], form: str) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _reason(panel: PanelLight, camera: PinholeCamera) -> Reason | None:
+def _reason(panel: PanelLight, camera: PinholeCamera, scene: Scene | None) -> Reason | None:
     corners = panel_corners(panel)
     pixels = image_area(camera, corners)
     if pixels > 0.0:
@@ -188,13 +252,7 @@ def _reason(panel: PanelLight, camera: PinholeCamera) -> Reason | None:
     lowest = float(corners[:, 2].min())
     if lowest < 0.0:
         return f"reaches {-lowest:.3g} mm below the table top", "table", -lowest
-    return None
-
-
-def _part_in_the_way(panel: PanelLight, scene: Scene | None) -> Reason | None:
-    if scene is None:
-        return None
-    inside = panels_in_part(replace(scene, lights=(panel,)))
+    inside = () if scene is None else panels_in_part(replace(scene, lights=(panel,)))
     return (f"is inside the part in posture {inside[0].posture}", "part", None) if inside else None
 
 

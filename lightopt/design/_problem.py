@@ -1,0 +1,62 @@
+"""What a design is searched for: a rig and a part as a scene, objectives, and candidate positions of the lights."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from lightopt.config import PartConfig, RigConfig
+from lightopt.design._candidates import Candidates, can_move, find_candidates
+from lightopt.design._options import OptimizeOptions
+from lightopt.design.objectives._detectability import DetectabilityObjective
+from lightopt.design.objectives._objective import Objective
+from lightopt.design.responses._defect_hypotheses import defect_hypotheses
+from lightopt.design.responses._detection import Contrast, DetectionModel
+from lightopt.design.responses._luminance_matrix import LevelThresholds
+from lightopt.geometry import RayCaster
+from lightopt.scene import Scene, build_catalogue
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Problem:
+    """A scene, objectives, and the candidate positions to search.
+
+    options: With the postures and positions that were chosen, where requested.
+    scene, caster: The part in its postures, the lights as the rig file has them.
+    thresholds: Which levels are usable [sensor level].
+    candidates: One position of each light where they were chosen with the postures.
+    all_candidates: The positions that there were to choose from.
+    provenance: Inputs, options and versions, from :func:`lightopt.core.provenance.provenance`.
+    """
+
+    rig: RigConfig
+    part: PartConfig
+    options: OptimizeOptions
+    objectives: tuple[Objective, ...]
+    scene: Scene
+    caster: RayCaster
+    thresholds: LevelThresholds
+    candidates: Candidates
+    all_candidates: Candidates
+    provenance: Mapping[str, Any]
+
+    @property
+    def defects(self) -> DetectabilityObjective | None:
+        """The objective of defects; None where it is not among the objectives."""
+        return next((one for one in self.objectives if isinstance(one, DetectabilityObjective)), None)
+
+
+def detection_model_of(scene: Scene, part: PartConfig, options: OptimizeOptions) -> DetectionModel:
+    """The part's defect catalogue, with the sensor's noise."""
+    return DetectionModel(
+        hypotheses=defect_hypotheses(build_catalogue(part)),
+        contrast=Contrast(sensor=scene.sensor, full_scale=scene.reflectance.full_scale, threshold=options.threshold),
+    )
+
+
+def candidates_of(rig: RigConfig, options: OptimizeOptions) -> Candidates | None:
+    """The positions that the lights are chosen from; None where no light moves."""
+    if not any(map(can_move, rig.lights)):
+        return None
+    return find_candidates(
+        rig, step_deg=options.step_deg, common_elevation=options.common_elevation, points=options.points
+    )

@@ -1,0 +1,305 @@
+"""Search for the few of many candidates that cover most, with bounds on the optimum.
+
+Each candidate (a posture, or a posture at a further exposure) shows each pair in some number of images. The benefit of
+a set S is Σ weight · min(k, Σ counts of its members): monotone and submodular, what one more candidate adds never grows
+with the set. So, after any steps of the greedy choice with set S' and remaining gains g, no N candidates have more
+benefit than benefit(S') + the sum of the N largest g; and N greedy steps reach at least the share 1 − (1 − 1/N)^N >
+1 − 1/e of the best (Nemhauser, Wolsey, Fisher 1978, doi:10.1007/BF01588971). The least of the first is used; it is
+never looser than the second.
+
+A greedy choice is never revised. :func:`improve_by_exchange` then tries each chosen candidate against every other one
+and makes the best exchange, until no single exchange covers more; the set is not proven to be the best of its size.
+
+:func:`best_set` finds the best set of a number of candidates by branch and bound: no set that extends S by r of the
+remaining candidates has more benefit than benefit(S) + the r largest gains left, and none covers more than a k-th of
+that. Sets are visited in descending order of gain; a branch whose bound is no more than what the best known set covers
+is cut. At a limit of work the search ends without a proof.
+"""
+
+import heapq
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from lightopt.core.errors import InputError
+from lightopt.design.postures._choice import Cover, CoverStep
+from lightopt.design.responses._packed_bits import (
+    Counts,
+    PairWeights,
+    add_counts,
+    all_marginal_gains,
+    covered_weight,
+    marginal_gains,
+    sum_counts,
+    total_benefit,
+    zero_counts,
+)
+
+# of one search: words of flags that are read, 10,000 gains of 200,000 patches; some ten seconds of two processors
+MOST_WORK = 2_000_000_000
+
+BATCH = 16  # candidates whose gains are computed at once, whatever the number of threads
+
+Merit = tuple[int, int]  # covered weight, benefit: see `lightopt.design.responses._packed_bits`
+
+
+def greedy_cover(
+    candidates: Sequence[Counts],
+    weights: PairWeights,
+    *,
+    count: int | None = None,
+    target: float | None = None,
+    among: Sequence[int] | None = None,
+) -> Cover:
+    """Choose candidates one after the other, each time the one that adds most; the earlier one where two add the same.
+
+    Stops after `count`, when the share `target` of the weight is seen in k images, or when nothing adds anything.
+    Candidates that later ones make redundant are dropped, and the choice continues as far as it may.
+
+    candidates: Counts of each, shape (k, p, words), all of one k.
+    count: Most candidates to choose; as many as are needed by default.
+    target: Share of all pairs to be seen in k images or more, above 0 and up to 1.
+    among: Only these may be chosen; the bound is that of all.
+    Raises InputError: No candidate, a count below 1, a target out of range.
+    """
+    if not candidates:
+        raise InputError("cover: expected at least one candidate, found none")
+    if count is not None and count < 1:
+        raise InputError(f"cover: expected a count of 1 or more, found {count}")
+    if target is not None and not 0.0 < target <= 1.0:
+        raise InputError(f"cover: expected a target above 0 and up to 1, found {target:g}")
+    greedy = _Greedy(
+        candidates,
+        weights,
+        allowed=range(len(candidates)) if among is None else sorted(among),
+        most=count or len(candidates),
+        goal=math.inf if target is None else target * weights.total,
+    )
+    greedy.choose()
+    everything = greedy.together(range(len(candidates)))
+    all_benefit = total_benefit(everything, weights)
+    return Cover(
+        steps=cover_steps([(i, candidates[i]) for i in greedy.chosen], weights),
+        k=greedy.k,
+        total=weights.total,
+        bounds=tuple(min(all_benefit, greedy.bound(size)) for size in range(len(greedy.chosen) + 1)),
+        all_benefit=all_benefit,
+        all_covered=covered_weight(everything, weights),
+        target=target,
+    )
+
+
+def greedy_order(candidates: Mapping[int, Counts], weights: PairWeights) -> tuple[int, ...]:
+    """All of some candidates, each time the one that adds most to those before it; the first of equals."""
+    left = dict(candidates)
+    ordered: list[int] = []
+    now: Counts | None = None
+    while left:
+        before = zero_counts(weights, len(next(iter(left.values())))) if now is None else now
+        best = max(left, key=lambda i, before=before: marginal_gains(before, left[i], weights)[1])
+        now = add_counts(before, left.pop(best))
+        ordered.append(best)
+    return tuple(ordered)
+
+
+def cover_steps(ordered: Sequence[tuple[int, Counts]], weights: PairWeights) -> tuple[CoverStep, ...]:
+    """What candidates add one after the other: index and counts of each."""
+    steps: list[CoverStep] = []
+    now: Counts | None = None
+    for one, counts in ordered:
+        now = counts if now is None else add_counts(now, counts)
+        benefit = total_benefit(now, weights)
+        gain = benefit - (steps[-1].benefit if steps else 0)
+        steps.append(CoverStep(candidate=one, gain=gain, benefit=benefit, covered=covered_weight(now, weights)))
+    return tuple(steps)
+
+
+@dataclass(eq=False)
+class _Greedy:
+    candidates: Sequence[Counts]
+    weights: PairWeights
+    allowed: Sequence[int]
+    most: int
+    goal: float
+    chosen: list[int] = field(default_factory=list[int])
+    # benefit before a step and the gains then left, largest first: from these bounds are computed
+    states: list[tuple[int, list[int]]] = field(default_factory=list[tuple[int, list[int]]])
+
+    @property
+    def k(self) -> int:
+        return len(self.candidates[0])
+
+    def choose(self) -> None:
+        self._add_most()
+        while (redundant := self._redundant()) is not None:
+            self.chosen.remove(redundant)
+            self._add_most()
+
+    def _add_most(self) -> None:
+        now = self.together(self.chosen)
+        while True:
+            gains = [
+                0 if i in self.chosen else marginal_gains(now, candidate, self.weights)[1]
+                for i, candidate in enumerate(self.candidates)
+            ]
+            self.states.append((total_benefit(now, self.weights), sorted(gains, reverse=True)))
+            best = max(self.allowed, key=lambda i: gains[i], default=None)
+            met = covered_weight(now, self.weights) >= self.goal
+            if met or len(self.chosen) >= self.most or best is None or gains[best] == 0:
+                return
+            self.chosen.append(best)
+            now = add_counts(now, self.candidates[best])
+
+    def _redundant(self) -> int | None:
+        # the one whose loss costs least, the latest of those: nothing at all, or what the target can spare
+        whole = total_benefit(self.together(self.chosen), self.weights)
+        spare: list[tuple[int, int, int]] = []
+        for place, one in enumerate(self.chosen):
+            rest = self.together([other for other in self.chosen if other != one])
+            loss = whole - total_benefit(rest, self.weights)
+            if loss == 0 or covered_weight(rest, self.weights) >= self.goal:
+                spare.append((loss, -place, one))
+        return min(spare)[2] if spare else None
+
+    def together(self, some: Sequence[int]) -> Counts:
+        return sum_counts((self.candidates[one] for one in some), self.weights, self.k)
+
+    def bound(self, size: int) -> int:
+        return min(here + sum(heapq.nlargest(size, gains)) for here, gains in self.states)
+
+
+def improve_by_exchange(
+    candidates: Sequence[Counts], weights: PairWeights, chosen: Sequence[int], *, threads: int | None = None
+) -> tuple[int, ...]:
+    """As many candidates that cover as much or more, and that no single exchange improves.
+
+    The best exchange is made first; of equals the one that replaces the earliest chosen by the first candidate.
+    """
+    now = list(chosen)
+    if not now:
+        return ()
+    k = len(candidates[0])
+    merit = _merit(sum_counts((candidates[i] for i in now), weights, k), weights)
+    while True:
+        best: tuple[Merit, int, int] | None = None
+        others = [i for i in range(len(candidates)) if i not in now]
+        for place in range(len(now)):
+            rest = sum_counts((candidates[i] for i in [*now[:place], *now[place + 1 :]]), weights, k)
+            covered, benefit = _merit(rest, weights)
+            gains = all_marginal_gains(rest, [candidates[i] for i in others], weights, threads=threads)
+            for i, gain in zip(others, gains, strict=True):
+                other = covered + gain[0], benefit + gain[1]
+                if other > (merit if best is None else best[0]):
+                    best = other, place, i
+        if best is None:
+            return tuple(now)
+        merit, place, i = best
+        now[place] = i
+
+
+def _merit(counts: Counts, weights: PairWeights) -> Merit:
+    return covered_weight(counts, weights), total_benefit(counts, weights)
+
+
+def best_set(
+    candidates: Sequence[Counts],
+    weights: PairWeights,
+    chosen: Sequence[int],
+    size: int,
+    *,
+    most_work: int = MOST_WORK,
+    threads: int | None = None,
+) -> tuple[tuple[int, ...], int, int | None]:
+    """The set of `size` candidates that covers most.
+
+    candidates: Counts of each, shape (k, p, words), all of one k.
+    chosen: The best known set; it is kept where no other covers more.
+    most_work: Words of flags to process before the search ends without a proof.
+    Returns chosen, covered, sets: The best set that was found, the weight that it covers, and the number of all sets
+        of that size; None where it is not proven that none covers more.
+    """
+    search = _Search(candidates, weights, chosen, most_work, threads)
+    try:
+        search.visit(zero_counts(weights, search.k), (), 0, 0, list(range(len(candidates))), None, size)
+    except _WorkLimitReached:
+        return search.best, search.best_covered, None
+    return search.best, search.best_covered, math.comb(len(candidates), size)
+
+
+class _WorkLimitReached(Exception):  # noqa: N818  (ends the search, and no error)
+    """The search ends without a proof."""
+
+
+class _Search:
+    def __init__(
+        self,
+        candidates: Sequence[Counts],
+        weights: PairWeights,
+        chosen: Sequence[int],
+        most_work: int,
+        threads: int | None,
+    ) -> None:
+        self.candidates, self.weights, self.threads = candidates, weights, threads
+        self.k = len(candidates[0])
+        self.best = tuple(chosen)
+        self.best_covered = covered_weight(sum_counts((candidates[i] for i in chosen), weights, self.k), weights)
+        self._each = max(1, candidates[0].size)
+        self._left = most_work
+
+    def visit(
+        self,
+        now: Counts,
+        some: tuple[int, ...],
+        covered: int,
+        benefit: int,
+        rest: Sequence[int],
+        most: Sequence[int] | None,
+        more: int,
+    ) -> None:
+        """All sets of the candidates `some` and `more` of `rest`.
+
+        `some` have the counts `now`, which cover `covered` and have the benefit `benefit`. `most` are upper bounds on
+        what each of the rest adds to the benefit, descending; None where none are known.
+        """
+        if more == 1 and most is not None:
+            for start in range(0, len(rest), BATCH):
+                if self._cannot_improve(benefit + most[start]):
+                    return
+                batch = rest[start : start + BATCH]
+                for i, (gain, _) in zip(batch, self._gains(now, batch), strict=True):
+                    self._update_best((*some, i), covered + gain)
+            return
+        gains = self._gains(now, rest)
+        order = sorted(range(len(rest)), key=lambda at: (-gains[at][1], rest[at]))
+        rest = [rest[at] for at in order]
+        covers, benefits = ([gains[at][which] for at in order] for which in (0, 1))
+        for at in range(len(rest) - more + 1):
+            if self._cannot_improve(benefit + sum(benefits[at : at + more])):
+                return
+            one = (*some, rest[at])
+            if more == 1:
+                self._update_best(one, covered + covers[at])
+                continue
+            self.visit(
+                add_counts(now, self.candidates[rest[at]]),
+                one,
+                covered + covers[at],
+                benefit + benefits[at],
+                rest[at + 1 :],
+                benefits[at + 1 :],
+                more - 1,
+            )
+
+    def _cannot_improve(self, benefit: int) -> bool:
+        # [count ≥ k] ≤ min(k, count) / k
+        return benefit // self.k <= self.best_covered
+
+    def _update_best(self, some: tuple[int, ...], value: int) -> None:
+        if value > self.best_covered:
+            self.best, self.best_covered = some, value
+
+    def _gains(self, now: Counts, some: Sequence[int]) -> list[tuple[int, int]]:
+        self._left -= self._each * len(some)
+        if self._left < 0:
+            raise _WorkLimitReached
+        return all_marginal_gains(now, [self.candidates[i] for i in some], self.weights, threads=self.threads)

@@ -1,0 +1,300 @@
+"""Few postures and one set of light positions that together show most of the surface.
+
+The lights are mounted once and stand the same in all postures. Postures and lights depend on each other, so they are
+searched alternately, until neither improves the other. The lights are placed for the postures by trying every
+combination of their positions; the postures are chosen for the lights by greedy cover and exchanges. No step shows less
+than the one before, so that the search ends: in a local optimum, which depends on the start.
+
+The search starts at several light positions: the rig's own, the best for one single posture, and both ends of the
+ranges. It runs on drawn patches; the best solution is refined on all patches, and so are gains and bound of the choice.
+
+A target is reached by the fewest postures whose choice by number reaches it, so that a number and a target that takes
+as many give the same plan.
+"""
+
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass, replace
+from functools import partial
+
+from lightopt.core.errors import InputError
+from lightopt.core.run_context import RunContext, Share
+from lightopt.core.transforms import Posture
+from lightopt.design._candidates import Candidates
+from lightopt.design.postures._choice import Cover, Lights, PostureChoice, PostureRequest, Solution
+from lightopt.design.postures._cover_search import best_set, greedy_cover, improve_by_exchange
+from lightopt.design.postures._light_positions import (
+    MOST_COUNT_BYTES,
+    LightPositions,
+    PositionCounts,
+    best_positions,
+    first_allowed,
+    position_counts_fit,
+)
+from lightopt.design.responses._image_evaluator import ImageEvaluator
+from lightopt.design.responses._packed_bits import Counts
+from lightopt.scene import PanelLight
+
+MOST_ITERATIONS, MOST_FINAL_ITERATIONS = 6, 3  # of the alternating search, on drawn patches and on all
+DRAWN_MARGIN = 0.01  # share by which what drawn patches show may fall short of a target and still be tried on all
+
+# of the counts that are cached: for recent lights, and for all positions in the last postures
+CACHED_BYTES = 400_000_000
+
+
+def merit(cover: Cover, request: PostureRequest) -> tuple[float, ...]:
+    """Sort key of a cover: reaching the target with few postures first; without a target, more seen."""
+    if request.target is not None and cover.share >= request.target:
+        return (1.0, -len(cover.steps), cover.covered, cover.benefit)
+    return (0.0, cover.covered, cover.benefit)
+
+
+@dataclass(eq=False)
+class AlternatingSearch:
+    """Alternating search on the patches of an evaluator; results for lights or postures are cached.
+
+    postures: To choose from.
+    candidates: Positions of the lights to choose from; None where no light moves.
+    min_images: Images that must show a pair, of all postures together.
+    where: The patches, for progress messages.
+    prove: Whether all sets of postures are searched where that is little work.
+    """
+
+    evaluator: ImageEvaluator
+    postures: Sequence[Posture]
+    candidates: Candidates | None
+    _: KW_ONLY
+    min_images: int
+    where: str
+    prove: bool
+    run: RunContext
+
+    def __post_init__(self) -> None:
+        self._passes = 0
+        self._counts: dict[Lights, list[Counts]] = {}
+        self._positions: dict[tuple[int, ...], LightPositions] = {}
+        self._last_counts: tuple[tuple[int, ...], list[PositionCounts]] | None = None
+
+    def improve(self, solution: Solution, most: int, request: PostureRequest) -> Solution:
+        """Place lights for the postures and choose postures for the lights, while that gains; `most` times at most."""
+        if self.candidates is None:
+            return replace(solution, converged=True)
+        for _ in range(most):
+            positions = self.lights(solution.cover.chosen, request)
+            solution = replace(
+                solution,
+                exact=solution.exact and positions.exact,
+                iterations=solution.iterations + 1,
+                converged=positions.covered <= solution.cover.covered,
+            )
+            if positions.candidates == solution.lights:
+                return solution
+            panels = self.candidates.panels_at(positions.candidates)
+            better = self.cover(panels, positions.candidates, request, before=solution.cover.chosen)
+            gained = merit(better, request) > merit(solution.cover, request)
+            # positions of the grid are preferred to the rig's own where they are as good
+            as_good = merit(better, request) == merit(solution.cover, request)
+            if not gained and not (as_good and solution.lights is None):
+                return solution
+            solution = replace(solution, panels=panels, cover=better, lights=positions.candidates, converged=False)
+        return solution
+
+    def cover(
+        self, panels: Sequence[PanelLight], lights: Lights, request: PostureRequest, before: Sequence[int] = ()
+    ) -> Cover:
+        """Postures for lights: a greedy choice and those of the previous iteration, both improved by exchanges.
+
+        With `prove` and a fixed number, the best of all sets of as many, where the search for it completes.
+        """
+        counts, weights = self._counts_under(panels, lights), self.evaluator.weights
+        greedy = partial(greedy_cover, counts, weights, count=request.count, target=request.target)
+        covers = [greedy()]
+        sets = [covers[0].chosen, tuple(before)]
+        if request.target is None:
+            sets = [improve_by_exchange(counts, weights, one, threads=self.evaluator.threads) for one in sets]
+        covers += [greedy(among=one) for one in sets if one and one != covers[0].chosen]
+        best = max(covers, key=lambda cover: merit(cover, request))
+        if self.prove and request.target is None and request.count is not None:
+            size = min(request.count, len(counts))
+            chosen, max_covered, sets = best_set(counts, weights, best.chosen, size, threads=self.evaluator.threads)
+            if chosen != best.chosen:
+                covers.append(greedy(among=chosen))
+                best = covers[-1]
+            best = best.with_search(max_covered, sets)
+        same = [cover.bounds for cover in covers if len(cover.bounds) == len(best.bounds)]
+        return replace(best, bounds=tuple(min(bounds) for bounds in zip(*same, strict=True)))
+
+    def lights(self, chosen: Sequence[int], request: PostureRequest) -> LightPositions:
+        """The best positions of the lights for postures."""
+        assert self.candidates is not None
+        key = tuple(sorted(chosen))
+        if key not in self._positions:
+            self._passes += 1
+            self._positions[key], counts = best_positions(
+                self.evaluator,
+                [(self.postures[i], self.evaluator.exposures) for i in key],
+                self.candidates,
+                min_images=self.min_images,
+                limit=request.limit,
+                progress=self._stage("lights for postures"),
+            )
+            small = sum(one.nbytes for one in counts) <= CACHED_BYTES
+            self._last_counts = (key, counts) if small else None
+        return self._positions[key]
+
+    def position_counts(self, chosen: Sequence[int]) -> tuple[PositionCounts, ...] | None:
+        """What each position of each light shows in postures; None unless the lights were last placed for these."""
+        if self._last_counts is None or self._last_counts[0] != tuple(sorted(chosen)):
+            return None
+        return tuple(self._last_counts[1])
+
+    def _counts_under(self, panels: Sequence[PanelLight], lights: Lights) -> list[Counts]:
+        # what every posture shows under these lights, once for as many as there is room for
+        if lights not in self._counts:
+            counts: list[Counts] = []
+            self._passes += 1
+            progress = self._stage("postures for lights")
+            for i, posture in enumerate(self.postures):
+                counts.append(self.evaluator.counts(posture, panels, min_images=self.min_images))
+                if progress is not None:
+                    progress((i + 1) / len(self.postures))
+            size = sum(one.nbytes for one in counts)
+            while self._counts and (len(self._counts) + 1) * size > CACHED_BYTES:
+                del self._counts[next(iter(self._counts))]
+            self._counts[lights] = counts
+        return self._counts[lights]
+
+    def _stage(self, name: str) -> Share | None:
+        return self.run.stage(f"{name}, {self.where}, pass {self._passes}")
+
+
+def choose_postures(
+    whole: ImageEvaluator,
+    drawn: ImageEvaluator,
+    postures: Sequence[Posture],
+    start: Sequence[PanelLight],
+    candidates: Candidates | None,
+    request: PostureRequest,
+    *,
+    run: RunContext | None = None,
+) -> PostureChoice:
+    """Choose postures and light positions.
+
+    whole, drawn: All patches, and those that the first iterations use; both of all postures.
+    postures: To choose from, at least one.
+    start: The lights in their initial positions, world frame.
+    candidates: Positions to choose from; None where no light moves.
+    Raises InputError: More postures than memory is meant for; lights that collide in every combination.
+    """
+    size = len(postures) * request.min_images * len(whole.patches) * whole.weights.masks.shape[1] * 8
+    if size > MOST_COUNT_BYTES:
+        raise InputError(
+            f"{len(postures)} postures × {len(whole.patches):,} patches are {size / 1e9:.2f} GB of counts, and there "
+            f"is room for {MOST_COUNT_BYTES / 1e9:.2f} GB; raise option 'posture_step_deg' or lower option "
+            "'patch_budget'"
+        )
+    return _MultiStartSearch(whole, drawn, postures, tuple(start), candidates, request, run or RunContext()).choice()
+
+
+@dataclass(eq=False)
+class _MultiStartSearch:
+    whole: ImageEvaluator
+    drawn: ImageEvaluator
+    postures: Sequence[Posture]
+    start: tuple[PanelLight, ...]
+    candidates: Candidates | None
+    request: PostureRequest
+    run: RunContext
+
+    def __post_init__(self) -> None:
+        least = self.request.min_images
+        search = partial(
+            AlternatingSearch, postures=self.postures, candidates=self.candidates, min_images=least, run=self.run
+        )
+        self.full_search = self.drawn_search = search(self.whole, where="all patches", prove=True)
+        if self.drawn.table is not self.whole.table:
+            self.drawn_search = search(self.drawn, where="drawn patches", prove=False)
+        self.on_all_patches = self.drawn_search is self.full_search or position_counts_fit(
+            self.whole, self.candidates, min_images=least
+        )
+        self.starts = 1
+        self._drawn: dict[int, Solution] = {}
+
+    def choice(self) -> PostureChoice:
+        if self.request.target is None:
+            solution = self._refine(self._best_on_drawn(self.request.count))
+        else:
+            solution = self._fewest(self.request.target)
+        one = replace(self.request, count=max(1, len(solution.cover.steps)), target=None)
+        initial = self.drawn_search.cover(self.start, None, one)
+        solution = replace(solution, cover=replace(solution.cover, target=self.request.target))
+        return PostureChoice(
+            **vars(solution),
+            postures=tuple(self.postures[i] for i in solution.cover.chosen),
+            starts=self.starts,
+            initial=initial,
+            initial_panels=self.start,
+            on_all_patches=self.on_all_patches,
+            position_counts=self.full_search.position_counts(solution.cover.chosen),
+        )
+
+    def _fewest(self, target: float) -> Solution:
+        # a rough number first, then the fewest whose choice by number reaches the target on all patches
+        rough = self._search_from_all_starts(self.request)
+        most = self.request.count or len(self.postures)
+        enough = count = len(rough.cover.steps) if rough.cover.share >= target else most
+        if rough.cover.share < target and self.request.count is None:
+            # drawn patches may show less than all do: those decide
+            solution = self._refine(rough)
+            if self.drawn_search is self.full_search or solution.cover.all_covered < target * solution.cover.total:
+                return solution
+            enough = count = max(1, len(rough.cover.steps))
+        while count > 1 and self._best_on_drawn(count - 1).cover.share >= target - DRAWN_MARGIN:
+            count -= 1
+        failures = 0
+        while True:
+            solution = self._refine(self._best_on_drawn(count))
+            if solution.cover.share < target and len(solution.cover.steps) < count:
+                # more than these add nothing on drawn patches, and may on all
+                solution = self._refine(self._best_on_drawn(count), count)
+            short = solution.cover.share < target and len(solution.cover.steps) == count < most
+            # with so many, not even all postures under these lights; those of the next number may show more
+            failures += count >= enough and solution.cover.all_covered < target * solution.cover.total
+            if not short or failures > 1:
+                return solution
+            count += 1
+
+    def _best_on_drawn(self, count: int | None) -> Solution:
+        # the best of so many postures on drawn patches
+        assert count is not None
+        if count not in self._drawn:
+            self._drawn[count] = self._search_from_all_starts(replace(self.request, count=count, target=None))
+        return self._drawn[count]
+
+    def _refine(self, solution: Solution, count: int | None = None) -> Solution:
+        # continue on all patches, with the number of chosen postures, or more, instead of the target
+        if self.drawn_search is self.full_search:
+            return solution
+        request = replace(self.request, count=count or max(1, len(solution.cover.steps)), target=None)
+        cover = self.full_search.cover(solution.panels, solution.lights, request, before=solution.cover.chosen)
+        solution = replace(solution, cover=cover, converged=self.candidates is None)
+        return self.full_search.improve(solution, MOST_FINAL_ITERATIONS, request) if self.on_all_patches else solution
+
+    def _search_from_all_starts(self, request: PostureRequest) -> Solution:
+        found: list[Solution] = []
+        for lights in self._starts(request):
+            panels = self.start if lights is None or self.candidates is None else self.candidates.panels_at(lights)
+            cover = self.drawn_search.cover(panels, lights, request)
+            solution = Solution(panels=panels, lights=lights, cover=cover, converged=False)
+            found.append(self.drawn_search.improve(solution, MOST_ITERATIONS, request))
+        self.starts = len(found)
+        return max(found, key=lambda solution: merit(solution.cover, request))
+
+    def _starts(self, request: PostureRequest) -> tuple[tuple[int, ...] | None, ...]:
+        # the initial positions; the best for the best single posture; all at the lower, all at the upper ends
+        if self.candidates is None:
+            return (None,)
+        one = self.drawn_search.cover(self.start, None, replace(request, count=1, target=None))
+        space = self.candidates.space
+        ends = (first_allowed(space, space.groups[0]), first_allowed(space, [rows[::-1] for rows in space.groups[-1]]))
+        alone = [self.drawn_search.lights(one.chosen, request).candidates] if one.chosen else []
+        return tuple(dict.fromkeys([None, *alone, *(tuple(end) for end in ends if end is not None)]))

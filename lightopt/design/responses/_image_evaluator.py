@@ -1,0 +1,302 @@
+"""What images show: levels of the patches, and which defects, under candidate positions of the lights.
+
+Rays go from the centroid of every inspectable patch, one that the camera sees and not at a grazing angle
+(:data:`lightopt.rendering.GRAZING_DEG`), to the point lights of every candidate panel. The panel's light is computed as
+for images, then exposed without noise (paper, section 5.2, step 1): a level here is what the camera would deliver for
+the patch. With ``points: auto`` each patch's own five rays decide on shadows, since patches have no neighbours in a
+grid. Where images are tested for defects, the same rays decide which defects each image shows.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from lightopt.core.arrays import Float32, Index
+from lightopt.core.errors import InputError, counted
+from lightopt.core.run_context import Share, WorkCounter
+from lightopt.core.threads import Task, available_processors, run_all
+from lightopt.core.transforms import Posture
+from lightopt.design.responses._detection import DetectionModel, PatchDetection
+from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Visibility, area_units
+from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, counts_of_images
+from lightopt.geometry import RayCaster, face_normals
+from lightopt.optics import expose
+from lightopt.rendering import PatchTable, SurfacePoints, converged_panel, shade_converged, shade_points, shadow_targets
+from lightopt.scene import PanelLight, Scene, view_from_part
+
+BLOCK_PATCHES = 1 << 15  # patches that a thread works on at once
+
+# of the levels that are held at a time: with a part of some hundred thousand triangles, its patches and the search the
+# process then stays below 2 GB
+MOST_BYTES = 1_000_000_000
+
+DRAWN_PATCHES = 20_000
+"""Patches that represent all where much is tried: the first iterations of the search, and tolerances."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ImageEvaluator:
+    """A part, its patches, and the defects that its images are tested for.
+
+    scene: Its lights are ignored.
+    table: The patches; their pairs with the hypotheses are counted.
+    detection: The hypotheses, and when one is visible; None where levels alone are wanted.
+    shadows: Whether the part casts shadows on itself.
+    exposures: That an image may be taken with: it shows what it shows with any of them.
+    """
+
+    scene: Scene
+    table: PatchTable
+    caster: RayCaster
+    detection: DetectionModel | None
+    shadows: bool = True
+    threads: int | None = None
+    exposures: tuple[float, ...] = (1.0,)
+
+    @cached_property
+    def patches(self) -> Index:
+        """Indices of the patches that are inspectable in one posture or more, ascending, shape (p,)."""
+        return np.flatnonzero(self.table.inspectable_anywhere)
+
+    @property
+    def weights(self) -> PairWeights:
+        """Weights of the pairs of these patches and the hypotheses."""
+        assert self.detection is not None
+        units = area_units(self.table.patches.areas[self.patches])
+        return PairWeights.of_hypotheses(self.detection.hypotheses, units)
+
+    def table_of(self, postures: Sequence[Posture]) -> PatchTable:
+        """The same patches in some of the postures."""
+        rows = [self.table.postures.index(posture) for posture in postures]
+        table = self.table
+        return replace(table, postures=tuple(postures), visible=table.visible[rows], grazing=table.grazing[rows])
+
+    def matrices(
+        self,
+        posture: Posture,
+        panels: Sequence[Sequence[PanelLight]],
+        *,
+        exposures: Sequence[float] = (1.0,),
+        most_bytes: int = MOST_BYTES,
+        progress: Share | None = None,
+    ) -> tuple[LuminanceMatrix, ...]:
+        """Delivered levels of the inspectable patches under every candidate panel of every light, per exposure.
+
+        Where images are tested for defects, with those that they show. The rays are cast once.
+
+        panels: Per light, the panels at its candidate positions; world frame.
+        most_bytes: Limit for the levels and the defects' bits.
+        Raises InputError: More positions than memory is meant for.
+        """
+        scene, caster, detection = self.scene, self.caster, self.detection
+        surface, seen = patch_points(scene, self.table, posture)
+        surface = replace(surface, outside=caster.is_outside(view_from_part(scene, posture).camera.position))
+        positions = sum(len(some) for some in panels)
+        size = positions * self._position_bytes(len(seen), len(exposures))
+        if size > most_bytes:
+            raise InputError(
+                f"luminance matrix: {counted(positions, 'position')} × {len(seen):,} patches are {size / 1e9:.2f} GB, "
+                f"and there is room for {most_bytes / 1e9:.2f} GB a posture; raise option 'step_deg' or lower option "
+                "'patch_budget'"
+            )
+        shape = len(exposures), positions, len(seen)
+        levels = np.zeros(shape, np.uint8 if scene.sensor.bit_depth <= 8 else np.uint16)
+        words = np.zeros((*shape, self._words), np.uint64)
+        view = None if detection is None else PatchDetection(scene, surface, posture, detection)
+        blocks = [
+            (start, surface.take(slice(start, start + BLOCK_PATCHES))) for start in range(0, len(seen), BLOCK_PATCHES)
+        ]
+        # the candidates as the part sees them
+        moved = view_from_part(replace(scene, lights=tuple(p for some in panels for p in some)), posture).lights
+        blocker = caster if self.shadows else None
+
+        def shade(at: int, panel: PanelLight, start: int, block: SurfacePoints) -> None:
+            here = slice(start, start + len(block))
+            if view is None:
+                level = _levels(scene, block, panel, caster, blocker)
+            else:
+                level, bits = view.evaluate(block, panel, here, caster, blocker, exposures)
+                for index, some in enumerate(bits):
+                    words[index, at, here] = some
+            for index, exposure in enumerate(exposures):
+                levels[index, at, here] = expose(
+                    level[None, :], sensor=scene.sensor, exposure=exposure, full_scale=scene.reflectance.full_scale
+                )[0]
+
+        work = WorkCounter(positions * len(blocks), progress)
+
+        def count() -> None:
+            work.add(1)
+            work.report()
+
+        def tasks() -> Iterator[Task]:
+            for at, panel in enumerate(moved):
+                if self.shadows:
+                    caster.map_blockers(shadow_targets(panel), rays=len(seen), threads=1)
+                for start, block in blocks:
+                    yield shade, (at, panel, start, block)
+
+        run_all(tasks(), threads=self.threads or available_processors(), done=count)
+        areas, grazing = self.table.patches.areas[seen], self.table.left_out(posture)
+        ends = np.cumsum([len(some) for some in panels])[:-1]
+        return tuple(
+            LuminanceMatrix(
+                levels=tuple(np.split(levels[index], ends)),
+                areas=areas,
+                grazing_mm2=float(self.table.patches.areas[grazing].sum()),
+                visibility=None
+                if detection is None
+                else Visibility(
+                    hypotheses=detection.hypotheses,
+                    words=tuple(np.split(words[index], ends)),
+                    areas=areas,
+                    patch=seen.astype(np.int32),
+                    grazing=grazing.astype(np.int32),
+                ),
+            )
+            for index in range(len(exposures))
+        )
+
+    @property
+    def _words(self) -> int:
+        return 0 if self.detection is None else -(-len(self.detection.hypotheses) // 64)
+
+    def _position_bytes(self, patches: int, exposures: int) -> int:
+        # memory of `matrices` for one position of a light: levels, and the defects' bits
+        return patches * exposures * ((1 if self.scene.sensor.bit_depth <= 8 else 2) + 8 * self._words)
+
+    def positions_at_once(self, posture: Posture, exposures: Sequence[float]) -> int:
+        """How many positions of lights :meth:`matrices` has memory for."""
+        seen = len(self.table.inspectable(posture))
+        return max(1, MOST_BYTES // max(1, self._position_bytes(seen, len(exposures))))
+
+    def in_batches(
+        self, posture: Posture, places: Sequence[PanelLight], *, exposures: Sequence[float] = (1.0,)
+    ) -> Iterator[tuple[LuminanceMatrix, ...]]:
+        """As :meth:`matrices` of one light, for as many of its positions at a time as memory allows."""
+        # what was given out before is held while the next is made
+        most = max(1, self.positions_at_once(posture, exposures) // 2)
+        if len(places) <= 2 * most:
+            most = len(places)
+        for start in range(0, len(places), most):
+            yield self.matrices(posture, [places[start : start + most]], exposures=exposures)
+
+    def flags(self, posture: Posture, panels: Sequence[Sequence[PanelLight]]) -> tuple[Words, ...]:
+        """Which pairs the images show: of each light an array of shape (positions, p, words)."""
+        if sum(map(len, panels)) <= self.positions_at_once(posture, self.exposures):
+            matrices = self.matrices(posture, panels, exposures=self.exposures)
+            lights = [[(matrices, light)] for light in range(len(panels))]
+        else:
+            lights = [
+                ((matrices, 0) for matrices in self.in_batches(posture, some, exposures=self.exposures))
+                for some in panels
+            ]
+        return tuple(
+            np.stack(
+                [
+                    scattered_flags(matrices, self.patches, light=light, place=at)
+                    for matrices, light in batches
+                    for at in range(len(matrices[0].levels[light]))
+                ]
+            )
+            for batches in lights
+        )
+
+    def counts(self, posture: Posture, panels: Sequence[PanelLight], *, min_images: int) -> Counts:
+        """In how many images of a posture, one of each light, each pair is seen, up to `min_images`."""
+        images = self.flags(posture, [[panel] for panel in panels])
+        return counts_of_images([layer[0] for layer in images], min_images)
+
+
+def luminance_matrix(
+    scene: Scene,
+    table: PatchTable,
+    posture: Posture,
+    panels: Sequence[Sequence[PanelLight]],
+    *,
+    caster: RayCaster,
+    detection: DetectionModel | None = None,
+    shadows: bool = True,
+    threads: int | None = None,
+    progress: Share | None = None,
+) -> LuminanceMatrix:
+    """Delivered levels of the inspectable patches at exposure 1: see :meth:`ImageEvaluator.matrices`."""
+    evaluator = ImageEvaluator(
+        scene=scene, table=table, caster=caster, detection=detection, shadows=shadows, threads=threads
+    )
+    return evaluator.matrices(posture, panels, progress=progress)[0]
+
+
+def patch_points(scene: Scene, table: PatchTable, posture: Posture) -> tuple[SurfacePoints, Index]:
+    """The inspectable patches of a posture as surface points in the part's frame, and their indices."""
+    patches = table.patches
+    seen = table.inspectable(posture)
+    views = view_from_part(scene, posture).camera.position - patches.centroids[seen]
+    views /= np.linalg.norm(views, axis=1, keepdims=True)
+    surface = SurfacePoints(
+        patches.centroids[seen],
+        patches.normals[seen],
+        face_normals(scene.mesh)[patches.face[seen]],
+        views,
+        np.ones(len(seen), np.bool_),
+    )
+    return surface, seen
+
+
+def _levels(
+    scene: Scene, surface: SurfacePoints, panel: PanelLight, caster: RayCaster, blocker: RayCaster | None
+) -> Float32:
+    reflectance = scene.reflectance
+    if panel.points == "auto":
+        diffuse, specular, _ = shade_converged(
+            surface,
+            converged_panel(panel, centre=caster.centre, radius=caster.radius),
+            # every second place of a row: no patch is another's neighbour
+            sample=2 * np.arange(len(surface)),
+            shape=(1, 2 * len(surface)),
+            reflectance=reflectance,
+            caster=blocker,
+        )
+    else:
+        diffuse, specular = shade_points(surface, panel, points=panel.points, sigma=reflectance.sigma, caster=blocker)
+    # images are stored as float32, and a level is rounded from what is stored
+    return (reflectance.R_d * diffuse + reflectance.R_s * specular).astype(np.float32)
+
+
+def scattered_flags(matrices: Sequence[LuminanceMatrix], patches: Index, *, light: int, place: int) -> Words:
+    """An image's visible hypotheses in another numbering of the patches, shape (p, words).
+
+    `matrices` have the visibility of some of the patches, one for each exposure of the image, which shows what any of
+    them shows. `patches` are the ascending indices of the patches that count, shape (p,).
+    """
+    first = matrices[0].visibility
+    assert first is not None
+    flags = np.zeros((len(patches), first.words[light].shape[2]), np.uint64)
+    rows = np.searchsorted(patches, first.patch)
+    for matrix in matrices:
+        assert matrix.visibility is not None
+        flags[rows] |= matrix.visibility.words[light][place]
+    return flags
+
+
+def drawn_patches(table: PatchTable, count: int) -> PatchTable:
+    """A sample of the patches, every part of the surface by its area; the others become invisible.
+
+    Along the running sum of the inspectable patches' areas, `count` marks stand at equal distances; a patch with marks
+    represents their share of the area. The order of patches is that of the mesh, so that marks spread over the surface.
+    With `count` inspectable patches or fewer, all stay as they are.
+    """
+    seen = np.flatnonzero(table.inspectable_anywhere)
+    if len(seen) <= count:
+        return table
+    areas = table.patches.areas[seen]
+    each = areas.sum() / count
+    ends = np.floor(np.cumsum(areas) / each + 0.5)
+    marks = np.diff(ends, prepend=0.0)
+    chosen = np.zeros(len(table.patches), np.bool_)
+    chosen[seen[marks > 0.0]] = True
+    drawn = np.zeros(len(table.patches))
+    drawn[seen] = marks * each
+    return replace(table, patches=replace(table.patches, areas=drawn), visible=table.visible & chosen)
