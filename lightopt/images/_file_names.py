@@ -8,7 +8,8 @@ import numpy as np
 
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
-from lightopt.images._manifest import MANIFEST_NAME
+
+MANIFEST_NAME = "manifest.json"
 
 _FORBIDDEN = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 _RESERVED = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)

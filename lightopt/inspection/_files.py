@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +56,7 @@ def inspection_provenance(
         inputs["after"] = [image_set.fingerprint for image_set in before]
     if calibration is not None:
         inputs["calibration"] = {"file": calibration.name, "sha256": calibration.sha256}
-    return provenance(inputs=inputs, options=options.as_dict())
+    return provenance(inputs=inputs, options=asdict(options))
 
 
 class InspectionFolder(ResultFolder):
