@@ -71,11 +71,6 @@ class InspectionFolder(ResultFolder):
             folder, made_from, name=DEFECTS_NAME, format=FORMAT, what="an inspection", also=(TRUTH_NAME,), force=force
         )
 
-    @property
-    def made_from(self) -> Mapping[str, Any]:
-        """From :func:`inspection_provenance`."""
-        return self._made_from
-
     @contextmanager
     def created(self) -> Generator[None]:
         """Create the folder before the work for it begins; a new one is removed where the work fails."""
@@ -117,10 +112,7 @@ class InspectionFolder(ResultFolder):
         write_png(self.place(f"{folder}/synthetic.png"), shown.grey, metadata={**facts, **shown.as_dict()})
 
     def write(self, result: InspectionResult, verdict: Verdict) -> list[Path]:
-        """Write ``defects.csv``, ``defects.ply`` and at last ``defects.json``.
-
-        verdict: On it.
-        """
+        """Write ``defects.csv``, ``defects.ply`` and at last ``defects.json``."""
         written = [
             self.write_text("defects.csv", _table(result, verdict)),
             self.write_text("defects.ply", _points(result)),

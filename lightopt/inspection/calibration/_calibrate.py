@@ -65,7 +65,6 @@ def calibrate(
             inner = run.within(f"good set {one.folder.name}")
             yield (str(one.folder), register_set(rig, part, one, register=options.register, cache=cache, run=inner))
 
-    require_good_sets(len(sets), options)
     names = tuple(one.folder.resolve().name for one in sets)
     fingerprint = calibration_fingerprint(rig, part, options)
     return calibrate_registered(registered(), names, options=options, fingerprint=fingerprint, threads=run.threads)

@@ -178,6 +178,7 @@ def measure_regions(
     """
     if not count:
         return ()
+    geometry = view.prediction.images.geometry
     detections: list[Detection] = []
     for number, box in enumerate(ndimage.find_objects(labels, count), start=1):
         assert box is not None  # each has its peak
@@ -186,16 +187,10 @@ def measure_regions(
         row, column = np.nonzero(core_pixels(region, sums[0]))
         z = np.stack([level[:, row, column] for level in sums])
         row, column = row + box[0].start, column + box[1].start
-        world = view.prediction.images.geometry.points[row, column].astype(np.float64)
+        world, facing = (a[row, column].astype(np.float64) for a in (geometry.points, geometry.normals))
         points = world_to_mesh_file(world, scene, placement, view.posture)
         points.flags.writeable = False
-        normals = world_to_mesh_file(
-            view.prediction.images.geometry.normals[row, column].astype(np.float64),
-            scene,
-            placement,
-            view.posture,
-            direction=True,
-        )
+        normals = world_to_mesh_file(facing, scene, placement, view.posture, direction=True)
         area = view.prediction.area[row, column].astype(np.float64)
         normal = normals.mean(axis=0)
         normal /= np.linalg.norm(normal)

@@ -118,9 +118,9 @@ def posture_view(
 
     def merge(number: int, rows: slice) -> None:
         light = lights[number]
-        here = {name: array[number, rows] for name, array in arrays.items()}
-        here["predicted"][:] = images[light][rows]
-        _merge_exposures(scene, [o for o in observations if o.light == light], photometry, rows, **here)
+        own = {name: array[number, rows] for name, array in arrays.items()}
+        own["predicted"][:] = images[light][rows]
+        _merge_exposures(scene, [o for o in observations if o.light == light], photometry, rows, own)
 
     in_image_blocks(merge, len(lights), len(clean), threads)
     posture = observations[0].posture
@@ -130,24 +130,14 @@ def posture_view(
 
 
 def _merge_exposures(
-    scene: Scene,
-    observations: Sequence[Observation],
-    photometry: Photometry,
-    rows: slice,
-    *,
-    level: Float32,
-    predicted: Float32,
-    deviation: Float32,
-    rounding: Float32,
-    limit: Float32,
-    saturated: Bool,
+    scene: Scene, observations: Sequence[Observation], photometry: Photometry, rows: slice, own: dict[str, Any]
 ) -> None:
     # write some rows of what PostureView has of a light, shape (h, W), but for `predicted`, which is given: of each
     # pixel the longest exposure that is not saturated
     sensor = scene.sensor
     exposures = sorted(observations, key=lambda o: -o.exposure)
     gain = photometry.gains[exposures[0].light]
-    open_ = np.ones(predicted.shape, np.bool_)
+    open_ = np.ones(own["predicted"].shape, np.bool_)
     for number, o in enumerate(exposures):
         scale = gain * o.exposure * sensor.max_level / scene.reflectance.full_scale
         still = sensor.noise_variance(0.0, frames=o.frames)
@@ -156,7 +146,7 @@ def _merge_exposures(
             np.ascontiguousarray(o.levels[rows]),
             o.saturated[rows],
             np.ascontiguousarray(subtracted),
-            predicted,
+            own["predicted"],
             open_,
             number + 1 == len(exposures),
             scale,
@@ -165,11 +155,7 @@ def _merge_exposures(
             sensor.saturated_from - sensor.black_level,
             still,
             sensor.noise_variance(1.0, frames=o.frames) - still,  # the variance is linear in the signal
-            level,
-            deviation,
-            rounding,
-            limit,
-            saturated,
+            *(own[name] for name in ("level", "deviation", "rounding", "limit", "saturated")),
         )
 
 
@@ -250,7 +236,7 @@ def fit_photometry(
     x = np.append(np.ones(n), 0.0)
     prior = np.append(np.full(n, 1.0 / GAIN_SPREAD**2), 1.0 / DARK_SPREAD**2)
     nominal = x.copy()
-    # not with align.solve: each image has a spread of its own here, and sums in one pass need no matrix of all pixels
+    # not with core.least_squares: each image has a spread of its own, and sums in one pass need no matrix of pixels
     for _ in range(ROUNDS):
         normal, right = np.diag(prior), prior * nominal
         for light, model, level, noise in rows:
