@@ -144,14 +144,13 @@ def find_defects(
     for view, exposures in registered.views:
         calibrated = None if calibration is None else calibration.of(view.posture, exposures, where=where)
         postures.append(_inspect_posture(view, options, registered, calibrated, where, run.threads))
-    placement = registered.placement if options.register else None
-    expected = part_postures(part)
+    expected, found = part_postures(part), registered.registration
     warnings = inspection_warnings(
         rig,
         postures,
         options,
         expected=expected,
-        registration=() if registered.registration is None else registered.registration.warnings,
+        registration=() if found is None else found.warnings,
         calibrated=calibration is not None,
     )
     surface_map = cache.surface_map(registered.scene, expected)
@@ -159,8 +158,8 @@ def find_defects(
     return InspectionResult(
         defects=merge_detections([detection for p in postures for detection in p.detections]),
         postures=tuple(postures),
-        placement=placement,
-        registration=registered.registration,
+        placement=registered.placement if options.register else None,
+        registration=found,
         warnings=warnings,
         nominal=registered.nominal,
         surface=surface_coverage(registered.nominal, coverages, surface_map),

@@ -145,14 +145,8 @@ def _shown(value: object) -> str:
 
 def calibration_fingerprint(rig: RigConfig, part: PartConfig, options: InspectOptions) -> dict[str, Any]:
     """All that scores depend on, as hashes, and the options: not names, limits of the verdict, or lists of defects."""
-    of_part = {
-        "name": True,
-        "postures": True,
-        "mesh": {"file"},
-        "inspection": True,
-        "defects": True,
-        "defect_catalogue": True,
-    }
+    names = ("name", "postures", "inspection", "defects", "defect_catalogue")
+    of_part: dict[str, bool | set[str]] = {**dict.fromkeys(names, True), "mesh": {"file"}}
     ranges = {"elevation_range_deg", "azimuth_range_deg"}
     chosen: dict[str, Any] = {"detector": options.detector, "register": options.register}
     by_synthetic = DETECTORS[options.detector].uses_synthetic
