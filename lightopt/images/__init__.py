@@ -3,17 +3,16 @@
 from lightopt.images._atomic import make_folder, remove_file, write_bytes_atomic, write_npz_atomic, write_text_atomic
 from lightopt.images._existing_set import remove_image_set, resumable_manifest
 from lightopt.images._exr import read_exr, read_exr_metadata, write_exr
-from lightopt.images._file_names import dark_name, png_name, posture_folder, sheet_name
+from lightopt.images._file_names import MANIFEST_NAME, dark_name, png_name, posture_folder, sheet_name
 from lightopt.images._manifest import (
     DARK_CHECKED_KEY,
     EVENTS_KEY,
-    MANIFEST_NAME,
     REPEATABILITY_KEY,
     ImageEntry,
     Manifest,
     SourceFile,
+    read_manifest,
 )
-from lightopt.images._manifest_parser import read_manifest
 from lightopt.images._overlap import Overlap, find_overlaps, overlap_map_name, write_overlap_map, write_overlaps
 from lightopt.images._png import read_png, read_png_metadata, write_png
 from lightopt.images._reader import ImageSet, read_image_set

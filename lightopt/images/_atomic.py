@@ -16,7 +16,7 @@ from lightopt.core.provenance import file_sha256
 _ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
-def write_atomically(path: str | Path, write: Callable[[Path], None], *, overwrite: bool = True) -> str:
+def write_atomically(path: str | Path, write: Callable[[Path], object], *, overwrite: bool = True) -> str:
     """Let `write` fill a temporary file beside `path`, then rename it; returns the SHA-256 in hex.
 
     Whatever happens (disk full, Ctrl-C, an exception of `write`), no temporary file is left and `path` holds
@@ -52,11 +52,7 @@ def write_atomically(path: str | Path, write: Callable[[Path], None], *, overwri
 
 def write_bytes_atomic(path: str | Path, data: bytes, *, overwrite: bool = True) -> str:
     """Write bytes as a whole file or not at all; returns the SHA-256 in hex. Errors as :func:`write_atomically`."""
-
-    def write(temporary: Path) -> None:
-        temporary.write_bytes(data)
-
-    return write_atomically(path, write, overwrite=overwrite)
+    return write_atomically(path, lambda temporary: temporary.write_bytes(data), overwrite=overwrite)
 
 
 def write_text_atomic(path: str | Path, text: str, *, overwrite: bool = True) -> str:

@@ -8,11 +8,11 @@ from typing import Any
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import differences
 from lightopt.images._atomic import remove_file
-from lightopt.images._manifest import DARK_CHECKED_KEY, EVENTS_KEY, MANIFEST_NAME, REPEATABILITY_KEY, Manifest
-from lightopt.images._manifest_parser import read_manifest
+from lightopt.images._file_names import MANIFEST_NAME
+from lightopt.images._manifest import DARK_CHECKED_KEY, EVENTS_KEY, REPEATABILITY_KEY, Manifest, read_manifest
 
-_CONTENT_KEYS = ("images", "geometry", "patches", "files", "warnings")
-_FOUND_KEYS = (REPEATABILITY_KEY, EVENTS_KEY, DARK_CHECKED_KEY)
+# keys of what a run makes and finds; the others say which run it is
+_RESULT_KEYS = ("images", "geometry", "patches", "files", "warnings", REPEATABILITY_KEY, EVENTS_KEY, DARK_CHECKED_KEY)
 
 
 def resumable_manifest(folder: Path, header: Manifest) -> Manifest | None:
@@ -40,9 +40,8 @@ def remove_set(folder: Path, header: Manifest) -> int:
 
     Raises InputError: the folder holds captured images and the header is of others, or a file cannot be removed.
     """
-    try:
-        manifest = read_manifest(folder / MANIFEST_NAME)
-    except InputError:
+    manifest = _readable_manifest(folder)
+    if manifest is None:
         return 0
     if manifest.kind == "captured" and header.kind != "captured":
         raise InputError(
@@ -58,21 +57,22 @@ def remove_image_set(folder: Path) -> int:
 
     Raises InputError: a file cannot be removed.
     """
+    manifest = _readable_manifest(folder)
+    if manifest is None or manifest.kind != "simulated":
+        return 0
+    return _remove_files(folder, manifest) + remove_file(folder / MANIFEST_NAME)
+
+
+def _readable_manifest(folder: Path) -> Manifest | None:
     try:
-        manifest = read_manifest(folder / MANIFEST_NAME)
+        return read_manifest(folder / MANIFEST_NAME)
     except InputError:
-        return 0
-    if manifest.kind != "simulated":
-        return 0
-    removed = _remove_files(folder, manifest)
-    return removed + remove_file(folder / MANIFEST_NAME)
+        return None
 
 
 def _remove_files(folder: Path, manifest: Manifest) -> int:
-    removed = 0
     paths = [folder / name for name in dict.fromkeys(name for name, _ in manifest.listed_files)]
-    for path in paths:
-        removed += remove_file(path)
+    removed = sum(map(remove_file, paths))
     for parent in {path.parent for path in paths if path.parent != folder}:
         with contextlib.suppress(OSError):  # something else is in it
             parent.rmdir()
@@ -80,5 +80,4 @@ def _remove_files(folder: Path, manifest: Manifest) -> int:
 
 
 def _header(manifest: Manifest) -> dict[str, Any]:
-    """What differs between the sets of two runs."""
-    return {key: value for key, value in manifest.as_dict().items() if key not in (*_CONTENT_KEYS, *_FOUND_KEYS)}
+    return {key: value for key, value in manifest.as_dict().items() if key not in _RESULT_KEYS}

@@ -10,8 +10,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float32
 from lightopt.core.errors import InputError
-from lightopt.images._atomic import write_atomically
-from lightopt.images._oiio import METADATA_KEY, metadata_json, open_input, openimageio, read_metadata, write_rows
+from lightopt.images._oiio import open_input, openimageio, read_metadata, write_image
 
 if TYPE_CHECKING:
     import OpenImageIO
@@ -35,22 +34,17 @@ def write_exr(path: str | Path, channels: Mapping[str, Channel], *, metadata: Ma
     Raises InputError: The channels are not float32 of one shape (H, W), or the file cannot be written.
     """
     height, width = _common_shape(path, channels)
-    text = metadata_json(metadata)
     OpenImageIO = openimageio()
     spec = OpenImageIO.ImageSpec(width, height, len(channels), "float")
     spec.channelnames = tuple(channels)
     spec.attribute("compression", _COMPRESSION)
     spec.attribute("DateTime", "")  # else the writer stamps the current time
-    spec.attribute(METADATA_KEY, text)
 
     def blocks() -> Iterator[Channel]:
         for top in range(0, height, _BLOCK_ROWS):
             yield np.stack([channel[top : top + _BLOCK_ROWS] for channel in channels.values()], axis=-1)
 
-    def write(temporary: Path) -> None:
-        write_rows(temporary, file_format="openexr", spec=spec, rows=blocks(), is_complete=_is_complete)
-
-    return write_atomically(path, write)
+    return write_image(path, "openexr", spec, blocks(), metadata=metadata, is_complete=_is_complete)
 
 
 def _is_complete(path: Path) -> bool:

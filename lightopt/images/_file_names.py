@@ -8,7 +8,8 @@ import numpy as np
 
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
-from lightopt.images._manifest import MANIFEST_NAME
+
+MANIFEST_NAME = "manifest.json"
 
 _FORBIDDEN = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 _RESERVED = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)
@@ -76,21 +77,20 @@ class FileNames:
         Raises InputError: two images would share a file, or a light's name cannot be a file's name.
         """
         for light, posture, exposure in keys:
-            self._check_light(light)
+            _require_file_name(light)
             where = posture_folder(posture)
             self.claim(geometry_name(posture), f"the geometry of {where}")
             self.claim(exr_name(light, posture), f"light {light!r} in {where}")
             self.claim(png_name(light, posture, exposure), f"light {light!r} at exposure {exposure:g} in {where}")
 
-    @staticmethod
-    def _check_light(light: str) -> None:
-        bad = not light or _FORBIDDEN.search(light) or _RESERVED.fullmatch(light)
-        if bad or light.startswith(".") or light.endswith((" ", ".")):
-            raise InputError(
-                f"light {light!r}: cannot be part of a file name; expected a name without "
-                '/ \\ : * ? " < > |, without a leading dot, a trailing dot or blank, and none of '
-                "Windows' device names (con, aux, nul, …)"
-            )
+
+def _require_file_name(light: str) -> None:
+    bad = not light or _FORBIDDEN.search(light) or _RESERVED.fullmatch(light)
+    if bad or light.startswith(".") or light.endswith((" ", ".")):
+        raise InputError(
+            f'light {light!r}: cannot be part of a file name; expected a name without / \\ : * ? " < > |, without a '
+            "leading dot, a trailing dot or blank, and none of Windows' device names (con, aux, nul, …)"
+        )
 
 
 def inside_problem(name: str) -> str | None:

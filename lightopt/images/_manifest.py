@@ -1,15 +1,20 @@
 """The manifest of an image set: what was imaged, under which light, posture and exposure, into which file."""
 
+from __future__ import annotations
+
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any, NoReturn
 
+from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
+from lightopt.images._file_names import inside_problem
 
-FORMAT = "lightopt-images/1"
-MANIFEST_NAME = "manifest.json"
+_FORMAT = "lightopt-images/1"
+_KINDS = ("simulated", "captured")
 
 REPEATABILITY_KEY = "came_back"
 """Manifest key of a captured set: result of the repeatability check."""
@@ -27,10 +32,6 @@ class SourceFile:
 
     file: str
     sha256: str
-
-    def as_dict(self) -> dict[str, str]:
-        """JSON form."""
-        return {"file": self.file, "sha256": self.sha256}
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,12 @@ class ImageEntry:
     def key(self) -> tuple[str, Posture, float]:
         """Light, posture and exposure, which identify an image in its set."""
         return self.light, self.posture, self.exposure
+
+    @property
+    def files(self) -> tuple[tuple[str, str | None], ...]:
+        """Its files with their SHA-256 where it is listed."""
+        named = (("png", self.png), ("exr", self.exr))
+        return tuple((name, self.sha256.get(kind)) for kind, name in named if name is not None)
 
     @property
     def held_exposure(self) -> float:
@@ -148,27 +155,24 @@ class Manifest:
     @property
     def listed_files(self) -> tuple[tuple[str, str | None], ...]:
         """All files of the set with their SHA-256 where it is listed, each once."""
-        listed: list[tuple[str | None, str | None]] = []
-        for image in self.images:
-            listed += [(image.png, image.sha256.get("png")), (image.exr, image.sha256.get("exr"))]
+        listed: list[tuple[str, str | None]] = [file for image in self.images for file in image.files]
         listed += [(entry.exr, entry.sha256.get("exr")) for entry in self.geometry]
-        if self.patches not in self.files:
+        if self.patches is not None and self.patches not in self.files:
             listed.append((self.patches, None))
-        listed += self.files.items()
-        return tuple(dict.fromkeys((name, digest) for name, digest in listed if name is not None))
+        return tuple(dict.fromkeys((*listed, *self.files.items())))
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form; carries no time, so the same run gives the same bytes."""
         return {
-            "format": FORMAT,
+            "format": _FORMAT,
             "kind": self.kind,
             "lightopt": self.lightopt,
             "bit_depth": self.bit_depth,
             "full_scale": self.full_scale,
             "saturation_level": self.saturated_from,
             "black_level": self.black_level,
-            "rig": self.rig and self.rig.as_dict(),
-            "part": self.part and self.part.as_dict(),
+            "rig": self.rig and asdict(self.rig),
+            "part": self.part and asdict(self.part),
             "provenance": dict(self.provenance),
             "images": [entry.as_dict() for entry in self.images],
             "geometry": [entry.as_dict() for entry in self.geometry],
@@ -181,3 +185,214 @@ class Manifest:
     def to_json(self) -> str:
         """Text of ``manifest.json``."""
         return json.dumps(self.as_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def read_manifest(path: str | Path) -> Manifest:
+    """Read a ``manifest.json``; the files it names are not read.
+
+    Raises InputError with one message per problem: unreadable, no JSON, required keys missing, wrong types or
+    values, paths that leave the folder, an image listed twice.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+        data = json.loads(text, parse_constant=_no_constant)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}; expected a manifest of images") from error
+    except json.JSONDecodeError as error:
+        raise InputError(f"{path}:{error.lineno}: not valid JSON: {error.msg}") from error
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not text; expected an image set's folder or its manifest.json") from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not valid JSON: {error}") from error
+    return parse_manifest(data, path=path)
+
+
+def _no_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not a number of JSON")
+
+
+def parse_manifest(data: object, *, path: str | Path) -> Manifest:
+    """Make a :class:`Manifest` of a JSON value; InputError with one message per problem."""
+    top = _Fields(path, data)
+    if top.problems:
+        raise InputError(*top.problems)
+    if top.text("format") not in (_FORMAT, ""):
+        raise InputError(f"{path}: format: expected {_FORMAT}, found {top.data['format']!r}")
+    manifest = _manifest(top)
+    if top.problems:
+        raise InputError(*top.problems)
+    return manifest
+
+
+class _Fields:
+    """A JSON object whose keys are read with a type; collects what is wrong."""
+
+    def __init__(self, path: str | Path, data: object, where: str = "", problems: list[str] | None = None) -> None:
+        self.path, self.where = path, where
+        self.problems: list[str] = [] if problems is None else problems
+        self.data: Mapping[str, Any] = data if isinstance(data, dict) else {}
+        if not isinstance(data, dict):
+            self.problem("", "an object", data)
+
+    def inner(self, key: str, value: object) -> _Fields:
+        """An object under a key."""
+        return _Fields(self.path, value, self.place(key), self.problems)
+
+    def place(self, key: str) -> str:
+        """Full name of a key in the file."""
+        return ".".join(filter(None, (self.where, key)))
+
+    def problem(self, key: str, expected: str, found: object) -> None:
+        """Note what is wrong with a key."""
+        text = "nothing" if found is None else json.dumps(found, default=str)
+        found_text = text if len(text) <= 60 else text[:60] + "…"
+        place = self.place(key) or "manifest"
+        self.problems.append(f"{self.path}: {place}: expected {expected}, found {found_text}")
+
+    def number(
+        self, key: str, default: float | None = None, *, above: float = -math.inf, upto: float = math.inf
+    ) -> float:
+        """Read a number in (above, upto]; required when there is no default."""
+        value = self.data.get(key, default)
+        good = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+        if not (good and above < value <= upto):
+            lower = f" above {above:g}" if above > -math.inf else ""
+            upper = f" up to {upto:g}" if upto < math.inf else ""
+            self.problem(key, f"a number{lower}{upper}", value)
+            return 1.0
+        return value
+
+    def text(self, key: str) -> str:
+        """Read a text that is not empty; required."""
+        value = self.data.get(key)
+        if not isinstance(value, str) or not value:
+            self.problem(key, "text", value)
+            return ""
+        return value
+
+    def optional_text(self, key: str) -> str | None:
+        """Read a text, or None when the key is absent or null."""
+        return None if self.data.get(key) is None else self.text(key)
+
+    def file(self, key: str) -> str | None:
+        """Read a path inside the set's folder, or None when absent."""
+        name = self.optional_text(key)
+        if name:
+            self.require_inside(key, name)
+        return name
+
+    def require_inside(self, key: str, name: str) -> None:
+        """Note a path that leaves the set's folder."""
+        if problem := inside_problem(name):
+            self.problems.append(f"{self.path}: {self.place(key)}: {problem}, found {name!r}")
+
+    def texts(self, key: str) -> dict[str, str]:
+        """Read an object of texts, empty when absent."""
+        inner = self.inner(key, self.data.get(key) or {})
+        return {name: inner.text(name) for name in inner.data}
+
+    def items(self, key: str, *, required: bool = False) -> Iterator[_Fields]:
+        """Yield the objects of a list."""
+        value = self.data.get(key, None if required else [])
+        if not isinstance(value, list):
+            self.problem(key, "a list", value)
+            return
+        for i, item in enumerate(value):
+            yield self.inner(f"{key}[{i}]", item)
+
+    def unknown(self, kind: type[Manifest | ImageEntry | GeometryEntry]) -> dict[str, Any]:
+        """Keys that are no fields of the dataclass that they are read into."""
+        known = {field.name for field in fields(kind)} - {"extra"}
+        return {key: value for key, value in self.data.items() if key not in known}
+
+
+def _manifest(top: _Fields) -> Manifest:
+    kind = top.text("kind")
+    if kind and kind not in _KINDS:
+        top.problem("kind", " or ".join(_KINDS), kind)
+    bits = top.number("bit_depth", above=0, upto=16)
+    if bits != int(bits):
+        top.problem("bit_depth", "a whole number", bits)
+    max_level = 2.0 ** int(bits) - 1
+    images = tuple(_image(item) for item in top.items("images", required=True))
+    seen: set[tuple[str, Posture, float]] = set()
+    for i, entry in enumerate(images):
+        if entry.key in seen:
+            top.problem(f"images[{i}]", "each light, posture and exposure once", entry.light)
+        seen.add(entry.key)
+    provenance = top.data.get("provenance") or {}
+    if not isinstance(provenance, dict):
+        top.problem("provenance", "an object", provenance)
+        provenance = {}
+    warnings = top.data.get("warnings") or []
+    if not isinstance(warnings, list) or not all(isinstance(line, str) for line in warnings):
+        top.problem("warnings", "a list of texts", warnings)
+        warnings = []
+    files = top.texts("files")
+    for name in files:
+        top.require_inside("files", name)
+    full_scale = top.number("full_scale", 255.0, above=0)
+    saturation = None
+    if top.data.get("saturation_level") is not None:
+        saturation = top.number("saturation_level", above=0, upto=max_level)
+    return Manifest(
+        kind=kind,
+        bit_depth=int(bits),
+        full_scale=full_scale,
+        saturation_level=saturation,
+        black_level=top.number("black_level", 0.0, upto=max_level),
+        lightopt=top.optional_text("lightopt"),
+        rig=_source(top, "rig"),
+        part=_source(top, "part"),
+        provenance=provenance,
+        images=images,
+        geometry=tuple(_geometry(item) for item in top.items("geometry")),
+        patches=top.file("patches"),
+        files=files,
+        warnings=tuple(warnings),
+        extra={key: value for key, value in top.unknown(Manifest).items() if key != "format"},
+    )
+
+
+def _source(top: _Fields, key: str) -> SourceFile | None:
+    if top.data.get(key) is None:
+        return None
+    source = top.inner(key, top.data[key])
+    return SourceFile(file=source.text("file"), sha256=source.text("sha256"))
+
+
+def _posture(entry: _Fields) -> Posture:
+    value = entry.data.get("posture")
+    posture = entry.inner("posture", value)
+    if not isinstance(value, dict):
+        return Posture(0.0, 0.0)
+    return Posture(posture.number("elevation_deg"), posture.number("rotation_deg"))
+
+
+def _image(item: _Fields) -> ImageEntry:
+    entry = ImageEntry(
+        light=item.text("light"),
+        light_elevation_deg=item.number("light_elevation_deg"),
+        light_azimuth_deg=item.number("light_azimuth_deg"),
+        posture=_posture(item),
+        exposure=item.number("exposure", above=0),
+        png=item.file("png"),
+        exr=item.file("exr"),
+        sha256=item.texts("sha256"),
+        extra=item.unknown(ImageEntry),
+    )
+    if entry.png is None and entry.exr is None:
+        item.problem("", "png or exr", None)
+    return entry
+
+
+def _geometry(item: _Fields) -> GeometryEntry:
+    if item.data.get("exr") is None:
+        item.problem("exr", "a file", None)
+    return GeometryEntry(
+        posture=_posture(item),
+        exr=item.file("exr") or "",
+        sha256=item.texts("sha256"),
+        extra=item.unknown(GeometryEntry),
+    )

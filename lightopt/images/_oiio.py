@@ -1,4 +1,4 @@
-"""What EXR and PNG share of OpenImageIO: opening, error texts, metadata in one JSON attribute."""
+"""What EXR and PNG share of OpenImageIO: opening, writing, error texts, metadata in one JSON attribute."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.errors import InputError
+from lightopt.images._atomic import write_atomically
 
 if TYPE_CHECKING:
     import OpenImageIO
 
 
-METADATA_KEY = "lightopt:json"  # the attribute that carries all metadata: the only kind that both EXR and PNG keep
+_METADATA_KEY = "lightopt:json"  # the attribute that carries all metadata: the only kind that both EXR and PNG keep
 
 _PROBE_BYTES = 1 << 20
 _FORMAT_NAMES = {"openexr": "an OpenEXR image", "png": "a PNG image"}
@@ -46,42 +47,47 @@ def openimageio() -> Any:
     return OpenImageIO
 
 
-def metadata_json(metadata: Mapping[str, Any]) -> str:
-    """ASCII JSON with sorted keys: equal metadata are equal bytes, and PNG's Latin-1 text holds them."""
-    return json.dumps(dict(metadata), sort_keys=True, allow_nan=False, separators=(",", ":"))
-
-
-def write_rows(
-    path: Path,
-    *,
+def write_image(
+    path: str | Path,
     file_format: str,
     spec: OpenImageIO.ImageSpec,
     rows: Iterator[NDArray[Any]],
+    *,
+    metadata: Mapping[str, Any],
     is_complete: Callable[[Path], bool],
-) -> None:
-    """Encode an image block by block into an existing file; raises OSError with the system's reason.
+    overwrite: bool = True,
+) -> str:
+    """Encode an image block by block, whole or not at all; returns the SHA-256 in hex.
 
     `rows` are blocks from the top down, each (rows, W, C) in the spec's sample type. `is_complete` says whether a
     file has its end: a disk that fills up at the last flush is reported by no encoder.
     """
-    OpenImageIO = openimageio()
-    output = OpenImageIO.ImageOutput.create(file_format)
-    if output is None:
-        raise OSError(f"OpenImageIO has no {file_format} writer: {OpenImageIO.geterror()}")
-    if not output.open(str(path), spec):  # writing after a failed open crashes the process
-        raise OSError(output.geterror())
-    top, done = 0, True
-    for block in rows:
-        done = output.write_scanlines(top, top + block.shape[0], 0, np.ascontiguousarray(block))
-        if not done:
-            break
-        top += block.shape[0]
-    closed = output.close()
-    # The PNG writer reports success on a full disk; only its error text shows it.
-    message = output.geterror()
-    if not (done and closed) or message or not is_complete(path):
-        _raise_system_reason(path)
-        raise OSError(message.strip().split("\n")[0] or "the file came out incomplete")
+    # ASCII JSON with sorted keys: equal metadata are equal bytes, and PNG's Latin-1 text holds them
+    text = json.dumps(dict(metadata), sort_keys=True, allow_nan=False, separators=(",", ":"))
+    spec.attribute(_METADATA_KEY, text)
+
+    def encode(path: Path) -> None:
+        # raises OSError with the system's reason
+        OpenImageIO = openimageio()
+        output = OpenImageIO.ImageOutput.create(file_format)
+        if output is None:
+            raise OSError(f"OpenImageIO has no {file_format} writer: {OpenImageIO.geterror()}")
+        if not output.open(str(path), spec):  # writing after a failed open crashes the process
+            raise OSError(output.geterror())
+        top, done = 0, True
+        for block in rows:
+            done = output.write_scanlines(top, top + block.shape[0], 0, np.ascontiguousarray(block))
+            if not done:
+                break
+            top += block.shape[0]
+        closed = output.close()
+        # The PNG writer reports success on a full disk; only its error text shows it.
+        message = output.geterror()
+        if not (done and closed) or message or not is_complete(path):
+            _raise_system_reason(path)
+            raise OSError(message.strip().split("\n")[0] or "the file came out incomplete")
+
+    return write_atomically(path, encode, overwrite=overwrite)
 
 
 def _raise_system_reason(path: Path) -> None:
@@ -115,13 +121,13 @@ def open_input(path: Path, *, file_format: str) -> Generator[OpenImageIO.ImageIn
 def read_metadata(path: Path, *, file_format: str) -> dict[str, Any]:
     """Metadata of an image as written by lightopt; empty for files of other programs."""
     with open_input(path, file_format=file_format) as source:
-        text = source.spec().getattribute(METADATA_KEY)
+        text = source.spec().getattribute(_METADATA_KEY)
     if text is None:
         return {}
     try:
         metadata = json.loads(text)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{path}: attribute {METADATA_KEY} is not valid JSON: {error}") from error
+        raise InputError(f"{path}: attribute {_METADATA_KEY} is not valid JSON: {error}") from error
     if not isinstance(metadata, dict):
-        raise InputError(f"{path}: attribute {METADATA_KEY}: expected a JSON object, found {type(metadata).__name__}")
+        raise InputError(f"{path}: attribute {_METADATA_KEY}: expected a JSON object, found {type(metadata).__name__}")
     return metadata

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from lightopt.core.arrays import UInt8
 from lightopt.core.errors import InputError
-from lightopt.images._atomic import write_atomically
-from lightopt.images._oiio import METADATA_KEY, metadata_json, open_input, openimageio, read_metadata, write_rows
+from lightopt.images._oiio import open_input, openimageio, read_metadata, write_image
 
 Levels = UInt8 | NDArray[np.uint16]
 
@@ -42,7 +41,6 @@ def write_png(path: str | Path, levels: Levels, *, metadata: Mapping[str, Any], 
             f"{path}: expected uint8 or uint16 of shape (H, W), or uint8 of shape (H, W, 3), "
             f"found {levels.dtype} of shape {levels.shape}"
         )
-    text = metadata_json(metadata)
     pixels = levels if picture else levels[:, :, np.newaxis]
     OpenImageIO = openimageio()
     spec = OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], str(levels.dtype))
@@ -50,12 +48,8 @@ def write_png(path: str | Path, levels: Levels, *, metadata: Mapping[str, Any], 
     if grey:
         spec.attribute("png:filter", _NO_FILTER)
     spec.attribute("oiio:ColorSpace", "unknown")  # else sRGB and gamma chunks are added, which are not true
-    spec.attribute(METADATA_KEY, text)
-
-    def write(temporary: Path) -> None:
-        write_rows(temporary, file_format="png", spec=spec, rows=iter([pixels]), is_complete=_is_complete)
-
-    return write_atomically(path, write, overwrite=overwrite)
+    rows = iter([pixels])
+    return write_image(path, "png", spec, rows, metadata=metadata, is_complete=_is_complete, overwrite=overwrite)
 
 
 def _is_complete(path: Path) -> bool:

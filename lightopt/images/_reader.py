@@ -12,8 +12,8 @@ from lightopt.core.arrays import Bool, Float32, UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256, files_sha256
 from lightopt.images._exr import read_exr
-from lightopt.images._manifest import MANIFEST_NAME, GeometryEntry, ImageEntry, Manifest
-from lightopt.images._manifest_parser import read_manifest
+from lightopt.images._file_names import MANIFEST_NAME
+from lightopt.images._manifest import GeometryEntry, ImageEntry, Manifest, read_manifest
 from lightopt.images._png import read_png
 
 
@@ -126,8 +126,10 @@ def read_image_set(path: str | Path, *, verify: bool = True) -> ImageSet:
     if path.is_dir() and not manifest_path.exists():
         raise InputError(_no_manifest(path))
     image_set = ImageSet(folder=manifest_path.parent, manifest=read_manifest(manifest_path))
-    if verify and (problems := _file_problems(image_set)):
-        raise InputError(*problems)
+    if verify:
+        listed = image_set.manifest.listed_files
+        if problems := [text for name, digest in listed if (text := _file_problem(image_set.path(name), digest))]:
+            raise InputError(*problems)
     return image_set
 
 
@@ -139,12 +141,6 @@ def _no_manifest(folder: Path) -> str:
         f"{folder}: no {MANIFEST_NAME}, which says what each picture shows; docs/reference/conventions.md, Image sets, "
         "says how to write one for pictures that another program took"
     )
-
-
-def _file_problems(image_set: ImageSet) -> list[str]:
-    listed = image_set.manifest.listed_files
-    checked = (_file_problem(image_set.path(name), digest) for name, digest in listed)
-    return [problem for problem in checked if problem is not None]
 
 
 def _file_problem(path: Path, digest: str | None) -> str | None:

@@ -35,12 +35,12 @@ class ResultFolder:
         force: bool,
     ) -> None:
         self.folder = folder
-        self._made_from = json.loads(json.dumps(made_from))
+        self.made_from: Mapping[str, Any] = json.loads(json.dumps(made_from))
         self._name, self._format, self._also = name, format, tuple(also)
         self._files: list[str] = []
         old = self._read_previous()
         there = [one for one in (name, *also) if (folder / one).exists()]
-        changed = differences(_provenance(old), self._made_from) if there and not force else ""
+        changed = differences(_provenance(old), self.made_from) if there and not force else ""
         if there and not force and (old is None or changed):
             raise InputError(
                 f"{folder} already has {', '.join(there)} of {what} of other inputs or with other options"
@@ -65,7 +65,7 @@ class ResultFolder:
 
     def finish(self, content: Mapping[str, Any]) -> Path:
         """Write the JSON file, which completes the result: its format, `content`, the other files, provenance."""
-        document = {"format": self._format, **content, "files": sorted(self._files), "provenance": self._made_from}
+        document = {"format": self._format, **content, "files": sorted(self._files), "provenance": self.made_from}
         text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
         return self.write_text(self._name, text)
 

@@ -16,8 +16,16 @@ from lightopt.core.transforms import Posture
 from lightopt.images._atomic import make_folder, remove_file, write_bytes_atomic, write_npz_atomic, write_text_atomic
 from lightopt.images._existing_set import remove_set, resumable_manifest
 from lightopt.images._exr import write_exr
-from lightopt.images._file_names import FileNames, ImageKey, exr_name, geometry_name, inside_problem, png_name
-from lightopt.images._manifest import MANIFEST_NAME, GeometryEntry, ImageEntry, Manifest
+from lightopt.images._file_names import (
+    MANIFEST_NAME,
+    FileNames,
+    ImageKey,
+    exr_name,
+    geometry_name,
+    inside_problem,
+    png_name,
+)
+from lightopt.images._manifest import GeometryEntry, ImageEntry, Manifest
 from lightopt.images._png import write_png
 
 _PATCHES_NAME = "patches.npz"
@@ -69,15 +77,11 @@ class ImageSetWriter:
     def done(self, light: str, posture: Posture, exposure: float) -> bool:
         """Whether an image is listed and its files are there with the hashes listed."""
         entry = next((e for e in self.manifest.images if e.key == (light, posture, exposure)), None)
-        return entry is not None and all(
-            self._intact(name, entry.sha256.get(kind))
-            for kind, name in (("png", entry.png), ("exr", entry.exr))
-            if name is not None
-        )
+        return entry is not None and all(self._intact(name, digest) for name, digest in entry.files)
 
     def linear_done(self, light: str, posture: Posture) -> bool:
         """Whether the linear image of a light and posture is listed and intact."""
-        entry = next((e for e in self.manifest.images if e.key[:2] == (light, posture) and e.exr), None)
+        entry = self._linear(light, posture)
         return entry is not None and self._intact(entry.exr or "", entry.sha256.get("exr"))
 
     def geometry_done(self, posture: Posture) -> bool:
@@ -105,26 +109,25 @@ class ImageSetWriter:
         exr: Channels (H, W) of the linear image at exposure 1 [grey level], as :func:`write_exr` takes them.
         """
         self._names.claim_images([entry.key])
-        shared = next((e for e in self.manifest.images if e.key[:2] == entry.key[:2] and e.exr), None)
-        files: dict[str, str] = {}
-        hashes: dict[str, str] = {}
-        if shared is not None and shared.exr is not None and exr is None:
-            files["exr"] = shared.exr
-            hashes |= {kind: digest for kind, digest in shared.sha256.items() if kind == "exr"}
-        if png is None and exr is None and not files:
+        shared = self._linear(entry.light, entry.posture)
+        if png is None and exr is None and shared is None:
             raise InputError(f"light {entry.light!r}: an image needs camera levels or linear channels")
+        files: dict[str, str | None] = {}
+        hashes: dict[str, str] = {}
         if png is not None:
             self._check_levels(entry, png)
             name = files["png"] = png_name(*entry.key)
             hashes["png"] = write_png(self._place(name), png, metadata=self._metadata(entry, linear=False))
         if exr is not None:
-            name = files["exr"] = exr_name(entry.light, entry.posture)
-            hashes["exr"] = write_exr(self._place(name), exr, metadata=self._metadata(entry, linear=True))
-        self._verified.update({files[kind]: digest for kind, digest in hashes.items()})
+            files["exr"], hashes["exr"] = self._write_linear(entry, exr)
+        elif shared is not None:
+            files["exr"] = shared.exr
+            hashes |= {kind: digest for kind, digest in shared.sha256.items() if kind == "exr"}
         listed = replace(entry, png=files.get("png"), exr=files.get("exr"), sha256=dict(sorted(hashes.items())))
+        self._verified.update({name: digest for name, digest in listed.files if digest is not None})
         with self._lock:
-            entries = {e.key: _with_exr(e, listed) for e in self.manifest.images}
-            self._save(images=tuple({**entries, listed.key: listed}.values()))
+            images = self.manifest.images if exr is None else self._images_sharing(entry, hashes["exr"])
+            self._save(images=tuple({**{e.key: e for e in images}, listed.key: listed}.values()))
         return listed
 
     def add_linear(self, light: str, posture: Posture, channels: Mapping[str, Float32]) -> None:
@@ -135,18 +138,28 @@ class ImageSetWriter:
         first = next((e for e in self.manifest.images if e.key[:2] == (light, posture)), None)
         if first is None:
             raise InputError(f"light {light!r} at {posture}: a linear image needs an image that is listed")
-        name = exr_name(light, posture)
-        digest = write_exr(self._place(name), channels, metadata=self._metadata(first, linear=True))
+        name, digest = self._write_linear(first, channels)
         self._verified[name] = digest
         with self._lock:
-            self._save(
-                images=tuple(
-                    replace(e, exr=name, sha256=dict(sorted({**e.sha256, "exr": digest}.items())))
-                    if e.key[:2] == (light, posture)
-                    else e
-                    for e in self.manifest.images
-                )
-            )
+            self._save(images=self._images_sharing(first, digest))
+
+    def _linear(self, light: str, posture: Posture) -> ImageEntry | None:
+        # an image of the light and posture that lists their linear image
+        return next((e for e in self.manifest.images if e.key[:2] == (light, posture) and e.exr), None)
+
+    def _write_linear(self, entry: ImageEntry, channels: Mapping[str, Float32]) -> tuple[str, str]:
+        name = exr_name(entry.light, entry.posture)
+        return name, write_exr(self._place(name), channels, metadata=self._metadata(entry, linear=True))
+
+    def _images_sharing(self, entry: ImageEntry, digest: str) -> tuple[ImageEntry, ...]:
+        # the listed images; those of the entry's light and posture with the linear image that was written for it
+        exr = exr_name(entry.light, entry.posture)
+        return tuple(
+            replace(e, exr=exr, sha256=dict(sorted({**e.sha256, "exr": digest}.items())))
+            if e.key[:2] == entry.key[:2]
+            else e
+            for e in self.manifest.images
+        )
 
     def add_levels(self, name: str, levels: UInt8 | NDArray[np.uint16], *, metadata: Mapping[str, Any]) -> None:
         """Write camera levels (H, W) that are no image of a light (a dark frame) as a further file, then list it."""
@@ -200,15 +213,15 @@ class ImageSetWriter:
         with self._lock:
             entries = self.manifest.images
             gone = [e for e in entries if e.key[:2] in of_them]
-            listed = [name for e in gone for name in (e.png, e.exr) if name is not None]
+            listed = [name for e in gone for name, _ in e.files]
             listed += [name for name in names if name in self.manifest.files]
-            changes: dict[str, Any] = {"extra": {**self.manifest.extra, **(extra or {})}}
-            if gone:
-                changes["images"] = tuple(e for e in entries if e.key[:2] not in of_them)
-            if names & set(self.manifest.files):
-                changes["files"] = {n: h for n, h in self.manifest.files.items() if n not in names}
-            if len(changes) > 1 or changes["extra"] != self.manifest.extra:
-                self._save(**changes)
+            changed = {**self.manifest.extra, **(extra or {})}
+            if listed or changed != self.manifest.extra:
+                self._save(
+                    images=tuple(e for e in entries if e.key[:2] not in of_them),
+                    files={n: h for n, h in self.manifest.files.items() if n not in names},
+                    extra=changed,
+                )
         for name in listed:
             self._verified.pop(name, None)
             remove_file(self.folder / name)
@@ -294,10 +307,3 @@ class ImageSetWriter:
 def _file_names(key: ImageKey) -> tuple[str, ...]:
     light, posture, _ = key
     return png_name(*key), exr_name(light, posture), geometry_name(posture)
-
-
-def _with_exr(entry: ImageEntry, listed: ImageEntry) -> ImageEntry:
-    """Return the entry, pointing to the EXR just written where it is of the same light and posture."""
-    if entry.key[:2] != listed.key[:2] or listed.exr is None:
-        return entry
-    return replace(entry, exr=listed.exr, sha256={**entry.sha256, "exr": listed.sha256["exr"]})

@@ -12,7 +12,7 @@ from lightopt.inspection._files import (
     truth_text,
 )
 from lightopt.inspection._inspect import InspectedSet, inspect_batch, inspect_set
-from lightopt.inspection._options import InspectOptions
+from lightopt.inspection._options import DETECTORS, InspectOptions
 from lightopt.inspection._random_defects import (
     place_random_defects,
     random_defect_provenance,
@@ -21,8 +21,14 @@ from lightopt.inspection._random_defects import (
 )
 from lightopt.inspection._results import BatchRow, InspectedPosture, InspectionResult, Verdict, judge, rejections
 from lightopt.inspection.calibration._calibrate import calibrate, calibrate_registered, require_good_sets
-from lightopt.inspection.calibration._calibration import CalibratedPosture, Calibration, least_rate, sets_needed
-from lightopt.inspection.calibration._calibration_file import CalibrationFolder, read_calibration
+from lightopt.inspection.calibration._calibration import (
+    CalibratedPosture,
+    Calibration,
+    CalibrationFolder,
+    least_rate,
+    read_calibration,
+    sets_needed,
+)
 from lightopt.inspection.calibration._systematic import subtract_systematic
 from lightopt.inspection.detection._coverage import (
     CONTRASTS,
@@ -32,7 +38,6 @@ from lightopt.inspection.detection._coverage import (
     SurfaceCoverage,
 )
 from lightopt.inspection.detection._defects import KIND_COLOURS, FoundDefect, Kind
-from lightopt.inspection.detection._detectors import DETECTORS
 from lightopt.inspection.detection._deviation import Deviations, deviations
 from lightopt.inspection.detection._matched_filter import TEMPLATES, score_templates
 from lightopt.inspection.detection._regions import find_regions, split_regions
@@ -47,8 +52,7 @@ from lightopt.inspection.evaluation._evaluation import (
     summarise,
 )
 from lightopt.inspection.evaluation._ground_truth import truth_sources
-from lightopt.inspection.fusion._gradient_fusion import FUSIONS, Fusion
-from lightopt.inspection.fusion._pixel_weights import pixel_weights
+from lightopt.inspection.fusion._gradient_fusion import FUSIONS, Fusion, pixel_weights
 from lightopt.inspection.fusion._poisson import poisson_grid
 from lightopt.inspection.fusion._synthetic_image import SyntheticImage, fuse_images, synthetic_image
 from lightopt.inspection.prediction._posture_view import PostureView, posture_view

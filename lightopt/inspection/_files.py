@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +56,7 @@ def inspection_provenance(
         inputs["after"] = [image_set.fingerprint for image_set in before]
     if calibration is not None:
         inputs["calibration"] = {"file": calibration.name, "sha256": calibration.sha256}
-    return provenance(inputs=inputs, options=options.as_dict())
+    return provenance(inputs=inputs, options=asdict(options))
 
 
 class InspectionFolder(ResultFolder):
@@ -70,11 +70,6 @@ class InspectionFolder(ResultFolder):
         super().__init__(
             folder, made_from, name=DEFECTS_NAME, format=FORMAT, what="an inspection", also=(TRUTH_NAME,), force=force
         )
-
-    @property
-    def made_from(self) -> Mapping[str, Any]:
-        """From :func:`inspection_provenance`."""
-        return self._made_from
 
     @contextmanager
     def created(self) -> Generator[None]:
@@ -117,10 +112,7 @@ class InspectionFolder(ResultFolder):
         write_png(self.place(f"{folder}/synthetic.png"), shown.grey, metadata={**facts, **shown.as_dict()})
 
     def write(self, result: InspectionResult, verdict: Verdict) -> list[Path]:
-        """Write ``defects.csv``, ``defects.ply`` and at last ``defects.json``.
-
-        verdict: On it.
-        """
+        """Write ``defects.csv``, ``defects.ply`` and at last ``defects.json``."""
         written = [
             self.write_text("defects.csv", _table(result, verdict)),
             self.write_text("defects.ply", _points(result)),

@@ -12,16 +12,14 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import DARK_SPREAD
 from lightopt.images import ImageSet
 from lightopt.inspection._files import InspectionFolder
-from lightopt.inspection._options import InspectOptions
+from lightopt.inspection._options import DETECTORS, RESIDUAL, InspectOptions
 from lightopt.inspection._results import InspectedPosture, InspectionResult, Verdict, judge
 from lightopt.inspection.calibration._calibration import CalibratedPosture, Calibration
 from lightopt.inspection.calibration._systematic import subtract_systematic
 from lightopt.inspection.detection._coverage import measure_coverage, surface_coverage
 from lightopt.inspection.detection._defects import merge_detections
-from lightopt.inspection.detection._detectors import DETECTORS, RESIDUAL
 from lightopt.inspection.detection._deviation import deviations
-from lightopt.inspection.detection._measurement import measure_regions
-from lightopt.inspection.detection._regions import find_regions, split_regions
+from lightopt.inspection.detection._regions import find_regions, measure_regions, split_regions
 from lightopt.inspection.detection._residual_score import threshold
 from lightopt.inspection.evaluation._evaluation import SetEvaluation, evaluate_set
 from lightopt.inspection.evaluation._ground_truth import TruthSource
@@ -146,14 +144,13 @@ def find_defects(
     for view, exposures in registered.views:
         calibrated = None if calibration is None else calibration.of(view.posture, exposures, where=where)
         postures.append(_inspect_posture(view, options, registered, calibrated, where, run.threads))
-    placement = registered.placement if options.register else None
-    expected = part_postures(part)
+    expected, found = part_postures(part), registered.registration
     warnings = inspection_warnings(
         rig,
         postures,
         options,
         expected=expected,
-        registration=() if registered.registration is None else registered.registration.warnings,
+        registration=() if found is None else found.warnings,
         calibrated=calibration is not None,
     )
     surface_map = cache.surface_map(registered.scene, expected)
@@ -161,8 +158,8 @@ def find_defects(
     return InspectionResult(
         defects=merge_detections([detection for p in postures for detection in p.detections]),
         postures=tuple(postures),
-        placement=placement,
-        registration=registered.registration,
+        placement=registered.placement if options.register else None,
+        registration=found,
         warnings=warnings,
         nominal=registered.nominal,
         surface=surface_coverage(registered.nominal, coverages, surface_map),

@@ -6,6 +6,7 @@ That file is the part's own text with a list at its end.
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -93,39 +94,30 @@ def place_random_defects(
     scene = build_scene(rig, part, defects=False)
     kinds = [catalogue[slot % len(catalogue)] for slot in range(count)]
     rng = np.random.default_rng(seed)
-    chosen: list[_Candidate | None] = [None] * count
+    chosen: dict[int, _Candidate] = {}
     threads = None if run is None else run.threads
     for _ in range(ROUNDS):
-        waiting = [slot for slot in range(count) if chosen[slot] is None]
+        waiting = [slot for slot in range(count) if slot not in chosen]
         if not waiting:
             break
         candidates = _draw(scene, kinds, waiting, rng)
         for candidate, fits in zip(candidates, _fit(scene, candidates, threads), strict=True):
             # each defect takes the first of its places that is apart from those taken
-            if fits and chosen[candidate.slot] is None:
-                others = (other for other in chosen if other is not None)
-                if not any(_overlap(candidate.defect, other.defect) for other in others):
-                    chosen[candidate.slot] = candidate
-    if any(choice is None for choice in chosen):
-        lost = [entry.name for entry, choice in zip(kinds, chosen, strict=True) if choice is None]
+            others = chosen.values()
+            if fits and candidate.slot not in chosen and not any(_overlap(candidate.defect, o.defect) for o in others):
+                chosen[candidate.slot] = candidate
+    if lost := [entry.name for slot, entry in enumerate(kinds) if slot not in chosen]:
         raise InputError(
             f"{part.source.path}: room for {count - len(lost)} of {counted(count, 'defect')}, each seen whole in a "
             f"posture and apart from the others, was found in {TRIES * ROUNDS} tries each; none for "
             f"{', '.join(dict.fromkeys(lost))}; ask for fewer, or give the part a defect_catalogue with smaller ones"
         )
-    numbers: dict[str, int] = {}
+    numbers: Counter[str] = Counter()
     result: list[RandomDefect] = []
-    for entry, choice in zip(kinds, chosen, strict=True):
-        assert choice is not None
-        numbers[entry.name] = numbers.get(entry.name, 0) + 1
-        result.append(
-            RandomDefect(
-                name=f"{entry.name[:190]}-{numbers[entry.name]}",
-                entry=entry,
-                at_mm=choice.at_mm,
-                direction_deg=choice.direction_deg,
-            )
-        )
+    for slot, entry in enumerate(kinds):
+        numbers[entry.name] += 1
+        name, place = f"{entry.name[:190]}-{numbers[entry.name]}", chosen[slot]
+        result.append(RandomDefect(name=name, entry=entry, at_mm=place.at_mm, direction_deg=place.direction_deg))
     return tuple(result)
 
 

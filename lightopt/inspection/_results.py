@@ -164,10 +164,7 @@ class BatchRow:
 
 
 def judge(result: InspectionResult, limits: InspectionConfig) -> Verdict:
-    """Hold an inspection against the part's limits.
-
-    limits: From the part's file.
-    """
+    """Hold an inspection against the limits of the part's file."""
     counting = [
         defect.number
         for defect in result.defects

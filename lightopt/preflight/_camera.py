@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from lightopt.preflight._findings import CheckedRig, CheckedScene, Finding, Level, percent
 from lightopt.rendering import too_few_pixels
-from lightopt.scene import Framing, frame_part, pixel_footprint, view_size
+from lightopt.scene import pixel_footprint, view_size
 
 # a black level or a saturation level that costs more than this share of the full scale is worth a warning
 LOST_RANGE = 0.25
@@ -74,13 +74,9 @@ def check_sensor(checked: CheckedRig) -> Iterator[Finding]:
         yield Finding("warning", "sensor", text, where, {"electrons_at_saturation": electrons})
 
 
-def _framings(checked: CheckedScene) -> list[Framing]:
-    return [frame_part(sample.view.camera, checked.scene.mesh) for sample in checked.samples]
-
-
 def check_depth(checked: CheckedScene) -> Iterator[Finding]:
     """Range of depths that the lens has to keep sharp, and a pixel's footprint at both ends."""
-    framings = _framings(checked)
+    framings = [sample.framing for sample in checked.samples]
     near, far = min(f.nearest for f in framings), max(f.farthest for f in framings)
     values = {"nearest_mm": near, "farthest_mm": far}
     if near <= 0.0:
@@ -99,8 +95,8 @@ def check_depth(checked: CheckedScene) -> Iterator[Finding]:
 
 def check_part_in_view(checked: CheckedScene) -> Iterator[Finding]:
     """The margin around the part's image, or by how much it leaves the view."""
-    for index, (sample, framing) in enumerate(zip(checked.samples, _framings(checked), strict=True)):
-        where = checked.at_posture(index)
+    for index, sample in enumerate(checked.samples):
+        framing, where = sample.framing, checked.at_posture(index)
         posture = sample.posture.as_dict()
         if framing.nearest <= 0.0:
             text = f"posture {sample.posture}: the part reaches behind the camera"

@@ -3,52 +3,35 @@
 from collections.abc import Callable, Iterable
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.preflight._camera import (
-    check_below_table,
-    check_depth,
-    check_field_of_view,
-    check_lens,
-    check_part_in_view,
-    check_pixels,
-    check_resolution,
-    check_sensor,
-)
-from lightopt.preflight._findings import CheckedRig, CheckedScene, CheckResult, Finding, prepare_scene
-from lightopt.preflight._highlights import check_facets, check_levels, check_points
-from lightopt.preflight._lights import (
-    check_below_horizon,
-    check_collisions,
-    check_hidden_part,
-    check_lights_in_part,
-    check_lights_in_view,
-)
-from lightopt.preflight._part import check_back_faces, check_mesh, check_size, check_unseen_surface
+from lightopt.preflight import _camera, _highlights, _lights, _part
+from lightopt.preflight._findings import CheckedRig, CheckedScene, CheckResult, Finding, sample_posture
+from lightopt.rendering import cast_rays_at
 from lightopt.scene import build_camera, build_lights, build_scene
 
 RIG_CHECKS: tuple[Callable[[CheckedRig], Iterable[Finding]], ...] = (
-    check_lens,
-    check_resolution,
-    check_field_of_view,
-    check_sensor,
-    check_lights_in_view,
-    check_below_horizon,
-    check_collisions,
+    _camera.check_lens,
+    _camera.check_resolution,
+    _camera.check_field_of_view,
+    _camera.check_sensor,
+    _lights.check_lights_in_view,
+    _lights.check_below_horizon,
+    _lights.check_collisions,
 )
 
 SCENE_CHECKS: tuple[Callable[[CheckedScene], Iterable[Finding]], ...] = (
-    check_size,
-    check_mesh,
-    check_depth,
-    check_part_in_view,
-    check_pixels,
-    check_below_table,
-    check_lights_in_part,
-    check_hidden_part,
-    check_points,
-    check_levels,
-    check_facets,
-    check_back_faces,
-    check_unseen_surface,
+    _part.check_size,
+    _part.check_mesh,
+    _camera.check_depth,
+    _camera.check_part_in_view,
+    _camera.check_pixels,
+    _camera.check_below_table,
+    _lights.check_lights_in_part,
+    _lights.check_hidden_part,
+    _highlights.check_points,
+    _highlights.check_levels,
+    _highlights.check_facets,
+    _part.check_back_faces,
+    _part.check_unseen_surface,
 )
 
 
@@ -62,7 +45,10 @@ def check_scene(rig: RigConfig, part: PartConfig) -> CheckResult:
 
     Raises InputError: the scene cannot be built (see :func:`lightopt.scene.build_scene`).
     """
-    checked = prepare_scene(rig, part, build_scene(rig, part))
+    scene = build_scene(rig, part)
+    caster = cast_rays_at(scene)
+    samples = tuple(sample_posture(scene, posture, caster) for posture in scene.postures)
+    checked = CheckedScene(rig, part, scene, caster, samples)
     return CheckResult((*_run_rig(rig), *(finding for check in SCENE_CHECKS for finding in check(checked))))
 
 

@@ -11,8 +11,17 @@ import numpy as np
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.transforms import Posture
 from lightopt.geometry import Hits, RayCaster
-from lightopt.rendering import SurfacePoints, cast_rays_at, trace_samples
-from lightopt.scene import PanelLight, PartView, PinholeCamera, Scene, screen_window, view_from_part
+from lightopt.rendering import SurfacePoints, trace_samples
+from lightopt.scene import (
+    Framing,
+    PanelLight,
+    PartView,
+    PinholeCamera,
+    Scene,
+    frame_part,
+    screen_window,
+    view_from_part,
+)
 
 # from best to worst: as it should be; good to know; will probably disappoint; impossible
 Level = Literal["ok", "note", "warning", "error"]
@@ -85,6 +94,7 @@ class PostureSamples:
 
     posture: Posture
     view: PartView
+    framing: Framing
     step: int
     hits: Hits
     surface: SurfacePoints
@@ -105,13 +115,8 @@ class CheckedScene:
         return self.part.source.at("postures", index)
 
 
-def prepare_scene(rig: RigConfig, part: PartConfig, scene: Scene) -> CheckedScene:
-    """Cast a grid of camera rays in each posture of a scene."""
-    caster = cast_rays_at(scene)
-    return CheckedScene(rig, part, scene, caster, tuple(_sample(scene, p, caster) for p in scene.postures))
-
-
-def _sample(scene: Scene, posture: Posture, caster: RayCaster) -> PostureSamples:
+def sample_posture(scene: Scene, posture: Posture, caster: RayCaster) -> PostureSamples:
+    """Cast a grid of camera rays in a posture of a scene."""
     view = view_from_part(scene, posture)
     left, top, right, bottom = screen_window(view.camera, scene.mesh)
     step = max(1, math.ceil(math.sqrt((right - left) * (bottom - top) / SAMPLES)))
@@ -120,4 +125,4 @@ def _sample(scene: Scene, posture: Posture, caster: RayCaster) -> PostureSamples
         np.arange(top + step // 2, bottom, step, dtype=np.float64) + 0.5,
     )
     hits, surface = trace_samples(caster, scene.mesh, view.camera, columns.ravel(), rows.ravel())
-    return PostureSamples(posture, view, step, hits, surface)
+    return PostureSamples(posture, view, frame_part(view.camera, scene.mesh), step, hits, surface)

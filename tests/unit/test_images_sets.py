@@ -30,7 +30,7 @@ from lightopt.images import (
     write_png,
 )
 from lightopt.images._file_names import exr_name, geometry_name
-from lightopt.images._manifest_parser import parse_manifest
+from lightopt.images._manifest import parse_manifest
 
 HEADER = Manifest(
     kind="simulated",

@@ -13,7 +13,7 @@ from lightopt import load_part, load_rig
 from lightopt.core.transforms import Posture
 from lightopt.images import read_image_set
 from lightopt.inspection import InspectOptions, inspect_set
-from lightopt.inspection.detection._measurement import _kind
+from lightopt.inspection.detection._regions import _kind
 from lightopt.rendering import RenderOptions, render_image_set
 
 LEVEL = 50.0

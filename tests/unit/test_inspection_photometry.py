@@ -10,7 +10,7 @@ import pytest
 from lightopt import build_scene
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation
-from lightopt.inspection.prediction._photometry import fit_photometry
+from lightopt.inspection.prediction._posture_view import fit_photometry
 
 CLEAN = np.ones((80, 120), np.bool_)
 

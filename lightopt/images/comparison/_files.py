@@ -42,9 +42,13 @@ class LoadedFile:
         return next(iter(self.channels.values())).shape
 
     @property
-    def is_geometry(self) -> bool:
-        """Whether this is a geometry image, where pixels may miss the part."""
-        return {"Z", "N.X"} <= self.channels.keys()
+    def hit(self) -> Bool | None:
+        """Where the rays of a geometry image hit the part (everything is 0 where they miss); None for other images."""
+        return self.channels["Z"] != 0 if {"Z", "N.X"} <= self.channels.keys() else None
+
+    def lit(self, channel: str) -> Bool:
+        """Where a channel is not background: 0, or the black level as the camera rounds it."""
+        return self.channels[channel] != math.floor(self.black + 0.5)
 
 
 def load_file(path: Path) -> LoadedFile:
@@ -71,16 +75,6 @@ def load_file(path: Path) -> LoadedFile:
 
 def _number(value: object, default: float) -> float:
     return float(value) if isinstance(value, (int, float)) and value > 0 else default
-
-
-def hit_mask(image: LoadedFile) -> Bool:
-    """Where the rays of a geometry image hit the part: everything is 0 where they miss."""
-    return image.channels["Z"] != 0
-
-
-def lit_mask(image: LoadedFile, channel: str) -> Bool:
-    """Where a channel is not background: 0, or the black level as the camera rounds it."""
-    return image.channels[channel] != math.floor(image.black + 0.5)
 
 
 @dataclass(frozen=True)
@@ -179,20 +173,16 @@ def _structure_problems(golden: LoadedFile, new: LoadedFile) -> Iterator[str]:
 
 
 def _compare_channels(golden: LoadedFile, new: LoadedFile, limits: ComparisonThresholds) -> Iterator[ChannelDifference]:
-    hit_a = hit_b = None
-    if geometry := golden.is_geometry and new.is_geometry:
-        hit_a, hit_b = hit_mask(golden), hit_mask(new)
-        either, share = hit_a | hit_b, limits.max_share
+    both_hit, hit_a, hit_b = None, golden.hit, new.hit
+    if hit_a is not None and hit_b is not None:
+        both_hit, either, share = hit_a & hit_b, hit_a | hit_b, limits.max_share
         mask = compare_arrays(
             "hit", hit_a, hit_b, absolute=0, relative=0, max_share=share, where=either, saturation=(1, 1)
         )
         yield replace(mask, saturated_a=None, saturated_b=None)
     for name in sorted(golden.channels.keys() & new.channels.keys()):
+        geometry = both_hit is not None
         patch = geometry and name == "patch"
-        if hit_a is not None and hit_b is not None:
-            where = hit_a & hit_b
-        else:
-            where = lit_mask(golden, name) | lit_mask(new, name)
         saturation = (golden.saturation, new.saturation)
         if limits.saturation is not None:
             saturation = (limits.saturation, limits.saturation)
@@ -203,7 +193,7 @@ def _compare_channels(golden: LoadedFile, new: LoadedFile, limits: ComparisonThr
             absolute=0 if patch else limits.geometry_absolute if geometry else limits.absolute,
             relative=0 if geometry else limits.relative,
             max_share=limits.max_share,
-            where=where,
+            where=golden.lit(name) | new.lit(name) if both_hit is None else both_hit,
             saturation=saturation if name in _SATURATING else None,
             min_iou=limits.min_iou,
         )

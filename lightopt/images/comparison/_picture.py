@@ -62,14 +62,15 @@ def difference_picture(
         full_b = now >= (new.saturation if saturation is None else saturation)
         only_golden, only_new = full_a & ~full_b, full_b & ~full_a
     pixels[only_golden], pixels[only_new], pixels[~finite] = _ONLY_GOLDEN, _ONLY_NEW, _NOT_FINITE
-    facts: dict[str, Any] = {
+    metadata: dict[str, Any] = {
+        "picture": "difference",
         "channel": name,
         "scale": scale,
         "beyond_scale": int((np.abs(signed) > scale).sum()),
         "only_golden": int(only_golden.sum()),
         "only_new": int(only_new.sum()),
+        "colours": _legend(scale),
     }
-    metadata = {**facts, "picture": "difference", "colours": _legend(scale)}
     write_png(path, pixels, metadata=metadata, overwrite=overwrite)
     return scale
 

@@ -65,9 +65,10 @@ def compare_sets(a: str | Path, b: str | Path, thresholds: ComparisonThresholds 
     saturation = (golden.manifest.saturated_from, new.manifest.saturated_from)
     black = (golden.manifest.black_level, new.manifest.black_level)
     for label in (label for label in old if label in now):
-        for role, image_set, listed in (("golden", golden, old[label]), ("new", new, now[label])):
-            reasons += _changed(role, image_set, listed)
         path_a, path_b = golden.path(old[label][0]), new.path(now[label][0])
+        for role, path, digest in (("golden", path_a, old[label][1]), ("new", path_b, now[label][1])):
+            if digest is not None and path.is_file() and file_sha256(path) != digest.lower():
+                reasons.append(f"{role} file changed since its manifest was written: {path}")
         try:
             if label == _PATCHES:
                 comparison = compare_tables(path_a, path_b, thresholds)
@@ -114,12 +115,6 @@ def _listed(manifest: Manifest) -> dict[str, tuple[str, str | None]]:
 
 def _words(posture: Posture) -> str:
     return f"posture ({posture.elevation_deg:.15g}°, {posture.rotation_deg:.15g}°)"
-
-
-def _changed(role: str, image_set: ImageSet, listed: tuple[str, str | None]) -> Iterator[str]:
-    path, digest = image_set.path(listed[0]), listed[1]
-    if digest is not None and path.is_file() and file_sha256(path) != digest.lower():
-        yield f"{role} file changed since its manifest was written: {path}"
 
 
 def _manifest_problems(golden: Manifest, new: Manifest) -> Iterator[str]:

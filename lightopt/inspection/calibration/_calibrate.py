@@ -11,7 +11,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.images import ImageSet, posture_folder
-from lightopt.inspection._options import InspectOptions
+from lightopt.inspection._options import DETECTORS, InspectOptions
 from lightopt.inspection.calibration._calibration import (
     CalibratedPosture,
     Calibration,
@@ -20,7 +20,6 @@ from lightopt.inspection.calibration._calibration import (
     too_few_good_sets,
 )
 from lightopt.inspection.calibration._systematic import PackedDeviations, SystematicSums, subtract_systematic
-from lightopt.inspection.detection._detectors import DETECTORS
 from lightopt.inspection.detection._deviation import deviations
 from lightopt.inspection.fusion._synthetic_image import synthetic_image
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
@@ -66,7 +65,6 @@ def calibrate(
             inner = run.within(f"good set {one.folder.name}")
             yield (str(one.folder), register_set(rig, part, one, register=options.register, cache=cache, run=inner))
 
-    require_good_sets(len(sets), options)
     names = tuple(one.folder.resolve().name for one in sets)
     fingerprint = calibration_fingerprint(rig, part, options)
     return calibrate_registered(registered(), names, options=options, fingerprint=fingerprint, threads=run.threads)

@@ -279,17 +279,15 @@ def surface_coverage(
         return SurfaceCoverage(area=area, **{each.name: getattr(only, each.name) for each in fields(Shares)})
     state = np.full(len(surface.areas), SurfaceState.NO_PART, np.uint8)
     least = np.full(len(surface.areas), np.inf, np.float32)
-    for posture, coverage in coverages:
-        patch, pixel = surface.seen[posture]
-        # a patch beside the last pixel that shows the part is at its edge
-        judged = np.maximum(coverage.state.ravel()[pixel], SurfaceState.EDGE)
+    inspected = dict(coverages)
+    for posture, (patch, pixel) in surface.seen.items():
+        judged = np.full(len(patch), SurfaceState.MISSING, np.uint8)
+        if (coverage := inspected.get(posture)) is not None:
+            # a patch beside the last pixel that shows the part is at its edge
+            judged = np.maximum(coverage.state.ravel()[pixel], SurfaceState.EDGE)
+            found = np.where(pixel < 0, np.inf, coverage.least_contrast.ravel()[pixel])
+            least[patch] = np.minimum(least[patch], found.astype(np.float32))
         here = np.where(pixel < 0, SurfaceState.GRAZING, judged)
-        state[patch] = np.maximum(state[patch], here.astype(np.uint8))
-        found = np.where(pixel < 0, np.inf, coverage.least_contrast.ravel()[pixel])
-        least[patch] = np.minimum(least[patch], found.astype(np.float32))
-    for posture in surface.seen.keys() - {posture for posture, _ in coverages}:
-        patch, pixel = surface.seen[posture]
-        here = np.where(pixel < 0, SurfaceState.GRAZING, SurfaceState.MISSING)
         state[patch] = np.maximum(state[patch], here.astype(np.uint8))
     return SurfaceCoverage(
         area=area,

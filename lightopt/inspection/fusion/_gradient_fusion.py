@@ -1,7 +1,8 @@
 """From the gradients of several images of a posture to those of one without highlights.
 
 A highlight is where it is in one image only, and so are its steep flanks; what belongs to the surface is seen in
-others, too. Rules differ in how they separate the two. All use the images that show the surface at a place, no others.
+others, too. Rules differ in how they separate the two. All use the images that show the surface at a place, by the
+weights of their pixels, no others.
 """
 
 from __future__ import annotations
@@ -15,8 +16,7 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
-from lightopt.inspection._image_blocks import in_row_blocks
-from lightopt.inspection.fusion._pixel_weights import LIT
+from lightopt.inspection._image_blocks import in_image_blocks, in_row_blocks
 
 Fusion = Literal["paper", "median", "minimum", "second-largest"]
 FUSIONS: Final = ("paper", "median", "minimum", "second-largest")
@@ -25,12 +25,78 @@ FUSIONS: Final = ("paper", "median", "minimum", "second-largest")
 # differences to the pixel to the right, shape (H, W − 1), and to the one below, shape (H − 1, W)
 Gradients = list[Float64]
 
+BLOOMING_PX = 2  # pixels this near to a saturated one do not count: charge, glare and lens spread there
+LIT = 3.0  # a pixel that is predicted to be less than this many standard deviations of noise above black is in shadow
+
 # an image with less than this share of the weight of the best one at a place is not used there
 LEAST_WEIGHT_SHARE = 0.25
 
 SUPPORT = 0.5  # the paper's rule keeps a gradient where another image has one of at least this share of its size nearby
 NOISE_SLACK = 2.0  # gradients count as equal within this many standard deviations of noise
 REACH_PX = 1  # how far away the other image's gradient may be
+
+
+def pixel_weights(
+    saturated: Bool,
+    predicted: Float32,
+    specular: Float32,
+    deviations: Float32,
+    limit: Float32,
+    *,
+    threads: int | None = None,
+) -> Float32:
+    """How much each pixel of each image shows the surface and not a highlight or a shadow, 0 to 1.
+
+    0 where it is saturated or predicted to be, and next to that; 0 in shadow; the less the steeper the flank of the
+    highlight that is predicted there.
+
+    saturated: As measured, shape (images, H, W).
+    predicted, specular: Levels of the good part, and the highlights' share of them [grey level], same shape.
+    deviations: Standard deviation of the noise [grey level], same shape.
+    limit: Level from which a pixel is saturated [grey level], same shape.
+    """
+    weights = np.empty(predicted.shape, np.float32)
+    images, height, _ = predicted.shape
+
+    def weigh(i: int, rows: slice) -> None:
+        own = weights[i, rows]
+        _weigh_rows(saturated[i], predicted[i], specular[i], deviations[i], limit[i], rows.start, own)
+
+    in_image_blocks(weigh, images, height, threads)
+    return weights
+
+
+@kernel
+def _weigh_rows(
+    saturated: Bool,
+    predicted: Float32,
+    specular: Float32,
+    deviations: Float32,
+    limit: Float32,
+    top: int,
+    weights: Float32,
+) -> None:
+    # rows of an image's weights from `top` on; a third of the time that NumPy takes
+    height, width = predicted.shape
+    rows = len(weights)
+    hidden = np.zeros((rows, width), np.bool_)
+    for y in range(max(0, top - BLOOMING_PX), min(height, top + rows + BLOOMING_PX)):
+        first, last = max(0, y - BLOOMING_PX - top), min(rows, y + BLOOMING_PX + 1 - top)
+        for x in range(width):
+            if saturated[y, x] or predicted[y, x] >= limit[y, x]:
+                hidden[first:last, max(0, x - BLOOMING_PX) : x + BLOOMING_PX + 1] = True
+    for row in range(rows):
+        y = top + row
+        above, below = max(y - 1, 0), min(y + 1, height - 1)
+        for x in range(width):
+            weights[row, x] = 0.0
+            noise = deviations[y, x]
+            if hidden[row, x] or predicted[y, x] < LIT * noise:
+                continue
+            before, after = max(x - 1, 0), min(x + 1, width - 1)
+            down = (specular[below, x] - specular[above, x]) / max(below - above, 1)
+            right = (specular[y, after] - specular[y, before]) / max(after - before, 1)
+            weights[row, x] = 1.0 / (1.0 + (down * down + right * right) / (noise * noise))
 
 
 @dataclass(frozen=True)
@@ -223,23 +289,13 @@ class FusionRule:
         return self.fuse(noisy)
 
 
-@dataclass(frozen=True)
-class FusedGradients:
-    """Gradients of a fused image.
-
-    missing: shading of the good part that they lack where an image is not used.
-    bias: what noise makes of them beside scatter.
-    """
-
-    fused: Gradients
-    missing: Gradients
-    bias: Gradients
-
-
 def fuse_with_prediction(
     rule: FusionRule, levels: Float32, diffuse: Float32, *, draws: int, seed: int, threads: int | None = None
-) -> FusedGradients:
+) -> tuple[Gradients, Gradients, Gradients]:
     """Fuse the gradients of images, and find from those of the predicted good part what the rule gets wrong.
+
+    Returns The fused gradients, the shading of the good part that they lack where an image is not used, and what noise
+    makes of them beside scatter.
 
     levels, diffuse: of the images and of the good part, predicted highlights taken off [grey level], shape (images, H,
         W).
@@ -256,6 +312,5 @@ def fuse_with_prediction(
     fused, here, everywhere, *noisy = in_threads(lambda number: tasks[number](), range(len(tasks)), threads)
     missing = [a - b for a, b in zip(everywhere, here, strict=True)]
     if not draws:
-        return FusedGradients(fused, missing, [np.zeros(h.shape) for h in here])
-    bias = [sum(many) / draws - h for *many, h in zip(*noisy, here, strict=True)]
-    return FusedGradients(fused, missing, bias)
+        return fused, missing, [np.zeros(h.shape) for h in here]
+    return fused, missing, [sum(many) / draws - h for *many, h in zip(*noisy, here, strict=True)]

@@ -11,8 +11,7 @@ from scipy import ndimage
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.threads import in_threads
 from lightopt.inspection._image_blocks import filter_tile, gaussian_taps, in_row_blocks, mask_window
-from lightopt.inspection.fusion._gradient_fusion import FusedGradients, Fusion, FusionRule, fuse_with_prediction
-from lightopt.inspection.fusion._pixel_weights import pixel_weights
+from lightopt.inspection.fusion._gradient_fusion import Fusion, FusionRule, fuse_with_prediction, pixel_weights
 from lightopt.inspection.fusion._poisson import poisson_grid
 from lightopt.inspection.prediction._posture_view import PostureView
 
@@ -104,53 +103,22 @@ def fuse_images(
     """
     rows, columns = (slice(max(0, side.start - MARGIN_PX), side.stop + MARGIN_PX) for side in mask_window(mask))
     box = (slice(None), rows, columns)
-    inner = _fuse(
-        levels[box],
-        deviations[box],
-        weights[box],
-        mask[rows, columns],
-        fusion=fusion,
-        good=None if predicted is None or specular is None else (predicted[box], specular[box]),
-        seed=seed,
-        probes=probes,
-        threads=threads,
-    )
-    level, deviation = (np.zeros(mask.shape, np.float32) for _ in range(2))
-    filled = np.zeros(mask.shape, np.bool_)
-    level[rows, columns], deviation[rows, columns] = inner.level, inner.deviation
-    filled[rows, columns] = inner.filled
-    return SyntheticImage(level=level, deviation=deviation, filled=filled, mask=mask)
-
-
-def _fuse(
-    levels: Float32,
-    deviations: Float32,
-    weights: Float32,
-    mask: Bool,
-    *,
-    fusion: Fusion,
-    good: tuple[Float32, Float32] | None,
-    seed: int,
-    probes: int,
-    threads: int | None,
-) -> SyntheticImage:
-    # as fuse_images; `good` is what is predicted, and the highlights' share of it
+    levels, deviations, weights, inner = levels[box], deviations[box], weights[box], mask[rows, columns]
     rule = FusionRule.of(weights, deviations, fusion)
     averaging = fusion in AVERAGING
-    if good is None:
+    if predicted is None or specular is None:
         draws, fused = 0, rule.fuse(levels)
-        gradients = FusedGradients(fused, *([np.zeros(g.shape) for g in fused] for _ in range(2)))
+        missing = bias = [np.zeros(g.shape) for g in fused]
     else:
-        predicted, specular = good
-        levels, diffuse = levels - specular, predicted - specular
+        levels, diffuse = levels - specular[box], predicted[box] - specular[box]
         # the bias of a rule that chooses is taken off the image, whether or not its uncertainty is wanted
         draws = probes if averaging else PROBES
-        gradients = fuse_with_prediction(rule, levels, diffuse, draws=draws, seed=seed, threads=threads)
-    complete = [g + more for g, more in zip(gradients.fused, gradients.missing, strict=True)]
+        fused, missing, bias = fuse_with_prediction(rule, levels, diffuse, draws=draws, seed=seed, threads=threads)
+    complete = [g + more for g, more in zip(fused, missing, strict=True)]
     unknown = rule.unknown
-    grid = poisson_grid(mask, *(np.where(u, FILL_WEIGHT, 1.0) for u in unknown))
+    grid = poisson_grid(inner, *(np.where(u, FILL_WEIGHT, 1.0) for u in unknown))
     typical = [_typical_size(g, u) for g, u in zip(complete, unknown, strict=True)] if probes else []
-    nothing = np.zeros(mask.shape)
+    nothing = np.zeros(inner.shape)
 
     def image() -> Float64:
         total = weights.sum(axis=0, dtype=np.float64)
@@ -158,14 +126,13 @@ def _fuse(
         return grid.integrate(*complete, level=mean)
 
     def biased() -> Float64:
-        return grid.integrate(*gradients.bias, level=nothing, tolerance=PROBE_TOLERANCE)
+        return grid.integrate(*bias, level=nothing, tolerance=PROBE_TOLERANCE)
 
     def scatter(number: int) -> Float64:
         rng = np.random.default_rng((seed, 1, number))
-        noisy = rule.fuse_with_noise(levels, rng)
         errors = [
             np.where(u, size * rng.standard_normal(u.shape, dtype=np.float32), other - g)
-            for u, size, other, g in zip(unknown, typical, noisy, gradients.fused, strict=True)
+            for u, size, other, g in zip(unknown, typical, rule.fuse_with_noise(levels, rng), fused, strict=True)
         ]
         return grid.integrate(*errors, level=nothing, tolerance=PROBE_TOLERANCE)
 
@@ -177,15 +144,14 @@ def _fuse(
         square = square + np.square(by_noise)
     elif draws:
         # smooth, lest its own noise shows; as a mean of so many it has that share of one's variance
-        level = level - np.where(mask, _smoothed(by_noise, mask, threads), 0.0)
+        level = level - np.where(inner, _smoothed(by_noise, inner, threads), 0.0)
         square = square * (1.0 + 1.0 / draws)
-    deviation = np.where(mask, np.sqrt(_smoothed(square, mask, threads)), 0.0)
-    return SyntheticImage(
-        level=level.astype(np.float32),
-        deviation=deviation.astype(np.float32),
-        filled=mask & _all_unknown(*unknown),
-        mask=mask,
-    )
+    whole, spread = np.zeros(mask.shape, np.float32), np.zeros(mask.shape, np.float32)
+    filled = np.zeros(mask.shape, np.bool_)
+    whole[rows, columns] = level
+    spread[rows, columns] = np.where(inner, np.sqrt(_smoothed(square, inner, threads)), 0.0)
+    filled[rows, columns] = inner & _all_unknown(*unknown)
+    return SyntheticImage(level=whole, deviation=spread, filled=filled, mask=mask)
 
 
 def _all_unknown(unknown_x: Bool, unknown_y: Bool) -> Bool:

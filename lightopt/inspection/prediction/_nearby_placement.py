@@ -181,11 +181,13 @@ class PlacementOffset:
 
     offset: steps in x, y and rotation about the part's middle, shape (3,).
     errors: standard errors, same shape.
+    misfit: median deviation of the steep pixels, in standard deviations of the sensor's noise.
     """
 
     offset: Float64
     errors: Float64
     converged: bool
+    misfit: float
 
     @property
     def near(self) -> bool:
@@ -251,11 +253,8 @@ def fit_placement_offset(
     samples: Sequence[PixelSample],
     *,
     moves: bool,
-) -> tuple[PlacementOffset, float]:
-    """How far a part lies from where it was predicted, and the misfit of the steep pixels.
-
-    Gains of the lights and a dark level are fitted along. The misfit is the median deviation of the steep pixels in
-    standard deviations of the sensor's noise.
+) -> PlacementOffset:
+    """How far a part lies from where it was predicted; gains of the lights and a dark level are fitted along.
 
     moves: whether the part may lie elsewhere; else only light is fitted.
     """
@@ -281,7 +280,7 @@ def fit_placement_offset(
         rows.append((design, target, noise[good], sample.steep[good]))
     a, b, noise, steep = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     if np.count_nonzero(steep) < _LEAST_PIXELS:
-        return PlacementOffset(np.full(3, REACH), np.full(3, REACH), converged=False), np.inf
+        return PlacementOffset(np.full(3, REACH), np.full(3, REACH), converged=False, misfit=np.inf)
     resolution = np.maximum(PoseFrame.of(scene).resolution / difference_steps(scene), 1.0)
     reach = np.array([*[3.0] * n, 10.0 * DARK_SPREAD, *[REACH] * 3])
     limits = Limits(
@@ -295,4 +294,4 @@ def fit_placement_offset(
     a[:, n + 1 :] *= np.array(placement.observable)
     found = solve(linear_problem(a / noise[:, None], b / noise), limits.nominal, limits, least_spread=1.0)
     misfit = float(np.median(np.abs(b - a @ found.x)[steep] / noise[steep]))
-    return PlacementOffset(found.x[n + 1 :], found.errors[n + 1 :], found.converged), misfit
+    return PlacementOffset(found.x[n + 1 :], found.errors[n + 1 :], found.converged, misfit)

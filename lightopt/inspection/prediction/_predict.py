@@ -54,17 +54,17 @@ def predict(
     lit = replace(scene, lights=chosen, reflectance=reflectance)
     images = render_posture(lit, posture, caster=caster, layers=True, threads=threads)
     pixels = trace_pixels(scene, posture, caster, threads=threads)
-    clean = np.zeros(pixels.shape, np.bool_)
+    surface = pixels.surface
+    clean, grazing = np.zeros(pixels.shape, np.bool_), np.zeros(pixels.shape, np.bool_)
     clean[pixels.row, pixels.column] = pixels.clean
-    grazing = np.zeros(pixels.shape, np.bool_)
-    facing = np.einsum("ij,ij->i", pixels.surface.normals, pixels.surface.views)
+    facing = np.einsum("ij,ij->i", surface.normals, surface.views)
     # back faces are no grazing views: they are black, and counted
-    grazing[pixels.row, pixels.column] = pixels.surface.front & (facing < GRAZING_COSINE)
-    cosine = np.einsum("ij,ij->i", pixels.surface.facets, pixels.surface.views)
+    grazing[pixels.row, pixels.column] = surface.front & (facing < GRAZING_COSINE)
+    cosine = np.einsum("ij,ij->i", surface.facets, surface.views)
     area = np.zeros(pixels.shape, np.float32)
-    view = view_from_part(scene, posture).camera
-    distance = np.linalg.norm(pixels.surface.points - view.position, axis=1)
-    angle = _solid_angle(view, pixels.column, pixels.row)
+    camera = view_from_part(scene, posture).camera
+    distance = np.linalg.norm(surface.points - camera.position, axis=1)
+    angle = _solid_angle(camera, pixels.column, pixels.row)
     area[pixels.row, pixels.column] = angle * distance**2 / np.maximum(np.abs(cosine), 0.02)
     return Prediction(images=images, clean=clean & images.geometry.hit, grazing=grazing, area=area)
 

@@ -103,24 +103,23 @@ class PredictionCache:
             pixels = sum(len(key[1]) for key in keys.values()) * scene.camera.width * scene.camera.height
             if 6 * 4 * pixels > MOST_BYTES:
                 return None
-            found, misfit = self._fit(scene, observations, keys, moves=True)
-            if not found.near or misfit > LOOSE * self.misfit:
+            found = self._fit(scene, observations, keys, moves=True)
+            if not found.near or found.misfit > LOOSE * self.misfit:
                 return None
             for key in keys.values():
                 if key not in self.derivatives:
                     self.derivatives[key] = placement_derivatives(
                         scene, self.placement, key[0], self.rendered[key], self._caster(scene), threads=threads
                     )
-        found, misfit = self._fit(scene, observations, keys, moves=True)
-        if not found.near or misfit > TIGHT * self.misfit:
+        found = self._fit(scene, observations, keys, moves=True)
+        if not found.near or found.misfit > TIGHT * self.misfit:
             return None
         return scene, found.placement(scene, self.placement), found.offset
 
     def measure_misfit(self, scene: Scene, observations: Sequence[Observation]) -> None:
         """Remember how well a part's images fit the predictions that were made for it."""
         if self.misfit is None:
-            keys = _keys(scene, observations)
-            self.misfit = self._fit(scene, observations, keys, moves=False)[1]
+            self.misfit = self._fit(scene, observations, _keys(scene, observations), moves=False).misfit
 
     def surface_map(self, scene: Scene, expected: Sequence[Posture] = ()) -> SurfaceMap | None:
         """Patches of the surface and the pixels that see them; None for a single posture.
@@ -142,7 +141,7 @@ class PredictionCache:
 
     def _fit(
         self, scene: Scene, observations: Sequence[Observation], keys: dict[Posture, Key], *, moves: bool
-    ) -> tuple[PlacementOffset, float]:
+    ) -> PlacementOffset:
         assert self.placement is not None
         samples: list[PixelSample] = []
         for o in observations:
