@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lightopt.cli import _common as common
-from lightopt.cli._optimize_tables import show_design, show_plan
+from lightopt.cli._optimize_tables import show_commands, show_design, show_plan
 from lightopt.cli._terminal import echo, echo_warning, show_progress, show_table
 from lightopt.core.errors import CheckFailed, InputError
 from lightopt.core.run_context import RunContext
@@ -228,8 +228,9 @@ def optimize(
             _show_reachable(error)
         raise
     if not quiet:
+        show_plan(result.plan, verbose=verbose)
         show_design(output, verbose=verbose)
-        show_plan(result.plan, out, verbose=verbose)
+        show_commands(result.plan, out, verbose=verbose)
     _require_usable(result, out)
 
 

@@ -25,9 +25,11 @@ if TYPE_CHECKING:
 
 Section = Mapping[str, Any]  # of result.json, as the report has it
 
+SUMMED_UP_FILES = 3  # so many files beside the main ones, or more, are counted and not listed
+
 
 def show_design(output: DesignOutput, *, verbose: bool) -> None:
-    """The best sets with every objective's score, and the files; with `verbose` all other tables as well."""
+    """The best sets with every objective's score, and the main files; with `verbose` all tables and files."""
     from lightopt.report.design import blind_tables, defect_tables
 
     result = output.result
@@ -41,8 +43,19 @@ def show_design(output: DesignOutput, *, verbose: bool) -> None:
             show_overlaps(output.overlaps)
     elif result.blind is not None:
         _summarise_blind_spots(result.blind)
-    for path in output.paths:
+    _show_paths(output, verbose=verbose)
+
+
+def _show_paths(output: DesignOutput, *, verbose: bool) -> None:
+    main = {"report.html", "result.json", "part.planned.yaml"}
+    shown = [path for path in output.paths if path.name in main or path.name.startswith("rig.")]
+    rest = len(output.paths) - len(shown)
+    if verbose or rest < SUMMED_UP_FILES:
+        shown, rest = [*output.paths], 0
+    for path in shown:
         echo(f"{path}")
+    if rest:
+        echo(f"and {rest} more files in {output.result.folder}; --verbose lists them")
 
 
 def _show_inputs(result: DesignResult) -> None:
@@ -139,8 +152,8 @@ def show_overlaps(overlaps: Sequence[Overlap]) -> None:
     show_table(["posture", "exposure", "saturated px", "in two or more", "overlaps"], rows, numbers_from=9)
 
 
-def show_plan(result: PlanResult, folder: Path, *, verbose: bool) -> None:
-    """The plan, and the commands that carry it out; with `verbose` also what the figures mean and how far they hold."""
+def show_plan(result: PlanResult, *, verbose: bool) -> None:
+    """What a plan shows; with `verbose` also its tables, what the figures mean and how far they hold."""
     from lightopt.design import plan_document
     from lightopt.report.design import exposure_note, exposure_table, tolerance_table
 
@@ -149,12 +162,25 @@ def show_plan(result: PlanResult, folder: Path, *, verbose: bool) -> None:
         _show_postures(document, verbose=verbose)
     if "exposures" in document:
         planned = document["exposures"]
-        show_page_table(exposure_table(planned))
+        if verbose:
+            show_page_table(exposure_table(planned))
         echo(exposure_note(planned))
         if verbose and "chosen_postures" not in document:
             echo(f"shares of exposures: of {planned['shares_of']}")
     if "tolerances" in document:
-        show_page_table(tolerance_table(document["tolerances"]))
+        table = tolerance_table(document["tolerances"])
+        if verbose:
+            show_page_table(table)
+        else:
+            worst, most = (row[-1] for row in table.rows[:2])
+            echo(f"off by the tolerance, {table.header[-1]}: the worst corner keeps {worst}, 95 % of draws {most}")
+
+
+def show_commands(result: PlanResult, folder: Path, *, verbose: bool) -> None:
+    """The commands that carry a plan out; with `verbose` the travel of the stage as well."""
+    from lightopt.design import plan_document
+
+    document = plan_document(result)
     if "commands" in document:
         echo(f"to carry the plan out, in {folder}:")
         for command in document["commands"]:
@@ -171,18 +197,18 @@ def _show_postures(document: Section, *, verbose: bool) -> None:
     chosen = document["chosen_postures"]
     text = partial(share_text, grain=chosen["patches"]["grain"])
     table = posture_table(chosen, with_exposures=len(chosen["bounds_with_any_of_exposures"]) > 1)
-    show_page_table(table)
     number, images = counted(len(chosen["postures"]), "posture"), counted(chosen["min_images"], "image")
     echo(
         f"{number} of {chosen['candidates']} show {text(chosen['share'])} of the surface × defects in {images} or "
         "more, all planned images together and no others"
     )
+    show_page_table(table)
     _show_spare(chosen, text)
-    echo(plan_proof(chosen))
+    proof = plan_proof(chosen)
     if not verbose:
-        if not chosen["proven_with_these_lights"]:
-            echo(f"these postures have at least {text(chosen['greedy_guarantee'])} of the best with these lights")
+        echo(proof.partition(". ")[0].removesuffix("."))
         return
+    echo(proof)
     echo(table.caption)
     for out in chosen["left_out"]:
         echo(f"left out: posture {Posture.from_dict(out)}: {out['reason']}")

@@ -202,6 +202,10 @@ def test_the_same_command_again_gives_the_same_bytes_and_another_is_refused(plan
     before = snapshot(planned.out)
     assert run(["optimize", str(planned.rig), str(planned.part), "-o", str(planned.out), *PLAN, "--quiet"]) == 0
     assert {name: before[name] for name in before} == {name: snapshot(planned.out)[name] for name in before}
+    brief = cli("optimize", planned.rig, planned.part, "-o", planned.out, *PLAN).out.splitlines()
+    assert brief[0].startswith("2 postures of ")
+    assert len(brief) <= 20
+    assert re.fullmatch(rf"and \d+ more files in {re.escape(str(planned.out))}; --verbose lists them", brief[-4])
     other = [text if text != "2" else "3" for text in PLAN]
     ran = cli("optimize", planned.rig, planned.part, "-o", planned.out, *other)
     assert ran.status == 2
@@ -433,13 +437,13 @@ def test_a_target_within_reach_takes_no_more_than_it_needs(two, cli):
 def test_exposures_that_the_target_takes_are_told(capsys, why, expected):
     shots = (FurtherExposure(posture=Posture(0.0, 0.0), exposure=0.25, gain=0.004, reason=why),)
     brackets = Brackets(before=0.9, after=0.904, further=shots, least_gain=0.01, grain=0.005)
-    show_plan(PlanResult(brackets=brackets), Path("out"), verbose=False)
+    show_plan(PlanResult(brackets=brackets), verbose=False)
     told = capsys.readouterr().out
     assert "with exposure 1 alone 90.0 %" in told
     assert f"One is planned where it {expected}" in told
     assert "0.4 % " in told
     # no digit that the patches do not support
-    show_plan(PlanResult(brackets=replace(brackets, grain=0.02)), Path("out"), verbose=True)
+    show_plan(PlanResult(brackets=replace(brackets, grain=0.02)), verbose=True)
     told = capsys.readouterr().out
     assert "< 1 % " in told
     assert not re.search(r"\d\.\d+ %", told)
