@@ -19,9 +19,8 @@ from hypothesis import settings
 
 from lightopt.cli._main import run
 from lightopt.core.threads import available_processors
-from lightopt.estimate.reflectance import _comparisons as _cross_check
-from lightopt.estimate.registration import _coarse_search as _coarse
-from lightopt.estimate.registration import _refinement
+from lightopt.estimate.reflectance import _fit
+from lightopt.estimate.registration import _refinement, _registration
 from lightopt.geometry import _load_mesh
 from lightopt.geometry._step import read_step
 
@@ -222,8 +221,8 @@ def shared_bench(tmp_path_factory: pytest.TempPathFactory) -> Bench:
 @pytest.fixture
 def few_pixels_for_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
     """Registration and second opinions on fits look at a third of their pixels: for tests of files and words."""
-    monkeypatch.setattr(_cross_check, "BUDGET", 80)
-    monkeypatch.setattr(_coarse, "PIXELS", 2000)
+    monkeypatch.setattr(_fit, "SECOND_BUDGET", 80)
+    monkeypatch.setattr(_registration, "PIXELS", 2000)
     monkeypatch.setattr(_refinement, "INNER_PIXELS", 4000)
     monkeypatch.setattr(_refinement, "FIRST_INNER_PIXELS", 1000)
 

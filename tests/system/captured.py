@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from lightopt import render
+from lightopt.estimate.reflectance._estimate import Estimate
 from lightopt.estimate.reflectance._samples import Samples
+from lightopt.estimate.reflectance._uncertainty import profile_regions
 from lightopt.estimate.registration import Observation
 from lightopt.optics import expose, image_rng
 from lightopt.rendering import PostureImages
@@ -41,6 +43,12 @@ mesh: {file: knob.stl, units: mm}
 postures: [{elevation_deg: 0, rotation_deg: 0}, {elevation_deg: -10, rotation_deg: 170}]
 reflectance: {R_d: 45.0, R_s: 12500, sigma_rad: 0.0475}
 """
+
+
+def profile_interval(found: Estimate, place: int) -> tuple[float, float]:
+    """95 % interval of a parameter, over all of its regions and what is between them."""
+    regions = profile_regions(found, place)
+    return regions[0][0], regions[-1][1]
 
 
 def expose_all(

@@ -12,7 +12,7 @@ import shutil
 
 import numpy as np
 import pytest
-from captured import PART, PARTS, RIG, expose_all, remeasured
+from captured import PART, PARTS, RIG, expose_all, profile_interval, remeasured
 
 from lightopt import build_scene, render
 from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
@@ -21,7 +21,6 @@ from lightopt.estimate.reflectance._fit_samples import fit_reflectance
 from lightopt.estimate.reflectance._likelihood import predicted
 from lightopt.estimate.reflectance._newton import maximise
 from lightopt.estimate.reflectance._samples import collect_samples
-from lightopt.estimate.reflectance._uncertainty import profile_interval
 from lightopt.rendering import cast_rays_at
 
 TRUTH = {R_D: 45.0, LOG_R_S: math.log(12500.0), LOG_SIGMA: math.log(0.0475)}

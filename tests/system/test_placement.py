@@ -11,6 +11,7 @@ import trimesh
 from captured import captured, expose_all
 
 from lightopt import build_scene, render
+from lightopt.config import PlacementConfig
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Placement, part_file_placement, place_part, register
 from lightopt.estimate.registration._pixels import view_of_placed
@@ -88,9 +89,8 @@ def test_a_part_file_can_say_where_the_part_lies(scene: Scene, shared_bench, anc
         return replace(build_scene(shared_bench.rig, path), pivot=PIVOT)
 
     nominal = built(there[1], there[0])
-    found = part_file_placement(
-        nominal.mesh.vertices, TRUTH, anchor=anchor, rotate_deg=there[1], translate_mm=there[0], pivot=PIVOT
-    )
+    file = PlacementConfig(anchor=anchor, rotate_deg=there[1], translate_mm=there[0])
+    found = part_file_placement(nominal, TRUTH, file)
     said = built(found.rotate_deg, found.translate_mm)
     path.unlink()
     np.testing.assert_allclose(said.mesh.vertices, place_part(nominal, TRUTH).mesh.vertices, atol=1e-3, rtol=0.0)

@@ -9,7 +9,7 @@ import pytest
 from scipy.special import stdtrit
 
 from lightopt.estimate.reflectance._criterion import FIRST_GAIN, R_D, Evaluation
-from lightopt.estimate.reflectance._least_squares_fit import UNDETERMINED, leave_groups_out, upper_covariance
+from lightopt.estimate.reflectance._fit_samples import UNDETERMINED, leave_groups_out, upper_covariance
 
 POSTURE = "one"
 

@@ -19,7 +19,7 @@ from lightopt.estimate.reflectance._newton import has_settled, maximise
 from lightopt.estimate.reflectance._quality import convergence_warnings, poor_fit_warnings, refuse_out_of_range
 from lightopt.estimate.reflectance._result import bounded, separate_region_warnings
 from lightopt.estimate.reflectance._sigma_scan import peaks, profile_over_sigma
-from lightopt.estimate.reflectance._uncertainty import profile_interval, profile_regions
+from lightopt.estimate.reflectance._uncertainty import profile_regions
 from lightopt.estimate.reflectance._validation import Comparison, LeftOut, validation_warnings
 
 
@@ -105,13 +105,13 @@ def test_the_optimum_of_the_most_value_on_all_samples_is_the_best():
     """Whatever the few pixels of the scan prefer; climbs that ended in the same place are one."""
 
     def found(log_sigma, value, *, far=False):
-        top = SimpleNamespace(x=at(1.0, log_sigma), evaluation=SimpleNamespace(value=value))
-        return _likelihood_fit.Peak(0.1, top, None if far else SimpleNamespace(maximum=top))
+        top = Optimum(start_sigma=0.1, x=at(1.0, log_sigma), value=value, converged=True, criterion=None)
+        return top, None if far else SimpleNamespace(maximum=top)
 
     ends = [found(-3.0, 5.0), found(-2.0, 9.0), found(-2.01, 8.0), found(-1.0, -99.0, far=True)]
     best, kept = _likelihood_fit.best_first(ends)
-    assert best.maximum is ends[1].maximum
-    assert [one.value for one in kept] == [9.0, 5.0, -99.0]
+    assert best is ends[1][1]
+    assert [optimum.value for optimum, _ in kept] == [9.0, 5.0, -99.0]
 
 
 def test_a_profile_over_sigma_finds_every_peak_and_the_best_first():
@@ -168,9 +168,7 @@ def poor(*, free=(), lights=(0, 1)):
     light = np.array(lights)
     samples = SimpleNamespace(facts=SimpleNamespace(light=light), image=np.arange(len(light)))
     criterion = SimpleNamespace(samples=samples, size=FIRST_GAIN + 2 + 2)
-    found = SimpleNamespace(
-        free=(R_D, *free), criterion=criterion, scatter="4 lights", lack_of_fit=None, describes=False
-    )
+    found = SimpleNamespace(free=(R_D, *free), criterion=criterion, scatter="4 lights", describes=False)
     quality = SimpleNamespace(noise=1.0, image_noise=1.0, describes=False, misfit=4.0, rms=4.0)
     return found, quality
 
@@ -219,6 +217,12 @@ def two_optima(drop):
         mean_log_likelihood=0.0,
         unexplained=0.0,
     )
+
+
+def profile_interval(found, place):
+    """From the lowest region to the highest."""
+    regions = profile_regions(found, place)
+    return regions[0][0], regions[-1][1]
 
 
 def half(fall):
@@ -327,9 +331,9 @@ def test_the_noise_of_dull_pixels_is_written_into_the_rig(cli, bench, noisy):
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_pixels_for_the_rest")
 def test_a_misfit_is_not_written_as_noise(cli, bench, noisy, monkeypatch):
-    from lightopt.estimate.reflectance import _lack_of_fit
+    from lightopt.estimate.reflectance import _clipped_least_squares
 
-    monkeypatch.setattr(_lack_of_fit, "MOST_MISFIT", 0.1)
+    monkeypatch.setattr(_clipped_least_squares, "MOST_MISFIT", 0.1)
     ran = fit(cli, bench, noisy, bench.out, "--write-noise")
     assert ran.status == 0
     assert "the noise is not written: the model does not describe these images" in ran.err

@@ -10,8 +10,8 @@ from lightopt import build_scene, load_part, load_rig
 from lightopt.core import threads as _threads
 from lightopt.core.threads import end_if_stopped, in_threads, run_all
 from lightopt.estimate.registration import read_observations
-from lightopt.estimate.registration._coarse_search import coarse_pixels
 from lightopt.estimate.registration._image_checks import refuse_useless_images
+from lightopt.estimate.registration._registration import coarse_pixels
 from lightopt.images import read_image_set
 from lightopt.rendering import _images, cast_rays_at
 

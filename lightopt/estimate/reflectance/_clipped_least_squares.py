@@ -2,7 +2,8 @@
 
 The criterion for images that the model does not describe: a likelihood of the noise then asks which of the pixels to
 give up, while this finds the reflectance that predicts images best. It is the log-likelihood of Gaussian deviations of
-one unknown variance, which is put at its best value: −N/2·(ln(2π·mean square) + 1).
+one unknown variance, which is put at its best value: −N/2·(ln(2π·mean square) + 1). Its residual against the noise,
+without dust, shows whether the model describes the images.
 """
 
 from __future__ import annotations
@@ -11,9 +12,10 @@ import math
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float32, Float64, Int32
+from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
 from lightopt.core.kernels import kernel
 from lightopt.estimate.reflectance._criterion import (
+    DARK,
     LOG_SIGMA,
     Evaluation,
     add_curvature,
@@ -23,8 +25,9 @@ from lightopt.estimate.reflectance._criterion import (
     specular_and_slope,
     sum_in_chunks,
 )
-from lightopt.estimate.reflectance._likelihood import lagrange
-from lightopt.estimate.reflectance._samples import Samples
+from lightopt.estimate.reflectance._likelihood import clipped_levels, lagrange, predicted
+from lightopt.estimate.reflectance._noise import image_noise
+from lightopt.estimate.reflectance._samples import ImageFacts, Samples
 
 # widths of lobes that are tried [rad]: somewhat beyond the documented range, so that an edge is seen as one
 LEAST_SIGMA, MOST_SIGMA = 0.0007, 0.3
@@ -35,14 +38,29 @@ WINDOW = 5
 
 LEAST_MEAN_SQUARE = 1.0 / 12.0  # that of rounding to whole levels: no model can be nearer
 
+RINGS = 3
+# pixels of one exposure are compared with those of a like geometry: rings per octave of the angle from the mirror
+# direction, and steps of the diffuse light
+DIFFUSE_STEPS = 10
+
+LEAST_ALIKE = 20
+# a pixel is dust where its residual is so many deviations, and at least this share of the full scale, from the middle
+# of the pixels of a like geometry
+DUST_SPREADS, DUST_LEVELS = 8.0, 0.06
+
+MOST_DUST = 0.1  # where more of a geometry's pixels than this are far off, that is the model's fault
+
+# the model describes the images while the residual of least squares is no more than this many times the noise [rms]:
+# what the model gets wrong is then less than three quarters of the noise
+MOST_MISFIT = 1.25
+
 _CHUNK = 65_536
 
 
 class SpecularTable:
     """Light per unit of R_s of some pixels over ln σ, worked out at nodes as they are needed."""
 
-    nodes = np.linspace(math.log(LEAST_SIGMA), math.log(MOST_SIGMA), NODES)
-    """ln σ."""
+    nodes = np.linspace(math.log(LEAST_SIGMA), math.log(MOST_SIGMA), NODES)  # ln σ
 
     def __init__(self, samples: Samples) -> None:
         self._samples = samples
@@ -52,8 +70,7 @@ class SpecularTable:
     def column(self, node: int) -> Float64:
         """At a node, shape (n,)."""
         if node not in self._columns:
-            sigma = math.exp(self.nodes[node])
-            self._columns[node] = self._samples.specular(sigma)
+            self._columns[node] = self._samples.specular(math.exp(self.nodes[node]))
         return self._columns[node]
 
     def around(self, log_sigma: float) -> tuple[Float64, Float64]:
@@ -61,15 +78,15 @@ class SpecularTable:
         nearest = round((log_sigma - self.nodes[0]) / (self.nodes[1] - self.nodes[0]))
         first = min(max(nearest - WINDOW // 2, 0), NODES - WINDOW)
         if self._window[0] != first:
-            columns = [self.column(first + k) for k in range(WINDOW)]
-            self._window = first, np.stack(columns, axis=1)
+            self._window = first, np.stack([self.column(first + k) for k in range(WINDOW)], axis=1)
         return self.nodes[first : first + WINDOW], self._window[1]
 
 
 class LeastSquares:
     """The criterion of least squares over samples.
 
-    fixed: ln σ and the light there, shape (n,), of a criterion that is only asked there.
+    fixed: ln σ and the light there, shape (n,), of a criterion that is only evaluated there.
+    weight: Pixels of the images that each observation stands for, on average 1, shape (N,).
     """
 
     def __init__(self, samples: Samples, table: SpecularTable, *, fixed: tuple[float, Float64] | None = None) -> None:
@@ -78,17 +95,8 @@ class LeastSquares:
         self.size = parameter_count(samples)
         self._fixed = None if fixed is None else (np.array([fixed[0]]), fixed[1][:, None])
         weight = samples.weight[samples.sample]
-        self._weight = weight / max(float(np.mean(weight)), 1e-300) if len(weight) else weight
-
-    @property
-    def sigma_range(self) -> tuple[float, float]:
-        """Values of ln σ for which it can be evaluated."""
-        return float(self.table.nodes[0]), float(self.table.nodes[-1])
-
-    @property
-    def weight(self) -> Float64:
-        """Pixels of the images that each observation stands for, on average 1, shape (N,)."""
-        return self._weight
+        self.weight = weight / max(float(np.mean(weight)), 1e-300) if len(weight) else weight
+        self.sigma_range = float(table.nodes[0]), float(table.nodes[-1])
 
     def without(self, left_out: Bool) -> LeastSquares:
         """The same of other samples: those not marked in `left_out`, shape (N,)."""
@@ -120,8 +128,8 @@ class LeastSquares:
 
         def add(start: int, end: int, gradient: Float64, curvature: Float64) -> float:
             return _accumulate(
-                s.sample, s.level, s.image, start, end, self._weight, s.diffuse, columns, c, dc, s.facts.factor,
-                s.facts.light, s.sensor.black_level, top, x, gradient, curvature,
+                s.sample, s.level, s.image, start, end, self.weight, s.diffuse, columns, c, dc, s.facts,
+                s.sensor.black_level, top, x, gradient, curvature,
             )  # fmt: skip
 
         return sum_in_chunks(add, len(s.sample), self.size, chunk=_CHUNK, threads=s.threads)
@@ -139,8 +147,7 @@ def _accumulate(
     specular: Float64,
     c: Float64,
     dc: Float64,
-    factors: Float64,
-    lights: Int32,
+    facts: ImageFacts,
     black: float,
     top: float,
     x: Float64,
@@ -149,7 +156,7 @@ def _accumulate(
 ) -> float:
     # minus half the sum of weighted squares, its gradient, and the matrix of Gauss and Newton
     r_d, r_s, dark = x[0], math.exp(x[1]), x[3]
-    factor_of = image_factors(factors, lights, x)
+    factor_of = image_factors(facts, x)
     total = 0.0
     for j in range(start, end):
         i, m = sample[j], image[j]
@@ -162,7 +169,7 @@ def _accumulate(
         total -= 0.5 * weight * residual * residual
         if mean < 0.0 or mean > top:
             continue
-        by_r_d, by_r_s, by_sigma, gain = (factor * diffuse[i], factor * r_s * s, factor * r_s * ds, 4 + lights[m])
+        by_r_d, by_r_s, by_sigma, gain = (factor * diffuse[i], factor * r_s * s, factor * r_s * ds, 4 + facts.light[m])
         pull = weight * residual
         gradient[0] += pull * by_r_d
         gradient[1] += pull * by_r_s
@@ -172,3 +179,67 @@ def _accumulate(
         add_curvature(weight, gain, by_r_d, by_r_s, by_sigma, signal, curvature)
     mirror_curvature(curvature)
     return total
+
+
+def find_dust(samples: Samples, mean: Float64) -> Bool:
+    """Observations that are far from all others of a like geometry, shape (N,).
+
+    A model that is wrong is wrong alike there, so that its misfit is not taken for dust.
+
+    mean: Predicted levels, not clipped, shape (N,).
+    """
+    level, model = clipped_levels(samples, mean)
+    residual = level - model
+    ring = np.floor(RINGS * np.log2(np.maximum(samples.deflection, 1e-4) / 1e-4)).astype(np.intp)
+    step = np.floor(DIFFUSE_STEPS * samples.diffuse).astype(np.intp)
+    exposure = np.unique(samples.facts.factor, return_inverse=True)[1]
+    key = ((ring * 1000 + np.minimum(step, 999)) * 100)[samples.sample] + exposure[samples.image]
+    middle, count = _medians(key, residual)
+    spread, _ = _medians(key, np.abs(residual - middle))
+    limit = np.maximum(DUST_SPREADS * 1.4826 * spread, DUST_LEVELS * samples.sensor.max_level)
+    far = (np.abs(residual - middle) > limit) & (count >= LEAST_ALIKE)
+    _, group = np.unique(key, return_inverse=True)
+    share = np.bincount(group, weights=far) / np.bincount(group)
+    return far & (share <= MOST_DUST)[group]
+
+
+def measure_misfit(criterion: LeastSquares, x: Float64) -> float:
+    """Residual of least squares over the noise, both rms over the lit pixels of one exposure; that of the worst one.
+
+    The noise is that of the rig file or, where they show more, of the images.
+    """
+    s = criterion.samples
+    sensor = s.sensor
+    mean = predicted(s, criterion.light(x), x)
+    top = sensor.saturated_from
+    lit = s.diffuse[s.sample] > 0.0
+    seen = lit & ~(s.saturated & (mean >= top))
+    if not seen.any():
+        return 0.0
+    level, model = clipped_levels(s, mean)
+    signal = np.minimum(mean, top) - sensor.black_level - x[DARK]
+    variance = sensor.noise_variance(signal, frames=s.facts.frames[s.image])
+    variance = np.maximum(variance, image_noise(s) ** 2)
+    exposure = np.unique(s.facts.factor, return_inverse=True)[1][s.image]
+    weight = criterion.weight * seen
+    squares = np.bincount(exposure, weights=weight * (level - model) ** 2)
+    floors = np.bincount(exposure, weights=weight * variance)
+    return math.sqrt(float(np.max(squares[floors > 0.0] / floors[floors > 0.0])))
+
+
+def is_significant(misfit: float) -> bool:
+    """Whether the model does not describe the images, by :func:`measure_misfit`."""
+    return misfit > MOST_MISFIT
+
+
+def _medians(key: Index, values: Float64) -> tuple[Float64, Index]:
+    # per value, the median and the number of those with its key
+    order = np.lexsort((values, key))
+    sorted_key = key[order]
+    starts = np.flatnonzero(np.append(True, sorted_key[1:] != sorted_key[:-1]))
+    counts = np.diff(np.append(starts, len(key)))
+    ranked = values[order]
+    middles = 0.5 * (ranked[starts + (counts - 1) // 2] + ranked[starts + counts // 2])
+    group = np.empty(len(key), np.intp)
+    group[order] = np.repeat(np.arange(len(starts)), counts)
+    return middles[group], counts[group]

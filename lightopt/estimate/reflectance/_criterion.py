@@ -7,10 +7,10 @@ from typing import Protocol
 
 import numpy as np
 
-from lightopt.core.arrays import Float64, Int32
+from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
-from lightopt.estimate.reflectance._samples import Samples
+from lightopt.estimate.reflectance._samples import ImageFacts, Samples
 
 # places in the vector of parameters: R_d, ln R_s, ln σ, dark level, then ln gain per light, ln τ², logit ε
 R_D, LOG_R_S, LOG_SIGMA, DARK, FIRST_GAIN = 0, 1, 2, 3, 4
@@ -29,19 +29,15 @@ class Evaluation:
 
 
 class Criterion(Protocol):
-    """A log-likelihood of samples: the censored one of noise and outliers, or that of least squares."""
+    """A log-likelihood of samples: the censored one of noise and outliers, or that of least squares.
+
+    size: Number of parameters K.
+    sigma_range: Values of ln σ for which it can be evaluated.
+    """
 
     samples: Samples
-
-    @property
-    def size(self) -> int:
-        """Number of parameters K."""
-        ...
-
-    @property
-    def sigma_range(self) -> tuple[float, float]:
-        """Values of ln σ for which it can be evaluated."""
-        ...
+    size: int
+    sigma_range: tuple[float, float]
 
     def evaluate(self, x: Float64) -> Evaluation:
         """Value, gradient and curvature at the parameters `x`, shape (K,)."""
@@ -60,10 +56,9 @@ def outlier_share(x: Float64) -> float:
 
 def parameter_name(place: int, lights: tuple[str, ...]) -> str:
     """Name of a place in the vector of parameters, for messages."""
-    names = ["R_d", "R_s", "σ", "the dark level"]
-    names += [f"the gain of {light}" for light in lights]
-    names += ["the deviation beside the noise", "the share of outliers"]
-    return names[place]
+    gains = (f"the gain of {light}" for light in lights)
+    noise = ("the deviation beside the noise", "the share of outliers")
+    return ("R_d", "R_s", "σ", "the dark level", *gains, *noise)[place]
 
 
 def sum_in_chunks(
@@ -76,8 +71,7 @@ def sum_in_chunks(
 
     def one(start: int) -> tuple[float, Float64, Float64]:
         gradient, curvature = np.zeros(size), np.zeros((size, size))
-        value = add(start, min(start + chunk, count), gradient, curvature)
-        return value, gradient, curvature
+        return add(start, min(start + chunk, count), gradient, curvature), gradient, curvature
 
     parts = in_threads(one, range(0, count, chunk), threads)
     if len(parts) == 1:
@@ -86,9 +80,9 @@ def sum_in_chunks(
 
 
 @kernel
-def image_factors(factors: Float64, lights: Int32, x: Float64) -> Float64:
-    """Levels per unit of light in each image at the gains of the parameters `x`; all of shape (M,)."""
-    return np.array([factors[m] * math.exp(x[4 + lights[m]]) for m in range(len(factors))])
+def image_factors(facts: ImageFacts, x: Float64) -> Float64:
+    """Levels per unit of light in each image at the gains of the parameters `x`, shape (M,)."""
+    return np.array([facts.factor[m] * math.exp(x[4 + facts.light[m]]) for m in range(len(facts.factor))])
 
 
 @kernel

@@ -6,7 +6,6 @@ from typing import Any
 
 from lightopt.core.arrays import Float64
 from lightopt.estimate.reflectance._criterion import LOG_R_S, LOG_SIGMA, R_D, Criterion, outlier_share
-from lightopt.estimate.reflectance._lack_of_fit import LackOfFit
 from lightopt.estimate.reflectance._newton import Maximum
 
 Interval = tuple[float | None, float | None]  # 95 %; None for an end that the images do not bound
@@ -74,14 +73,13 @@ class Optimum(_Reflectance):
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
-        numbers = {
-            "start_sigma": self.start_sigma,
-            "sigma": self.sigma,
-            "R_d": self.R_d,
-            "R_s": self.R_s,
-            "value": self.value,
-        }
-        return {**{k: float(f"{v:.8g}") for k, v in numbers.items()}, "converged": self.converged}
+        names = ("start_sigma", "sigma", "R_d", "R_s", "value")
+        return {**{name: float(f"{getattr(self, name):.8g}") for name in names}, "converged": self.converged}
+
+
+def optimum_of(start_sigma: float, top: Maximum, criterion: Criterion | None) -> Optimum:
+    """The end of a climb as an optimum."""
+    return Optimum(start_sigma=start_sigma, x=top.x, value=top.value, converged=top.converged, criterion=criterion)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +96,7 @@ class Estimate(_Reflectance):
     optima: Ends of the climbs from the peaks of the profile; the first is the estimate itself.
     mean_log_likelihood: Per level, with noise and outliers [nat]: comparable between fits to the same levels.
     unexplained: Share of the pixels that the likelihood would leave out as outliers.
-    lack_of_fit: Whether the model describes the images; None where that was not tested.
+    misfit: Residual of least squares over the noise; 0 where that was not tested.
     scatter: Groups of images that the uncertainty comes from where it does not, such as "12 lights".
     unsettled_refits: Number of the fits without one of those groups that did not converge.
     """
@@ -114,7 +112,7 @@ class Estimate(_Reflectance):
     optima: tuple[Optimum, ...] = ()
     mean_log_likelihood: float
     unexplained: float
-    lack_of_fit: LackOfFit | None = None
+    misfit: float = 0.0
     scatter: str | None = None
     unsettled_refits: int = 0
 

@@ -1,23 +1,22 @@
 """The two fits, diffuse and specular: from a rig, a part and images to reflectance."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.core.arrays import Bool, Float64
+from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
-from lightopt.estimate.reflectance._comparisons import evenly_lit_warnings, paper_result
 from lightopt.estimate.reflectance._criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters
-from lightopt.estimate.reflectance._fit_samples import fit_reflectance
+from lightopt.estimate.reflectance._fit_samples import fit_reflectance, refit
 from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_images
 from lightopt.estimate.reflectance._noise import MeasuredNoise, measure_noise, noise_warnings
-from lightopt.estimate.reflectance._paper import paper_diffuse, paper_specular
+from lightopt.estimate.reflectance._paper import PaperDiffuse, PaperSpecular, paper_diffuse, paper_specular
 from lightopt.estimate.reflectance._quality import (
     Quality,
     assess_quality,
@@ -38,7 +37,7 @@ from lightopt.estimate.reflectance._result import (
     negative_black_level_warnings,
     separate_region_warnings,
 )
-from lightopt.estimate.reflectance._samples import Samples
+from lightopt.estimate.reflectance._samples import Samples, evenly_lit, subsample
 from lightopt.estimate.reflectance._setup import FitOptions, FitSetup, Points, prepare_fit
 from lightopt.estimate.reflectance._validation import (
     PointsRow,
@@ -59,6 +58,12 @@ WIDENINGS = (2.0, 1.5, 1.2, 1.0)
 LEAST_PIXELS = 200  # so many pixels must be left
 
 LEAST_R_S = 1e-3
+
+# second opinions: their pixels per octave, light and posture, the least change of ln R_s or ln σ to report, and the
+# least for twice the logarithm of the likelihoods' ratio
+SECOND_BUDGET = 250
+LEAST_DIFFERENCE, LEAST_RATIO = 0.005, 100.0
+LEAST_PAPER_DIFFERENCE = 0.05  # the paper's σ is a multiple of a step
 
 
 def fit_diffuse(
@@ -81,7 +86,7 @@ def fit_diffuse(
     setup = prepare_fit(rig, part, image_set, points, options, run)
     if options.method == "paper":
         samples = setup.collect(uniform=True)
-        result = paper_result(setup, samples, paper_diffuse(samples, options.paper))
+        result = _paper_result(setup, samples, paper_diffuse(samples, options.paper))
         run.warn(*result.warnings)
         return result
     samples = setup.collect()
@@ -89,7 +94,7 @@ def fit_diffuse(
     whole = fit_reflectance(samples, freed=freed, run=run)
     first_quality = assess_quality(samples, whole)
     placed = refuse_unexplained_images(setup, samples, whole, first_quality)
-    plain, widening = diffuse_only(samples, whole.x)
+    plain, widening = _diffuse_only(samples, whole.x)
     held = np.array([whole.R_d, LEAST_R_S, whole.sigma])
     found = fit_reflectance(plain, freed=replace(freed, specular=False), held=held, run=run)
     quality = assess_quality(plain, found)
@@ -160,7 +165,7 @@ def fit_specular(
     result, setup, samples, _ = max(tried, key=lambda one: _rank(one[3]))
     result = replace(result, rows=tuple(t[3] for t in tried if t[3] is not None))
     if result.estimate is not None and "auto" not in options.points:
-        even = evenly_lit_warnings(setup, samples, result.estimate)
+        even = _evenly_lit_warnings(setup, samples, result.estimate)
         result = replace(result, warnings=(*result.warnings, *even))
     if options.validate and result.estimate is not None:
         left_out = leave_lights_out(
@@ -183,7 +188,7 @@ def _fit_one(setup: FitSetup) -> tuple[FitResult, Samples]:
     if options.method == "paper":
         samples = setup.collect(uniform=True)
         record = paper_specular(samples, options.paper, R_d=reflectance.R_d, progress=setup.run.stage("sweeping σ"))
-        return paper_result(setup, samples, record), samples
+        return _paper_result(setup, samples, record), samples
     samples = setup.collect()
     found = fit_reflectance(samples, freed=options.freed, held=setup.held, run=setup.run)
     quality = assess_quality(samples, found)
@@ -257,15 +262,15 @@ def _parameters(result: FitResult, setup: FitSetup) -> Float64:
     return x
 
 
-def diffuse_only(samples: Samples, x: Float64) -> tuple[Samples, float]:
-    """The observations that a lobe wider than the one found leaves dark, and how much wider it was taken.
-
-    Raises InputError: there are none.
-    """
+def _diffuse_only(samples: Samples, x: Float64) -> tuple[Samples, float]:
+    # the observations that a lobe wider than the one found leaves dark, and how much wider it was taken
+    peak = max(math.exp(x[LOG_R_S]), LEAST_R_S) * float(np.exp(np.max(np.abs(x[FIRST_GAIN:-2]))))
+    reach = math.sqrt(2.0 * math.log(max(peak / HIGHLIGHT_LEVEL, 1.0)))
+    deflection = samples.deflection[samples.sample]
     lit = samples.diffuse[samples.sample] > 0.0
-    unlit = samples.deflection[samples.sample] == np.pi
+    unlit = deflection == np.pi
     for widening in WIDENINGS:
-        plain = lit & _beyond(samples, x, widening)
+        plain = lit & (deflection > widening * math.exp(x[LOG_SIGMA]) * reach)
         if np.count_nonzero(plain & ~samples.saturated) >= LEAST_PIXELS:
             return samples.select(plain | unlit), widening
     raise InputError(
@@ -274,7 +279,71 @@ def diffuse_only(samples: Samples, x: Float64) -> tuple[Samples, float]:
     )
 
 
-def _beyond(samples: Samples, x: Float64, widening: float) -> Bool:
-    peak = max(math.exp(x[LOG_R_S]), LEAST_R_S) * float(np.exp(np.max(np.abs(x[FIRST_GAIN:-2]))))
-    reach = math.sqrt(2.0 * math.log(max(peak / HIGHLIGHT_LEVEL, 1.0)))
-    return samples.deflection[samples.sample] > widening * math.exp(x[LOG_SIGMA]) * reach
+def _evenly_lit_warnings(setup: FitSetup, samples: Samples, found: Estimate) -> tuple[str, ...]:
+    # where ``points: auto`` describes the images better than the point lights of the fit
+    lights = [group.layer.light for group in samples.groups if group.layer is not None]
+    if any(light.points == "auto" or light.normalisation == "sum" for light in lights):
+        return ()
+    few = subsample(samples, SECOND_BUDGET)
+    even = evenly_lit(few, setup.caster)
+    freed, held = setup.options.freed, setup.held
+    # the fit itself was the best of all σ; what evenly lit panels would give may lie far from it
+    panels = fit_reflectance(even, freed=freed, held=held)
+    points = refit(few, found) if found.describes else fit_reflectance(few, freed=freed, held=held)
+    count = len(few.level)
+    ratio = 2.0 * count * (panels.mean_log_likelihood - points.mean_log_likelihood)
+    moved = max(abs(math.log(panels.R_s / found.R_s)), abs(math.log(panels.sigma / found.sigma)))
+    if ratio < LEAST_RATIO or moved < LEAST_DIFFERENCE:
+        return ()
+    number = lights[0].points
+    lit = "1 point" if number == 1 else f"{number} points"
+    text = (
+        f"evenly lit panels describe these images better than {lit} per panel: R_s would be about {panels.R_s:.4g} "
+        f"and σ {panels.sigma:.4g} rad, and the intervals given here do not hold that. Use "
+        "points: auto in the rig"
+    )
+    return (text,)
+
+
+def _paper_result(setup: FitSetup, samples: Samples, paper: PaperDiffuse | PaperSpecular) -> FitResult:
+    # R_d, or R_s and σ, as sections 4.2 and 4.3 of the paper find them; the others from the part file
+    options, own = setup.options, setup.scene.reflectance
+    if options.gain or options.dark or options.register or options.joint:
+        raise InputError(
+            "the paper's method frees nothing else and fits nothing jointly: it fits what sections 4.2 and 4.3 fit"
+        )
+    more = paper.warnings() if isinstance(paper, PaperSpecular) else ()
+    fitted = {"R_d": paper.R_d} if isinstance(paper, PaperDiffuse) else {"R_s": paper.R_s, "sigma_rad": paper.sigma}
+    values = {"R_d": own.R_d, "R_s": own.R_s, "sigma_rad": own.sigma, **fitted}
+    return FitResult(
+        kind="diffuse" if isinstance(paper, PaperDiffuse) else "specular",
+        method="paper",
+        points=setup.scene.lights[0].points,
+        values=tuple(FittedValue(name=name, value=value) for name, value in values.items()),
+        fitted=tuple(fitted),
+        observations=len(samples.sample),
+        pixels=len(samples.diffuse),
+        warnings=(*_likelihood_warnings(setup, samples, fitted), *more),
+        paper=paper,
+    )
+
+
+def _likelihood_warnings(setup: FitSetup, samples: Samples, fitted: Mapping[str, float]) -> tuple[str, ...]:
+    # compare the paper's answer, which comes from a mean, a count and a sum, with the likelihood of all pixels
+    few = subsample(samples, SECOND_BUDGET)
+    whole = fit_reflectance(few, freed=FreeParameters())
+    quality = assess_quality(few, whole)
+    placed = refuse_unexplained_images(setup, few, whole, quality)
+    warnings = [*poor_fit_warnings(whole, quality, placed=placed)]
+    likeliest = {"R_d": whole.R_d, "R_s": whole.R_s, "sigma_rad": whole.sigma}
+    off = [
+        f"{name.replace('sigma_rad', 'σ')} {value:.4g}, there {likeliest[name]:.4g}"
+        for name, value in fitted.items()
+        if abs(math.log(max(value, 1e-9) / max(likeliest[name], 1e-9))) > LEAST_PAPER_DIFFERENCE
+    ]
+    if off:
+        warnings.append(
+            f"the default method, which uses every pixel, finds other values on these images ({'; '.join(off)}): a "
+            "mean, a count and a sum hardly distinguish these"
+        )
+    return tuple(warnings)

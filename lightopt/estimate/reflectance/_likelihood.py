@@ -7,7 +7,9 @@ noise figures are exact. The mean of N frames has an N-th of the sensor's varian
 as well, may show anything at all: dust, scratches, glints.
 """
 
+import itertools
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -41,7 +43,7 @@ _SQRT_TWO_PI = math.sqrt(2.0 * math.pi)
 
 
 class SensorNumbers(NamedTuple):
-    """A sensor's numbers as the kernels want them."""
+    """Black level and noise of a sensor, the level from which a pixel is saturated, and the density of outliers."""
 
     black: float
     read_variance: float
@@ -50,8 +52,7 @@ class SensorNumbers(NamedTuple):
     outlier: float
 
 
-def sensor_numbers(sensor: Sensor) -> SensorNumbers:
-    """Black level, noise, and the level from which a pixel is saturated."""
+def _sensor_numbers(sensor: Sensor) -> SensorNumbers:
     electrons = sensor.electrons_per_level
     return SensorNumbers(
         black=sensor.black_level,
@@ -74,32 +75,14 @@ class Likelihood:
         self.log_sigmas = log_sigmas
         self.specular = specular
         self.size = parameter_count(samples)
-        self._sensor = sensor_numbers(samples.sensor)
-
-    @property
-    def sigma_range(self) -> tuple[float, float]:
-        """Values of ln σ for which it can be evaluated: half the columns' span beyond them, any for one."""
-        if len(self.log_sigmas) == 1:
-            return -math.inf, math.inf
-        low, high = float(self.log_sigmas[0]), float(self.log_sigmas[-1])
-        return low - 0.5 * (high - low), high + 0.5 * (high - low)
-
-    def specular_weights(self, log_sigma: float) -> tuple[Float64, Float64]:
-        """Weights of the columns for the light at ln σ, and for its derivative by ln σ; each of shape (m,)."""
-        return lagrange(self.log_sigmas, log_sigma)
+        low, high = float(log_sigmas[0]), float(log_sigmas[-1])
+        reach = 0.5 * (high - low) if len(log_sigmas) > 1 else math.inf
+        self.sigma_range = low - reach, high + reach
 
     def evaluate(self, x: Float64) -> Evaluation:
         """Value, gradient and curvature at the parameters `x`, shape (K,)."""
         s = self.samples
-        c, dc = self.specular_weights(float(x[LOG_SIGMA]))
-
-        def add(start: int, end: int, gradient: Float64, curvature: Float64) -> float:
-            return _accumulate(
-                s.sample, s.level, s.saturated, s.image, start, end, s.diffuse, self.specular, c, dc,
-                s.facts.factor, s.facts.light, s.facts.half_width, s.facts.frames, self._sensor, x, gradient,
-                curvature,
-            )  # fmt: skip
-
+        add = self._summation(s, x)
         return Evaluation(*sum_in_chunks(add, len(s.sample), self.size, chunk=_CHUNK, threads=s.threads))
 
     def by_block(self, x: Float64) -> tuple[Float64, Float64]:
@@ -107,19 +90,22 @@ class Likelihood:
         s = self.samples
         block = s.block[s.sample]
         order = np.argsort(block, kind="stable")
-        ends = np.append(np.flatnonzero(np.diff(block[order])) + 1, len(order))
-        starts = np.append(0, ends[:-1])
-        sample, level, saturated, image = (a[order] for a in (s.sample, s.level, s.saturated, s.image))
-        c, dc = self.specular_weights(float(x[LOG_SIGMA]))
-        gradients = np.zeros((len(ends), self.size))
-        curvatures = np.zeros((len(ends), self.size, self.size))
-        for number, (start, end) in enumerate(zip(starts, ends, strict=True)):
-            _accumulate(
-                sample, level, saturated, image, start, end, s.diffuse, self.specular, c, dc,
-                s.facts.factor, s.facts.light, s.facts.half_width, s.facts.frames, self._sensor, x,
-                gradients[number], curvatures[number],
-            )  # fmt: skip
+        ends = [0, *(np.flatnonzero(np.diff(block[order])) + 1).tolist(), len(order)]
+        add = self._summation(s.select(order), x)
+        gradients = np.zeros((len(ends) - 1, self.size))
+        curvatures = np.zeros((len(ends) - 1, self.size, self.size))
+        for number, (start, end) in enumerate(itertools.pairwise(ends)):
+            add(start, end, gradients[number], curvatures[number])
         return gradients, curvatures
+
+    def _summation(self, s: Samples, x: Float64) -> Callable[[int, int, Float64, Float64], float]:
+        # sums over a range of the observations of some samples, as :func:`sum_in_chunks` takes it
+        c, dc = lagrange(self.log_sigmas, float(x[LOG_SIGMA]))
+        sensor = _sensor_numbers(s.sensor)
+        observed, light = (s.sample, s.level, s.saturated, s.image), (s.diffuse, self.specular, c, dc)
+        return lambda start, end, gradient, curvature: _accumulate(
+            *observed, start, end, *light, s.facts, sensor, x, gradient, curvature
+        )
 
 
 def likelihood_at(samples: Samples, log_sigma: float) -> Likelihood:
@@ -134,8 +120,7 @@ def predicted(samples: Samples, specular: Float64, x: Float64) -> Float64:
     specular: Per unit of R_s at the σ of `x`, shape (n,).
     """
     light = x[R_D] * samples.diffuse + math.exp(x[LOG_R_S]) * specular
-    facts: ImageFacts = samples.facts
-    factor = facts.factor * np.exp(x[FIRST_GAIN + facts.light])
+    factor = samples.facts.factor * np.exp(x[FIRST_GAIN + samples.facts.light])
     return samples.sensor.black_level + x[DARK] + factor[samples.image] * light[samples.sample]
 
 
@@ -182,10 +167,7 @@ def _accumulate(
     specular: Float64,
     c: Float64,
     dc: Float64,
-    factors: Float64,
-    lights: Int32,
-    half_widths: Float64,
-    frames: Float64,
+    facts: ImageFacts,
     sensor: SensorNumbers,
     x: Float64,
     gradient: Float64,
@@ -193,7 +175,7 @@ def _accumulate(
 ) -> float:
     size = len(x)
     r_d, r_s, dark = x[0], math.exp(x[1]), x[3]
-    factor_of = image_factors(factors, lights, x)
+    factor_of = image_factors(facts, x)
     tau2 = math.exp(x[size - 2])
     epsilon = 1.0 / (1.0 + math.exp(-x[size - 1]))
     total = 0.0
@@ -204,14 +186,14 @@ def _accumulate(
         signal = factor * (r_d * diffuse[i] + r_s * s)
         mean = sensor.black + dark + signal
         # the mean of frames has less noise; but it is saturated where any one of them is
-        share = 1.0 if saturated[j] else 1.0 / frames[m]
+        share = 1.0 if saturated[j] else 1.0 / facts.frames[m]
         variance = share * sensor.read_variance + tau2
         shot = 0.0
         if signal > 0.0:
             shot = share * sensor.levels_per_electron
             variance += shot * signal
         deviation = math.sqrt(variance)
-        q, half = level[j], half_widths[m]
+        q, half = level[j], facts.half_width[m]
         # the interval that the signal was in, in standard deviations from the mean
         a, b, outlier = -math.inf, math.inf, sensor.outlier
         if saturated[j]:
@@ -240,7 +222,7 @@ def _accumulate(
             ratio = by_mean / f
             bend = min(max(ratio * ratio - (apa - bpb) / (variance * f), 0.0), 1.0 / variance)
         bend *= surely
-        by_r_d, by_r_s, by_sigma, gain = (factor * diffuse[i], factor * r_s * s, factor * r_s * ds, 4 + lights[m])
+        by_r_d, by_r_s, by_sigma, gain = (factor * diffuse[i], factor * r_s * s, factor * r_s * ds, 4 + facts.light[m])
         gradient[0] += score * by_r_d
         gradient[1] += score * by_r_s
         gradient[2] += score * by_sigma

@@ -13,7 +13,7 @@ import numpy as np
 from lightopt.core.arrays import Float64
 from lightopt.core.run_context import RunContext, Share, part_of
 from lightopt.estimate.reflectance._criterion import LOG_SIGMA, outlier_share
-from lightopt.estimate.reflectance._estimate import CHI2_95, Estimate, Optimum, ScanPoint
+from lightopt.estimate.reflectance._estimate import CHI2_95, Estimate, Optimum, ScanPoint, optimum_of
 from lightopt.estimate.reflectance._likelihood import Likelihood, likelihood_at
 from lightopt.estimate.reflectance._newton import Maximum, maximise
 from lightopt.estimate.reflectance._samples import Samples, subsample
@@ -21,7 +21,6 @@ from lightopt.estimate.reflectance._sigma_scan import (
     SAME_PEAK,
     SigmaScan,
     climb_from_peaks,
-    optimum_of,
     profile_outwards,
     scan_budget,
     scan_points,
@@ -46,18 +45,13 @@ TABLE_DEVIATIONS, TABLE_INTERVALS = 6.0, 3.0
 
 @dataclass(frozen=True)
 class Climb:
-    """A climb of the likelihood that ended, and how sharp the maximum is."""
+    """Where a climb of the likelihood ended, and how sharp the maximum is."""
 
     likelihood: Likelihood
     maximum: Maximum
     free: tuple[int, ...]
     covariance: Float64
     inflation: Float64
-
-    @property
-    def value(self) -> float:
-        """Log-likelihood of the maximum [nat]."""
-        return self.maximum.evaluation.value
 
     @property
     def table_width(self) -> float:
@@ -84,29 +78,13 @@ class Climb:
             criterion=self.likelihood,
             maximum=self.maximum,
             scan=scan,
-            mean_log_likelihood=self.value / max(1, len(self.likelihood.samples.level)),
+            mean_log_likelihood=self.maximum.value / max(1, len(self.likelihood.samples.level)),
             unexplained=outlier_share(self.maximum.x),
         )
 
 
-@dataclass(frozen=True)
-class Peak:
-    """An optimum of all samples; `climb` is None for one far below the best, where only the subset was climbed."""
-
-    start_sigma: float
-    maximum: Maximum
-    climb: Climb | None
-
-    @property
-    def value(self) -> float:
-        """Log-likelihood [nat]."""
-        return self.maximum.evaluation.value
-
-    @property
-    def optimum(self) -> Optimum:
-        """As it is reported."""
-        criterion = None if self.climb is None else self.climb.likelihood
-        return optimum_of(self.start_sigma, self.maximum, criterion)
+# an optimum of all samples, and its climb; None for one far below the best, where only the subset was climbed
+Peak = tuple[Optimum, Climb | None]
 
 
 def likelihood_estimate(samples: Samples, scan: SigmaScan, run: RunContext) -> Estimate:
@@ -131,7 +109,7 @@ def likelihood_estimate(samples: Samples, scan: SigmaScan, run: RunContext) -> E
             break
         again = _final_climb(samples, climb(few, better, scan.free, USUAL_TABLE), start=better)
         start = math.exp(better[LOG_SIGMA])
-        best, peaks = best_first([*peaks, Peak(start, again.maximum, again)])
+        best, peaks = best_first([*peaks, _peak(start, again)])
         points, better = _profile_on_all(samples, few, profile, best)
     found = best.as_estimate(())
     if better is not None:  # there is something better still: reported, and not passed for the best
@@ -141,9 +119,9 @@ def likelihood_estimate(samples: Samples, scan: SigmaScan, run: RunContext) -> E
     return replace(
         found,
         scan=points,
-        optima=tuple(peak.optimum for peak in peaks),
+        optima=tuple(optimum for optimum, _ in peaks),
         unexplained=max(found.unexplained, outlier_share(tops[0][1].x)),
-        lack_of_fit=scan.lack_of_fit,
+        misfit=scan.misfit,
     )
 
 
@@ -172,13 +150,17 @@ def climb(samples: Samples, x: Float64, free: Sequence[int], width: float) -> Cl
 def best_first(peaks: Sequence[Peak]) -> tuple[Climb, list[Peak]]:
     """The best climb, and all peaks from the best on, without those that ended where a better one did."""
     distinct: list[Peak] = []
-    for peak in sorted(peaks, key=lambda one: -one.value):
-        at = peak.maximum.x[LOG_SIGMA]
-        if all(abs(at - other.maximum.x[LOG_SIGMA]) > SAME_PEAK for other in distinct):
-            distinct.append(peak)
-    best = distinct[0].climb
+    for optimum, ended in sorted(peaks, key=lambda peak: -peak[0].value):
+        at = optimum.x[LOG_SIGMA]
+        if all(abs(at - other.x[LOG_SIGMA]) > SAME_PEAK for other, _ in distinct):
+            distinct.append((optimum, ended))
+    best = distinct[0][1]
     assert best is not None  # one that is not far below has been climbed to
     return best, distinct
+
+
+def _peak(start_sigma: float, top: Climb) -> Peak:
+    return optimum_of(start_sigma, top.maximum, top.likelihood), top
 
 
 def _profile_on_subset(few: Samples, scan: SigmaScan, progress: Share | None) -> list[Maximum]:
@@ -190,7 +172,7 @@ def _profile_on_subset(few: Samples, scan: SigmaScan, progress: Share | None) ->
         other[-1] = scan.starts[number][-1]
         return [other, scan.starts[number]]
 
-    values = [point.evaluation.value for point in scan.profile]
+    values = [point.value for point in scan.profile]
     return profile_outwards(
         lambda at: likelihood_at(few, at),
         starts_at,
@@ -204,18 +186,17 @@ def _profile_on_subset(few: Samples, scan: SigmaScan, progress: Share | None) ->
 def _climb_on_all(samples: Samples, tops: Sequence[tuple[float, Climb]]) -> list[Peak]:
     # optima of the subset, the best first, as optima of all samples. One that is far below stays where it is, with the
     # value that all samples have there, unless that is not far below
-    best = tops[0][1].value
-    close = [(start, top) for start, top in tops if best - top.value < CLOSE_CALL]
+    best = tops[0][1].maximum.value
+    close = [(start, top) for start, top in tops if best - top.maximum.value < CLOSE_CALL]
     finals = [(start, _final_climb(samples, top)) for start, top in close]
-    peaks = [Peak(start, final.maximum, final) for start, final in finals]
-    least = max(final.value - final.relevant_drop for _, final in finals)
+    peaks = [_peak(start, final) for start, final in finals]
+    least = max(final.maximum.value - final.relevant_drop for _, final in finals)
     for start, top in tops[len(close) :]:
         there = _best_at(samples, top.maximum.x, top.free)
-        if there.evaluation.value > least:
-            final = _final_climb(samples, top)
-            peaks.append(Peak(start, final.maximum, final))
+        if there.value > least:
+            peaks.append(_peak(start, _final_climb(samples, top)))
         else:
-            peaks.append(Peak(start, replace(there, converged=top.maximum.converged), None))
+            peaks.append((optimum_of(start, replace(there, converged=top.maximum.converged), None), None))
     return peaks
 
 
@@ -237,15 +218,15 @@ def _profile_on_all(
     if LOG_SIGMA not in final.free:
         return scan_points([replace(profile[0], x=final.maximum.x)]), None
     here = _best_at(few, final.maximum.x, final.free)
-    value = here.evaluation.value
+    value = here.value
     near = max(CLOSE_CALL, share * final.relevant_drop)
     shown: list[Maximum] = [replace(here, x=final.maximum.x)]
     for point in profile:
-        if point.evaluation.value > value - near:
+        if point.value > value - near:
             whole = _best_at(samples, point.x, final.free)
-            if whole.evaluation.value > final.value:
+            if whole.value > final.maximum.value:
                 return (), whole.x
-            worse = share * (final.value - whole.evaluation.value)
+            worse = share * (final.maximum.value - whole.value)
             point = replace(whole, evaluation=replace(whole.evaluation, value=value - worse))
         shown.append(point)
     return scan_points(shown, share=share), None

@@ -7,7 +7,7 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64
 from lightopt.core.kernels import kernel
-from lightopt.estimate.reflectance._criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, Criterion, Evaluation
+from lightopt.estimate.reflectance._criterion import FIRST_GAIN, R_D, Criterion, Evaluation
 
 # a maximum is found when the next step's predicted gain is less than this [nat]: a hundredth of a standard error
 TOLERANCE = 1e-4
@@ -38,19 +38,19 @@ class Maximum:
     unsettled: tuple[int, ...]
     steps: int
 
+    @property
+    def value(self) -> float:
+        """Criterion [nat]."""
+        return self.evaluation.value
+
 
 def bounds(criterion: Criterion) -> tuple[Float64, Float64]:
     """Lowest and highest value of each parameter, two arrays of shape (K,)."""
-    size = criterion.size
-    low, high = np.full(size, -np.inf), np.full(size, np.inf)
-    low[R_D] = 0.0
-    low[LOG_R_S], high[LOG_R_S] = LEAST_LOG_R_S, MOST_LOG_R_S
-    low[LOG_SIGMA], high[LOG_SIGMA] = criterion.sigma_range
-    low[FIRST_GAIN : size - 2] = -MOST_LOG_GAIN
-    high[FIRST_GAIN : size - 2] = MOST_LOG_GAIN
-    low[size - 2], high[size - 2] = LEAST_LOG_TAU2, MOST_LOG_TAU2
-    low[size - 1], high[size - 1] = LEAST_LOGIT, MOST_LOGIT
-    return low, high
+    gains = [(-MOST_LOG_GAIN, MOST_LOG_GAIN)] * (criterion.size - FIRST_GAIN - 2)
+    of_surface = ((0.0, np.inf), (LEAST_LOG_R_S, MOST_LOG_R_S), criterion.sigma_range)
+    pairs = (*of_surface, (-np.inf, np.inf), *gains, (LEAST_LOG_TAU2, MOST_LOG_TAU2), (LEAST_LOGIT, MOST_LOGIT))
+    low, high = np.array(pairs).T
+    return low.copy(), high.copy()
 
 
 def maximise(

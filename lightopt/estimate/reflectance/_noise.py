@@ -1,7 +1,7 @@
 """The noise that the images show."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,8 @@ CLEAR_OF_ENDS = 4.0
 
 # residuals beyond this many deviations are dust; what is left of a Gaussian's variance within
 TRIM, TRIMMED_VARIANCE = 3.0, 0.97334
+
+_WINDOW = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]])
 
 SIGNIFICANT = 3.0
 WELL_KNOWN = 0.3  # a figure is determined where its standard error is no more than this share of it
@@ -91,22 +93,10 @@ def _photon_transfer(signal: Float64, variance: Float64, error: Float64, sensor:
     a, b = (float(value) for value in line)
     a_error, b_error = (math.sqrt(spread * float(inverse[k, k])) for k in (0, 1))
     own = 0.0 if sensor.electrons_per_level is None else 1.0 / sensor.electrons_per_level
+    shot = MeasuredNoise(hindrance="" if own else "no shot noise is seen beside the read noise")
     if b > SIGNIFICANT * b_error and b_error < WELL_KNOWN * b:
-        electrons, electrons_error = 1.0 / b, b_error / b**2
-        if a > 0.0 and 0.5 * a_error < WELL_KNOWN * a:
-            read = math.sqrt(a)
-            return MeasuredNoise(
-                read_noise=read,
-                read_noise_error=0.5 * a_error / read,
-                electrons=electrons,
-                electrons_error=electrons_error,
-            )
-        return MeasuredNoise(
-            electrons=electrons,
-            electrons_error=electrons_error,
-            hindrance="shot noise hides the read noise; darker images would show it",
-        )
-    if abs(own - b) > SIGNIFICANT * b_error:
+        shot = MeasuredNoise(electrons=1.0 / b, electrons_error=b_error / b**2)
+    elif abs(own - b) > SIGNIFICANT * b_error:
         most = b + SIGNIFICANT * b_error
         least = f": there are at least {1.0 / most:.3g} electrons per level" if most > 0.0 else ""
         return MeasuredNoise(
@@ -115,17 +105,14 @@ def _photon_transfer(signal: Float64, variance: Float64, error: Float64, sensor:
             else "the noise changes with the level, but not surely enough to separate read noise from shot noise; "
             "images of more levels would"
         )
-    weight = 1.0 / error**2
-    a = float(np.sum(weight * (variance - own * signal)) / np.sum(weight))
-    a_error = math.sqrt(spread / float(np.sum(weight)))
+    else:
+        weight = 1.0 / error**2
+        a = float(np.sum(weight * (variance - own * signal)) / np.sum(weight))
+        a_error = math.sqrt(spread / float(np.sum(weight)))
     if a <= 0.0 or 0.5 * a_error > WELL_KNOWN * a:
-        return MeasuredNoise(hindrance="shot noise hides the read noise; darker images would show it")
+        return replace(shot, hindrance="shot noise hides the read noise; darker images would show it")
     read = math.sqrt(a)
-    return MeasuredNoise(
-        read_noise=read,
-        read_noise_error=0.5 * a_error / read,
-        hindrance="" if own else "no shot noise is seen beside the read noise",
-    )
+    return replace(shot, read_noise=read, read_noise_error=0.5 * a_error / read)
 
 
 def _variance(values: Float64) -> float:
@@ -142,27 +129,21 @@ def image_noise(samples: Samples) -> float:
 
     Immerkær 1996, doi:10.1006/cviu.1996.0060: what a 3 × 3 window leaves of anything that is a plane or a saddle.
     """
-    response = _window_responses(samples)
-    return 1.4826 * float(np.median(np.abs(response))) / 6.0 if len(response) else 0.0
-
-
-def _window_responses(samples: Samples) -> Float64:
-    # of the lit, unsaturated pixels: 6 times the noise
     row = np.concatenate([group.row for group in samples.groups])[samples.sample]
     column = np.concatenate([group.column for group in samples.groups])[samples.sample]
     height, width = samples.images[0].levels.shape
     use = (row > 0) & (row < height - 1) & (column > 0) & (column < width - 1)
     use &= (samples.diffuse[samples.sample] > 0.0) & (samples.level > 0.0) & ~samples.saturated
     index = np.flatnonzero(use)
-    response = np.zeros(len(index))
-    order = np.argsort(samples.image[index], kind="stable")
-    ends = np.searchsorted(samples.image[index][order], np.arange(len(samples.images) + 1))
-    for number, image in enumerate(samples.images):
-        here = order[ends[number] : ends[number + 1]]
-        r, c = row[index[here]], column[index[here]]
-        level = image.levels
-        for y, x, factor in (*((y, x, 1.0) for y in (-1, 1) for x in (-1, 1)), (0, 0, 4.0)):
-            response[here] += factor * level[r + y, c + x]
-        for y, x in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-            response[here] -= 2.0 * level[r + y, c + x]
-    return response
+    if not len(index):
+        return 0.0
+    index = index[np.argsort(samples.image[index], kind="stable")]
+    ends = np.searchsorted(samples.image[index], np.arange(1, len(samples.images)))
+    responses: list[Float64] = []  # 6 times the noise
+    for image, here in zip(samples.images, np.split(index, ends), strict=True):
+        r, c = row[here], column[here]
+        response = np.zeros(len(here))
+        for (y, x), factor in np.ndenumerate(_WINDOW):
+            response += factor * image.levels[r + y - 1, c + x - 1]
+        responses.append(response)
+    return 1.4826 * float(np.median(np.abs(np.concatenate(responses)))) / 6.0

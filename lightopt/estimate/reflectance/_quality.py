@@ -7,6 +7,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
+from lightopt.estimate.reflectance._clipped_least_squares import is_significant
 from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, parameter_name
 from lightopt.estimate.reflectance._estimate import Estimate, Interval
 from lightopt.estimate.reflectance._likelihood import predicted
@@ -92,7 +93,7 @@ def assess_quality(samples: Samples, found: Estimate) -> Quality:
         epsilon=found.unexplained,
         tau=found.tau,
         saturated=float(np.mean(samples.saturated)),
-        misfit=0.0 if found.lack_of_fit is None else found.lack_of_fit.ratio,
+        misfit=found.misfit,
         describes=found.describes,
     )
 
@@ -144,11 +145,10 @@ def poor_fit_warnings(found: Estimate, quality: Quality, *, placed: bool = False
             f"{quality.noise:.2g}: give read_noise_levels and electrons_per_level of the sensor"
         )
     if not quality.describes:
-        badly = found.lack_of_fit is None or found.lack_of_fit.significant
         left = (
             f"the model describes these images badly: its best fit leaves {quality.misfit:.1f} times the noise "
             f"({quality.rms:.3g} sensor levels rms)"
-            if badly
+            if is_significant(quality.misfit)
             else f"what the model leaves of these images ({quality.rms:.3g} sensor levels rms) is not much more than "
             "the noise, but neither noise nor dust"
         )

@@ -37,13 +37,12 @@ class FittedValue:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
-        regions = {"regions_95": [_rounded(region) for region in self.regions]} if self.regions else {}
-        return {
+        facts: dict[str, Any] = {
             "value": float(f"{self.value:.8g}"),
             "standard_error": float(f"{self.standard_error:.4g}") if self.standard_error else None,
             "interval_95": None if self.interval is None else _rounded(self.interval),
-            **regions,
         }
+        return facts | ({"regions_95": [_rounded(region) for region in self.regions]} if self.regions else {})
 
 
 def _rounded(interval: Interval) -> list[float | None]:
@@ -119,9 +118,13 @@ class FitResult:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form, without provenance."""
-        scan = () if self.estimate is None else self.estimate.scan
-        best = max((point.value for point in scan), default=0.0)
         found = self.estimate
+        scan = () if found is None else found.scan
+        best = max((point.value for point in scan), default=0.0)
+
+        def facts(part: Any) -> dict[str, Any] | None:
+            return None if part is None else part.as_dict()
+
         return {
             "kind": self.kind,
             "method": self.method,
@@ -133,17 +136,17 @@ class FitResult:
             else {"R_s": float(f"{self.highlights[0]:.6g}"), "sigma_rad": float(f"{self.highlights[1]:.6g}")},
             "correlation_ln_R_s_ln_sigma": self.correlation,
             "gains": None if self.gains is None else {k: v.as_dict() for k, v in self.gains.items()},
-            "black_level": None if self.dark is None else self.dark.as_dict(),
-            "noise": None if self.noise is None else self.noise.as_dict(),
-            "placement": None if self.placement is None else self.placement.as_dict(),
-            "registration": None if self.registration is None else self.registration.as_dict(),
+            "black_level": facts(self.dark),
+            "noise": facts(self.noise),
+            "placement": facts(self.placement),
+            "registration": facts(self.registration),
             "criterion": None if found is None else ("likelihood" if found.describes else "least squares"),
             "uncertainty_from": None if found is None else (found.scatter or "profile likelihood"),
             "converged": self.converged,
             "optima": [] if found is None else [optimum.as_dict() for optimum in found.optima],
             "observations": self.observations,
             "pixels": self.pixels,
-            "quality": None if self.quality is None else self.quality.as_dict(),
+            "quality": facts(self.quality),
             "warnings": list(self.warnings),
             "ridge": [
                 {
@@ -157,7 +160,7 @@ class FitResult:
             "left_out": [left.as_dict() for left in self.left_out],
             "not_left_out": list(self.not_left_out) if self.left_out else [],
             "by_points": [row.as_dict() for row in self.rows],
-            "paper": None if self.paper is None else self.paper.as_dict(),
+            "paper": facts(self.paper),
         }
 
 
@@ -170,13 +173,9 @@ def bounded(ends: tuple[float, float], value: Callable[[float], float]) -> Inter
 def format_interval(interval: Interval) -> str:
     """Text of an interval."""
     low, high = interval
-    if low is None and high is None:
-        return "no bounds"
-    if high is None:
-        return f"from {low:.6g}, no upper bound"
     if low is None:
-        return f"up to {high:.6g}, no lower bound"
-    return f"{low:.6g} to {high:.6g}"
+        return "no bounds" if high is None else f"up to {high:.6g}, no lower bound"
+    return f"from {low:.6g}, no upper bound" if high is None else f"{low:.6g} to {high:.6g}"
 
 
 def separate_region_warnings(values: Iterable[FittedValue]) -> tuple[str, ...]:
@@ -195,6 +194,8 @@ def _fitted(
     name: str, value: float, found: Estimate, place: int, of: Callable[[float], float], *, slope: float = 1.0
 ) -> FittedValue:
     # `of` makes the value of the parameter's coordinate, with about this slope
+    if place not in found.free:
+        return FittedValue(name=name, value=value)
     regions = tuple(bounded(ends, of) for ends in profile_regions(found, place))
     return FittedValue(
         name=name,
@@ -207,14 +208,11 @@ def _fitted(
 
 def fitted_values(found: Estimate, *, full_scale: float) -> tuple[FittedValue, ...]:
     """R_d, R_s, σ and the saturated half-angle under a point light, with standard errors and intervals."""
-    values: list[FittedValue] = []
-    for name, place, log in (("R_d", R_D, False), ("R_s", LOG_R_S, True), ("sigma_rad", LOG_SIGMA, True)):
-        value = math.exp(found.x[place]) if log else float(found.x[place])
-        if place not in found.free:
-            values.append(FittedValue(name=name, value=value))
-            continue
-        of, slope = (math.exp, value) if log else (float, 1.0)
-        values.append(_fitted(name, value, found, place, of, slope=slope))
+    values = [
+        _fitted("R_d", found.R_d, found, R_D, float),
+        _fitted("R_s", found.R_s, found, LOG_R_S, math.exp, slope=found.R_s),
+        _fitted("sigma_rad", found.sigma, found, LOG_SIGMA, math.exp, slope=found.sigma),
+    ]
     over = math.log(max(found.R_s / full_scale, 1e-300))
     if over > 0.0:
         angle = found.sigma * math.sqrt(2.0 * over)
@@ -231,13 +229,9 @@ def fitted_gains(scene: Scene, found: Estimate) -> dict[str, FittedValue]:
     """Gain of each light of a scene, its own times what was fitted; that of the light held has no error."""
     gains: dict[str, FittedValue] = {}
     for index, light in enumerate(scene.lights):
-        place = FIRST_GAIN + index
-        value = light.gain * math.exp(found.x[place])
-        if place not in found.free:
-            gains[light.name] = FittedValue(name=light.name, value=value)
-            continue
+        value = light.gain * math.exp(found.x[FIRST_GAIN + index])
         gains[light.name] = _fitted(
-            light.name, value, found, place, lambda end, own=light.gain: own * math.exp(end), slope=value
+            light.name, value, found, FIRST_GAIN + index, lambda end, own=light.gain: own * math.exp(end), slope=value
         )
     return gains
 

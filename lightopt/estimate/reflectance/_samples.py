@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,8 +63,7 @@ class SampleGroup:
         return np.zeros(len(self)) if self.layer is None else self.layer.specular(sigma, threads=threads)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ImageFacts:
+class ImageFacts(NamedTuple):
     """Per image, for the kernels; arrays of shape (images,).
 
     factor: Sensor levels per grey level: exposure times the sensor's full scale over the reflectance's.
@@ -108,8 +108,8 @@ class Samples:
     sensor: Sensor
     threads: int | None = None
 
-    def select(self, where: Bool) -> Samples:
-        """Only the observations marked in `where`, shape (N,); the pixels stay."""
+    def select(self, where: Bool | Index) -> Samples:
+        """Only the observations that `where` marks, shape (N,), or lists; the pixels stay."""
         return replace(
             self,
             sample=self.sample[where],

@@ -124,14 +124,7 @@ def prepare_fit(
         scene, observations, caster=setup.caster, freed=FreeParameters(gain=options.gain, dark=options.dark), run=run
     )
     moved = place_part(scene, found.placement)
-    file_placement = part_file_placement(
-        scene.mesh.vertices,
-        found.placement,
-        anchor=part.placement.anchor,
-        rotate_deg=part.placement.rotate_deg,
-        translate_mm=part.placement.translate_mm,
-        pivot=scene.pivot,
-    )
+    file_placement = part_file_placement(scene, found.placement, part.placement)
     return replace(setup, scene=moved, caster=cast_rays_at(moved), registration=found, file_placement=file_placement)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share
-from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares, SpecularTable
+from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares, SpecularTable, find_dust, measure_misfit
 from lightopt.estimate.reflectance._criterion import (
     DARK,
     FIRST_GAIN,
@@ -23,8 +23,7 @@ from lightopt.estimate.reflectance._criterion import (
     Criterion,
     parameter_count,
 )
-from lightopt.estimate.reflectance._estimate import FreeParameters, Optimum, ScanPoint
-from lightopt.estimate.reflectance._lack_of_fit import LackOfFit, find_dust, measure_lack_of_fit
+from lightopt.estimate.reflectance._estimate import FreeParameters, ScanPoint
 from lightopt.estimate.reflectance._likelihood import predicted
 from lightopt.estimate.reflectance._newton import Maximum, maximise
 from lightopt.estimate.reflectance._samples import Samples, subsample
@@ -67,7 +66,7 @@ class SigmaScan:
     criterion: LeastSquares
     profile: list[Maximum]
     climbs: Climbs
-    lack_of_fit: LackOfFit
+    misfit: float
 
     @property
     def best(self) -> Maximum:
@@ -77,7 +76,7 @@ class SigmaScan:
     def mean_square(self, number: int) -> float:
         """Of the profile at one of its σ [sensor level²], from the value of the criterion."""
         count = max(1, len(self.criterion.samples.sample))
-        return math.exp(-2.0 * self.profile[number].evaluation.value / count - 1.0) / (2.0 * math.pi)
+        return math.exp(-2.0 * self.profile[number].value / count - 1.0) / (2.0 * math.pi)
 
 
 def scan_sigma(
@@ -88,21 +87,19 @@ def scan_sigma(
     held: Values (R_d, R_s, σ) of those that are not fitted.
     """
     few = subsample(samples, scan_budget(samples))
-    free = free_places(samples, freed)
-    guess = first_guess(few)
+    free = _free_places(samples, freed)
+    guess = _first_guess(few)
     r_d = guess if freed.diffuse or held is None else float(held[0])
     table = SpecularTable(few)
-    log_r_s = None
     if freed.specular:
         log_sigmas = [float(node) for node in table.nodes[::SCAN_STRIDE]]
         columns = [table.column(number) for number in range(0, len(table.nodes), SCAN_STRIDE)]
     else:
         log_sigmas = [math.log(HELD_SIGMA if held is None else held[2])]
         columns = [few.specular(math.exp(log_sigmas[0]))]
-        log_r_s = None if held is None else math.log(max(held[1], 1e-6))
-    starts = [start_at(few, column, math.exp(at), r_d) for at, column in zip(log_sigmas, columns, strict=True)]
-    if log_r_s is not None:
-        starts[0][LOG_R_S] = log_r_s
+    starts = [_start(few, column, math.exp(at), r_d) for at, column in zip(log_sigmas, columns, strict=True)]
+    if not freed.specular and held is not None:
+        starts[0][LOG_R_S] = math.log(max(held[1], 1e-6))
     fitted = free[:-2]
 
     def search(some: Samples, starts_at: Callable[[int], list[Float64]]) -> tuple[LeastSquares, list[Maximum], Climbs]:
@@ -126,8 +123,8 @@ def scan_sigma(
     if dust.any():
         first = profile
         criterion, profile, climbs = search(few.select(~dust), lambda number: [first[number].x])
-    lack = measure_lack_of_fit(criterion, climbs[0][1].x)
-    return SigmaScan(few, tuple(free), log_sigmas, starts, criterion, profile, climbs, lack)
+    misfit = measure_misfit(criterion, climbs[0][1].x)
+    return SigmaScan(few, free, log_sigmas, starts, criterion, profile, climbs, misfit)
 
 
 def climb_from_peaks(profile: Sequence[Maximum], climb: Callable[[Float64], Maximum]) -> Climbs:
@@ -137,11 +134,10 @@ def climb_from_peaks(profile: Sequence[Maximum], climb: Callable[[Float64], Maxi
         top = climb(peak.x)
         if all(abs(top.x[LOG_SIGMA] - other.x[LOG_SIGMA]) > SAME_PEAK for _, other in tops):
             tops.append((math.exp(peak.x[LOG_SIGMA]), top))
-    return sorted(tops, key=lambda one: -one[1].evaluation.value)
+    return sorted(tops, key=lambda one: -one[1].value)
 
 
-def free_places(samples: Samples, freed: FreeParameters) -> list[int]:
-    """Places of the parameters to fit, those of the likelihood's noise last."""
+def _free_places(samples: Samples, freed: FreeParameters) -> tuple[int, ...]:
     places = [R_D] if freed.diffuse else []
     if freed.specular:
         places += [LOG_R_S, LOG_SIGMA]
@@ -152,7 +148,7 @@ def free_places(samples: Samples, freed: FreeParameters) -> list[int]:
         used = sorted(set(samples.facts.light.tolist()))
         places += [FIRST_GAIN + light for light in used[1:]]
     size = parameter_count(samples)
-    return [*places, size - 2, size - 1]
+    return (*places, size - 2, size - 1)
 
 
 def scan_budget(samples: Samples) -> int:
@@ -162,37 +158,22 @@ def scan_budget(samples: Samples) -> int:
 
 def scan_points(profile: Sequence[Maximum], *, share: float = 1.0) -> tuple[ScanPoint, ...]:
     """A profile as it is reported; `share` of the observations of the estimate are in the profile's criterion."""
-    best = max(one.evaluation.value for one in profile)
-    points = [
-        ScanPoint(x=one.x, value=one.evaluation.value, drop=2.0 * (best - one.evaluation.value) / share)
-        for one in profile
-    ]
+    best = max(one.value for one in profile)
+    points = [ScanPoint(x=one.x, value=one.value, drop=2.0 * (best - one.value) / share) for one in profile]
     return tuple(sorted(points, key=lambda point: point.sigma))
 
 
-def optimum_of(start_sigma: float, top: Maximum, criterion: Criterion | None) -> Optimum:
-    """The end of a climb as it is reported."""
-    return Optimum(
-        start_sigma=start_sigma, x=top.x, value=top.evaluation.value, converged=top.converged, criterion=criterion
-    )
-
-
-def first_guess(samples: Samples) -> float:
-    """R_d [grey level] as the median over the half of the usable pixels that is furthest from any highlight.
-
-    Raises InputError: every pixel is saturated or black.
-    """
-    diffuse = samples.diffuse[samples.sample]
-    away = samples.deflection[samples.sample]
-    lit = diffuse > 0.0
-    full = samples.saturated
-    black = samples.level <= samples.sensor.black_level
+def _first_guess(samples: Samples) -> float:
+    # R_d [grey level] as the median over the half of the usable pixels that is furthest from any highlight
+    diffuse, away = samples.diffuse[samples.sample], samples.deflection[samples.sample]
+    lit, full = diffuse > 0.0, samples.saturated
+    above_black = samples.level - samples.sensor.black_level
     if not lit.any() or bool(np.all(full[lit])):
         raise InputError(
             "every pixel that the lights reach is saturated; the brightness of the surface is unknown. Add images "
             "at a shorter exposure"
         )
-    if bool(np.all(black[lit])):
+    if bool(np.all(above_black[lit] <= 0.0)):
         raise InputError(
             "every pixel that the lights reach is black; the brightness of the surface is unknown. Add images at a "
             "longer exposure, and check that the light was on"
@@ -202,36 +183,31 @@ def first_guess(samples: Samples) -> float:
         usable = lit & ~full
     usable &= away >= np.median(away[usable])
     light = samples.facts.factor[samples.image] * diffuse
-    return max(0.0, float(np.median((samples.level - samples.sensor.black_level)[usable] / light[usable])))
+    return max(0.0, float(np.median(above_black[usable] / light[usable])))
 
 
-def saturating_r_s(samples: Samples, specular: Float64, r_d: float) -> float:
-    """R_s [grey level] with which as many pixels are saturated as were measured.
-
-    Without any saturated pixel, that of a least-squares line through what R_d leaves.
-
-    specular: Per unit of R_s, shape (n,).
-    """
+def _saturating_r_s(samples: Samples, specular: Float64, r_d: float) -> float:
+    # R_s [grey level] with which as many pixels are saturated as were measured; without any saturated pixel, that of a
+    # least-squares line through what R_d leaves
     factor = samples.facts.factor[samples.image]
     light = factor * specular[samples.sample]
     base = samples.sensor.black_level + factor * r_d * samples.diffuse[samples.sample]
-    count = int(samples.saturated.sum())
     reached = light > 0.0
-    if count:
+    if not reached.any():
+        return 1.0
+    if count := int(samples.saturated.sum()):
         missing = np.maximum(samples.sensor.saturated_from - base, 0.0)[reached]
         needed = np.sort(missing / light[reached])
-        if len(needed):
-            return max(float(needed[min(count, len(needed)) - 1]), 1e-3)
-        return 1.0
+        return max(float(needed[min(count, len(needed)) - 1]), 1e-3)
     square = float(light @ light)
     return max(float(light @ (samples.level - base)) / square, 1e-3) if square > 0.0 else 1.0
 
 
-def start_at(samples: Samples, specular: Float64, sigma: float, r_d: float) -> Float64:
-    """Parameters to climb from at a given σ, shape (K,); arguments as in :func:`saturating_r_s`, σ in [rad]."""
+def _start(samples: Samples, specular: Float64, sigma: float, r_d: float) -> Float64:
+    # parameters to climb from at a given σ, shape (K,)
     x = np.zeros(parameter_count(samples))
     x[R_D], x[LOG_SIGMA] = r_d, math.log(sigma)
-    x[LOG_R_S] = math.log(saturating_r_s(samples, specular, r_d))
+    x[LOG_R_S] = math.log(_saturating_r_s(samples, specular, r_d))
     x[-2] = 2.0 * math.log(START_DEVIATION)
     x[-1] = math.log(START_EPSILON / (1.0 - START_EPSILON))
     return x
@@ -260,9 +236,8 @@ def profile_over_sigma(
         if progress is not None:
             progress((number + 1) / len(criteria))
     for number in range(len(criteria) - 2, -1, -1):
-        start = _moved(best[number + 1].x, log_sigmas[number])
-        other = _best(criteria[number], [start], fixed)
-        best[number] = max(best[number], other, key=lambda one: one.evaluation.value)
+        other = _best(criteria[number], [_moved(best[number + 1].x, log_sigmas[number])], fixed)
+        best[number] = max(best[number], other, key=lambda one: one.value)
     return best
 
 
@@ -298,20 +273,16 @@ def profile_outwards(
 
 def peaks(profile: Sequence[Maximum]) -> list[Maximum]:
     """The local maxima along a profile over σ, the best first."""
-    values = [-np.inf, *(one.evaluation.value for one in profile), -np.inf]
-    tops = [
-        one
-        for number, one in enumerate(profile, start=1)
-        if values[number] >= values[number - 1] and values[number] >= values[number + 1]
-    ]
-    return sorted(tops, key=lambda one: -one.evaluation.value)
+    values = [-np.inf, *(one.value for one in profile), -np.inf]
+    tops = [one for k, one in enumerate(profile) if one.value >= max(values[k], values[k + 2])]
+    return sorted(tops, key=lambda one: -one.value)
 
 
 def _best(
     criterion: Criterion, starts: Sequence[Float64], fixed: Sequence[int], *, most_steps: int = SCAN_STEPS
 ) -> Maximum:
     found = [maximise(criterion, x, fixed, most_steps=most_steps, tolerance=SCAN_TOLERANCE) for x in starts]
-    return max(found, key=lambda one: one.evaluation.value)
+    return max(found, key=lambda one: one.value)
 
 
 def _moved(x: Float64, log_sigma: float) -> Float64:

@@ -38,11 +38,9 @@ SAME_REGION = 0.02
 FARTHEST = 12.0
 
 
-def determined_parameters(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> list[int]:
-    """The free parameters, without a noise τ or an outlier share ε at its bound.
-
-    At a bound the likelihood has no maximum: neither information nor scores mean anything there.
-    """
+def _determined_parameters(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> list[int]:
+    # without a noise τ or an outlier share ε at its bound: the likelihood has no maximum there, and neither information
+    # nor scores mean anything
     low, high = bounds(likelihood)
     curvature = np.diag(likelihood.evaluate(x).curvature)
     return [
@@ -53,8 +51,8 @@ def determined_parameters(likelihood: Likelihood, x: Float64, free: Sequence[int
     ]
 
 
-def information(likelihood: Likelihood, x: Float64, places: Sequence[int]) -> Float64:
-    """Observed information: minus the Hessian of the log-likelihood along some parameters, shape (k, k)."""
+def _information(likelihood: Likelihood, x: Float64, places: Sequence[int]) -> Float64:
+    # observed information: minus the Hessian of the log-likelihood along some parameters, shape (k, k)
     index = np.asarray(places, dtype=np.intp)
     curvature = np.diag(likelihood.evaluate(x).curvature)
     result = np.zeros((len(index), len(index)))
@@ -79,9 +77,9 @@ def uncertainty(likelihood: Likelihood, x: Float64, free: Sequence[int]) -> tupl
 
     Shapes (k, k), and (k,) of at least 1; 0 and 1 for noise parameters that the images do not determine.
     """
-    places = determined_parameters(likelihood, x, free)
+    places = _determined_parameters(likelihood, x, free)
     rows = [list(free).index(place) for place in places]
-    inner = _inverse(information(likelihood, x, places))
+    inner = _inverse(_information(likelihood, x, places))
     gradients, curvatures = likelihood.by_block(x)
     moves = gradients[:, places] @ inner
     blocks = len(moves)
@@ -107,24 +105,15 @@ def _inverse(matrix: Float64) -> Float64:
     return inverse / np.outer(scale, scale)
 
 
-def profile_interval(estimate: Estimate, place: int) -> tuple[float, float]:
-    """95 % interval of one parameter, in its own coordinate (R_d, ln R_s, ln σ, …); infinite where nothing bounds it.
-
-    It reaches over all of :func:`profile_regions`, and what is between them.
-    """
-    regions = profile_regions(estimate, place)
-    return regions[0][0], regions[-1][1]
-
-
 def profile_regions(estimate: Estimate, place: int) -> tuple[tuple[float, float], ...]:
     """Values of one parameter that the criterion does not exclude: one interval for most images, ascending if more.
 
-    The drop of the criterion that ends a region is that of a right model times the inflation of the parameter's
-    variance. Regions are searched around the estimate, around the other optima within that drop, and at the points of
-    the scan within it.
+    In its own coordinate (R_d, ln R_s, ln σ, …), infinite where nothing bounds it. The drop of the criterion that ends
+    a region is that of a right model times the inflation of the parameter's variance. Regions are searched around the
+    estimate, around the other optima within that drop, and at the points of the scan within it.
     """
     target = estimate.critical * float(estimate.inflation[estimate.free.index(place)])
-    best = estimate.maximum.evaluation.value
+    best = estimate.maximum.value
     regions = [_around(estimate, place, target)]
     for other in estimate.optima[1:]:
         drop = 2.0 * (best - other.value)
@@ -212,8 +201,9 @@ def criterion_drop(estimate: Estimate, place: int, at: float) -> float:
     low, high = bounds(criterion)
     if not low[place] <= at <= high[place]:
         return math.inf
-    column = estimate.covariance[:, estimate.free.index(place)]
-    variance = float(column[estimate.free.index(place)])
+    i = estimate.free.index(place)
+    column = estimate.covariance[:, i]
+    variance = float(column[i])
     start = estimate.x.copy()
     # to first order the others follow along the regression on this one
     for p, c in zip(estimate.free, column, strict=True):
@@ -222,4 +212,4 @@ def criterion_drop(estimate: Estimate, place: int, at: float) -> float:
     start[place] = at
     others = [p for p in estimate.free if p != place]
     there = maximise(criterion, start, others, most_steps=12, tolerance=1e-3)
-    return 2.0 * (estimate.maximum.evaluation.value - there.evaluation.value)
+    return 2.0 * (estimate.maximum.value - there.value)

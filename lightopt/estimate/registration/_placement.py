@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lightopt.config import PlacementConfig
 from lightopt.core.arrays import Float64
 from lightopt.core.transforms import rotation_z
 from lightopt.scene import Scene, move_part, pixel_footprint
@@ -71,38 +71,27 @@ class PartFilePlacement:
     translate_mm: tuple[float, float, float]
 
 
-def part_file_placement(
-    vertices: Float64,
-    placement: Placement,
-    *,
-    anchor: Literal["as_modelled", "rest_on_table", "centred"],
-    rotate_deg: tuple[float, float, float],
-    translate_mm: tuple[float, float, float],
-    pivot: Float64,
-) -> PartFilePlacement:
+def part_file_placement(scene: Scene, placement: Placement, file: PlacementConfig) -> PartFilePlacement:
     """Express a placement as the rotation and translation of a part file.
 
     The anchor uses the bounding box of the rotated part, so that the translation takes back what the anchor moves.
 
-    vertices: Of the part at its current file placement, world frame at posture (0, 0), shape (n, 3) [mm].
-    placement: Relative to the current file placement.
-    anchor, rotate_deg, translate_mm: Current values of the file.
-    pivot: Of the stage, shape (3,) [mm].
+    scene: With the part at its file placement.
     """
     turn = rotation_z(placement.turn)
-    turned = vertices @ turn.T
+    turned = scene.mesh.vertices @ turn.T
     low, high = turned.min(axis=0), turned.max(axis=0)
     middle = 0.5 * (low + high)
-    if anchor == "rest_on_table":
+    if file.anchor == "rest_on_table":
         anchored = np.array([middle[0], middle[1], low[2]])
-    elif anchor == "centred":
+    elif file.anchor == "centred":
         anchored = middle
     else:
-        anchored = turn @ np.array(translate_mm, dtype=np.float64)
-    shift = pivot - turn @ pivot + np.array([placement.x, placement.y, 0.0]) + anchored
-    about_z = rotate_deg[2] + math.degrees(placement.turn)
+        anchored = turn @ np.array(file.translate_mm, dtype=np.float64)
+    shift = scene.pivot - turn @ scene.pivot + np.array([placement.x, placement.y, 0.0]) + anchored
+    about_x, about_y, about_z = file.rotate_deg
     return PartFilePlacement(
-        rotate_deg=(rotate_deg[0], rotate_deg[1], math.remainder(about_z, 360.0)),
+        rotate_deg=(about_x, about_y, math.remainder(about_z + math.degrees(placement.turn), 360.0)),
         translate_mm=(float(shift[0]), float(shift[1]), float(shift[2])),
     )
 
@@ -149,22 +138,20 @@ class PoseFrame:
 
     def pose(self, placement: Placement) -> Float64:
         """The pose of a placement, shape (3,)."""
-        turned = self._turned(placement.turn)
-        x, y = turned - self.middle + np.array([placement.x, placement.y])
+        x, y = self._turned(placement.turn) - self.middle + np.array([placement.x, placement.y])
         return np.array([x, y, placement.turn])
 
     def placement(self, pose: Float64, covariance: Float64 | None = None) -> Placement:
         """The placement of a pose, with standard errors where the pose's covariance, shape (3, 3), is given."""
         turn = float(pose[2])
         x, y = pose[:2] + self.middle - self._turned(turn)
-        errors = (0.0, 0.0, 0.0)
-        if covariance is not None:
-            slopes = np.eye(3)
-            slopes[:2, 2] = -self._turned(turn + 0.5 * math.pi)
-            variance = np.diag(slopes @ covariance @ slopes.T)
-            ex, ey, et = np.sqrt(np.maximum(variance, 0.0))
-            errors = (float(ex), float(ey), float(et))
-        return Placement(x=float(x), y=float(y), turn=turn, errors=errors)
+        place = Placement(x=float(x), y=float(y), turn=turn)
+        if covariance is None:
+            return place
+        slopes = np.eye(3)
+        slopes[:2, 2] = -self._turned(turn + 0.5 * math.pi)
+        ex, ey, et = np.sqrt(np.maximum(np.diag(slopes @ covariance @ slopes.T), 0.0)).tolist()
+        return replace(place, errors=(ex, ey, et))
 
     def distance_px(self, a: Placement, b: Placement) -> float:
         """How far the part's image moves from one placement to another, at most [px]."""

@@ -6,7 +6,7 @@ moved, and its pixels are traced anew.
 Input: a scene with the part at its file placement, and observations of it. Output: a :class:`Registration`. Steps:
 
 1. `_image_checks`: refuse images that cannot show where the part is.
-2. `_coarse_search`: search by outline and diffuse light.
+2. Search by outline and diffuse light, whatever the reflectance.
 3. `_refinement`: robust least squares over the part's inner pixels, and over its outline where those do not determine
    the placement. `_revolution` finds out beforehand whether a rotation is observable at all.
 """
@@ -20,10 +20,10 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.least_squares import Solution, solve
-from lightopt.core.run_context import RunContext, Share
-from lightopt.estimate.registration._coarse_search import coarse_pixels, search_placement
+from lightopt.core.run_context import RunContext
 from lightopt.estimate.registration._image_checks import refuse_useless_images
 from lightopt.estimate.registration._observations import Observation
+from lightopt.estimate.registration._pixels import PixelSet, light_at, sensor_scale, view_of_placed
 from lightopt.estimate.registration._placement import Placement, PoseFrame, place_part
 from lightopt.estimate.registration._refinement import (
     OUTLINE_PX,
@@ -36,9 +36,24 @@ from lightopt.estimate.registration._refinement import (
 from lightopt.estimate.registration._revolution import unobservable_rotation
 from lightopt.geometry import RayCaster
 from lightopt.optics import Reflectance
-from lightopt.scene import Scene
+from lightopt.scene import Scene, screen_window, view_from_part
 
 _log = logging.getLogger("lightopt.estimate")
+
+# coarse search: pixels per posture, and lights
+PIXELS, MOST_LIGHTS = 6000, 8
+MARGIN_MM = 3.0  # pixels up to this far around the part's nominal outline are used
+FIRST_SHIFT_MM = 2.5  # the search begins at the best of the nominal place and of eight this far around it
+
+# residuals beyond this share of a typical lit level count alike: highlights are not modelled while searching
+TRUNCATED = 0.4
+
+LEAST_DIFFUSE = 0.2
+LEAST_LIT = 50
+FIRST_STEP_MM, FIRST_STEP_RAD = 1.0, math.radians(1.0)
+SEARCH_STEPS = 80
+LIKELY_TURN_RAD = math.radians(2.0)
+TURN_PULL = 1e-4  # penalty of a rotation by this much: it decides where the images do not, for a body of revolution
 
 STAGES = 4  # pixels are chosen anew where the part moved, so many times at most
 
@@ -94,8 +109,6 @@ def register(
     """Find the part's placement on the stage.
 
     scene: The part at its file placement, with the lights and postures of the observations.
-    observations: The images.
-    caster: Of the scene's part.
     reflectance_at: A reflectance for the refinement, given the scene with the part placed by the coarse search; that of
         the scene by default.
     reduced: Whether fewer pixels are enough, for a placement that is only reported.
@@ -104,18 +117,88 @@ def register(
     run = run or RunContext()
     sets = coarse_pixels(scene, observations)
     refuse_useless_images(scene, sets, observations, caster=caster, threads=run.threads)
-    start = search_placement(scene, sets, caster=caster, threads=run.threads, progress=run.stage("finding the part"))
+    start = _search_placement(scene, sets, caster, run)
     if reflectance_at is not None:
         scene = replace(scene, reflectance=reflectance_at(place_part(scene, start)))
-    return refine_placement(
-        scene,
-        observations,
-        start,
-        caster=caster,
-        reduced=reduced,
-        threads=run.threads,
-        progress=run.stage("refining the part's place"),
+    return refine_placement(scene, observations, start, caster=caster, reduced=reduced, run=run)
+
+
+def coarse_pixels(scene: Scene, observations: Sequence[Observation]) -> list[PixelSet]:
+    """A grid of pixels on and around the part in each posture, under the longest exposure of up to eight lights."""
+    sets: list[PixelSet] = []
+    for posture in dict.fromkeys(o.posture for o in observations):
+        view = view_from_part(scene, posture)
+        left, top, right, bottom = screen_window(view.camera, scene.mesh)
+        distance = float(np.linalg.norm(view.camera.position))
+        margin = math.ceil(MARGIN_MM * view.camera.image_distance / (view.camera.pixel_size * distance))
+        left, top = max(0, left - margin), max(0, top - margin)
+        right, bottom = min(view.camera.width, right + margin), min(view.camera.height, bottom + margin)
+        if right <= left or bottom <= top:
+            continue
+        step = max(1, math.floor(math.sqrt((right - left) * (bottom - top) / PIXELS)))
+        column, row = (
+            a.ravel().astype(np.int32) for a in np.meshgrid(np.arange(left, right, step), np.arange(top, bottom, step))
+        )
+        mine = sorted((o for o in observations if o.posture == posture), key=lambda o: o.exposure)
+        longest = list({o.light: o for o in mine}.values())
+        longest = longest[:: math.ceil(len(longest) / MOST_LIGHTS)]
+        sets.append(PixelSet.look_up(posture, row, column, longest, scene.sensor.black_level))
+    return sets
+
+
+def _search_placement(scene: Scene, sets: Sequence[PixelSet], caster: RayCaster, run: RunContext) -> Placement:
+    # by its outline and its diffuse light, to about a pixel, without knowing its reflectance: a simplex search (Nelder
+    # and Mead 1965, doi:10.1093/comjnl/7.4.308) within the greatest shift and turn
+    from scipy import optimize  # takes long to load, and a capture seldom needs it
+
+    frame, progress = PoseFrame.of(scene), run.stage("finding the part")
+    done = 0
+
+    def misfit(pose: Float64) -> float:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(min(1.0, done / SEARCH_STEPS))
+        place = frame.placement(pose)
+        lit: list[Float64] = []
+        seen: list[Float64] = []
+        for pixels in sets:
+            view = view_of_placed(scene, pixels.posture, place.x, place.y, place.turn)
+            diffuse, _ = light_at(scene, pixels, view, caster, threads=run.threads)
+            scales = np.array([[sensor_scale(scene, image)] for image in pixels.images])
+            known = np.isfinite(diffuse)
+            lit.append((diffuse * scales)[known])
+            seen.append(pixels.levels[known])
+        light, level = np.concatenate(lit), np.concatenate(seen)
+        bright = light > LEAST_DIFFUSE * max(float(light.max(initial=0.0)), 1e-9)
+        if np.count_nonzero(bright) < LEAST_LIT:
+            return 1e3
+        r_d = float(np.median(level[bright] / light[bright]))
+        typical = max(r_d * float(np.median(light[bright])), 1.0)
+        off = float(np.mean(np.minimum(np.abs(level - r_d * light), TRUNCATED * typical))) / typical
+        return off + TURN_PULL * float(pose[2] / LIKELY_TURN_RAD) ** 2
+
+    around = [FIRST_SHIFT_MM * np.array([math.cos(a), math.sin(a), 0.0]) for a in np.arange(8) * (math.pi / 4.0)]
+    poses = [np.zeros(3), *around]
+    values = [misfit(pose) for pose in poses]
+    best = poses[int(np.argmin(values))]
+    size = np.array([FIRST_STEP_MM, FIRST_STEP_MM, FIRST_STEP_RAD])
+    reach = frame.reach / size
+    # in units of the first steps, so that one tolerance serves shifts and turn
+    found = optimize.minimize(
+        lambda u: misfit(u * size),
+        best / size,
+        method="Nelder-Mead",
+        bounds=list(zip(-reach, reach, strict=True)),
+        options={
+            "initial_simplex": [best / size, *(best / size + step for step in np.eye(3))],
+            "xatol": 0.02,
+            "fatol": np.inf,
+            "maxfev": SEARCH_STEPS - len(values),
+        },
     )
+    pose = np.asarray(found.x, np.float64) * size if float(found.fun) < values[0] else np.zeros(3)
+    return frame.placement(pose)
 
 
 def refine_placement(
@@ -125,8 +208,7 @@ def refine_placement(
     *,
     caster: RayCaster,
     reduced: bool = False,
-    threads: int | None = None,
-    progress: Share | None = None,
+    run: RunContext | None = None,
 ) -> Registration:
     """Refine a placement that is good to about a pixel, highlights included, to a small part of a pixel.
 
@@ -136,6 +218,8 @@ def refine_placement(
 
     reduced: Whether all stages have as few pixels as the first.
     """
+    run = run or RunContext()
+    progress = run.stage("refining the part's place")
     frame = PoseFrame.of(scene)
     x = start_parameters(scene, frame, start)
     limits = parameter_limits(scene, frame, x)
@@ -150,12 +234,12 @@ def refine_placement(
             frame.placement(x[POSE]),
             outline=outline,
             reduced=reduced or number == 0,
-            threads=threads,
+            threads=run.threads,
         )
         if number == 0:
             hidden = unobservable_rotation(scene, frame, inner, x[POSE], caster=caster)
             limits = replace(limits, undetermined=np.pad(hidden, ((0, 0), (0, len(x) - 3))))
-        problem = RefinementProblem(scene, frame, inner, edges, x, caster=caster, threads=threads)
+        problem = RefinementProblem(scene, frame, inner, edges, x, caster=caster, threads=run.threads)
         solution = solve(problem, x, limits, most_iterations=STAGE_ITERATIONS)
         iterations += solution.iterations
         moved = frame.distance_px(frame.placement(x[POSE]), frame.placement(solution.x[POSE]))
@@ -182,9 +266,7 @@ def _result(solution: Solution, frame: PoseFrame, iterations: int, moved: float,
     share = np.sum(np.square(directions), axis=0)
     # exactly as in the part file, not but for rounding
     pose = np.where(share > 1.0 - 1e-6, 0.0, solution.x[POSE])
-    warnings = _undetermined_warnings(directions, share)
-    nothing_determined = len(directions) == 3
-    not_converged = () if nothing_determined else _convergence_warnings(solution, frame, iterations, moved)
+    not_converged = () if len(directions) == 3 else _convergence_warnings(solution, frame, iterations, moved)
     known, errors = share <= ALONG_AXIS, solution.errors[POSE]
     return Registration(
         placement=replace(
@@ -197,7 +279,7 @@ def _result(solution: Solution, frame: PoseFrame, iterations: int, moved: float,
         cost_before=solution.cost_before,
         cost_after=solution.cost_after,
         outline=outline,
-        warnings=(*warnings, *not_converged),
+        warnings=(*_undetermined_warnings(directions, share), *not_converged),
     )
 
 
