@@ -218,7 +218,7 @@ def test_faults_by_count_and_chance() -> None:
     with BenchProcess({"a": {"kind": "sa"}}) as bench:
 
         def lost(asked: int) -> list[int]:
-            link = SerialLink(bench.ports["a"], device="a", baud=19200, timeout_s=0.05)
+            link = SerialLink(bench.ports["a"], device="a", baud=19200, timeout_s=0.1)
             missing = [i for i in range(asked) if silent(link)]
             link.close()
             return missing

@@ -131,7 +131,7 @@ def test_every_driver_that_rig_files_may_name_is_there() -> None:
 
 BAD = [
     ("{driver: genicam}", 'missing key "producer"'),
-    ("{driver: aravis, producer: x.cti}", "only driver: genicam has one"),
+    ("{driver: aravis, producer: x.cti}", "only driver: genicam has this"),
     ("{driver: genicam, producer: x.cti, packet_size: 1500}", "only driver: aravis has this"),
     ("{driver: virtual, gain: 3}", "only driver: aravis and driver: genicam have this"),
     ("{driver: virtual, trigger: none}", "only driver: aravis and driver: genicam have this"),
@@ -139,7 +139,7 @@ BAD = [
     ("{driver: aravis, offset_px: [1, -1]}", "two whole numbers of pixels"),
     ("{driver: genicam, producer: x.cti, port: virtual}", "only driver: aravis has a simulated camera"),
     ("{driver: aravis, packet_size: 100}", "bytes, from 576 to 65535"),
-    ("{driver: aravis, folder: x}", "only driver: folder has one"),
+    ("{driver: aravis, folder: x}", "only driver: folder has this"),
 ]
 
 
