@@ -17,16 +17,12 @@ if TYPE_CHECKING:
     from lightopt.rig.devices import CameraInfo
 
 
-bench = typer.Typer(
-    help="Try the devices of a rig one by one: state, light, home, move, take a frame.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-)
+bench = typer.Typer(help="Test the devices of a rig one by one.", no_args_is_help=True, rich_markup_mode=None)
 
 
 @bench.command(cls=common.HeadedCommand)
 def status(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
-    """Print the state of every device; nothing is switched or moved."""
+    """Print the state of every device; switch and move nothing."""
     from lightopt.config import load_rig
     from lightopt.rig.capture import device_statuses
 
@@ -43,16 +39,19 @@ def status(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
 @bench.command(cls=common.HeadedCommand)
 def light(
     rig: common.RigFile,
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Light of the rig.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the light in RIG.")],
     level: Annotated[
-        int | None, typer.Argument(metavar="[LEVEL]", help="Intensity; the rig's level where it is left out.")
+        int | None, typer.Argument(metavar="LEVEL", help="Intensity level of the controller; default: that of RIG.")
     ] = None,
     seconds: Annotated[
-        float | None, typer.Option(metavar="S", min=0.0, help="Time; otherwise until Enter is pressed.")
+        float | None, typer.Option(metavar="S", min=0.0, help="Time [s]; default: until Enter is pressed.")
     ] = None,
     serial_log: common.SerialLog = None,
 ) -> None:
-    """Light one panel until Enter is pressed, or for some seconds; more than its max_on_s is refused."""
+    """Switch a light on until Enter is pressed or for --seconds.
+
+    A time above the light's max_on_s is refused.
+    """
     from lightopt.config import load_rig
     from lightopt.rig.capture import check_level, check_on_time, hold_light, wiring_of
 
@@ -78,9 +77,10 @@ def light(
 
 @bench.command(cls=common.HeadedCommand)
 def off(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
-    """Switch every channel of every controller off, whatever state stage, camera and the rest of the file are in.
+    """Switch every channel of every controller off.
 
-    Only the controllers have to be readable in the file; other problems of it are reported afterwards.
+    Stage and camera are not needed. Only the controllers must be readable in RIG; its other problems are reported
+    afterwards.
     """
     from lightopt.config import load_lights
     from lightopt.rig.capture import switch_off
@@ -117,16 +117,15 @@ def home(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
 @bench.command(cls=common.HeadedCommand)
 def move(
     rig: common.RigFile,
-    elevation: Annotated[
-        float | None, typer.Option(metavar="θ", help="Tilt [deg]; unchanged where it is left out.")
-    ] = None,
-    rotation: Annotated[
-        float | None, typer.Option(metavar="φ", help="Rotation [deg]; unchanged where it is left out.")
-    ] = None,
+    elevation: Annotated[float | None, typer.Option(metavar="θ", help="Tilt [deg]; default: unchanged.")] = None,
+    rotation: Annotated[float | None, typer.Option(metavar="φ", help="Rotation [deg]; default: unchanged.")] = None,
     home: Annotated[bool, typer.Option("--home", help="Home the stage first.")] = False,
     serial_log: common.SerialLog = None,
 ) -> None:
-    """Move the stage and verify where it stands. The virtual bench is always homed first: it was just switched on."""
+    """Move the stage and verify its position.
+
+    The virtual bench is always homed first, since it has just been switched on.
+    """
     from lightopt.config import load_rig
     from lightopt.core.transforms import Posture
     from lightopt.rig.capture import check_angles
@@ -151,18 +150,18 @@ def move(
 @bench.command(cls=common.HeadedCommand)
 def snap(
     rig: common.RigFile,
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="PNG to write.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="PNG file to write.")],
     light: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Light this panel for the frame; none otherwise.")
+        str | None, typer.Option(metavar="NAME", help="Switch this light on for the frame; default: none.")
     ] = None,
-    exposure: Annotated[str, typer.Option(metavar="X", help="Exposure, such as 1 or 1/16.")] = "1",
+    exposure: Annotated[str, typer.Option(metavar="X", help="Relative exposure time, such as 1 or 1/16.")] = "1",
     part: Annotated[
-        Path | None, typer.Option(metavar="PART", help="What lies on the virtual bench; needed for its camera only.")
+        Path | None, typer.Option(metavar="PART", help="Part file (YAML); only the virtual camera needs it.")
     ] = None,
     serial_log: common.SerialLog = None,
     force: common.Force = False,
 ) -> None:
-    """Take one frame where the stage stands."""
+    """Take one frame at the current stage position."""
     from lightopt.rig.capture import check_exposure, check_level, check_on_time, connect_devices, snap_on_s, wiring_of
     from lightopt.rig.capture import snap as take
 
@@ -186,9 +185,11 @@ def snap(
 
 @bench.command("devices", cls=common.HeadedCommand)
 def list_devices(
-    rig: Annotated[Path | None, typer.Argument(metavar="[RIG]", help="Print also what this rig expects.")] = None,
+    rig: Annotated[
+        Path | None, typer.Argument(metavar="RIG", help="Rig file (YAML); also show which of its devices are present.")
+    ] = None,
 ) -> None:
-    """List the serial ports of this computer and the cameras that answer; no port is opened or written to."""
+    """List serial ports and the cameras that answer; open no port."""
     from lightopt.rig.devices import serial_ports
 
     ports = [(port.name, " ".join(filter(None, (port.description, port.usb)))) for port in serial_ports()]

@@ -19,33 +19,35 @@ def capture(
     rig: common.RigFile,
     part: common.PartFile,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="DIR", help="Output folder; made if missing.")
+        Path | None,
+        typer.Option("--out", "-o", metavar="DIR", help="Output folder; created if missing. Optional with --dry-run."),
     ] = None,
     light: common.Lights = None,
     posture: common.Postures = None,
     exposures: common.Exposures = "1",
-    average: Annotated[int, common.selection_option(metavar="N", min=1, help="Average N frames for each image.")] = 1,
+    average: Annotated[int, common.selection_option(metavar="N", min=1, help="Average N frames per image.")] = 1,
     dark: Annotated[
-        bool,
-        common.selection_option("--dark", help="Capture frames without light as well; they are subtracted in the EXR."),
+        bool, common.selection_option("--dark", help="Also capture dark frames; they are subtracted in the EXR.")
     ] = False,
     home: Annotated[bool, common.hardware_option("--home", help="Home the stage first.")] = False,
     check_lights: Annotated[
         bool,
-        common.hardware_option("--check-lights/--no-check-lights", help="Check that each image is lit by its light."),
+        common.hardware_option(
+            "--check-lights/--no-check-lights", help="Verify that each image is lit by its own light."
+        ),
     ] = True,
     check_repeatability: Annotated[
         bool,
         common.hardware_option(
             "--check-repeatability",
-            help="Return to the first posture at the end and compare: a stage that lost steps is found.",
+            help="Repeat the first image at the end and compare, to detect lost steps of the stage.",
         ),
     ] = False,
     dry_run: Annotated[
-        bool, common.hardware_option("--dry-run", help="Print every step with its time; open and move nothing.")
+        bool, common.hardware_option("--dry-run", help="Print every step with its time; open no device.")
     ] = False,
     resume: Annotated[
-        bool, common.output_option("--resume", help="Capture only what the existing image set lacks.")
+        bool, common.output_option("--resume", help="Capture only the images missing from an existing set.")
     ] = False,
     sheet: common.Sheet = False,
     serial_log: common.SerialLog = None,
@@ -53,11 +55,11 @@ def capture(
     quiet: common.Quiet = False,
     _verbose: common.Verbose = False,
 ) -> None:
-    """Capture PART on RIG: every light, every posture, every exposure, one image each.
+    """Capture an image of PART on RIG for each light, posture and exposure.
 
-    Writes the camera's PNGs, a linear EXR per light and posture, and manifest.json; other commands take the folder as
-    they take renders. Without a hardware section in RIG the virtual bench is captured: simulated devices and a camera
-    that renders. Lights are off at the start, at the end, after an error and after Ctrl-C.
+    Writes the camera's PNGs, a linear EXR per light and posture, and manifest.json; other commands read the folder like
+    a rendered image set. If RIG has no hardware section, the virtual bench is used: simulated devices and a rendering
+    camera. All lights are switched off at the start, at the end, after an error and after Ctrl-C.
 
     Example: lightopt capture rig.yaml part.yaml -o captured --exposures 1,1/16
     """

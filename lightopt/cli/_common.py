@@ -28,43 +28,40 @@ run_option = partial(typer.Option, rich_help_panel="Run")  # headings of options
 
 RigFile = Annotated[Path, typer.Argument(metavar="RIG", help="Rig file (YAML): camera, lights, stage.")]
 PartFile = Annotated[Path, typer.Argument(metavar="PART", help="Part file (YAML): mesh, postures, reflectance.")]
-Out = Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Output folder; made if missing.")]
+Out = Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Output folder; created if missing.")]
 Force = Annotated[bool, output_option("--force", help="Overwrite existing results.")]
 Report = Annotated[bool, output_option("--report/--no-report", help="Write report.html.")]
-JsonFile = Annotated[Path | None, output_option("--json", metavar="FILE", help="Write all results as JSON.")]
+JsonFile = Annotated[Path | None, output_option("--json", metavar="FILE", help="Write all results to this JSON file.")]
 Sheet = Annotated[
-    bool,
-    output_option(
-        "--sheet", help="Write a contact sheet of all images with labels, contact-sheet.png; one per exposure."
-    ),
+    bool, output_option("--sheet", help="Write a labelled contact sheet per exposure, contact-sheet*.png.")
 ]
 Lights = Annotated[
-    list[str] | None, selection_option("--light", metavar="NAME", help="Take only this light; repeatable.")
+    list[str] | None, selection_option("--light", metavar="NAME", help="Use only this light; repeatable.")
 ]
 Postures = Annotated[
     list[str] | None,
     selection_option(
-        "--posture", metavar="θ,φ", help="Take this tilt and rotation [deg] instead of the part's postures; repeatable."
+        "--posture", metavar="θ,φ", help="Use this tilt and rotation [deg] instead of the part's postures; repeatable."
     ),
 ]
-Exposures = Annotated[str, selection_option(metavar="X,…", help="Exposures of each image, such as 1,1/16.")]
+Exposures = Annotated[str, selection_option(metavar="X,…", help="Relative exposure times, such as 1,1/16.")]
 Points = Annotated[
     str | None,
     model_option(
         metavar="M",
-        help="Point lights per panel: 1, 4, 9, 16, … or auto, the converged panel.",
+        help="Point lights per panel: 1, 4, 9, 16, … or auto (continuous panel).",
         show_default="as the rig file says",
     ),
 ]
-Shadows = Annotated[bool, model_option("--shadows/--no-shadows", help="The part casts shadows.")]
+Shadows = Annotated[bool, model_option("--shadows/--no-shadows", help="Let the part cast shadows.")]
 Patches = Annotated[
     int | None,
-    model_option(metavar="N", min=1, help="Target for the number of visible surface patches.", show_default="200000"),
+    model_option(metavar="N", min=1, help="Target number of visible surface patches.", show_default="200000"),
 ]
 Register = Annotated[
     bool,
     model_option(
-        "--register/--no-register", help="Find where the part lies on the stage; otherwise assume nominal placement."
+        "--register/--no-register", help="Find the part's placement on the stage; otherwise assume nominal placement."
     ),
 ]
 MinImages = Annotated[
@@ -73,13 +70,13 @@ MinImages = Annotated[
 Threads = Annotated[
     int | None,
     run_option(
-        metavar="N", min=1, help="Number of threads. The files do not depend on it.", show_default="all processors"
+        metavar="N", min=1, help="Number of threads; results do not depend on it.", show_default="all processors"
     ),
 ]
 Quiet = Annotated[bool, run_option("--quiet", "-q", help="Print errors and warnings only.")]
-Verbose = Annotated[bool, run_option("--verbose", "-v", callback=set_up_log, help="Print all tables, and the log.")]
+Verbose = Annotated[bool, run_option("--verbose", "-v", callback=set_up_log, help="Print all details and the log.")]
 SerialLog = Annotated[
-    Path | None, output_option(metavar="FILE", help="Append every byte on the wires, with its time, to this file.")
+    Path | None, output_option(metavar="FILE", help="Append all bytes sent and received, with times, to this file.")
 ]
 
 

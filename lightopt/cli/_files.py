@@ -14,10 +14,10 @@ from lightopt.core.run_context import RunContext
 
 
 def init(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Where to write them; made if missing.")],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Output folder; created if missing.")],
     force: common.Force = False,
 ) -> None:
-    """Write a commented rig, part and sample mesh to start from.
+    """Write a sample set-up to DIR: commented rig.yaml and part.yaml, the part's mesh, and JSON schemas for editors.
 
     Then: lightopt check DIR/rig.yaml DIR/part.yaml
     """
@@ -52,12 +52,13 @@ def init(
 
 
 def schema(
-    kind: Annotated[Literal["rig", "part"], typer.Argument(metavar="rig|part", help="Which kind of file.")],
+    kind: Annotated[Literal["rig", "part"], typer.Argument(metavar="KIND", help="Kind of file: rig or part.")],
 ) -> None:
     """Print the JSON schema of a rig or part file, for editors and other programs.
 
-    An editor with the YAML language server uses it after a first line such as
-    # yaml-language-server: $schema=rig.json
+    An editor with the YAML language server uses it if the first line of the YAML file names it.
+
+    Example: # yaml-language-server: $schema=rig.json
     """
     echo(_schema_text(kind))
 
@@ -71,11 +72,12 @@ def _schema_text(kind: Literal["rig", "part"]) -> str:
 def check(
     rig: common.RigFile,
     part: Annotated[
-        Path | None, typer.Argument(metavar="[PART]", help="Part file (YAML); without it only the rig is checked.")
+        Path | None, typer.Argument(metavar="PART", help="Part file (YAML); without it only the rig is checked.")
     ] = None,
     json_file: common.JsonFile = None,
     drawing: Annotated[
-        Path | None, common.output_option(metavar="FILE", help="Draw the rig with its frames and angles (PNG).")
+        Path | None,
+        common.output_option(metavar="FILE", help="Draw rig and PART with coordinate frames and angles (PNG)."),
     ] = None,
     force: common.Force = False,
     quiet: common.Quiet = False,
@@ -83,9 +85,9 @@ def check(
 ) -> None:
     """Validate RIG and PART and summarise the set-up, before anything is rendered.
 
-    Checks the pixel footprint, field of view, size, panel points and facets against the lobe, lights in the camera's
-    view, and surface that no camera ray reaches. Exit status 1 where a finding is an error, 2 where a file cannot be
-    used. Of several findings on one topic that are ok, the first is shown; --verbose shows all.
+    Checks the pixel footprint, field of view, part size, panel points and facets relative to the lobe width, lights in
+    the camera's view, and surface that no camera ray reaches. Exit status 1 if a finding is an error, 2 if a file
+    cannot be used. Of several findings on one topic that are ok, the first is shown; --verbose shows all.
 
     Example: lightopt check rig.yaml part.yaml --drawing rig.png
     """
@@ -129,7 +131,7 @@ def defects(
     rig: common.RigFile,
     part: common.PartFile,
     out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="FILE", help="Part file to write; its folder is made if missing.")
+        Path, typer.Option("--out", "-o", metavar="FILE", help="Part file to write; its folder is created if missing.")
     ],
     seed: Annotated[int, typer.Option(metavar="N", help="Random seed; the same seed gives the same defects.")],
     count: Annotated[int, typer.Option(metavar="K", help="Number of defects, 1 to 500.")],
@@ -138,11 +140,11 @@ def defects(
     quiet: common.Quiet = False,
     _verbose: common.Verbose = False,
 ) -> None:
-    """Place random defects on the surface of PART that the camera of RIG sees in at least one posture, for testing.
+    """Place random defects for testing on the surface of PART that the camera of RIG sees in at least one posture.
 
-    Takes the entries of the part's defect_catalogue, or of the built-in one (docs/how-to/defects.md), in turn. The
-    places are uniform by area, off silhouettes and creases, and apart from each other. Writes PART with a list of
-    defects at its end, its comments kept; render shows them.
+    Uses the entries of the part's defect_catalogue, or of the built-in one (docs/how-to/defects.md), in turn. Positions
+    are uniform by area, and clear of silhouettes, creases and each other. Writes a copy of PART, comments included,
+    with the defects at its end; render shows them.
 
     Example: lightopt defects rig.yaml part.yaml --seed 1 --count 14 -o part.defects.yaml
     """

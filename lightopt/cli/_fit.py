@@ -26,7 +26,7 @@ Images = Annotated[
 Method = Annotated[
     Literal["likelihood", "paper"],
     typer.Option(
-        metavar="likelihood|paper", help="Maximum likelihood, or the procedure of the paper's sections 4.2 and 4.3."
+        metavar="likelihood|paper", help="Maximum likelihood, or the procedure of the paper (docs/how-to/fitting.md)."
     ),
 ]
 Free = Annotated[
@@ -35,15 +35,12 @@ Free = Annotated[
         "--free", metavar="gain|dark", help="Also fit the gain of each light, or the dark level; repeatable."
     ),
 ]
-Pixels = Annotated[
-    int, common.model_option(metavar="N", min=1000, help="Target for the number of pixels to use, over all images.")
-]
+Pixels = Annotated[int, common.model_option(metavar="N", min=1000, help="Target number of pixels, over all images.")]
 WriteNoise = Annotated[
     bool, common.output_option("--write-noise", help="Write the noise measured in the images to rig.fitted.yaml.")
 ]
 AllowUnconverged = Annotated[
-    bool,
-    common.output_option("--allow-unconverged", help="Exit with status 0 even where the optimiser did not converge."),
+    bool, common.output_option("--allow-unconverged", help="Exit with status 0 even if the fit did not converge.")
 ]
 FREE = ("gain", "dark")
 
@@ -61,7 +58,7 @@ def fit_diffuse(
     lambda_d: Annotated[float, paper_option(metavar="LEVEL", help="λ_d: tolerance of the mean brightness.")] = 0.01,
     start_rd: Annotated[float, paper_option(metavar="LEVEL", help="Starting value of R_d.")] = 10.0,
     highlight_margin: Annotated[
-        float, paper_option(metavar="DEG", help="Use only pixels whose normals are this far from mirroring a panel.")
+        float, paper_option(metavar="DEG", help="Minimum angle between a pixel's normal and one that mirrors a panel.")
     ] = 20.0,
     write_noise: WriteNoise = False,
     allow_unconverged: AllowUnconverged = False,
@@ -70,10 +67,10 @@ def fit_diffuse(
     quiet: common.Quiet = False,
     verbose: common.Verbose = False,
 ) -> None:
-    """Fit R_d to the pixels of IMAGES that are away from every highlight.
+    """Fit the diffuse coefficient R_d to the pixels of IMAGES outside all highlights.
 
-    Writes part.fitted.yaml (PART with the fitted value), fit.json and a chart; rig.fitted.yaml with --free or
-    --write-noise.
+    Writes part.fitted.yaml (PART with the fitted value) and fit.json; with --free or --write-noise rig.fitted.yaml,
+    with --method paper a chart, fit.png.
 
     Example: lightopt fit-diffuse rig.yaml part.yaml captured/ -o fitted
     """
@@ -96,7 +93,7 @@ def fit_specular(
     out: common.Out,
     method: Method = "likelihood",
     joint: Annotated[
-        bool, common.model_option("--joint", help="Fit R_d as well instead of holding the part file's.")
+        bool, common.model_option("--joint", help="Fit R_d as well, instead of using PART's value.")
     ] = False,
     register: common.Register = False,
     free: Free = None,
@@ -104,13 +101,14 @@ def fit_specular(
         str | None,
         common.model_option(
             metavar="M,…",
-            help="Point lights per panel: 1, 4, 9, 16, … or auto; several, such as 1,4,9, are compared.",
+            help="Point lights per panel: 1, 4, 9, 16, … or auto (continuous panel); a list such as 1,4,9 is compared.",
             show_default="as the rig file says",
         ),
     ] = None,
     pixels: Pixels = 1_500_000,
     validate: Annotated[
-        bool, common.model_option("--validate/--no-validate", help="Predict each light from the others.")
+        bool,
+        common.model_option("--validate/--no-validate", help="Cross-validate: predict each light from the others."),
     ] = True,
     lambda_s1: Annotated[
         float, paper_option(metavar="SHARE", help="λ_s1: tolerance of the number of saturated pixels.")
@@ -120,7 +118,7 @@ def fit_specular(
     ] = 0.05,
     start_rs: Annotated[float, paper_option(metavar="LEVEL", help="Starting value of R_s.")] = 255.0,
     start_sigma: Annotated[float, paper_option(metavar="RAD", help="Starting value of σ.")] = 0.01,
-    sigma_step: Annotated[float, paper_option(metavar="RAD", help="σ_step: step of σ.")] = 0.0025,
+    sigma_step: Annotated[float, paper_option(metavar="RAD", help="σ_step: increment of σ.")] = 0.0025,
     write_noise: WriteNoise = False,
     allow_unconverged: AllowUnconverged = False,
     force: common.Force = False,
@@ -128,11 +126,11 @@ def fit_specular(
     quiet: common.Quiet = False,
     verbose: common.Verbose = False,
 ) -> None:
-    """Fit R_s and σ to IMAGES; R_d is held at PART's value, or fitted with --joint.
+    """Fit the specular coefficient R_s and the roughness σ to IMAGES. R_d is PART's, unless --joint fits it.
 
-    Writes part.fitted.yaml (PART with the fitted values), fit.json, a chart of the likelihood over σ, and a picture of
-    measured minus predicted levels for each image, predicted from the other lights; rig.fitted.yaml with --free or
-    --write-noise.
+    Writes part.fitted.yaml (PART with the fitted values), fit.json, a chart of the fit over σ (fit.png), and in
+    left-out/ pictures of measured minus predicted levels, each light predicted from the others; with --free or
+    --write-noise rig.fitted.yaml.
 
     Example: lightopt fit-specular rig.yaml part.yaml captured/ -o fitted --joint
     """

@@ -24,18 +24,23 @@ MOST_ROWS, MOST_NOTES = 8, 3  # shown without `--verbose`
 
 
 def overlap(
-    images: Annotated[Path, typer.Argument(metavar="IMAGES", help="Image set: its folder or manifest.json.")],
+    images: Annotated[
+        Path, typer.Argument(metavar="IMAGES", help="Image set, rendered or captured: folder or manifest.json.")
+    ],
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="DIR", help="Write the maps (PNG) and overlap.json here.")
+        Path | None,
+        typer.Option(
+            "--out", "-o", metavar="DIR", help="Write maps (PNG) and overlap.json to this folder; created if missing."
+        ),
     ] = None,
     force: common.Force = False,
     quiet: common.Quiet = False,
     _verbose: common.Verbose = False,
 ) -> None:
-    """Report where the saturated regions of a posture's images overlap, rendered or captured.
+    """Report where the saturated regions of a posture's images overlap.
 
-    Per posture and exposure: saturated pixels of each light, pixels saturated under both lights of each pair, and
-    pixels saturated in two images or more. The maps show no highlight in grey, one in blue, several in red.
+    Per posture and exposure: number of pixels saturated under each light, under both lights of each pair, and in two
+    images or more. The maps show pixels saturated in one image in blue, in several in red.
 
     Example: lightopt overlap captured/ -o overlaps
     """
@@ -53,16 +58,18 @@ def overlap(
 
 
 def compare(
-    golden: Annotated[Path, typer.Argument(metavar="A", help="Golden EXR, PNG or image set (folder).")],
+    golden: Annotated[
+        Path, typer.Argument(metavar="A", help="Golden EXR, PNG or image set (folder or manifest.json).")
+    ],
     new: Annotated[Path, typer.Argument(metavar="B", help="New EXR, PNG or image set.")],
     absolute: Annotated[
         float,
         threshold_option(
             metavar="LEVEL",
-            help="A pixel differs where the difference is more than this, plus --relative times the golden level.",
+            help="A pixel differs if it deviates by more than this plus --relative times the golden level.",
         ),
     ] = 0.05,
-    relative: Annotated[float, threshold_option(metavar="SHARE", help="Share of the golden level.")] = 0.001,
+    relative: Annotated[float, threshold_option(metavar="SHARE", help="Relative threshold; see --absolute.")] = 0.001,
     max_share: Annotated[
         float,
         threshold_option(
@@ -70,22 +77,24 @@ def compare(
         ),
     ] = 0.001,
     geometry_absolute: Annotated[
-        float, threshold_option(metavar="MM", help="Threshold in geometry images and patch tables.")
+        float, threshold_option(metavar="MM", help="Threshold for geometry images (normals: no unit) and patch tables.")
     ] = 0.001,
     min_iou: Annotated[
         float | None,
-        threshold_option(metavar="IOU", help="Minimum overlap of the saturated areas, intersection over union."),
+        threshold_option(metavar="IOU", help="Minimum IoU of the saturated areas; not checked by default."),
     ] = None,
     saturation: Annotated[
         float | None,
-        threshold_option(metavar="LEVEL", help="Saturated from this level on.", show_default="as the files say"),
+        threshold_option(
+            metavar="LEVEL", help="Level from which a pixel is saturated.", show_default="as the files say"
+        ),
     ] = None,
     diff: Annotated[
         Path | None,
         common.output_option(
             metavar="PATH",
             help="Write a difference picture (PNG), or a folder of them for image sets. Red: B is higher; blue: lower; "
-            "green: saturated in A alone; magenta: in B alone.",
+            "green: saturated in A only; magenta: in B only.",
         ),
     ] = None,
     json_file: common.JsonFile = None,
@@ -93,13 +102,13 @@ def compare(
     quiet: common.Quiet = False,
     verbose: common.Verbose = False,
 ) -> None:
-    """Compare two images or image sets, golden A against new B; exit status 1 where they differ too much.
+    """Compare a new image or image set B with a golden one A; exit status 1 if they differ too much.
 
-    Per channel: greatest and rms difference, 99th percentile, share of differing pixels, and overlap (IoU) of the
-    saturated areas. Pixels that are background in both images (level 0 or the black level, rays that miss the part)
-    do not count, so a small part cannot hide in a large frame; all pixels of a PNG with noise do count. A file that
-    only one set has: missing in B it is a failure, missing in A a note. Exit status 2 where A or B is no
-    image and no image set.
+    Per channel: maximum and rms difference, 99th percentile, share of differing pixels, and intersection over union
+    (IoU) of the saturated areas. Pixels that are background in both images (level 0 or the black level, rays that miss
+    the part) do not count, so the result does not depend on the size of the background. In a PNG with noise all pixels
+    count. A file missing in B is a failure, one missing in A a note. Exit status 2 if A or B is neither an image
+    nor an image set.
 
     Example: lightopt compare golden/ out/ --diff differences/
     """

@@ -40,29 +40,29 @@ def inspect(
     rig: common.RigFile,
     part: common.PartFile,
     images: Annotated[
-        list[Path], typer.Argument(metavar="IMAGES…", help="Image sets of one part each: folder or manifest.json.")
+        list[Path], typer.Argument(metavar="IMAGES", help="Image sets of one part each: folder or manifest.json.")
     ],
     out: common.Out,
     detector: Annotated[
         str,
         common.model_option(
             metavar="residual|template",
-            help="Measured against predicted levels; or dots and lines in the synthetic image.",
+            help="residual: measured minus predicted level; template: dots and lines in the synthetic image.",
         ),
     ] = "residual",
     fusion: Annotated[
         str,
         common.model_option(
             metavar="paper|median|minimum|second-largest|none",
-            help="Rule that makes the synthetic image without highlights.",
+            help="Rule that combines images into the synthetic image without highlights.",
         ),
     ] = "paper",
     false_alarms: Annotated[
         float | None,
         common.model_option(
             metavar="N",
-            help="False alarms per posture where only noise differs, from 1e-9 to 1; with --calibration the share of "
-            "good parts with a false alarm in a posture.",
+            help="False alarms per posture if only noise differs, from 1e-9 to 1; with --calibrate or --calibration "
+            "the share of good parts with a false alarm in a posture.",
             show_default="0.05",
         ),
     ] = None,
@@ -70,24 +70,22 @@ def inspect(
     register: common.Register = True,
     calibrate: Annotated[
         bool,
-        calibration_option(
-            "--calibrate", help="Learn from IMAGES, which are of good parts, and write calibration.json."
-        ),
+        calibration_option("--calibrate", help="Write calibration.json from IMAGES of good parts; inspect nothing."),
     ] = False,
     calibration: Annotated[
         Path | None,
-        calibration_option(metavar="FILE", help="calibration.json of good parts; holds the false-alarm rate on them."),
+        calibration_option(metavar="FILE", help="Use this calibration.json; its false-alarm rate becomes the default."),
     ] = None,
     evaluate: Annotated[
         bool,
         common.output_option(
             "--evaluate",
-            help="Compare the result with ground truth, which is the sets' labels or the defects of the part file that "
-            "they were made with: recall, false alarms, ROC, detection curve.",
+            help="Evaluate against ground truth (labels of the sets, or defects of their part file): recall, false "
+            "alarms, ROC, detection curve; write truth.json.",
         ),
     ] = False,
     fail_on_defect: Annotated[
-        bool, common.output_option("--fail-on-defect", help="Exit status 1 where a part is NG.")
+        bool, common.output_option("--fail-on-defect", help="Exit status 1 if a part is NG.")
     ] = False,
     report: common.Report = True,
     force: common.Force = False,
@@ -95,11 +93,11 @@ def inspect(
     quiet: common.Quiet = False,
     verbose: common.Verbose = False,
 ) -> None:
-    """Find defects in IMAGES of PART and report where they are.
+    """Find defects in IMAGES of PART and locate them on the part.
 
-    Writes report.html, defects.json, .csv and .ply, the synthetic image without highlights with its uncertainty, scores
-    and an overlay for each posture. Several sets, as of several parts, get a folder each. OK or NG is by the limits
-    under inspection: in PART. With --calibrate the sets are of good parts, and only calibration.json is written.
+    Writes report.html, defects.json, .csv and .ply, and for each posture the synthetic image without highlights with
+    its uncertainty, scores and an overlay. Several sets get a folder each, and a common batch.json. The limits for OK
+    and NG are under inspection: in PART. With --calibrate only calibration.json is written.
 
     Example: lightopt inspect rig.yaml part.yaml captured/ -o inspected
     """

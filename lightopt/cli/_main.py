@@ -30,9 +30,9 @@ _UsageError: type[Exception] = typer.BadParameter.__mro__[2]  # pyright: ignore[
 
 app = typer.Typer(
     name="lightopt",
-    help="Decide where the lights go in an appearance-inspection machine.",
+    help="Plan the lights, postures and exposures of an appearance-inspection machine, and inspect parts.",
     epilog="Start with: lightopt init DIR. Exit status: 0 done, 1 a check failed, 2 wrong input, 3 hardware failed, "
-    "70 a defect of lightopt, 130 interrupted.",
+    "70 unexpected error (bug), 130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -44,7 +44,7 @@ app = typer.Typer(
 @app.callback()
 def _common(
     version: bool = typer.Option(
-        False, "--version", callback=version_wanted, is_eager=True, help="Show the version and leave."
+        False, "--version", callback=version_wanted, is_eager=True, help="Show the version and exit."
     ),
     debug: bool = typer.Option(  # taken from the arguments before they are parsed
         False, "--debug", help="Show the traceback of an unexpected error; also LIGHTOPT_DEBUG=1."
@@ -53,19 +53,21 @@ def _common(
     pass
 
 
-app.command(short_help="Write a commented rig, part and mesh to start from.", cls=HeadedCommand)(init)
+app.command(short_help="Write a sample rig, part and mesh to start from.", cls=HeadedCommand)(init)
 app.command(short_help="Validate rig and part files and summarise the set-up.", cls=HeadedCommand)(check)
-app.command(short_help="Render what the camera would see.", cls=HeadedCommand)(render)
-app.command(short_help="Capture images on the rig, or on the virtual bench.", cls=HeadedCommand)(capture)
+app.command(short_help="Render the images that the camera would take.", cls=HeadedCommand)(render)
+app.command(short_help="Capture images on the rig or the virtual bench.", cls=HeadedCommand)(capture)
 app.command(short_help="Place random defects on a part for testing.", cls=HeadedCommand)(defects)
 app.command("fit-diffuse", short_help="Fit the diffuse coefficient to images.", cls=HeadedCommand)(fit_diffuse)
-app.command("fit-specular", short_help="Fit the specular coefficients to images.", cls=HeadedCommand)(fit_specular)
-app.command(short_help="Find where the lights go, exactly.", cls=HeadedCommand)(optimize)
+app.command("fit-specular", short_help="Fit specular coefficient and roughness to images.", cls=HeadedCommand)(
+    fit_specular
+)
+app.command(short_help="Find the best light positions by exact search.", cls=HeadedCommand)(optimize)
 app.command(short_help="Find defects in images and locate them on the part.", cls=HeadedCommand)(inspect)
-app.command(short_help="Report where the highlights of several images overlap.", cls=HeadedCommand)(overlap)
-app.command(short_help="Compare images or image sets, golden against new.", cls=HeadedCommand)(compare)
-app.add_typer(bench, name="bench", short_help="Try the devices of a rig one by one.")
-app.command(short_help="Print the JSON schema of rig or part files.", cls=HeadedCommand)(schema)
+app.command(short_help="Report where saturated regions of images overlap.", cls=HeadedCommand)(overlap)
+app.command(short_help="Compare new images or image sets with golden ones.", cls=HeadedCommand)(compare)
+app.add_typer(bench, name="bench", short_help="Test the devices of a rig one by one.")
+app.command(short_help="Print the JSON schema of a rig or part file.", cls=HeadedCommand)(schema)
 
 
 def _speak_utf8() -> None:

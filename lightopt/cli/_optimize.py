@@ -33,16 +33,13 @@ def optimize(
         bool, light_option("--common-elevation", help="Same elevation for all lights that move in elevation.")
     ] = False,
     common_lights: Annotated[
-        bool,
-        light_option(
-            "--common-lights", help="Same light positions for all postures; the sum over the postures decides."
-        ),
+        bool, light_option("--common-lights", help="Same light positions for all postures, by the sum of their scores.")
     ] = False,
     max_combinations: Annotated[
         int | None,
         light_option(
             metavar="N",
-            help="Stop after about N combinations and report a bound; a box that is halved counts as 20000.",
+            help="Stop after about N combinations and report a bound; each branching step counts as 20000.",
             show_default="200000000",
         ),
     ] = None,
@@ -51,12 +48,15 @@ def optimize(
         objective_option(
             "--objective",
             metavar="coverage|paper|detectability",
-            help="Repeatable; the first decides where the lights go.",
+            help="Repeatable; the first determines the light positions.",
             show_default="coverage, paper",
         ),
     ] = None,
     shade_below: Annotated[
-        str, objective_option(metavar="SHARE", help="Levels less than this share of full scale above black are shaded.")
+        str,
+        objective_option(
+            metavar="SHARE", help="A level is shaded if it exceeds black by less than this share of full scale."
+        ),
     ] = "10/255",
     min_images: Annotated[
         int | None,
@@ -68,54 +68,59 @@ def optimize(
         float | None,
         objective_option(
             metavar="T",
-            help="detectability: a defect shows where it changes the level by T times the sensor's noise.",
+            help="detectability: a defect shows if it changes a level by T times the sensor's noise.",
             show_default="5",
         ),
     ] = None,
     choose_postures: Annotated[
-        int | None, posture_option(metavar="N", help="Choose the N postures that show most of the surface together.")
+        int | None,
+        posture_option(
+            metavar="N", help="Choose the N postures with the best joint detectability; a maximum with --target."
+        ),
     ] = None,
     target: Annotated[
         str | None,
-        posture_option(metavar="SHARE", help="Choose as few postures as show this share, such as 0.95 or 95%."),
+        posture_option(
+            metavar="SHARE", help="Choose the fewest postures that reach this detectability, such as 0.95 or 95%."
+        ),
     ] = None,
     posture_step: Annotated[
-        float | None, posture_option(metavar="DEG", help="Step of the postures to choose from.", show_default="22.5")
+        float | None, posture_option(metavar="DEG", help="Step of the candidate postures.", show_default="22.5")
     ] = None,
     allow_outside: Annotated[
         float | None,
         posture_option(
-            metavar="PX", help="How far the part may leave the view in a posture to choose from.", show_default="10"
+            metavar="PX", help="How far the part may extend beyond the image in a candidate posture.", show_default="10"
         ),
     ] = None,
     exposures: Annotated[
-        str | None, exposure_option(metavar="X,…", help="Exposures to choose from, such as 1/16,1/4,1,4,16.")
+        str | None,
+        exposure_option(metavar="X,…", help="Candidate relative exposure times beside 1, such as 1/16,1/4,4,16."),
     ] = None,
     exposure_gain: Annotated[
         float | None,
         exposure_option(
             metavar="POINTS",
-            help="What a further exposure of a posture has to add, in percentage points.",
+            help="Minimum gain in detectability by a further exposure, in percentage points.",
             show_default="1",
         ),
     ] = None,
     light_tolerance: Annotated[
         float | None,
-        tolerance_option(metavar="DEG", help="Report how far the score falls when each light is off by this angle."),
+        tolerance_option(
+            metavar="DEG", help="Report the loss of score if each light is off by this angle in elevation and azimuth."
+        ),
     ] = None,
     pose_tolerance: Annotated[
         float | None,
         tolerance_option(
-            metavar="DEG",
-            help="Report how far the score falls when the part is off by this angle in tilt and rotation.",
+            metavar="DEG", help="Report the loss of score if the part is off by this angle in tilt and rotation."
         ),
     ] = None,
     tolerance_target: Annotated[
         str | None,
         tolerance_option(
-            metavar="SHARE",
-            help="Share of the score to keep: the widest tolerances that keep it are reported.",
-            show_default="0.95",
+            metavar="SHARE", help="Report the widest tolerances that keep this share of the score.", show_default="0.95"
         ),
     ] = None,
     points: common.Points = None,
@@ -123,34 +128,37 @@ def optimize(
     patches: common.Patches = None,
     keep_matrix: Annotated[
         bool,
-        common.output_option("--keep-matrix", help="Keep the luminance matrices; the same command then reuses them."),
+        common.output_option(
+            "--keep-matrix", help="Write the luminance matrices (matrix.npz), and reuse existing ones."
+        ),
     ] = False,
     images: Annotated[
-        bool, common.output_option("--images/--no-images", help="Render the images of the best set.")
+        bool, common.output_option("--images/--no-images", help="Render images with the best light positions.")
     ] = True,
     report: common.Report = True,
     ranking_rows: Annotated[
-        int, common.output_option(metavar="N", help="Combinations in ranking.csv, per posture and objective.")
+        int, common.output_option(metavar="N", help="Rows of ranking.csv per posture and objective.")
     ] = 100,
     force: common.Force = False,
     threads: common.Threads = None,
     quiet: common.Quiet = False,
     verbose: common.Verbose = False,
 ) -> None:
-    """Find where the lights of RIG go for PART: the best combination of their positions, exactly.
+    """Find the best positions of RIG's lights for PART by exact search.
 
-    Scores every combination of the positions that the lights' ranges allow on the levels that the camera would deliver.
-    Objectives: coverage is the area that two images or more show usably, neither shaded nor saturated, and at most one
-    saturated; paper is the sum of each patch's middle levels; detectability is the share of the surface × defects of
-    the part's catalogue that the images show above the noise, with its blind spots and their causes.
+    Scores every combination of positions within the lights' ranges by the levels that the camera would deliver.
+    Objectives: coverage is the area that is usable (neither shaded nor saturated) in two images or more and saturated
+    in at most one; paper is the sum of each patch's usable levels without the highest and lowest level; detectability
+    is the share of surface × defects of the part's catalogue that the images show above the noise, and has a table of
+    blind spots.
 
-    Writes result.json, ranking.csv, rig.optimized.yaml (one per posture where they differ), the images of the best set,
-    the map of their overlapping highlights, and report.html, a page that needs no network. Exit status 1 where no
-    combination leaves anything usable.
+    Writes result.json, ranking.csv, rig.optimized.yaml (one per posture if they differ), images with the best light
+    positions (images/), maps of overlapping saturated regions (overlap.png), and report.html. Exit status 1 if no
+    combination makes any surface usable.
 
     --choose-postures and --target choose postures from the stage's range by detectability, with the same light
-    positions for all; they are written to part.planned.yaml. Exposures are chosen, and tolerances analysed, for the
-    lights and postures that were found.
+    positions for all; they are written to part.planned.yaml. Exposures are chosen and tolerances analysed for the
+    resulting lights and postures.
 
     Example: lightopt optimize rig.yaml part.yaml -o best --step 5 --common-lights
     """

@@ -15,16 +15,17 @@ def render(
     exposures: common.Exposures = "1",
     points: common.Points = None,
     noise: Annotated[
-        int | None, common.model_option(metavar="SEED", help="Add the sensor's shot and read noise to the PNGs.")
+        int | None,
+        common.model_option(metavar="SEED", help="Add shot and read noise to the PNGs, with this random seed."),
     ] = None,
     shadows: common.Shadows = True,
     defects: Annotated[
-        bool, common.model_option("--defects/--no-defects", help="Show the defects that PART names.")
+        bool, common.model_option("--defects/--no-defects", help="Render the defects listed in PART.")
     ] = True,
     supersample: Annotated[int, common.model_option(metavar="N", min=1, help="Cast N × N rays per pixel.")] = 1,
     patches: common.Patches = None,
     layers: Annotated[
-        bool, common.output_option("--layers", help="Write EXR channels diffuse.Y and specular.Y as well.")
+        bool, common.output_option("--layers", help="Also write the EXR channels diffuse.Y and specular.Y.")
     ] = False,
     sheet: common.Sheet = False,
     force: common.Force = False,
@@ -32,11 +33,11 @@ def render(
     quiet: common.Quiet = False,
     _verbose: common.Verbose = False,
 ) -> None:
-    """Render what the camera would see of PART on RIG: every light, every posture.
+    """Render the images that the camera of RIG would take of PART, for each light and posture.
 
-    Writes a linear EXR and the camera's PNG per light and posture, the geometry of each posture (points, normals,
-    depth, patch, and defect where PART names any), patches.npz, and manifest.json. Running the same command again
-    continues where it was interrupted.
+    Writes a linear EXR per light and posture, the camera's PNG per exposure, the geometry of each posture (points,
+    normals, depth, patch, and defect if PART lists any), patches.npz, and manifest.json. The same command continues an
+    interrupted run.
 
     Example: lightopt render rig.yaml part.yaml -o out --exposures 1,1/16
     """
