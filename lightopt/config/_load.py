@@ -15,8 +15,7 @@ from pydantic import BaseModel, ValidationError
 
 from lightopt.config._camera import CameraDeviceConfig
 from lightopt.config._fields import mapping
-from lightopt.config._hardware import HardwareConfig
-from lightopt.config._light_controllers import ChannelConfig, ControllerConfig
+from lightopt.config._hardware import ChannelConfig, ControllerConfig, HardwareConfig
 from lightopt.config._messages import describe, model_problems
 from lightopt.config._part import PartConfig
 from lightopt.config._rig import RigConfig
