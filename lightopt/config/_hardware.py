@@ -357,13 +357,10 @@ def _plug(name: str, channel: Mapping[str, object], controllers: Mapping[str, ob
 
 def _shared(channels: Mapping[str, object]) -> Iterator[fields.Complaint]:
     """Lights on the channel of another light."""
-    names = list(channels)
-    places: list[tuple[str, int] | None] = []
-    for entry in channels.values():
-        controller, number = fields.mapping(entry).get("controller"), _whole(fields.mapping(entry).get("channel"))
-        places.append((controller, number) if isinstance(controller, str) and number is not None else None)
-    for i, first in fields.repeated(places):
-        controller, number = places[i] or ("", 0)
+    names, entries = list(channels), [fields.mapping(entry) for entry in channels.values()]
+    places = [(entry.get("controller"), _whole(entry.get("channel"))) for entry in entries]
+    for i, first in fields.repeated(p if isinstance(p[0], str) and p[1] is not None else None for p in places):
+        controller, number = places[i]
         reason = f'channel {number} of {controller} is already that of light "{names[first]}"'
         yield ("lights", names[i], "channel"), number, fields.complaint(reason)
 

@@ -78,13 +78,10 @@ def _error(path: Path, problems: list[Problem]) -> InputError:
     messages: list[str] = []
     for p in sorted(problems, key=lambda p: p.line):
         text = f"{dotted(p.keys)}: {p.message}" if p.keys else p.message
-        messages.append(f"{path}:{p.line}: {_printable(text)}")
+        # what a terminal would not show, or obey, is written as an escape
+        printable = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+        messages.append(f"{path}:{p.line}: {printable}")
     return InputError(*messages)
-
-
-def _printable(text: str) -> str:
-    """Text with what a terminal would not show, or obey, written as an escape."""
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 def _kind(format_: str) -> str:
