@@ -18,6 +18,7 @@ from lightopt.report._drawing import CAP_HEIGHT, INK, LINE_HEIGHT, SOFT, Box, Dr
 from lightopt.report._images import check_png_path, write_picture
 from lightopt.report._rig_elements import (
     AXIS_COLOURS,
+    BORDER_STEPS,
     CAMERA,
     LIGHT,
     PHI,
@@ -239,9 +240,9 @@ def draw_camera(drawing: Drawing, box: Box) -> list[Label]:
         drawing, box, np.concatenate([square(46.0, ORIGIN), tips, shape.footprint]), elevation=30.0, azimuth=292.0
     )
     pen.grid(46.0, 23.0)
-    pen.footprint(shape)
+    pen.polygon(shape.footprint, fill="#45535f20", outline=CAMERA, width=1.2)
     pen.axes((54.0, 54.0, 40.0))
-    for corner in shape.corners:
+    for corner in shape.footprint[::BORDER_STEPS]:
         pen.line(np.stack([camera.position, corner]), CAMERA, 1.2, dash=(7, 4))
     pen.arrow(np.stack([camera.position, 0.45 * camera.position]), INK, 2.2)
     pen.label("−d", 0.5 * camera.position, INK, away_from=0.5 * camera.position - e_phi)

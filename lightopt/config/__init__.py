@@ -8,8 +8,7 @@ from lightopt.config._camera import CameraConfig, CameraDeviceConfig
 from lightopt.config._defects import DefectConfig, PixelPlaceConfig
 from lightopt.config._edit import copied_text, with_list
 from lightopt.config._fields import MOST_POINTS, points_problem
-from lightopt.config._hardware import AxisConfig, HardwareConfig, StageDeviceConfig
-from lightopt.config._light_controllers import ChannelConfig, ControllerConfig
+from lightopt.config._hardware import AxisConfig, ChannelConfig, ControllerConfig, HardwareConfig, StageDeviceConfig
 from lightopt.config._load import LightsOnly, input_hashes, json_schema, load_lights, load_part, load_rig
 from lightopt.config._part import InspectionConfig, PartConfig, PlacementConfig
 from lightopt.config._rig import LightConfig, LightSourceConfig, RigConfig

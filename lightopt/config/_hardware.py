@@ -1,29 +1,190 @@
 """The hardware section of a rig file: devices behind camera, lights and stage, and whether they fit together."""
 
 import re
+import string
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
 from typing import Annotated, Literal, get_args
 
-from pydantic import AfterValidator, Field, ValidationInfo, field_validator
+from pydantic import AfterValidator, Field, StringConstraints, ValidationInfo, field_validator
 
+from lightopt.config import _fields as fields
 from lightopt.config._camera import CameraConfig, CameraDeviceConfig
-from lightopt.config._fields import (
-    Complaint,
-    FileName,
-    Frozen,
-    Positive,
-    Text,
-    absent,
-    complaint,
-    expecting,
-    mapping,
-    repeated,
-)
-from lightopt.config._light_controllers import PORT, Baud, ChannelConfig, ControllerConfig
 
-_Seconds = Annotated[float, Field(ge=0, le=600), expecting("seconds, from 0 to 600")]
-_Milliseconds = Annotated[float, Field(ge=0, le=60000), expecting("milliseconds, from 0 to 60000")]
+_Baud = Annotated[int, Field(ge=300, le=4000000), fields.expecting("a baud rate, from 300 to 4000000")]
+_Channel = Annotated[int, Field(ge=1, le=64), fields.expecting("a channel number as on the device, from 1 to 64")]
+_Level = Annotated[int, Field(ge=1, le=65535), fields.expecting("a whole intensity of the controller, from 1")]
+_MOST = {"ccs": {"top_level": 9999}, "sa": {"channels": 6, "top_level": 9999}}
+
+# description of the ports of controllers and stages
+_PORT = (
+    "Serial port (/dev/serial/by-id/…, COM3), pyserial URL (socket://host:port, rfc2217://…), or virtual: "
+    "simulated firmware on this computer."
+)
+
+_FIELDS = ("channel", "channel0", "letter", "level")
+_WIDTH = re.compile(r"(0?[1-9]\d?)?d?")
+
+
+def _bytes(text: str) -> str:
+    wide = next((c for c in text if ord(c) > 255), None)
+    if wide is not None:
+        raise fields.complaint(f'"{wide}" is no single byte; expected characters up to \\xff')
+    return text
+
+
+def _escaped(text: str) -> str:
+    found = re.search(r"\\(?:[rnt0]|x[0-9a-fA-F]{2})", text)
+    if found is not None:
+        raise fields.complaint(
+            f"the characters {found[0]} would be sent as they stand; for the byte that they mean put the text in "
+            "double quotes"
+        )
+    return text
+
+
+def _filled_in(text: str) -> str:
+    try:
+        pieces = list(string.Formatter().parse(text))
+    except ValueError as error:
+        raise fields.complaint(f"not a template: {error}; a brace that is meant is written twice") from None
+    for _, name, form, conversion in pieces:
+        if name is None:
+            continue
+        if name not in _FIELDS or conversion:
+            raise fields.complaint(
+                f"no field {{{name}}}; there are {', '.join(f'{{{f}}}' for f in _FIELDS)}; a brace that is meant is "
+                "written twice"
+            )
+        if _WIDTH.fullmatch(form or "") is None or (form and name == "letter"):
+            raise fields.complaint(f"{{{name}:{form}}}: expected a width such as {{level:03d}}, or none")
+    return text
+
+
+def _needs_level(text: str) -> str:
+    if not any(name == "level" for _, name, _, _ in string.Formatter().parse(text)):
+        raise fields.complaint("the field {level} is missing: the command would set no intensity")
+    return text
+
+
+def _compiled(text: str) -> str:
+    try:
+        re.compile(text.encode("latin-1"))
+    except re.error as error:
+        raise fields.complaint(f"not a regular expression: {error}") from None
+    return text
+
+
+_LINE = Annotated[str, StringConstraints(min_length=1, max_length=200), AfterValidator(_bytes)]
+
+Command = Annotated[
+    _LINE, AfterValidator(_escaped), AfterValidator(_filled_in), fields.expecting("the text of a command")
+]
+Pattern = Annotated[_LINE, AfterValidator(_compiled), fields.expecting("a regular expression")]
+End = Annotated[_LINE, AfterValidator(_escaped), fields.expecting("the bytes that end a reply")]
+
+
+class TemplateConfig(fields.Frozen):
+    """Commands of a controller in its own words, for driver: template.
+
+    Fields in braces are put in: {channel} counted from 1, {channel0} from 0, {letter} A, B, …; {level}, also with a
+    width: {level:03d}. In double quotes the escapes for carriage return, line feed and other bytes are understood.
+    """
+
+    set: Annotated[Command, AfterValidator(_needs_level)] = Field(
+        description="Command that sets an intensity and lights the channel; has the field {level}."
+    )
+    set_reply: Pattern | None = Field(
+        default=None,
+        description="Regular expression that the whole reply matches, without its end; none: there is no reply.",
+    )
+    off: Command | None = Field(default=None, description="Command that darkens; `set` with level 0 if absent.")
+    off_reply: Pattern | None = Field(
+        default=None, description="Regular expression of the reply to `off`; none: there is no reply."
+    )
+    read: Command | None = Field(
+        default=None,
+        description="Command that queries the intensity, which is 0 when dark; none: it cannot be queried.",
+    )
+    read_reply: Pattern | None = Field(
+        default=None,
+        description="Regular expression of the reply to `read`, with the digits of the intensity in a group named "
+        "level: L1(?P<level>[0-9]+).",
+        validate_default=True,
+    )
+    end: End | None = Field(default=None, description="Bytes that end a reply; silence ends it if absent.")
+
+    @field_validator("off_reply", "read_reply")
+    @classmethod
+    def _of_its_command(cls, reply: str | None, info: ValidationInfo) -> str | None:
+        command = str(info.field_name).removesuffix("_reply")
+        if command not in info.data:
+            return reply
+        if info.data[command] is None:
+            if reply is not None:
+                raise fields.complaint(f"there is no `{command}` that it could answer; add it, or leave this out")
+        elif command == "read" and (reply is None or "level" not in re.compile(reply.encode("latin-1")).groupindex):
+            raise fields.complaint("expected a regular expression with a group (?P<level>...) for the intensity")
+        return reply
+
+
+class ControllerConfig(fields.Frozen):
+    """A light controller."""
+
+    driver: Annotated[
+        Literal["ccs", "sa", "template"], fields.expecting("ccs, sa or template, which suits devices of other makers")
+    ] = Field(description="Protocol: ccs (@ frames), sa (SA0255# family), or template.")
+    port: fields.Text = Field(description=_PORT)
+    baud: _Baud | None = Field(default=None, description="_Baud rate; the protocol's usual one if absent.")
+    channels: _Channel = Field(default=4, description="Number of channels.")
+    top_level: _Level = Field(default=255, description="Highest intensity of the controller.")
+    dialect: Annotated[Literal["lan", "serial"], fields.expecting("lan or serial")] = Field(
+        default="lan", description="ccs: frames without (lan) or with (serial) a unit number."
+    )
+    template: TemplateConfig | None = Field(
+        default=None, description="Commands, for driver: template.", validate_default=True
+    )
+    timeout_s: fields.Positive = Field(default=1.0, description="Longest wait for a reply [s].")
+
+    @field_validator("channels", "top_level")
+    @classmethod
+    def _sayable(cls, number: int, info: ValidationInfo) -> int:
+        driver = info.data.get("driver")
+        most = _MOST.get(str(driver), {}).get(str(info.field_name))
+        if most is not None and number > most:
+            raise fields.complaint(f"expected at most {most}, the most that {driver} can express, found {number}")
+        return number
+
+    @field_validator("dialect")
+    @classmethod
+    def _of_ccs(cls, dialect: str, info: ValidationInfo) -> str:
+        if dialect != "lan" and info.data.get("driver") not in (None, "ccs"):
+            raise fields.complaint(f"only ccs has dialects, and the driver is {info.data['driver']}; leave this out")
+        return dialect
+
+    @field_validator("template")
+    @classmethod
+    def _of_template(cls, template: TemplateConfig | None, info: ValidationInfo) -> TemplateConfig | None:
+        missing = 'missing key "template": commands and replies, for driver: template'
+        return fields.only_of_driver("template", template, info, missing=missing)
+
+
+class ChannelConfig(fields.Frozen):
+    """Where a light of the rig is plugged in, and at which level it is lit."""
+
+    controller: fields.FileName = Field(description="Name of the controller.")
+    channel: _Channel = Field(description="Channel, counted from 1 as on the device.")
+    level: _Level = Field(description="Intensity at which the light has the brightness that the rig describes.")
+    max_level: _Level | None = Field(
+        default=None, description="Intensity never exceeded; the controller's highest if absent."
+    )
+    max_on_s: fields.Positive | None = Field(
+        default=None, description="Longest time that the light may be on at a stretch [s]; any if absent."
+    )
+
+
+_Seconds = Annotated[float, Field(ge=0, le=600), fields.expecting("seconds, from 0 to 600")]
+_Milliseconds = Annotated[float, Field(ge=0, le=60000), fields.expecting("milliseconds, from 0 to 60000")]
 _AXES = {
     "shot": ("[12]", "1 or 2"),
     "gsc": ("[12]", "1 or 2"),
@@ -34,45 +195,48 @@ _AXES = {
 
 def _not_zero(number: float) -> float:
     if number == 0:
-        raise complaint("expected a number other than 0, found 0")
+        raise fields.complaint("expected a number other than 0, found 0")
     return number
 
 
-class AxisConfig(Frozen):
+class AxisConfig(fields.Frozen):
     """One axis of the stage."""
 
-    axis: Annotated[Text, expecting('text in quotes, the axis as the device calls it: "1", "X"')] = Field(
+    axis: Annotated[fields.Text, fields.expecting('text in quotes, the axis as the device calls it: "1", "X"')] = Field(
         description='The axis as the device calls it: "1", "2", "X", "Y".'
     )
     steps_per_deg: Annotated[
-        float, Field(ge=-1e7, le=1e7), AfterValidator(_not_zero), expecting("a number other than 0, from -1e7 to 1e7")
+        float,
+        Field(ge=-1e7, le=1e7),
+        AfterValidator(_not_zero),
+        fields.expecting("a number other than 0, from -1e7 to 1e7"),
     ] = Field(
         default=1.0, description="Device units per degree; negative where the device counts against the rig's sense."
     )
-    zero: Annotated[float, Field(ge=-1e9, le=1e9), expecting("a number")] = Field(
+    zero: Annotated[float, Field(ge=-1e9, le=1e9), fields.expecting("a number")] = Field(
         default=0.0, description="Device units at which the rig's angle is 0."
     )
-    home_sense: Annotated[int, Field(ge=-1, le=1), AfterValidator(_not_zero), expecting("1 or -1")] = Field(
+    home_sense: Annotated[int, Field(ge=-1, le=1), AfterValidator(_not_zero), fields.expecting("1 or -1")] = Field(
         default=-1,
         description="Sense of the device's count in which it seeks its origin, 1 or -1; for gsc, which must be told.",
     )
-    speed_deg_per_s: Positive = Field(default=20.0, description="Speed that the device is set to [deg/s].")
+    speed_deg_per_s: fields.Positive = Field(default=20.0, description="Speed that the device is set to [deg/s].")
 
 
-class StageDeviceConfig(Frozen):
+class StageDeviceConfig(fields.Frozen):
     """The device that turns the part."""
 
-    driver: Annotated[Literal["shot", "gsc", "grbl", "zaber"], expecting("shot, gsc, grbl or zaber")] = Field(
+    driver: Annotated[Literal["shot", "gsc", "grbl", "zaber"], fields.expecting("shot, gsc, grbl or zaber")] = Field(
         description="Protocol: shot or gsc (SIGMA KOKI / OptoSigma), grbl, zaber."
     )
-    port: Text = Field(description=PORT)
-    baud: Baud | None = Field(default=None, description="Baud rate; the protocol's usual one if absent.")
+    port: fields.Text = Field(description=_PORT)
+    baud: _Baud | None = Field(default=None, description="_Baud rate; the protocol's usual one if absent.")
     elevation: AxisConfig | None = Field(default=None, description="The tilt axis; none: fixed at 0.")
     rotation: AxisConfig | None = Field(
         default=None, description="The rotary axis; none: fixed at 0.", validate_default=True
     )
-    timeout_s: Positive = Field(default=1.0, description="Longest wait for a reply [s].")
-    home_timeout_s: Positive = Field(default=180.0, description="Longest time that homing may take [s].")
+    timeout_s: fields.Positive = Field(default=1.0, description="Longest wait for a reply [s].")
+    home_timeout_s: fields.Positive = Field(default=180.0, description="Longest time that homing may take [s].")
     assume_referenced: bool = Field(
         default=False,
         description="Whether a stage that cannot report whether it was homed is moved without homing it first.",
@@ -84,7 +248,7 @@ class StageDeviceConfig(Frozen):
         driver = str(info.data.get("driver"))
         pattern, words = _AXES.get(driver, ("", ""))
         if axis is not None and words and re.fullmatch(pattern, axis.axis) is None:
-            raise complaint(f'expected an axis of {driver}, {words}, found axis "{axis.axis}"')
+            raise fields.complaint(f'expected an axis of {driver}, {words}, found axis "{axis.axis}"')
         return axis
 
     @field_validator("rotation")
@@ -94,28 +258,30 @@ class StageDeviceConfig(Frozen):
             return axis
         tilt = info.data["elevation"]
         if axis is None and tilt is None:
-            raise absent('missing key "elevation" or "rotation": an axis that the stage has', "elevation", "rotation")
+            raise fields.absent(
+                'missing key "elevation" or "rotation": an axis that the stage has', "elevation", "rotation"
+            )
         if axis is not None and tilt is not None and axis.axis == tilt.axis:
-            raise complaint(f'axis "{axis.axis}" is already that of elevation; two axes have two names')
+            raise fields.complaint(f'axis "{axis.axis}" is already that of elevation; two axes have two names')
         return axis
 
 
-class TimingConfig(Frozen):
+class TimingConfig(fields.Frozen):
     """What is waited for before an exposure."""
 
     light_ms: _Milliseconds = Field(default=100.0, description="From light on to the exposure [ms].")
     stage_ms: _Milliseconds = Field(default=200.0, description="From the end of a move to the exposure [ms].")
-    discard_frames: Annotated[int, Field(ge=0, le=20), expecting("a whole number from 0 to 20")] = Field(
+    discard_frames: Annotated[int, Field(ge=0, le=20), fields.expecting("a whole number from 0 to 20")] = Field(
         default=1, description="Frames thrown away after a change, by a camera that has no software trigger."
     )
     frame_timeout_s: _Seconds = Field(default=5.0, description="Longest wait for a frame beyond its exposure [s].")
 
 
-class HardwareConfig(Frozen):
+class HardwareConfig(fields.Frozen):
     """The devices of a rig."""
 
-    controllers: dict[FileName, ControllerConfig] = Field(description="The light controllers by name.")
-    lights: dict[FileName, ChannelConfig] = Field(description="Where each light of the rig is plugged in.")
+    controllers: dict[fields.FileName, ControllerConfig] = Field(description="The light controllers by name.")
+    lights: dict[fields.FileName, ChannelConfig] = Field(description="Where each light of the rig is plugged in.")
     stage: StageDeviceConfig | None = Field(default=None, description="The stage; none: the part stands still.")
     camera: CameraDeviceConfig = Field(description="The camera.")
     timing: TimingConfig = Field(default=TimingConfig(), description="What is waited for.")
@@ -124,89 +290,88 @@ class HardwareConfig(Frozen):
 _REAL_CAMERAS = {*get_args(CameraDeviceConfig.model_fields["driver"].annotation)} - {"virtual"}
 
 
-def misfits(hardware: object, lights: tuple[str, ...] | None, camera: CameraConfig | None) -> Iterator[Complaint]:
+def misfits(
+    hardware: object, lights: tuple[str, ...] | None, camera: CameraConfig | None
+) -> Iterator[fields.Complaint]:
     """What does not fit together, by the path under ``hardware``; parts that are wrong themselves are passed over.
 
     hardware: The section as it was read
     lights: Names of the rig's lights; None where they are wrong themselves
     camera: The rig's camera; None where it is wrong itself
     """
-    section = mapping(hardware)
-    controllers, channels = (mapping(section.get(key)) for key in ("controllers", "lights"))
+    section = fields.mapping(hardware)
+    controllers, channels = (fields.mapping(section.get(key)) for key in ("controllers", "lights"))
     if lights is not None and isinstance(section.get("lights"), Mapping):
         yield from _names(channels, lights)
     if isinstance(section.get("controllers"), Mapping):
         for name, channel in channels.items():
-            yield from _plug(name, mapping(channel), controllers)
+            yield from _plug(name, fields.mapping(channel), controllers)
         yield from _shared(channels)
-    yield from _same_port(controllers, mapping(section.get("stage")))
-    device = mapping(section.get("camera"))
+    yield from _same_port(controllers, fields.mapping(section.get("stage")))
+    device = fields.mapping(section.get("camera"))
     if camera is not None and camera.exposure_us is None and device.get("driver") in _REAL_CAMERAS:
         reason = (
             "the rig's camera has no exposure_us; add to its section the exposure time [µs] that counts as exposure 1"
         )
-        yield ("camera",), device, complaint(reason)
+        yield ("camera",), device, fields.complaint(reason)
 
 
-def _names(channels: Mapping[str, object], lights: tuple[str, ...]) -> Iterator[Complaint]:
+def _names(channels: Mapping[str, object], lights: tuple[str, ...]) -> Iterator[fields.Complaint]:
     for name in lights:
         if name not in channels:
             entry = f"{name}: {{controller: ..., channel: ..., level: ...}}"
             reason = f'the light "{name}" of the rig has no channel; add {entry}'
-            yield ("lights",), dict(channels), complaint(reason)
+            yield ("lights",), dict(channels), fields.complaint(reason)
     for name, channel in channels.items():
         if name not in lights:
             near = get_close_matches(name, lights, n=1)
             meant = f'; did you mean "{near[0]}"?' if near else f"; its lights are {', '.join(lights)}"
-            yield ("lights", name), channel, complaint(f'the rig has no light "{name}"{meant}')
+            yield ("lights", name), channel, fields.complaint(f'the rig has no light "{name}"{meant}')
 
 
-def _plug(name: str, channel: Mapping[str, object], controllers: Mapping[str, object]) -> Iterator[Complaint]:
+def _plug(name: str, channel: Mapping[str, object], controllers: Mapping[str, object]) -> Iterator[fields.Complaint]:
     """What is wrong with where one light is plugged in."""
     wanted, number = channel.get("controller"), _whole(channel.get("channel"))
     level, most = _whole(channel.get("level")), _whole(channel.get("max_level"))
     if level is not None and most is not None and level > most:
-        yield (("lights", name, "level"), level, complaint(f"expected at most max_level, {most}, found {level}"))
+        yield (("lights", name, "level"), level, fields.complaint(f"expected at most max_level, {most}, found {level}"))
     if not isinstance(wanted, str):
         return
     if wanted not in controllers:
         there = ", ".join(controllers) or "none"
         reason = f'no controller is called "{wanted}"; there is {there}'
-        yield ("lights", name, "controller"), wanted, complaint(reason)
+        yield ("lights", name, "controller"), wanted, fields.complaint(reason)
         return
-    controller = mapping(controllers[wanted])
+    controller = fields.mapping(controllers[wanted])
     defaults = ControllerConfig.model_fields
     count = _whole(controller.get("channels", defaults["channels"].default))
     if count is not None and number is not None and number > count:
         reason = f"expected a channel from 1 to {count}, which {wanted} has, found {number}"
-        yield ("lights", name, "channel"), number, complaint(reason)
+        yield ("lights", name, "channel"), number, fields.complaint(reason)
     top = _whole(controller.get("top_level", defaults["top_level"].default))
     for key, value in (("level", level), ("max_level", most)):
         if top is not None and value is not None and value > top:
             reason = f"expected at most {top}, the top_level of {wanted}, found {value}"
-            yield ("lights", name, key), value, complaint(reason)
+            yield ("lights", name, key), value, fields.complaint(reason)
 
 
-def _shared(channels: Mapping[str, object]) -> Iterator[Complaint]:
+def _shared(channels: Mapping[str, object]) -> Iterator[fields.Complaint]:
     """Lights on the channel of another light."""
-    names = list(channels)
-    places: list[tuple[str, int] | None] = []
-    for entry in channels.values():
-        controller, number = mapping(entry).get("controller"), _whole(mapping(entry).get("channel"))
-        places.append((controller, number) if isinstance(controller, str) and number is not None else None)
-    for i, first in repeated(places):
-        controller, number = places[i] or ("", 0)
+    names, entries = list(channels), [fields.mapping(entry) for entry in channels.values()]
+    places = [(entry.get("controller"), _whole(entry.get("channel"))) for entry in entries]
+    for i, first in fields.repeated(p if isinstance(p[0], str) and p[1] is not None else None for p in places):
+        controller, number = places[i]
         reason = f'channel {number} of {controller} is already that of light "{names[first]}"'
-        yield ("lights", names[i], "channel"), number, complaint(reason)
+        yield ("lights", names[i], "channel"), number, fields.complaint(reason)
 
 
-def _same_port(controllers: Mapping[str, object], stage: Mapping[str, object]) -> Iterator[Complaint]:
+def _same_port(controllers: Mapping[str, object], stage: Mapping[str, object]) -> Iterator[fields.Complaint]:
     """Devices at the port of another device."""
     paths: list[tuple[str, ...]] = [*(("controllers", name) for name in controllers), ("stage",)]
-    ports = [mapping(entry).get("port") for entry in (*controllers.values(), stage)]
-    for i, first in repeated(map(_port_key, ports)):
+    ports = [fields.mapping(entry).get("port") for entry in (*controllers.values(), stage)]
+    for i, first in fields.repeated(map(_port_key, ports)):
         reason = f'port "{ports[i]}" is already that of {".".join(paths[first])}; each device has its own'
-        yield (*paths[i], "port"), ports[i], complaint(reason)
+        yield (*paths[i], "port"), ports[i], fields.complaint(reason)
 
 
 def _port_key(port: object) -> str | None:

@@ -15,8 +15,7 @@ from pydantic import BaseModel, ValidationError
 
 from lightopt.config._camera import CameraDeviceConfig
 from lightopt.config._fields import mapping
-from lightopt.config._hardware import HardwareConfig
-from lightopt.config._light_controllers import ChannelConfig, ControllerConfig
+from lightopt.config._hardware import ChannelConfig, ControllerConfig, HardwareConfig
 from lightopt.config._messages import describe, model_problems
 from lightopt.config._part import PartConfig
 from lightopt.config._rig import RigConfig
@@ -79,13 +78,10 @@ def _error(path: Path, problems: list[Problem]) -> InputError:
     messages: list[str] = []
     for p in sorted(problems, key=lambda p: p.line):
         text = f"{dotted(p.keys)}: {p.message}" if p.keys else p.message
-        messages.append(f"{path}:{p.line}: {_printable(text)}")
+        # what a terminal would not show, or obey, is written as an escape
+        printable = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+        messages.append(f"{path}:{p.line}: {printable}")
     return InputError(*messages)
-
-
-def _printable(text: str) -> str:
-    """Text with what a terminal would not show, or obey, written as an escape."""
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 def _kind(format_: str) -> str:

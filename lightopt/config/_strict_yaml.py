@@ -24,6 +24,7 @@ _READ_DIFFERENTLY = re.compile(r"[\t!?\ufeff]|[|>]\S*#")
 """Tabs, tags, question marks, byte-order marks, comments without a space before them: PyYAML's parser in C takes some
 of them that the one in Python refuses."""
 
+_SURROGATE = re.compile("[\ud800-\udfff]")
 _NULL = frozenset({"", "~", "null", "Null", "NULL"})
 _TRUE = frozenset({"true", "True", "TRUE"})
 _FALSE = frozenset({"false", "False", "FALSE"})
@@ -80,8 +81,7 @@ class Document:
 class _Node:
     line: int
     event: yaml.NodeEvent
-    pairs: tuple[tuple[_Node, _Node], ...] = ()
-    items: tuple[_Node, ...] = ()
+    children: list[_Node] = field(default_factory=list["_Node"])  # of a mapping: key, value, key, value, …
 
 
 def parse(text: str) -> Document:
@@ -152,25 +152,13 @@ class _Reader:
                 raise YamlError(self.line, f"*{event.anchor} refers to no complete &{event.anchor} before it")
             return self.anchors[event.anchor]
         assert isinstance(event, yaml.NodeEvent)
-        node = self.collection(event, depth)
+        node = _Node(self.line, event)
+        if isinstance(event, yaml.CollectionStartEvent):
+            while not isinstance(child := self.next(), yaml.CollectionEndEvent):
+                node.children.append(self.node(child, depth + 1))
         if event.anchor is not None:
             self.anchors[event.anchor] = node
         return node
-
-    def collection(self, event: yaml.NodeEvent, depth: int) -> _Node:
-        line = self.line
-        if isinstance(event, yaml.SequenceStartEvent):
-            items: list[_Node] = []
-            while not isinstance(child := self.next(), yaml.SequenceEndEvent):
-                items.append(self.node(child, depth + 1))
-            return _Node(line, event, items=tuple(items))
-        if isinstance(event, yaml.MappingStartEvent):
-            pairs: list[tuple[_Node, _Node]] = []
-            while not isinstance(child := self.next(), yaml.MappingEndEvent):
-                key = self.node(child, depth + 1)
-                pairs.append((key, self.node(self.next(), depth + 1)))
-            return _Node(line, event, pairs=tuple(pairs))
-        return _Node(line, event)
 
 
 class _Expansion:
@@ -185,10 +173,6 @@ class _Expansion:
         self.document.invalid.add(keys)
         return INVALID
 
-    def drop_key(self, line: int, keys: Keys, message: str) -> None:
-        self.document.problems.append(Problem(line, keys, message))
-        self.document.incomplete.add(keys)
-
     def value(self, node: _Node, keys: Keys, line: int) -> object:
         self.count += 1
         if self.count > MAX_NODES or len(keys) > MAX_DEPTH:
@@ -201,49 +185,41 @@ class _Expansion:
         if isinstance(event, yaml.ScalarEvent):
             return self.scalar(event, keys, line)
         if isinstance(event, yaml.SequenceStartEvent):
-            return [self.value(item, (*keys, i), item.line) for i, item in enumerate(node.items)]
+            return [self.value(item, (*keys, i), item.line) for i, item in enumerate(node.children)]
         return self.mapping(node, keys)
 
     def scalar(self, event: yaml.ScalarEvent, keys: Keys, line: int) -> object:
         text: str = event.value
-        if any("\ud800" <= c <= "\udfff" for c in text):
+        if _SURROGATE.search(text):
             return self.report(line, keys, "half of a surrogate pair is not a character")
         if not event.implicit[0]:
             return text
         try:
-            return plain_scalar(text)
-        except NotFiniteError as error:
+            return _plain_scalar(text)
+        except ValueError as error:
             return self.report(line, keys, str(error))
 
     def mapping(self, node: _Node, keys: Keys) -> dict[str, object]:
         data: dict[str, object] = {}
-        for key_node, value_node in node.pairs:
+        for key_node, value_node in zip(node.children[::2], node.children[1::2], strict=True):
             line, event = key_node.line, key_node.event
+            key = str(getattr(event, "value", ""))  # never a number or a boolean
+            problem = ""
             if not isinstance(event, yaml.ScalarEvent) or event.tag is not None:
-                self.drop_key(line, keys, "expected a key of plain text")
-                continue
-            key = self.scalar_key(event, keys, line)
-            if key is None:
-                continue
-            if key in data:
-                first = self.document.lines[(*keys, key)]
-                self.document.problems.append(
-                    Problem(line, keys, f'key "{key[:60]}" is given twice; the first is in line {first}')
-                )
-                continue
-            data[key] = self.value(value_node, (*keys, key), line)
+                problem = "expected a key of plain text"
+            elif key == "<<" and event.implicit[0]:
+                problem = 'merging with "<<" is not part of YAML 1.2; write the keys out'
+            elif _SURROGATE.search(key):
+                problem = "half of a surrogate pair is not a character"
+            if problem:
+                self.document.incomplete.add(keys)
+            elif key in data:
+                problem = f'key "{key[:60]}" is given twice; the first is in line {self.document.lines[(*keys, key)]}'
+            if problem:
+                self.document.problems.append(Problem(line, keys, problem))
+            else:
+                data[key] = self.value(value_node, (*keys, key), line)
         return data
-
-    def scalar_key(self, event: yaml.ScalarEvent, keys: Keys, line: int) -> str | None:
-        """Text of a key; keys are never numbers or booleans."""
-        key: str = event.value
-        if key == "<<" and event.implicit[0]:
-            self.drop_key(line, keys, 'merging with "<<" is not part of YAML 1.2; write the keys out')
-            return None
-        if any("\ud800" <= c <= "\udfff" for c in key):
-            self.drop_key(line, keys, "half of a surrogate pair is not a character")
-            return None
-        return key
 
 
 def _explain(error: yaml.MarkedYAMLError) -> tuple[int, str]:
@@ -266,34 +242,27 @@ def _explain(error: yaml.MarkedYAMLError) -> tuple[int, str]:
     return line, f"not valid YAML{column}: {problem}{context}"
 
 
-class NotFiniteError(ValueError):
-    """The scalar is NaN, an infinity, or a number too large for a double."""
-
-
 def is_number(text: str) -> bool:
     """Whether the text, unquoted, would be a number."""
     return any(p.fullmatch(text) for p in (_INT, _OCTAL, _HEX, _FLOAT))
 
 
-def plain_scalar(text: str) -> str | int | float | bool | None:
-    """Value of an unquoted scalar.
-
-    Raises NotFiniteError: For NaN, infinities and numbers beyond a double
-    """
+def _plain_scalar(text: str) -> str | int | float | bool | None:
+    """Value of an unquoted scalar; a ValueError for NaN, infinities and numbers beyond a double."""
     if text in _NULL:
         return None
     if text in _TRUE or text in _FALSE:
         return text in _TRUE
     if _NON_FINITE.fullmatch(text):
-        raise NotFiniteError(f"expected a finite number, found {text}")
+        raise ValueError(f"expected a finite number, found {text}")
     for pattern, base in ((_INT, 10), (_OCTAL, 8), (_HEX, 16)):
         if pattern.fullmatch(text):
             if len(text) > _LONGEST_INT:
-                raise NotFiniteError(f"expected a finite number, found one of {len(text)} digits")
+                raise ValueError(f"expected a finite number, found one of {len(text)} digits")
             return int(text if base == 10 else text[2:], base)
     if _FLOAT.fullmatch(text):
         value = float(text)
         if math.isinf(value):
-            raise NotFiniteError(f"expected a finite number, found {text[:40]}, which is too large")
+            raise ValueError(f"expected a finite number, found {text[:40]}, which is too large")
         return value
     return text

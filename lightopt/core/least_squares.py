@@ -195,6 +195,8 @@ class _Solver:
         self._problem, self._limits, self._loss, self._least_spread = problem, limits, loss, least_spread
         self._size = len(limits.nominal)
         self._of_interest = np.flatnonzero(np.isfinite(limits.resolution))
+        # parameters of interest in units of their resolution; the others do not matter
+        self._resolution = np.where(np.isfinite(limits.resolution), limits.resolution, 1.0)
         self._precision = np.diag(np.where(np.isfinite(limits.prior), 1.0 / np.square(limits.prior), 0.0))
         self._held = np.zeros((0, self._size))
         self._scatter = np.zeros(0)
@@ -358,12 +360,8 @@ class _Solver:
             found = rest @ found @ rest
         return 0.5 * (found + found.T)
 
-    def _in_resolution(self) -> Float64:
-        # parameters of interest in units of their resolution; the others do not matter
-        return np.where(np.isfinite(self._limits.resolution), self._limits.resolution, 1.0)
-
     def _at_nominal(self, x: Float64) -> Float64:
-        unit = self._in_resolution()
+        unit = self._resolution
         off = (x - self._limits.nominal) / unit
         return self._clipped(self._limits.nominal + unit * (off - self._held.T @ (self._held @ off)))
 
@@ -371,8 +369,7 @@ class _Solver:
         # of the directions to move in, shape (K, f): not those held, nor a parameter at its limit that is pulled beyond
         low, high = self._limits.nominal - self._limits.reach, self._limits.nominal + self._limits.reach
         stuck = ((x <= low) & (pull < 0.0)) | ((x >= high) & (pull > 0.0))
-        unit = self._in_resolution()
-        held = np.concatenate([self._held / unit, np.eye(self._size)[stuck]])
+        held = np.concatenate([self._held / self._resolution, np.eye(self._size)[stuck]])
         if not len(held):
             return np.eye(self._size)
         held = held / np.maximum(np.linalg.norm(held, axis=1, keepdims=True), _TINY)
@@ -437,7 +434,7 @@ class _Solver:
             root = (basis / scale) @ back @ (vectors * np.sqrt(np.maximum(values, 0.0)))
             covariance = root @ root.T
         if len(self._held):
-            of, res = self._of_interest, self._in_resolution()
+            of, res = self._of_interest, self._resolution
             held = self._held[:, of]
             information = held @ self._information(normal) @ held.T
             less = np.maximum(self._scatter * np.diag(information), 1.0)

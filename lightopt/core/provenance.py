@@ -1,21 +1,7 @@
 """What a result depends on: the code that computed it, the packages that this code runs on, its inputs, its options.
 
-Every JSON file of results says it under ``provenance``, in one layout. The other files of a result are listed in that
-JSON file; the part file of ``lightopt defects``, which stands alone, has it as JSON in a comment.
-
-``lightopt``
-    Version.
-``code_sha256``
-    Hash of the sources of all that computes; the version of a release stays the same while its code is edited.
-``versions``
-    Of Python, and of the packages that figures, rays, triangles and levels come from.
-``inputs``
-    Hashes of the files that were read; names only, no folders, so that the same files give the same bytes everywhere.
-``options``
-    Options of the run, as far as results depend on them.
-
-Results of equal provenance are the same. Whatever is reused (a set that is resumed, a stored luminance matrix, a
-calibration) is reused only where its provenance is that of the run.
+Its layout is in docs/reference/conventions.md. Results of equal provenance are the same; whatever is reused is reused
+only where its provenance is that of the run.
 """
 
 import functools
@@ -25,6 +11,7 @@ import os
 import platform
 from collections.abc import Iterable, Iterator, Mapping
 from importlib.metadata import version
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -43,9 +30,10 @@ _MOST_DIFFERENCES = 6
 
 
 def provenance(inputs: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
-    """What a result depends on, as JSON; see the module for the layout.
+    """What a result depends on, as JSON.
 
-    inputs: Hashes of what was read, such as :func:`lightopt.config.input_hashes` gives
+    inputs: Hashes of what was read, such as :func:`lightopt.config.input_hashes` gives; names without folders, so that
+        the same files give the same bytes everywhere
     options: Of the run, JSON-able
     """
     return {**computed_by(), "inputs": dict(inputs), "options": dict(options)}
@@ -114,7 +102,8 @@ def differences(there: Mapping[str, Any], now: Mapping[str, Any], *, partly: boo
     old, new = dict(_leaves(there)), dict(_leaves(now))
     keys = new if partly else dict.fromkeys((*old, *new))
     pairs = [(key, old.get(key), new.get(key)) for key in keys if old.get(key) != new.get(key)]
-    texts = list(dict.fromkeys(_difference(*pair) for pair in sorted(pairs, key=lambda pair: _rank(*pair))))
+    ranked = sorted((_difference(*pair) for pair in pairs), key=itemgetter(0))
+    texts = list(dict.fromkeys(text for _, text in ranked))
     more = len(texts) - _MOST_DIFFERENCES
     return "; ".join([*texts[:_MOST_DIFFERENCES], *([f"and {more} more"] if more > 0 else [])])
 
@@ -129,24 +118,14 @@ def _leaves(value: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, s
             yield name, json.dumps(inner, sort_keys=True)
 
 
-def _rank(key: str, old: str | None, new: str | None) -> int:
-    if key.startswith("versions."):
-        return 1
-    return 2 if _is_content(key, old, new) else 0
-
-
-def _is_content(key: str, old: str | None, new: str | None) -> bool:
-    return key.endswith("sha256") or "sha256" in f"{old}{new}"
-
-
-def _difference(key: str, old: str | None, new: str | None) -> str:
+def _difference(key: str, old: str | None, new: str | None) -> tuple[int, str]:
+    """Place among the differences (options, versions, contents), and the words."""
     if key == _CODE_KEY:
-        return "the code of lightopt has changed"
-    if _is_content(key, old, new):
-        return f"{key}: another content"
-    return f"{key}: there {_shown(old)}, now {_shown(new)}"
-
-
-def _shown(text: str | None) -> str:
-    text = text or "absent"
-    return text if len(text) <= _MOST_CHARACTERS else f"{text[:_MOST_CHARACTERS]}…"
+        return 2, "the code of lightopt has changed"
+    if not key.startswith("versions.") and (key.endswith("sha256") or "sha256" in f"{old}{new}"):
+        return 2, f"{key}: another content"
+    there, now = (
+        text if len(text) <= _MOST_CHARACTERS else f"{text[:_MOST_CHARACTERS]}…"
+        for text in (old or "absent", new or "absent")
+    )
+    return int(key.startswith("versions.")), f"{key}: there {there}, now {now}"

@@ -20,6 +20,7 @@ from lightopt.report._drawing import (
     Drawing,
     fit_text,
     fixed_style,
+    hex_colour,
     sub,
     text_width,
 )
@@ -32,7 +33,6 @@ from lightopt.report._images import (
     write_picture,
 )
 
-RED = "#{:02x}{:02x}{:02x}".format(*SATURATED_COLOUR)
 EMPTY = "#f1f3f5"
 
 MARGIN, GAP = 36, 18
@@ -186,7 +186,7 @@ class _Sheet:
         if columns < width:  # a narrow image is framed, lest its black run into nothing
             drawing.rectangle((x, y, x + width - 1, y + height - 1), outline=FAINT, width=1.0)
         baseline = y + height + 8 + CAP_HEIGHT * TEXT
-        colour = RED if thumbnail.saturated else SOFT
+        colour = hex_colour(SATURATED_COLOUR) if thumbnail.saturated else SOFT
         drawing.text(x, baseline, saturation_text(thumbnail), size=TEXT, colour=colour)
         if len(self.positions(light)) > 1:
             note = light_position(self.entries[posture, light])

@@ -6,7 +6,7 @@ matplotlib takes long to import, so each function imports what it uses.
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -92,6 +92,11 @@ def fit_text(text: str, size: float, width: float) -> str:
         return text
     shortened = (text[:end].rstrip() + "…" for end in range(len(text) - 1, 0, -1))
     return next((line for line in shortened if text_width(line, size) <= width), "…")
+
+
+def hex_colour(rgb: Iterable[int]) -> str:
+    """A colour as ``#rrggbb``."""
+    return "#{:02x}{:02x}{:02x}".format(*rgb)
 
 
 def figure_image(figure: Figure) -> Image.Image:

@@ -31,11 +31,6 @@ KEYS = "Drag to turn, wheel to zoom, right button to move; keys on the picture: 
 
 WIDE = 8  # tables of more columns have narrow margins, and their cells may take several lines
 
-FALLBACK = (
-    '<p class="note fallback" hidden>This browser shows no WebGL: the picture is a still one'
-    '<span class="reason"></span>.</p>'
-)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
@@ -132,44 +127,40 @@ class Page:
 
 def page_html(page: Page) -> str:
     """The page as HTML; the same page gives the same text. Every text is escaped: names may contain anything."""
-    parts = [
-        "<!doctype html>",
-        '<html lang="en">',
-        "<head>",
-        '<meta charset="utf-8">',
-        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">',
-        '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f"<title>{escape(page.title)}</title>",
-        f"<style>\n{_asset('page.css')}</style>",
-        "</head>",
-        "<body>",
-        "<header>",
-        f"<h1>{escape(page.title)}</h1>",
-        f'<p class="subtitle">{escape(page.subtitle)}</p>',
-        "</header>",
-        "<main>",
-        *(_block(block) for block in page.lead),
-        _contents(page.sections),
-    ]
-    for number, section in enumerate(page.sections, start=1):
-        parts += [f'<section id="s{number}">', f"<h2>{escape(section.heading)}</h2>"]
-        parts += [_block(block) for block in section.blocks]
-        parts += ["</section>"]
+    links = [f'<a href="#s{i}">{escape(section.heading)}</a>' for i, section in enumerate(page.sections, start=1)]
+    parts = [*map(_block, page.lead), f'<nav aria-label="Contents">{" ".join(links)}</nav>']
+    for i, section in enumerate(page.sections, start=1):
+        parts += [f'<section id="s{i}">', f"<h2>{escape(section.heading)}</h2>"]
+        parts += [*map(_block, section.blocks), "</section>"]
     parts += ["</main>"]
     blocks = (*page.lead, *(block for section in page.sections for block in section.blocks))
     if any(isinstance(block, SurfaceView) for block in blocks):
         parts += [f"<script>\n{_asset(name)}</script>" for name in ("three.bundle.min.js", "viewer.js")]
-    parts += ["</body>", "</html>", ""]
-    return "\n".join(parts)
+    body = "\n".join(parts)
+    return f"""<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{POLICY}">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{escape(page.title)}</title>
+<style>
+{_asset("page.css")}</style>
+</head>
+<body>
+<header>
+<h1>{escape(page.title)}</h1>
+<p class="subtitle">{escape(page.subtitle)}</p>
+</header>
+<main>
+{body}
+</body>
+</html>
+"""
 
 
 def _asset(name: str) -> str:
     return files("lightopt.report").joinpath("viewer").joinpath(name).read_text(encoding="utf-8")
-
-
-def _contents(sections: Sequence[Section]) -> str:
-    links = [f'<a href="#s{number}">{escape(section.heading)}</a>' for number, section in enumerate(sections, start=1)]
-    return f'<nav aria-label="Contents">{" ".join(links)}</nav>'
 
 
 def _block(block: Block) -> str:
@@ -187,7 +178,7 @@ def _block(block: Block) -> str:
         case Table():
             return _table(block)
         case Picture():
-            return f'<figure class="picture">{_image(block)}{_figcaption(block.caption)}</figure>'
+            return f'<figure class="picture">{_image(block)}{_optional("figcaption", block.caption)}</figure>'
         case Gallery():
             return _gallery(block)
         case SurfaceView():
@@ -204,12 +195,15 @@ def _table(table: Table) -> str:
         )
         return f"<tr>{''.join(marked)}</tr>"
 
-    caption = f"<caption>{escape(table.caption)}</caption>" if table.caption else ""
     links = table.links or [""] * len(table.rows)
     body = "\n".join(row(cells, "td", href) for cells, href in zip(table.rows, links, strict=True))
     wide = ' class="wide"' if len(table.header) > WIDE else ""
+    return _scrolling(wide, table.caption, row(table.header, "th"), body)
+
+
+def _scrolling(attributes: str, caption: str, head: str, body: str) -> str:
     return (
-        f'<div class="scroll"><table{wide}>{caption}<thead>{row(table.header, "th")}</thead>\n'
+        f'<div class="scroll"><table{attributes}>{_optional("caption", caption)}<thead>{head}</thead>\n'
         f"<tbody>{body}</tbody></table></div>"
     )
 
@@ -225,30 +219,24 @@ def _gallery(gallery: Gallery) -> str:
             for picture in pictures
         )
         rows.append(f'<tr><th scope="row">{escape(name)}</th>{cells}</tr>')
-    caption = f"<caption>{escape(gallery.caption)}</caption>" if gallery.caption else ""
-    return (
-        f'<div class="scroll"><table class="gallery">{caption}<thead><tr>{head}</tr></thead>\n'
-        f"<tbody>{chr(10).join(rows)}</tbody></table></div>"
-    )
+    return _scrolling(' class="gallery"', gallery.caption, f"<tr>{head}</tr>", "\n".join(rows))
 
 
 def _image(picture: Picture, *, css: str = "") -> str:
     with Image.open(io.BytesIO(picture.png)) as image:
         width, height = image.size
     data = base64.b64encode(picture.png).decode("ascii")
-    kind = f' class="{css}"' if css else ""
-    return (
-        f'<img{kind} width="{width}" height="{height}" alt="{escape(picture.alt)}" src="data:image/png;base64,{data}">'
-    )
+    alt = escape(picture.alt)
+    return f'<img{css} width="{width}" height="{height}" alt="{alt}" src="data:image/png;base64,{data}">'
 
 
-def _figcaption(text: str) -> str:
-    return f"<figcaption>{escape(text)}</figcaption>" if text else ""
+def _optional(tag: str, text: str) -> str:
+    return f"<{tag}>{escape(text)}</{tag}>" if text else ""
 
 
 def _surface(view: SurfaceView) -> str:
     surface, grid = simplified(view.surface)
-    still = _image(Picture(png=png_bytes(surface_still(surface)), alt=view.alt), css="still")
+    still = _image(Picture(png=png_bytes(surface_still(surface)), alt=view.alt), css=' class="still"')
     caption = view.caption
     if grid:
         caption += (
@@ -258,25 +246,21 @@ def _surface(view: SurfaceView) -> str:
     layers = view.surface.layers
     chooser = f"<form>{_chooser(layers)}</form>" if len(layers) > 1 else ""
     legends = "".join(_legend(layer, k) for k, layer in enumerate(layers))
-    return "\n".join(
-        [
-            '<figure class="surface">',
-            '<div class="view"><div class="stage">',
-            f'<canvas tabindex="0" role="img" aria-label="{escape(view.alt)}. {escape(KEYS)}"></canvas>',
-            still,
-            FALLBACK,
-            '</div><div class="side">',
-            f'<div class="controls">{chooser}</div>',
-            legends,
-            '<div class="controls"><button type="button" class="home">First view</button>',
-            f'<p class="note">{escape(KEYS)}</p></div>',
-            "</div></div>",
-            _figcaption(caption.strip()),
-            f'<script type="application/json" class="head">{surface_head(surface)}</script>',
-            f'<script type="application/octet-stream" class="data">{surface_data(surface)}</script>',
-            "</figure>",
-        ]
-    )
+    return f"""<figure class="surface">
+<div class="view"><div class="stage">
+<canvas tabindex="0" role="img" aria-label="{escape(view.alt)}. {escape(KEYS)}"></canvas>
+{still}
+<p class="note fallback" hidden>This browser shows no WebGL: the picture is a still one<span class="reason"></span>.</p>
+</div><div class="side">
+<div class="controls">{chooser}</div>
+{legends}
+<div class="controls"><button type="button" class="home">First view</button>
+<p class="note">{escape(KEYS)}</p></div>
+</div></div>
+{_optional("figcaption", caption.strip())}
+<script type="application/json" class="head">{surface_head(surface)}</script>
+<script type="application/octet-stream" class="data">{surface_data(surface)}</script>
+</figure>"""
 
 
 def _chooser(layers: Sequence[SurfaceLayer]) -> str:

@@ -9,23 +9,14 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from lightopt.core.transforms import Posture, posture_rotation
+from lightopt.core.arrays import Float64
+from lightopt.core.transforms import Posture, rotation_x
 from lightopt.geometry import RayCaster
 from lightopt.rendering import cast_rays_at
-from lightopt.report._drawing import (
-    CAP_HEIGHT,
-    FAINT,
-    LINE_HEIGHT,
-    SOFT,
-    Box,
-    Drawing,
-    Label,
-    fit_text,
-    fixed_style,
-    sub,
-)
+from lightopt.report._drawing import CAP_HEIGHT, FAINT, LINE_HEIGHT, SOFT, Box, Drawing, fit_text, fixed_style, sub
 from lightopt.report._images import check_png_path, write_picture
 from lightopt.report._rig_elements import (
+    CAMERA,
     STAGE,
     CameraShape,
     Pen,
@@ -39,7 +30,7 @@ from lightopt.report._rig_elements import (
     table_grid,
 )
 from lightopt.report._view import ParallelView, X, Y, Z, arc, cast_part, fit_view
-from lightopt.scene import PanelLight, Scene, panel_corners, pixel_footprint
+from lightopt.scene import Scene, panel_corners, pixel_footprint
 
 MAIN_WIDTH, LEAST_HEIGHT, MARGIN = 1060, 1080, 40
 # of more lights than that only a few get arcs, which would hide each other; all angles are in the table
@@ -78,7 +69,7 @@ def rig_image(scene: Scene) -> Image.Image:
     posture = scene.postures[0] if scene.postures else Posture(0.0, 0.0)
     caster = cast_rays_at(scene)
     shape = camera_shape(scene.camera, 0.13 * rig_size(scene))
-    height = max(LEAST_HEIGHT, _side_height(scene))
+    height = max(LEAST_HEIGHT, _stage_top(scene) + STAGE_HEIGHT + EDGE)
     drawing = Drawing(MAIN_WIDTH + SIDE_WIDTH, height)
     pen = Pen(drawing, _view(scene, shape, posture, height), [])
     _draw_rig(scene, caster, shape, posture, pen)
@@ -131,7 +122,7 @@ def _axis_lengths(scene: Scene, half: float) -> tuple[float, float, float]:
 def _draw_rig(scene: Scene, caster: RayCaster, shape: CameraShape, posture: Posture, pen: Pen) -> None:
     half, step = table_grid(scene, posture)
     pen.grid(half, step)
-    pen.footprint(shape)
+    pen.polygon(shape.footprint, fill="#45535f20", outline=CAMERA, width=1.2)  # what the camera sees of the table
     part = cast_part(scene, caster, posture, pen.view)
     # what lies on the table is drawn around the part, what stands up may pass in front of it
     pen = replace(pen, part=part)
@@ -150,21 +141,12 @@ def _draw_rig(scene: Scene, caster: RayCaster, shape: CameraShape, posture: Post
         if light in arcs:
             pen.elevation_arc(light, _ARC * light.distance)
     if scene.lights:
-        pen.panel_frame(_most_open(scene.lights, pen.view), 0.24 * rig_size(scene))
+        least_foreshortened = max(scene.lights, key=lambda light: abs(float(light.outward @ pen.view.toward)))
+        pen.panel_frame(least_foreshortened, 0.24 * rig_size(scene))
 
 
 def _arcs(scene: Scene) -> int:
     return len(scene.lights) if len(scene.lights) <= MOST_ARCS else FEW_ARCS
-
-
-def _most_open(lights: tuple[PanelLight, ...], view: ParallelView) -> PanelLight:
-    """The light whose panel the view shows least foreshortened."""
-    return max(lights, key=lambda light: abs(float(light.outward @ view.toward)))
-
-
-def _side_height(scene: Scene) -> int:
-    """Height that numbers and stage need [px]."""
-    return _stage_top(scene) + STAGE_HEIGHT + EDGE
 
 
 def _stage_top(scene: Scene) -> int:
@@ -219,7 +201,7 @@ def _camera_lines(scene: Scene) -> list[str]:
     ]
 
 
-def _vector(values: np.ndarray) -> str:
+def _vector(values: Float64) -> str:
     return "(" + ", ".join(number(round(float(v), 3)) for v in values) + ")"
 
 
@@ -230,17 +212,12 @@ def _part_lines(scene: Scene) -> list[str]:
     lines = [f"{size} mm, pivot {_vector(scene.pivot)} mm"]
     if scene.postures:
         first = scene.postures[0]
-        lines.append(
-            f"drawn at {sub('θ', 'j')} {_angle(first.elevation_deg)}, {sub('φ', 'j')} {_angle(first.rotation_deg)}"
-        )
+        elevation, rotation = number(first.elevation_deg), number(first.rotation_deg)
+        lines.append(f"drawn at {sub('θ', 'j')} {elevation}°, {sub('φ', 'j')} {rotation}°")
     rest = listed[1:]
     if len(scene.postures) > MOST_POSTURES:
         rest.append(f"{len(scene.postures) - MOST_POSTURES} more")
     return lines + [("other postures " if i == 0 else "") + ", ".join(rest[i : i + 3]) for i in range(0, len(rest), 3)]
-
-
-def _angle(degrees: float) -> str:
-    return f"{number(degrees)}°"
 
 
 def draw_stage(scene: Scene, caster: RayCaster, posture: Posture, drawing: Drawing, left: int) -> Box:
@@ -249,8 +226,8 @@ def draw_stage(scene: Scene, caster: RayCaster, posture: Posture, drawing: Drawi
     corners = part_box(scene, posture)
     radius = 0.5 * float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0)))
     reach = 1.25 * float(np.linalg.norm(corners - scene.pivot, axis=1).max())
-    rotary = posture_rotation(elevation=np.radians(posture.elevation_deg), rotation=0.0)
-    ends = scene.pivot + reach * np.stack([X, -0.8 * X, rotary[:, 2], -0.35 * rotary[:, 2]])
+    tilted = rotation_x(np.radians(posture.elevation_deg))
+    ends = scene.pivot + reach * np.stack([X, -0.8 * X, tilted[:, 2], -0.35 * tilted[:, 2]])
     inner = (box[0] + 45, box[1] + 20, box[2] - 45, box[3] - 40)
     middle = corners.mean(axis=0)
     half, step = round_up(1.05 * radius)
@@ -262,22 +239,19 @@ def draw_stage(scene: Scene, caster: RayCaster, posture: Posture, drawing: Drawi
     part = cast_part(scene, caster, posture, view)
     part.draw(drawing)
     pen = Pen(drawing, view, pen.labels, part)
-    _draw_axes(pen, scene, posture, reach)
-    length = pen.scale_bar(box[0], box[3] - 8, radius)
-    pen.labels.append(Label(text=length, anchor=(box[0] + 4, box[3] - 14), colour=SOFT, away=(0.3, -1.0)))
+    _draw_axes(pen, scene.pivot, tilted, reach)
+    pen.scale_bar(box[0], box[3] - 8, radius)
     drawing.labels(pen.labels, size=LABEL, bounds=box)
     return box
 
 
-def _draw_axes(pen: Pen, scene: Scene, posture: Posture, reach: float) -> None:
-    pivot, ring = scene.pivot, 0.22 * reach
-    tilted = posture_rotation(elevation=np.radians(posture.elevation_deg), rotation=0.0)
+def _draw_axes(pen: Pen, pivot: Float64, tilted: Float64, reach: float) -> None:
     x, y, z = tilted.T
     pen.line(np.stack([pivot - 0.8 * reach * X, pivot + reach * X]), STAGE, 1.6, dash=(16, 5))
     pen.line(np.stack([pivot - 0.35 * reach * z, pivot + reach * z]), STAGE, 1.6, dash=(16, 5))
     for axis, start, towards, letter, name in ((X, -Y, -Z, "θ", "tilt axis"), (z, -x, -y, "φ", "rotary axis")):
         centre = pivot + 0.86 * reach * axis
-        path = arc(centre, start, towards, 1.6 * np.pi, ring)
+        path = arc(centre, start, towards, 1.6 * np.pi, 0.22 * reach)
         pen.arrow(path, STAGE, 2.2, head=12.0)
         pen.label(f"+{sub(letter, 'j')}", path[-1], STAGE, away_from=centre)
         pen.label(name, pivot + reach * axis, STAGE, away_from=pivot)

@@ -16,7 +16,7 @@ GRID = "#dfe3e8"
 CAMERA, LIGHT, THETA, PHI, STAGE = "#45535f", "#b07d04", "#7a2f9b", "#0a8580", "#a8324a"
 AXIS_COLOURS = ("#c8321f", "#2c8a3a", "#2458b8")
 
-_BORDER_STEPS = 24  # points per side of the image's border; a distorted lens bends it on the table
+BORDER_STEPS = 24  # points per side of the image's border; a distorted lens bends it on the table
 _FARTHEST = 1.5  # rays that rise from the table or graze it are cut at this many camera distances
 
 
@@ -26,21 +26,22 @@ class CameraShape:
 
     aperture: Front of its frustum, whose apex is the pinhole, shape (4, 3)
     body: Corners of the housing behind the pinhole, four at the front, four at the back, shape (8, 3)
-    footprint: Where the image's border meets the table, shape (n, 3)
-    corners: Of the footprint, shape (4, 3)
+    footprint: Where the image's border meets the table, `BORDER_STEPS` points per side, shape (n, 3)
     arrow: Length of the arrows for image right and up
     """
 
     aperture: Float64
     body: Float64
     footprint: Float64
-    corners: Float64
     arrow: float
 
 
 def camera_shape(camera: PinholeCamera, size: float) -> CameraShape:
     """Shapes of a camera whose frustum is `size` long [mm]."""
-    border = _border(camera)
+    ends = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * (camera.width, camera.height)
+    t = np.arange(BORDER_STEPS)[:, None] / BORDER_STEPS
+    pixels = np.concatenate([(1.0 - t) * ends[i] + t * ends[(i + 1) % 4] for i in range(4)])
+    border = pixel_directions(camera, pixels[:, 0], pixels[:, 1])
     distance = float(np.linalg.norm(camera.position))
     slope = np.minimum(border[:, 2], -1e-12)
     reach = np.minimum(-camera.position[2] / slope, _FARTHEST * distance / np.linalg.norm(border, axis=1))
@@ -53,19 +54,7 @@ def camera_shape(camera: PinholeCamera, size: float) -> CameraShape:
     front = camera.position + 0.75 * size * camera.forward + corners
     # the housing is as large as the frustum's opening; it is a sign, the true optics are the pyramid
     body = np.concatenate([camera.position + corners * 0.8, camera.position + corners * 0.8 - size * camera.forward])
-    return CameraShape(
-        aperture=front, body=body, footprint=footprint, corners=footprint[::_BORDER_STEPS], arrow=1.1 * size
-    )
-
-
-def _border(camera: PinholeCamera) -> Float64:
-    """Rays through the border of the image, from its top left corner clockwise, shape (4·steps, 3)."""
-    width, height = float(camera.width), float(camera.height)
-    corners = np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
-    t = np.arange(_BORDER_STEPS)[:, None] / _BORDER_STEPS
-    sides = [(1.0 - t) * corners[i] + t * corners[(i + 1) % 4] for i in range(4)]
-    points = np.concatenate(sides)
-    return pixel_directions(camera, points[:, 0], points[:, 1])
+    return CameraShape(aperture=front, body=body, footprint=footprint, arrow=1.1 * size)
 
 
 def foot_direction(light: PanelLight) -> Float64:
@@ -207,7 +196,7 @@ class Pen:
 
     def camera(self, camera: PinholeCamera, shape: CameraShape) -> None:
         """Draw the camera, its viewing pyramid down to the table and the directions of its image."""
-        for corner in shape.corners:
+        for corner in shape.footprint[::BORDER_STEPS]:
             self.line(np.stack([camera.position, corner]), CAMERA, 1.1, dash=(7, 4))
         front, back = shape.body[:4], shape.body[4:]
         faces = [back, front, *(np.stack([front[i], front[i - 1], back[i - 1], back[i]]) for i in range(4))]
@@ -222,17 +211,14 @@ class Pen:
             self.arrow(np.stack([camera.position, tip]), CAMERA, 2.6)
             self.label(name, tip, CAMERA, away_from=camera.position)
 
-    def footprint(self, shape: CameraShape) -> None:
-        """Draw what the camera sees of the table."""
-        self.polygon(shape.footprint, fill="#45535f20", outline=CAMERA, width=1.2)
-
-    def scale_bar(self, left: float, baseline: float, span: float) -> str:
-        """Draw a bar of a round length [mm] for a view of about 2·span at a place [px]; what to write on it."""
+    def scale_bar(self, left: float, baseline: float, span: float) -> None:
+        """Draw a bar of a round length [mm] for a view of about 2·span at a place [px], and name the length."""
         length = nice_step(2.0 * span)
         end = left + length * self.view.scale
         bar = np.array([[left, baseline - 5], [left, baseline], [end, baseline], [end, baseline - 5]])
         self.drawing.line(bar, colour=SOFT, width=1.5)
-        return f"{length:g} mm"
+        anchor = (left + 4, baseline - 6)
+        self.labels.append(Label(text=f"{length:g} mm", anchor=anchor, colour=SOFT, away=(0.3, -1.0)))
 
     def _visible(self, points: Float64) -> list[Float64]:
         """Pieces of a polyline that the part does not hide."""

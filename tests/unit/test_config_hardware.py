@@ -21,8 +21,7 @@ from lightopt.config import (
     copied_text,
     load_rig,
 )
-from lightopt.config._hardware import TimingConfig
-from lightopt.config._light_controllers import TemplateConfig
+from lightopt.config._hardware import TemplateConfig, TimingConfig
 from lightopt.core.errors import InputError
 from lightopt.rig.devices import light_drivers
 

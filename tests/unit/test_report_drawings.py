@@ -18,7 +18,7 @@ from lightopt.rendering import cast_rays_at
 from lightopt.report import rig_drawing
 from lightopt.report._drawing import Drawing, fixed_style, text_width
 from lightopt.report._rig_drawing import draw_stage
-from lightopt.report._rig_elements import camera_shape, nice_step, part_box, round_up
+from lightopt.report._rig_elements import BORDER_STEPS, camera_shape, nice_step, part_box, round_up
 from lightopt.report._view import FINE, cast_part, fit_view
 from lightopt.scene import PanelLight, Scene, panel_corners, place_camera, place_light, project
 from lightopt.scene._camera import Distortion
@@ -164,7 +164,7 @@ def test_footprint_is_what_the_camera_sees_of_the_table() -> None:
         camera = scene_of(FOUR, elevation=elevation, distortion=Distortion(k1=-0.2)).camera
         shape = camera_shape(camera, 40.0)
         assert np.allclose(shape.footprint[:, 2], 0.0, atol=1e-9)
-        columns, rows, _ = project(camera, shape.corners)
+        columns, rows, _ = project(camera, shape.footprint[::BORDER_STEPS])
         assert np.allclose(columns, [0, 1600, 1600, 0], atol=1e-6)
         assert np.allclose(rows, [0, 0, 1200, 1200], atol=1e-6)
 

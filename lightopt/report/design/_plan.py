@@ -54,9 +54,8 @@ def blind_tables(document: Mapping[str, Any]) -> list[Table]:
     reasons = list(dict.fromkeys(one["reason"] for *_, facts in entries for one in facts["blind"]))
     rows: list[list[str]] = []
     for name, lights, facts in entries:
-        shares = {one["reason"]: one["share"] for one in facts["blind"]}
-        lost = [shares.get(reason, 0.0) for reason in reasons]
-        cells = [text(share) for share in (facts["seen"], *lost, facts["left_out_of_surface"])]
+        shares = dict.fromkeys(reasons, 0.0) | {one["reason"]: one["share"] for one in facts["blind"]}
+        cells = [text(share) for share in (facts["seen"], *shares.values(), facts["left_out_of_surface"])]
         rows.append([name, lights, *cells])
     images = counted(spots["min_images"], "image")
     caption = (
@@ -111,8 +110,13 @@ def posture_table(chosen: Mapping[str, Any], *, with_exposures: bool = True) -> 
 
 def posture_facts(chosen: Mapping[str, Any], rounds: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
     """What is known of the choice of postures, from ``chosen_postures`` and ``rounds`` of result.json."""
-    text = partial(share_text, grain=chosen["patches"]["grain"])
+    patches = chosen["patches"]
+    text = partial(share_text, grain=patches["grain"])
     count, sufficient = len(chosen["postures"]), chosen["postures_to_a_tenth_of_a_point"]
+    grain = (
+        f"{patches['all']:,} patches with edges up to {patches['max_edge_mm']:.3g} mm, where a pixel has "
+        f"{patches['footprint_mm']:.3g} mm: shares may be off by some {100.0 * patches['grain']:.1g} points"
+    )
     sight = [text(chosen[f"{which}_share_of_surface"]) for which in ("inspectable", "left_out")]
     facts = [
         ("chosen from", f"{counted(chosen['candidates'], 'posture')} that the stage reaches"),
@@ -123,7 +127,7 @@ def posture_facts(chosen: Mapping[str, Any], rounds: Sequence[Mapping[str, Any]]
             f"{sight[0]} of the surface; {sight[1]} is left out, seen at a grazing angle only",
         ),
         ("travel from (0°, 0°)", _travel(chosen, rounds)),
-        ("each patch counts as its middle does", _grain(chosen["patches"])),
+        ("each patch counts as its middle does", grain),
     ]
     if (initial := chosen["lights_as_they_stand"]) is not None:
         share = f"{text(initial['share'])} in {counted(initial['postures'], 'posture')}, of {initial['share_of']}"
@@ -194,13 +198,9 @@ def tolerance_blocks(output: DesignOutput) -> list[Block]:
 
 def tolerance_table(tolerances: Sequence[Mapping[str, Any]]) -> Table:
     """What misalignment leaves of the scores, from ``tolerances`` of result.json."""
-    rows = [
-        [
-            "worst corner keeps",
-            *(share_text(one["worst_corner"]["share_of_score"], one["grain"]) for one in tolerances),
-        ],
-        ["95 % of draws keep", *(share_text(one["quantile_5_percent"], one["grain"]) for one in tolerances)],
-    ]
+    corners = [share_text(one["worst_corner"]["share_of_score"], one["grain"]) for one in tolerances]
+    draws = [share_text(one["quantile_5_percent"], one["grain"]) for one in tolerances]
+    rows = [["worst corner keeps", *corners], ["95 % of draws keep", *draws]]
     for index, widest in enumerate(tolerances[0]["widest"]):
         cells = [
             f"{'≥ ' if one['widest'][index]['or_more'] else ''}{one['widest'][index]['degrees']:.2f}°"
@@ -264,13 +264,6 @@ def _travel(chosen: Mapping[str, Any], rounds: Sequence[Mapping[str, Any]]) -> s
     return (
         f"{text}, were all captured in one round; the {len(rounds)} capture commands below take {each} = "
         f"{total:.1f} s, each from (0°, 0°) on: {ways}"
-    )
-
-
-def _grain(patches: Mapping[str, Any]) -> str:
-    return (
-        f"{patches['all']:,} patches with edges up to {patches['max_edge_mm']:.3g} mm, where a pixel has "
-        f"{patches['footprint_mm']:.3g} mm: shares may be off by some {100.0 * patches['grain']:.1g} points"
     )
 
 

@@ -81,21 +81,22 @@ def answer_blocks(output: DesignOutput) -> list[Block]:
         else [_plan_answer(chosen, output.document.get("exposures"))]
     )
     header = ["posture", *output.result.candidates.names, "score"]
-    rows = [_row(output, result) for result in output.result.results if result.answers[0].nothing is None]
+    found = [(result, result.answers[0]) for result in output.result.results if result.answers[0].nothing is None]
+    rows = [
+        [
+            postures_text(result.postures),
+            *_angles(output, best),
+            score_text(best.found.best.score, best.objective, result),
+        ]
+        for result, best in found
+    ]
     if rows:
-        blocks.append(
-            Table(
-                header=header,
-                rows=rows,
-                caption="Of each light its elevation from the table plane and its azimuth about Z from the world's +X "
-                "towards +Y.",
-            )
+        caption = (
+            "Of each light its elevation from the table plane and its azimuth about Z from the world's +X towards +Y."
         )
-    if chosen is None:
-        found = [result for result in output.result.results if result.answers[0].nothing is None]
-        blocks += [Note(text=_proof(result)) for result in found]
-    else:
-        blocks.append(Note(text=plan_proof(chosen)))
+        blocks.append(Table(header=header, rows=rows, caption=caption))
+    proofs = [_proof(result) for result, _ in found] if chosen is None else [plan_proof(chosen)]
+    blocks += [Note(text=proof) for proof in proofs]
     rigs = ", ".join(rig["file"] for rig in output.document["rigs"])
     if rigs:
         blocks.append(Note(text=f"Rig with these angles: {rigs}"))
@@ -111,23 +112,13 @@ def scores_table(output: DesignOutput) -> Table:
         for answer in result.answers
         if answer.nothing is None
     ]
-    header = ["posture", "best for", *output.result.candidates.names, *names, *COUNTS]
+    counts = ("left out", "runner-up", "ties / near best", "combinations")
+    header = ["posture", "best for", *output.result.candidates.names, *names, *counts]
     objectives = [answer.objective for answer in output.result.results[0].answers]
     shares = [f"Shares of {' and '.join(names)}: of {surface}." for surface, names in shares_of(objectives).items()]
-    return Table(
-        header=header,
-        rows=rows,
-        numbers_from=2,
-        caption=f"{' '.join(shares)} {_sentence(LEFT_OUT_MEANING)} {_sentence(near_meaning(objectives))} ranking.csv "
-        "lists the best combinations, result.json has all numbers.",
-    )
-
-
-COUNTS = ("left out", "runner-up", "ties / near best", "combinations")  # columns beside the scores
-
-
-def _sentence(text: str) -> str:
-    return f"{text[0].upper()}{text[1:]}."
+    meanings = [f"{text[0].upper()}{text[1:]}." for text in (LEFT_OUT_MEANING, near_meaning(objectives))]
+    files = "ranking.csv lists the best combinations, result.json has all numbers."
+    return Table(header=header, rows=rows, numbers_from=2, caption=" ".join([*shares, *meanings, files]))
 
 
 def _answer(result: SetResult) -> Answer:
@@ -162,12 +153,6 @@ def _plan_answer(chosen: Mapping[str, Any], exposures: Mapping[str, Any] | None)
         alone = f"With exposure 1 alone {share_text(exposures['share_without'], grain)}"
         text += f". {alone if planned else 'No further exposure adds enough to be planned'}"
     return Answer(figure=share_text(share, grain), text=text)
-
-
-def _row(output: DesignOutput, result: SetResult) -> list[str]:
-    best = result.answers[0]
-    score = score_text(best.found.best.score, best.objective, result)
-    return [postures_text(result.postures), *_angles(output, best), score]
 
 
 def _angles(output: DesignOutput, answer: ObjectiveResult) -> list[str]:
@@ -219,17 +204,12 @@ def _unbroken(score: str) -> str:
 def fact_blocks(output: DesignOutput) -> list[Block]:
     """LevelThresholds, sensor, reflectance, patches, options, versions and hashes; and the positions left out."""
     blocks: list[Block] = [Facts(rows=[*_physics(output), *_search(output)]), Facts(rows=_provenance(output))]
-    if output.result.all_candidates.left_out:
-        blocks.append(
-            Table(
-                header=["light", "position", "left out since it"],
-                rows=[
-                    [out.light, f"{out.elevation_deg:g}°, {out.azimuth_deg:g}°", out.reason]
-                    for out in output.result.all_candidates.left_out
-                ],
-                numbers_from=3,
-            )
-        )
+    left_out = [
+        [out.light, f"{out.elevation_deg:g}°, {out.azimuth_deg:g}°", out.reason]
+        for out in output.result.all_candidates.left_out
+    ]
+    if left_out:
+        blocks.append(Table(header=["light", "position", "left out since it"], rows=left_out, numbers_from=3))
     return blocks
 
 
@@ -243,23 +223,19 @@ def _physics(output: DesignOutput) -> list[tuple[str, str]]:
         f"{sensor.bit_depth} bit, black level {sensor.black_level:g}; shaded below {thresholds.shade}, saturated from "
         f"{thresholds.saturation} on; at exposure 1, without noise"
     )
-    shadows: bool = output.document["provenance"]["options"]["shadows"]
+    options = output.document["provenance"]["options"]
+    seen_against = "what a defect has to be seen against, and no part of other scores"
+    use = seen_against if "threshold" in options else "not part of the score"
     coefficients = f"R_d {reflectance.R_d:g}, R_s {reflectance.R_s:g}, σ {reflectance.sigma:g} rad"
     return [
         ("levels", levels),
-        ("sensor noise", f"read noise {sensor.read_noise_levels:g} levels, {shot}; {_use_of_noise(output)}"),
+        ("sensor noise", f"read noise {sensor.read_noise_levels:g} levels, {shot}; {use}"),
         ("reflectance", f"{coefficients}, of full scale {reflectance.full_scale:g}; only direct light"),
         ("lights", "; ".join(dict.fromkeys(map(_light, scene.lights)))),
-        ("shadows", "cast by the part" if shadows else "none"),
+        ("shadows", "cast by the part" if options["shadows"] else "none"),
         ("patches", output.patches.message),
         ("left out", f"what the camera sees at more than {GRAZING_DEG:g}° to the normal"),
     ]
-
-
-def _use_of_noise(output: DesignOutput) -> str:
-    if "threshold" in output.document["provenance"]["options"]:
-        return "what a defect has to be seen against, and no part of other scores"
-    return "not part of the score"
 
 
 def _light(light: PanelLight) -> str:
@@ -275,25 +251,18 @@ def _light(light: PanelLight) -> str:
 def _search(output: DesignOutput) -> list[tuple[str, str]]:
     options = output.document["provenance"]["options"]
     positions = " × ".join(str(len(angles)) for angles in output.result.all_candidates.angles)
-    ties = [
-        text
-        for key, text in (
-            ("common_elevation", "all lights at one elevation"),
-            ("common_lights", "the same for all postures"),
-        )
-        if options[key]
-    ]
+    common = ", all lights at one elevation" * options["common_elevation"]
+    common += ", the same for all postures" * options["common_lights"]
     return [
-        ("positions", f"{positions}, step {options['step_deg']:g}°{''.join(f', {text}' for text in ties)}"),
+        ("positions", f"{positions}, step {options['step_deg']:g}°{common}"),
         ("objectives", ", ".join(options["objectives"])),
         ("defects", "none on the part: scores are of a good part"),
-        *_defects(output),
+        *_defects(output, options),
         *_tolerances(options),
     ]
 
 
-def _defects(output: DesignOutput) -> list[tuple[str, str]]:
-    options = output.document["provenance"]["options"]
+def _defects(output: DesignOutput, options: Mapping[str, Any]) -> list[tuple[str, str]]:
     if "threshold" not in options:
         return []
     entries = build_catalogue(output.result.part)
@@ -322,10 +291,9 @@ def _tolerances(options: Mapping[str, Any]) -> list[tuple[str, str]]:
 def _provenance(output: DesignOutput) -> list[tuple[str, str]]:
     found = output.document["provenance"]
     inputs = found["inputs"]
+    files = {"rig": inputs["rig"]["file"], "part": inputs["part"]["file"], "mesh": output.result.part.mesh.file}
     return [
-        ("rig", f"{inputs['rig']['file']}, SHA-256 {inputs['rig']['sha256']}"),
-        ("part", f"{inputs['part']['file']}, SHA-256 {inputs['part']['sha256']}"),
-        ("mesh", f"{output.result.part.mesh.file}, SHA-256 {inputs['mesh']['sha256']}"),
+        *((name, f"{file}, SHA-256 {inputs[name]['sha256']}") for name, file in files.items()),
         ("code", f"lightopt {found['lightopt']}, SHA-256 {found['code_sha256']}"),
         ("versions", ", ".join(f"{name} {number}" for name, number in found["versions"].items())),
     ]

@@ -12,7 +12,6 @@ from lightopt.core.transforms import Posture
 from lightopt.design import (
     BLIND_CLASSES,
     BLIND_LIGHTS,
-    BlindClass,
     BlindReason,
     BlindSpots,
     BlindSpotSummary,
@@ -30,7 +29,7 @@ from lightopt.design import (
     share_text,
 )
 from lightopt.rendering import GRAZING_DEG, grain_of, trace_samples
-from lightopt.report._drawing import CAP_HEIGHT, SOFT, Drawing, fixed_style, text_width
+from lightopt.report._drawing import CAP_HEIGHT, SOFT, Drawing, fixed_style, hex_colour, text_width
 from lightopt.report._page import Block, Note, SurfaceView, Table
 from lightopt.report._surface import ColouredSurface, SurfaceLayer, first_view, surface_classes
 from lightopt.scene import view_from_part
@@ -269,7 +268,7 @@ def share_layer(name: str, spots: BlindSpots) -> SurfaceLayer:
     apart = [blind_class(code) for code in (BlindReason.CAMERA, BlindReason.GRAZING)]
     for place, one in enumerate(apart, start=len(SHARES)):
         of_face[spots.codes == one.code] = place
-    kinds = [*((label, colour) for _, label, colour in SHARES), *((one.label, _hex(one)) for one in apart)]
+    kinds = [*((label, colour) for _, label, colour in SHARES), *((one.label, hex_colour(one.colour)) for one in apart)]
     areas = np.bincount(of_face, weights=spots.areas, minlength=len(kinds)) / spots.counted
     amounts = [*(share_text(float(area), spots.grain) for area in areas[:-1]), ""]
     return SurfaceLayer(name=name, classes=surface_classes(kinds, amounts), of_face=of_face)
@@ -284,23 +283,14 @@ def blind_layer(name: str, spots: BlindSpots) -> SurfaceLayer:
     shares = {row.label: "" if row.label == left_out else row.amount for row in blind_legend(spots)}
     of_face = blind_classes(spots)
     shown = [k for k, one in enumerate(BLIND_CLASSES) if one.label in shares or (of_face == k).any()]
-    kinds = [(BLIND_CLASSES[k].label, _hex(BLIND_CLASSES[k])) for k in shown]
+    kinds = [(BLIND_CLASSES[k].label, hex_colour(BLIND_CLASSES[k].colour)) for k in shown]
     classes = surface_classes(kinds, [shares.get(label, "") for label, _ in kinds])
     return SurfaceLayer(name=name, classes=classes, of_face=np.searchsorted(shown, of_face).astype(np.uint8))
 
 
-def _hex(one: BlindClass) -> str:
-    return "#{:02x}{:02x}{:02x}".format(*one.colour)
-
-
 @fixed_style()
 def _with_legend(picture: UInt8, title: str, rows: Sequence[LegendRow]) -> UInt8:
-    """A picture with a title and a legend below it, on white; it is made wider where they need more room.
-
-    picture: Red, green and blue, shape (height, width, 3); its pixels stay where they are.
-    title: One line.
-    rows: Colours, what they stand for, and how much that is.
-    """
+    """A picture with a title and a legend below it, on white; it is made wider where they need more room."""
     height, width = picture.shape[:2]
     size = min(LARGEST_LEGEND, max(SMALLEST_LEGEND, width // 50))
     gap, line, swatch = size, round(1.7 * size), size + size // 3
@@ -314,10 +304,10 @@ def _with_legend(picture: UInt8, title: str, rows: Sequence[LegendRow]) -> UInt8
     drawing.text(gap, baseline, title, size=size)
     for row in rows:
         baseline += line
-        for k, (red, green, blue) in enumerate(row.colours):
+        for k, colour in enumerate(row.colours):
             left, top = gap + k * swatch, round(baseline - 0.9 * size)
-            colour = f"#{red:02x}{green:02x}{blue:02x}"
-            drawing.rectangle((left, top, left + size, top + size), fill=colour, outline=SOFT, width=1.0)
+            box = (left, top, left + size, top + size)
+            drawing.rectangle(box, fill=hex_colour(colour), outline=SOFT, width=1.0)
         drawing.text(label, baseline, row.label, size=size)
         drawing.text(amount, baseline, row.amount, size=size, align="right")
     return np.array(drawing.image())

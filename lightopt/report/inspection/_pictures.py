@@ -18,10 +18,10 @@ from lightopt.inspection import (
     Kind,
     grey_picture,
 )
-from lightopt.report._drawing import CAP_HEIGHT, font_file
+from lightopt.report._drawing import CAP_HEIGHT, font_file, hex_colour
 from lightopt.report._images import png_bytes, shrunk, write_picture
 from lightopt.report._page import Block, Gallery, Picture, SurfaceView
-from lightopt.report._surface import ColouredSurface, SurfaceClass, SurfaceLayer, first_view
+from lightopt.report._surface import ColouredSurface, SurfaceLayer, first_view, surface_classes
 
 BOX_MARGIN_PX = 3
 LABEL_SIZE, LABEL_GAP_PX = 15, 3
@@ -145,9 +145,10 @@ def _synthetic(posture: InspectedPosture) -> list[Picture | None]:
     pictures: list[Picture | None] = []
     for what, level in (("without highlights", image.level), ("uncertainty", image.deviation)):
         shown = grey_picture(level, image.mask)
+        picture = Image.fromarray(shown.grey).convert("RGB")
         pictures.append(
             Picture(
-                png=_small(_whole(Image.fromarray(shown.grey).convert("RGB"), SMALL_PX), SMALL_PX),
+                png=_small(enlarged(picture, _times(picture.size, SMALL_PX)), SMALL_PX),
                 alt=f"Posture {posture.view.posture}: {what}",
                 caption=shown.legend,
             )
@@ -157,10 +158,6 @@ def _synthetic(posture: InspectedPosture) -> list[Picture | None]:
 
 def _times(size: tuple[int, ...], limit: int) -> int:
     return max(1, limit // max(size))
-
-
-def _whole(image: Image.Image, limit: int) -> Image.Image:
-    return enlarged(image, _times(image.size, limit))
 
 
 def _small(image: Image.Image, limit: int) -> bytes:
@@ -194,7 +191,10 @@ def marked_part(result: InspectionResult, name: str) -> SurfaceView:
         triangles.append(faces + np.int32(count))
         classes.append(np.full(len(faces), 1 + list(WORDS).index(defect.best.kind), np.uint8))
         count += len(ball)
-    layer = SurfaceLayer(name="defects", classes=_legend(result.defects), of_face=np.concatenate(classes))
+    kinds = [("the part", PART_COLOUR), *((WORDS[kind], hex_colour(KIND_COLOURS[kind])) for kind in WORDS)]
+    amounts = ["", *(str(sum(defect.best.kind == kind for defect in result.defects)) for kind in WORDS)]
+    legend = surface_classes(kinds, amounts)
+    layer = SurfaceLayer(name="defects", classes=legend, of_face=np.concatenate(classes))
     return SurfaceView(
         surface=ColouredSurface(
             vertices=np.concatenate(vertices),
@@ -207,18 +207,6 @@ def marked_part(result: InspectionResult, name: str) -> SurfaceView:
         caption=f"{name} as it stands at posture (0°, 0°), Z up. A ball has the length of its defect as diameter, but "
         f"at least {2.0 * LEAST_SHARE * size:.2g} mm.",
     )
-
-
-def _legend(defects: Sequence[FoundDefect]) -> tuple[SurfaceClass, ...]:
-    kinds = (
-        SurfaceClass(
-            label=WORDS[kind],
-            colour="#{:02x}{:02x}{:02x}".format(*KIND_COLOURS[kind]),
-            amount=str(sum(defect.best.kind == kind for defect in defects)),
-        )
-        for kind in WORDS
-    )
-    return (SurfaceClass(label="the part", colour=PART_COLOUR), *kinds)
 
 
 def _ball() -> tuple[Float64, Int32]:

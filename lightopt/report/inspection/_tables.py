@@ -108,44 +108,29 @@ def dark_text(verdict: Verdict) -> str:
 def placement_text(placement: Placement) -> str:
     """How far a part lies off its place, of what the images determine: in x, in y [mm] and turned [°], with signs."""
     found = placement.as_dict()
-    words = [
-        # adding 0 makes a nought of what is rounded to minus nought
-        form.format(f"{round(float(f'{found[key]}'), 3) + 0.0:+.3f}")
-        for key, form, seen in zip(
-            ("x_mm", "y_mm", "turn_deg"),
-            ("{} mm in x", "{} mm in y", "turned by {}°"),
-            placement.observable,
-            strict=True,
-        )
-        if seen
-    ]
-    return ", ".join(words)
+    forms = {"x_mm": "{} mm in x", "y_mm": "{} mm in y", "turn_deg": "turned by {}°"}
+    # adding 0 makes a nought of what is rounded to minus nought
+    words = [form.format(f"{round(float(f'{found[key]}'), 3) + 0.0:+.3f}") for key, form in forms.items()]
+    return ", ".join(itertools.compress(words, placement.observable))
 
 
 def truth_blocks(summary: Mapping[str, Any]) -> list[Block]:
     """The summary of :func:`lightopt.inspection.summarise`, for people."""
     area = summary["roc_auc"]
-    facts = Facts(
-        rows=[
-            ("found", f"{summary['found']} of {summary['defects']} defects in view"),
-            (
-                "shown by no pixel to judge",
-                f"{', '.join(summary['hidden'])}: out of view, at an edge, or narrower than a pixel"
-                if summary["hidden"]
-                else "none",
-            ),
-            ("false alarms", f"{summary['false_alarms_per_posture']:g} per posture"),
-            ("area under the pixels' ROC", "-" if area is None else f"{area:.4f}"),
-        ]
-    )
-    recall = Table(
-        header=["kind", "size [mm]", "defects", "found"],
-        rows=[
-            [row["kind"], f"{row['size_mm']:g}", str(row["defects"]), str(row["found"])] for row in summary["recall"]
-        ],
-        caption="Size is the square root of length times width.",
-    )
-    return [facts, recall, detection_table(summary), _chart(summary)]
+    hidden = ", ".join(summary["hidden"])
+    facts = [
+        ("found", f"{summary['found']} of {summary['defects']} defects in view"),
+        (
+            "shown by no pixel to judge",
+            f"{hidden}: out of view, at an edge, or narrower than a pixel" if hidden else "none",
+        ),
+        ("false alarms", f"{summary['false_alarms_per_posture']:g} per posture"),
+        ("area under the pixels' ROC", "-" if area is None else f"{area:.4f}"),
+    ]
+    rows = [[row["kind"], f"{row['size_mm']:g}", str(row["defects"]), str(row["found"])] for row in summary["recall"]]
+    caption = "Size is the square root of length times width."
+    recall = Table(header=["kind", "size [mm]", "defects", "found"], rows=rows, caption=caption)
+    return [Facts(rows=facts), recall, detection_table(summary), _chart(summary)]
 
 
 def detection_table(summary: Mapping[str, Any]) -> Table:
@@ -174,16 +159,13 @@ def _chart(summary: Mapping[str, Any]) -> Block:
     )
     panel.plot(sizes, [float(one["found"]) for one in each], "o", color=SOFT)
     for (kind, curve), colour in zip(curves.items(), itertools.cycle(LINE_COLOURS)):
-        panel.plot(x, _curve(curve, x), color=colour, label=kind)
+        probability = 1.0 / (1.0 + np.exp(-(curve["intercept"] + curve["steepness"] * np.log(x))))
+        panel.plot(x, probability, color=colour, label=kind)
     name_lines(panel)
     return Picture(
         png=png_bytes(figure_image(figure)),
         alt=f"Curves of detection against size: {', '.join(curves)}; dots are single defects",
     )
-
-
-def _curve(curve: Mapping[str, Any], x: np.ndarray) -> np.ndarray:
-    return 1.0 / (1.0 + np.exp(-(curve["intercept"] + curve["steepness"] * np.log(x))))
 
 
 def _shown(size: float | None) -> str:
