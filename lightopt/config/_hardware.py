@@ -135,7 +135,7 @@ class ControllerConfig(fields.Frozen):
         Literal["ccs", "sa", "template"], fields.expecting("ccs, sa or template, which suits devices of other makers")
     ] = Field(description="Protocol: ccs (@ frames), sa (SA0255# family), or template.")
     port: fields.Text = Field(description=_PORT)
-    baud: _Baud | None = Field(default=None, description="_Baud rate; the protocol's usual one if absent.")
+    baud: _Baud | None = Field(default=None, description="Baud rate; the protocol's usual one if absent.")
     channels: _Channel = Field(default=4, description="Number of channels.")
     top_level: _Level = Field(default=255, description="Highest intensity of the controller.")
     dialect: Annotated[Literal["lan", "serial"], fields.expecting("lan or serial")] = Field(
@@ -230,7 +230,7 @@ class StageDeviceConfig(fields.Frozen):
         description="Protocol: shot or gsc (SIGMA KOKI / OptoSigma), grbl, zaber."
     )
     port: fields.Text = Field(description=_PORT)
-    baud: _Baud | None = Field(default=None, description="_Baud rate; the protocol's usual one if absent.")
+    baud: _Baud | None = Field(default=None, description="Baud rate; the protocol's usual one if absent.")
     elevation: AxisConfig | None = Field(default=None, description="The tilt axis; none: fixed at 0.")
     rotation: AxisConfig | None = Field(
         default=None, description="The rotary axis; none: fixed at 0.", validate_default=True

@@ -29,7 +29,6 @@ from lightopt.design._tolerances import PairAssessment, Setup, Tolerances, analy
 from lightopt.design.blind_spots._blind_spots import BlindReason, BlindSpots, blind_text
 from lightopt.design.blind_spots._files import (
     BLIND_CLASSES,
-    BlindClass,
     LegendRow,
     blind_class,
     blind_classes,
@@ -62,7 +61,6 @@ __all__ = [
     "DRAWN_PATCHES",
     "LEFT_OUT_MEANING",
     "OBJECTIVES",
-    "BlindClass",
     "BlindReason",
     "BlindSpotSummary",
     "BlindSpots",
