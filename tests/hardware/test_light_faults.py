@@ -13,7 +13,7 @@ from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import LightController, LightSettings, all_off, light_drivers
 from lightopt.rig.devices._device import LinkLostError, ReplyError
 from lightopt.rig.simulated import BenchProcess
-from lightopt.rig.simulated._lamps import Lamps
+from lightopt.rig.simulated._light_sa import SaFirmware
 
 pytestmark = pytest.mark.slow
 
@@ -189,21 +189,21 @@ def test_no_level_above_the_channel_s_is_sent(name: str) -> None:
 
 
 def test_lamps_age_are_swapped_and_lose_what_they_held() -> None:
-    lamps = Lamps(3, 200, {"3": 50})
-    lamps.set_level(1, 100)
-    lamps.inject("aged", {"channel": 1, "share": 0.8})
-    assert lamps.brightness() == {1: 0.4, 2: 0.0, 3: 0.25}
-    lamps.inject("swapped", {"channel": 1, "other": 2})
-    assert lamps.brightness() == {1: 0.0, 2: 0.5, 3: 0.25}
-    lamps.inject("power_cycle", {})
-    assert (lamps.level[1], lamps.level[3]) == (0, 50)
-    lamps.inject("clear", {})
-    lamps.set_level(1, 100)
-    assert lamps.brightness() == {1: 0.5, 2: 0.0, 3: 0.25}
+    lamps = SaFirmware(channels=3, top_level=200, levels={"3": 50})
+    lamps.feed(b"SA0100#", 0.0)
+    lamps.inject("aged", {"channel": 1, "share": 0.8}, 0.0)
+    assert lamps.levels() == {1: 0.4, 2: 0.0, 3: 0.25}
+    lamps.inject("swapped", {"channel": 1, "other": 2}, 0.0)
+    assert lamps.levels() == {1: 0.0, 2: 0.5, 3: 0.25}
+    lamps.inject("power_cycle", {}, 0.0)
+    assert lamps.feed(b"SA#SC#", 0.0) == b"a0000c0050"
+    lamps.inject("clear", {}, 0.0)
+    lamps.feed(b"SA0100#", 0.0)
+    assert lamps.levels() == {1: 0.5, 2: 0.0, 3: 0.25}
     for fault, options in (
         ("swapped", {"channel": 1}),
         ("swapped", {"channel": 1, "other": 9}),
         ("aged", {"channel": 1}),
     ):
         with pytest.raises(ValueError, match=fault):
-            lamps.inject(fault, options)
+            lamps.inject(fault, options, 0.0)

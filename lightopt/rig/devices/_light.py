@@ -191,9 +191,11 @@ class LightController(ABC):
         """Give up the link; never changes a light, never raises."""
         self._link.close()
 
-    @abstractmethod
     def _query_identity(self) -> dict[str, str]:
-        """Ask the device something that changes nothing; what it answers about itself."""
+        """What the device reports about itself: nothing where the protocol has no name, but it has to answer."""
+        if self._reads:
+            self._query_level(1)
+        return {}
 
     @abstractmethod
     def _send_level(self, channel: int, level: int) -> None:

@@ -33,12 +33,6 @@ class SaController(LightController):
             )
         self._reads = self._can_read_levels()
 
-    def _query_identity(self) -> dict[str, str]:
-        """Ask for an intensity: the protocol has no name."""
-        if self._reads:
-            self._query_level(1)
-        return {}
-
     def _send_level(self, channel: int, level: int) -> None:
         letter = _LETTERS[channel - 1]
         self._retry.run(lambda: self._set_once(f"S{letter}{level:04d}#".encode("ascii"), letter))

@@ -39,12 +39,6 @@ class TemplateController(LightController):
             raise InputError(f"{link.device}: template.read_reply has no group (?P<level>…)")
         self._query_identity()
 
-    def _query_identity(self) -> dict[str, str]:
-        """Ask for an intensity where the template can; it has no question for a name."""
-        if self._reads:
-            self._query_level(1)
-        return {}
-
     def _send_level(self, channel: int, level: int) -> None:
         """Set the intensity, or darken by the template's own command."""
         verb = "off" if level == 0 and "off" in self._words else "set"

@@ -5,13 +5,14 @@ both in device units. They agree once it has been homed and while no step is los
 """
 
 import math
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
-from lightopt.rig.simulated._firmware import Trigger, trigger
+from lightopt.rig.simulated._firmware import Firmware, Trigger, trigger
 
-AXIS_FAULTS = ("stall", "limit", "lost_step")
+_FAULTS = ("stall", "limit", "lost_step")
 
 
 @dataclass
@@ -137,43 +138,48 @@ class SimulatedAxis:
         self._ends_stalled = self._ends_at_switch = False
 
 
-class Axes:
-    """The axes of a stage by name, from the arguments of :class:`SimulatedAxis`.
+class StageFirmware(Firmware):
+    """Firmware of a stage, whose axes have names; `axes` are the arguments of each :class:`SimulatedAxis`.
 
-    Faults, of an ``axis`` or of all: ``stall`` (the axis stops after a ``share`` of a move, and reports that it stands
-    still, or with ``busy`` that it moves), ``limit`` (it meets a switch there), with the options of :class:`Trigger`
-    counting moves; ``lost_step`` (it lost ``steps``). ``clear`` ends them.
+    Faults: ``power_cycle``; of an ``axis`` or of all: ``stall`` (the axis stops after a ``share`` of a move, and
+    reports that it stands still, or with ``busy`` that it moves), ``limit`` (it meets a switch there), with the options
+    of :class:`Trigger` counting moves; ``lost_step`` (it lost ``steps``). ``clear`` ends them.
     """
 
+    DEVICE_FAULTS: ClassVar[tuple[str, ...]] = ()
+    """Further faults of the whole device, for the message."""
+
     def __init__(self, axes: Mapping[str, Mapping[str, float]]) -> None:
+        super().__init__()
         if not axes:
             raise ValueError("a stage has at least one axis")
-        self.by_name = {name: SimulatedAxis(**options) for name, options in axes.items()}
+        self._axes = {name: SimulatedAxis(**options) for name, options in axes.items()}
 
-    def __getitem__(self, name: str) -> SimulatedAxis:
-        return self.by_name[name]
+    def positions(self, now: float) -> dict[str, float]:
+        return {name: axis.real(now) for name, axis in self._axes.items()}
 
-    def real(self, now: float) -> dict[str, float]:
-        return {name: axis.real(now) for name, axis in self.by_name.items()}
+    def _axes_move(self, now: float) -> bool:
+        return any(axis.moving(now) for axis in self._axes.values())
 
-    def moving(self, now: float) -> bool:
-        return any(axis.moving(now) for axis in self.by_name.values())
-
-    def stop(self, now: float) -> None:
-        for axis in self.by_name.values():
+    def _stop_axes(self, now: float) -> None:
+        for axis in self._axes.values():
             axis.stop(now)
 
-    def power_cycle(self, now: float) -> None:
-        for axis in self.by_name.values():
-            axis.power_cycle(now)
+    @abstractmethod
+    def _power_up(self) -> None:
+        """Begin with the state at power-up, that of the axes apart."""
 
-    def inject(self, fault: str, options: Mapping[str, Any], others: tuple[str, ...]) -> None:
-        """Suffer a fault of an axis; `others` are those that the firmware knows beside these."""
+    def _suffer(self, fault: str, options: Mapping[str, Any], now: float) -> None:
+        if fault == "power_cycle":
+            for axis in self._axes.values():
+                axis.power_cycle(now)
+            self._power_up()
+            return
         chosen = dict(options)
         name = chosen.pop("axis", None)
-        if name is not None and name not in self.by_name:
-            raise ValueError(f'{fault}: no axis called "{name}"; there is {", ".join(self.by_name)}')
-        axes = list(self.by_name.values()) if name is None else [self.by_name[name]]
+        if name is not None and name not in self._axes:
+            raise ValueError(f'{fault}: no axis called "{name}"; there is {", ".join(self._axes)}')
+        axes = list(self._axes.values()) if name is None else [self._axes[name]]
         if fault == "clear":
             for axis in axes:
                 axis.fault = None
@@ -189,4 +195,5 @@ class Axes:
             for axis in axes:
                 axis.fault = _Fault(fault, strikes, share, busy)
         else:
-            raise ValueError(f'no fault called "{fault}"; there is {", ".join((*AXIS_FAULTS, *others))}, clear')
+            known = (*_FAULTS, *self.DEVICE_FAULTS, *self.FAULTS, "power_cycle", "clear")
+            raise ValueError(f'no fault called "{fault}"; there is {", ".join(known)}')

@@ -9,7 +9,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from lightopt.rig.simulated._lamps import LampFirmware, Lamps
+from lightopt.rig.simulated._lamps import LampFirmware
 
 _COMMAND, _CHECKSUM, _VALUE = 1, 2, 3
 _LONGEST = 64
@@ -27,18 +27,10 @@ class CcsFirmware(LampFirmware):
 
     FAULTS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"ng": {"code": _COMMAND}, "checksum": {}}
 
-    def __init__(
-        self,
-        *,
-        channels: int = 4,
-        top_level: int = 255,
-        levels: Mapping[str, int] | None = None,
-        on: bool = True,
-        gap_s: float = 0.0,
-    ) -> None:
-        super().__init__(Lamps(channels, top_level, levels, on=on))
-        self._digits = max(3, len(str(top_level)))
-        self._mode = dict.fromkeys(range(1, channels + 1), 0)
+    def __init__(self, *, gap_s: float = 0.0, **lamps: Any) -> None:
+        super().__init__(**lamps)
+        self._digits = max(3, len(str(self._top_level)))
+        self._mode = dict.fromkeys(self._level, 0)
         self._gap_s = gap_s
         self._last = -float("inf")
 
@@ -58,7 +50,7 @@ class CcsFirmware(LampFirmware):
 
     def levels(self) -> dict[int, float]:
         """Brightness of each channel; a channel in a strobe mode is dark, because it is never triggered."""
-        return {c: share if self._mode[c] == 0 else 0.0 for c, share in self._lamps.brightness().items()}
+        return {c: share if self._mode[c] == 0 else 0.0 for c, share in super().levels().items()}
 
     def inject(self, fault: str, options: Mapping[str, Any], now: float) -> None:
         if fault == "ng" and options.get("code", _COMMAND) not in (_COMMAND, _CHECKSUM, _VALUE):
@@ -93,29 +85,28 @@ class CcsFirmware(LampFirmware):
             return _COMMAND
         if data[width:] not in ("", "00") or len(data) < width:
             return _COMMAND
-        if channel > self._lamps.channels:
+        if channel > self._channels:
             return _VALUE
         value = int(data[:width] or 0)
         if instruction == "C":
             return "O00"
         if instruction == "M":
-            lamps = self._lamps
-            level, mode, on = lamps.level[channel], self._mode[channel], int(lamps.on[channel])
+            level, mode, on = self._level[channel], self._mode[channel], int(self._on[channel])
             return f"OF{level:0{self._digits}d}.S{mode:02d}.L{on}"
-        if value > {"F": self._lamps.top_level, "L": 1, "S": _MODES, "R": 0}[instruction]:
+        if value > {"F": self._top_level, "L": 1, "S": _MODES, "R": 0}[instruction]:
             return _VALUE
         self._set(channel, instruction, value)
         return "O"
 
     def _set(self, channel: int, instruction: str, value: int) -> None:
         if instruction == "F":
-            self._lamps.set_level(channel, value)
+            self._set_level(channel, value)
         elif instruction == "L":
-            self._lamps.switch(channel, bool(value))
+            self._switch(channel, bool(value))
         elif instruction == "S":
             self._mode[channel] = value
         else:
             for each in self._mode:
                 self._mode[each] = 0
-                self._lamps.set_level(each, 0)
-                self._lamps.switch(each, False)
+                self._set_level(each, 0)
+                self._switch(each, False)

@@ -6,9 +6,9 @@ and no checksum.
 """
 
 import re
-from collections.abc import Mapping
+from typing import Any
 
-from lightopt.rig.simulated._lamps import LampFirmware, Lamps
+from lightopt.rig.simulated._lamps import LampFirmware
 
 _LONGEST = 16
 _ACKS = ("upper", "lower", "!")
@@ -17,15 +17,12 @@ _ACKS = ("upper", "lower", "!")
 class SaFirmware(LampFirmware):
     """A controller of the ``SA0255#`` family; `ack` is how it acknowledges: ``upper`` or ``lower`` letter, or ``!``."""
 
-    def __init__(
-        self, *, channels: int = 4, top_level: int = 255, levels: Mapping[str, int] | None = None, ack: str = "lower"
-    ) -> None:
+    def __init__(self, *, ack: str = "lower", **lamps: Any) -> None:
         if ack not in _ACKS:
             raise ValueError(f'ack is one of {", ".join(_ACKS)}, not "{ack}"')
-        super().__init__(Lamps(channels, top_level, levels))
-        self._letters = "ABCDEF"[:channels]
+        super().__init__(**lamps)
+        self._letters = "ABCDEF"[: self._channels]
         self._ack = ack
-        self._master = True
 
     def feed(self, data: bytes, now: float) -> bytes:  # noqa: ARG002
         self._buffer += data
@@ -36,9 +33,6 @@ class SaFirmware(LampFirmware):
         self._buffer = self._buffer[-_LONGEST:]
         return replies.encode("ascii")
 
-    def levels(self) -> dict[int, float]:
-        return self._lamps.brightness(lit=self._master)
-
     def _answer(self, command: str) -> str:
         match = re.fullmatch(r"S([A-FHL])(\d{4})?", command)
         if match is None or self._struck("ng"):
@@ -47,14 +41,14 @@ class SaFirmware(LampFirmware):
         if letter in "HL":
             if digits:
                 return "NG"
-            self._master = letter == "H"
+            self._lit = letter == "H"
             return letter
         if letter not in self._letters:
             return "NG"
         channel = self._letters.index(letter) + 1
         if digits is None:
-            return f"{letter.lower()}{self._lamps.level[channel]:04d}"
-        if int(digits) > self._lamps.top_level:
+            return f"{letter.lower()}{self._level[channel]:04d}"
+        if int(digits) > self._top_level:
             return "NG"
-        self._lamps.set_level(channel, int(digits))
+        self._set_level(channel, int(digits))
         return {"upper": letter, "lower": letter.lower(), "!": "!"}[self._ack]

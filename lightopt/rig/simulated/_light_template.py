@@ -3,8 +3,9 @@
 import re
 import string
 from collections.abc import Iterator, Mapping
+from typing import Any
 
-from lightopt.rig.simulated._lamps import LampFirmware, Lamps
+from lightopt.rig.simulated._lamps import LampFirmware
 
 _LONGEST = 256
 
@@ -15,26 +16,19 @@ class TemplateFirmware(LampFirmware):
     Commands and patterns are as in the rig file. A command that fault ``ng`` refuses is answered ``?`` with the end.
     """
 
-    def __init__(
-        self,
-        *,
-        template: Mapping[str, str | None],
-        channels: int = 4,
-        top_level: int = 255,
-        levels: Mapping[str, int] | None = None,
-    ) -> None:
-        super().__init__(Lamps(channels, top_level, levels))
+    def __init__(self, *, template: Mapping[str, str | None], **lamps: Any) -> None:
+        super().__init__(**lamps)
         self._template = {key: value for key, value in template.items() if value is not None}
         self._end = self._template.get("end", "")
         self._commands = [
             (verb, channel, re.compile(_understood(self._template[verb], channel), re.DOTALL))
             for verb in ("off", "set", "read")
             if verb in self._template
-            for channel in range(1, channels + 1)
+            for channel in self._level
         ]
         self._text = ""
         for verb in ("set", "off", "read"):
-            self._reply(verb, top_level)
+            self._reply(verb, self._top_level)
 
     def feed(self, data: bytes, now: float) -> bytes:  # noqa: ARG002
         self._text += data.decode("latin-1")
@@ -47,12 +41,12 @@ class TemplateFirmware(LampFirmware):
             verb, channel, match = found
             self._text = self._text[match.end() :]
             level = int(match["level"]) if "level" in match.re.groupindex else 0
-            if level > self._lamps.top_level or self._struck("ng"):
+            if level > self._top_level or self._struck("ng"):
                 yield "?" + self._end
                 continue
             if verb != "read":
-                self._lamps.set_level(channel, level)
-            yield self._reply(verb, self._lamps.level[channel])
+                self._set_level(channel, level)
+            yield self._reply(verb, self._level[channel])
 
     def _first(self) -> tuple[str, int, re.Match[str]] | None:
         """The earliest command in the buffer, with what lies before it thrown away."""

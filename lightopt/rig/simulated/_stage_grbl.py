@@ -11,8 +11,7 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from lightopt.rig.simulated._axes import Axes
-from lightopt.rig.simulated._firmware import Firmware
+from lightopt.rig.simulated._axes import StageFirmware
 from lightopt.rig.simulated._stage_grbl_gcode import GcodeError, GrblSettings, Modes, Move, parse_line
 
 _NAMES = ("X", "Y", "Z")
@@ -25,16 +24,17 @@ _SLOW_START_S = 0.004  # a report so soon after the ok is still Idle
 _BRAKE_S = 0.02
 
 
-class GrblFirmware(Firmware):
+class GrblFirmware(StageFirmware):
     """A Grbl 1.1h with three axes.
 
     Faults besides those of its axes (``limit`` raises ALARM:1): ``alarm`` (option ``code``; at once), ``refuse``
-    (option ``code``: lines are answered by ``error:code``, with the options of :class:`Trigger`), ``power_cycle``.
+    (option ``code``: lines are answered by ``error:code``, with the options of :class:`Trigger`).
 
     settings: Settings other than the usual ones by number: ``{"22": 1}``.
     """
 
     FAULTS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"refuse": {"code": 8}}
+    DEVICE_FAULTS = ("alarm",)
 
     def __init__(
         self,
@@ -43,11 +43,10 @@ class GrblFirmware(Firmware):
         settings: Mapping[str, float] | None = None,
         home_speed: float = 50.0,
     ) -> None:
-        super().__init__()
         given = axes or {}
         if not set(given) <= set(_NAMES):
             raise ValueError(f"the axes are X, Y and Z, found {', '.join(given)}")
-        self._axes = Axes({name: given.get(name, {}) for name in _NAMES})
+        super().__init__({name: given.get(name, {}) for name in _NAMES})
         self._settings = GrblSettings(settings or {})
         self._home_speed = home_speed
         self._power_up()
@@ -82,11 +81,11 @@ class GrblFirmware(Firmware):
         if self._critical:
             return out
         self._stands(now)  # brings all axes up to now
-        if any(axis.at_limit for axis in self._axes.by_name.values()):
+        if any(axis.at_limit for axis in self._axes.values()):
             return out + self._alarm(1, now)
-        if self._homing and not self._axes.moving(now):
+        if self._homing and not self._axes_move(now):
             self._homing = False
-            found = all(axis.homed for axis in self._axes.by_name.values())
+            found = all(axis.homed for axis in self._axes.values())
             out += b"ok\r\n" if found else self._alarm(9, now) + b"ok\r\n"
             self._state = "Idle" if found else "Alarm"
         self._next_block(now)
@@ -99,20 +98,14 @@ class GrblFirmware(Firmware):
             out += self._report(now)
         return out + self._work(now)
 
-    def positions(self, now: float) -> dict[str, float]:
-        return self._axes.real(now)
-
     def _suffer(self, fault: str, options: Mapping[str, Any], now: float) -> None:
         if fault == "alarm":
             code = int(options.get("code", 1))
             if set(options) - {"code"} or not 1 <= code <= 10:
                 raise ValueError("alarm wants a code from 1 to 10, and no other option")
             self._pending += self._alarm(code, now)
-        elif fault == "power_cycle":
-            self._axes.power_cycle(now)
-            self._power_up()
         else:
-            self._axes.inject(fault, options, ("alarm", *self.FAULTS, "power_cycle"))
+            super()._suffer(fault, options, now)
 
     def _power_up(self) -> None:
         self._restart()
@@ -145,10 +138,10 @@ class GrblFirmware(Firmware):
             self._dwell_until = now + self._dwell
 
     def _moving(self, now: float) -> bool:
-        return self._axes.moving(now) or bool(self._blocks)
+        return self._axes_move(now) or bool(self._blocks)
 
     def _stands(self, now: float) -> dict[str, float]:
-        return {name: axis.count(now) for name, axis in self._axes.by_name.items()}
+        return {name: axis.count(now) for name, axis in self._axes.items()}
 
     def _reset(self, now: float) -> bytes:
         """Ctrl-X: forget all but the position and the lock."""
@@ -158,14 +151,14 @@ class GrblFirmware(Firmware):
         if (self._state != "Hold" and self._moving(now)) or self._homing or braking:
             out += b"ALARM:3\r\n"
             lock = True
-        self._axes.stop(now)
+        self._stop_axes(now)
         self._restart()
         self._state = "Alarm" if lock else "Idle"
         return out + _BANNER + (_UNLOCK if lock else b"")
 
     def _alarm(self, code: int, now: float) -> bytes:
-        self._axes.stop(now)
-        for axis in self._axes.by_name.values():
+        self._stop_axes(now)
+        for axis in self._axes.values():
             axis.at_limit = False
         self._blocks.clear()
         self._going = None
@@ -178,12 +171,12 @@ class GrblFirmware(Firmware):
 
     def _hold(self, now: float) -> None:
         if self._jogging and self._moving(now):
-            self._axes.stop(now)
+            self._stop_axes(now)
             self._blocks.clear()
             self._planned = None
         elif self._state in ("Idle", "Run") and not self._homing:
             self._braked = now + _BRAKE_S if self._moving(now) else now
-            self._axes.stop(now)
+            self._stop_axes(now)
             self._state = "Hold"
 
     def _resume(self, now: float) -> None:
@@ -300,7 +293,7 @@ class GrblFirmware(Firmware):
         self._next_block(now)
 
     def _next_block(self, now: float) -> None:
-        if self._blocks and self._state == "Idle" and not self._axes.moving(now):
+        if self._blocks and self._state == "Idle" and not self._axes_move(now):
             self._going = self._blocks.popleft()
             self._start(*self._going, now)
 
@@ -339,6 +332,6 @@ class GrblFirmware(Firmware):
         if not self._settings[22]:
             raise GcodeError(5)
         self._homing = True
-        for axis in self._axes.by_name.values():
+        for axis in self._axes.values():
             axis.home(self._home_speed, now, becomes=-self._settings[27])
         return b""

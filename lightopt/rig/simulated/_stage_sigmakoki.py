@@ -10,8 +10,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from lightopt.rig.simulated._axes import Axes
-from lightopt.rig.simulated._firmware import Firmware
+from lightopt.rig.simulated._axes import StageFirmware
 
 _LONGEST = 256
 _SHOT_TOP_SPEED = 500_000  # [pulses/s]
@@ -32,11 +31,11 @@ def position_text(pulses: int, *, detached: bool) -> str:
     return f"{pulses:10d}"
 
 
-class _SigmakokiFirmware(Firmware):
+class _SigmakokiFirmware(StageFirmware):
     """A controller with axis 1, or axes 1 and 2; speeds in pulses/s.
 
     Faults besides those of its axes: ``refuse`` (a command is refused and not obeyed), with the options of
-    :class:`Trigger` counting commands other than questions; ``power_cycle``.
+    :class:`Trigger` counting commands other than questions.
 
     detached: Whether a sign stands at the left edge of its column rather than before the digits.
     """
@@ -58,9 +57,8 @@ class _SigmakokiFirmware(Firmware):
         home_speed: float = 5000.0,
         detached: bool = False,
     ) -> None:
-        super().__init__()
-        self._axes = Axes({"1": {}, "2": {}} if axes is None else axes)
-        names = list(self._axes.by_name)
+        super().__init__({"1": {}, "2": {}} if axes is None else axes)
+        names = list(self._axes)
         if names not in (["1"], ["1", "2"]):
             raise ValueError(f"the axes are 1, or 1 and 2, found {', '.join(names)}")
         self._home_speed = home_speed
@@ -84,17 +82,10 @@ class _SigmakokiFirmware(Firmware):
                 replies += answer.encode() + b"\r\n"
         return replies
 
-    def positions(self, now: float) -> dict[str, float]:
-        return self._axes.real(now)
-
-    def _suffer(self, fault: str, options: Mapping[str, Any], now: float) -> None:
-        if fault == "power_cycle":
-            self._axes.power_cycle(now)
-            self._speed = dict.fromkeys(self._speed, self._power_up_speed)
-            self._planned.clear()
-            self._buffer = b""
-        else:
-            self._axes.inject(fault, options, (*self.FAULTS, "power_cycle"))
+    def _power_up(self) -> None:
+        self._speed = dict.fromkeys(self._speed, self._power_up_speed)
+        self._planned.clear()
+        self._buffer = b""
 
     @abstractmethod
     def _acknowledgement(self) -> str | None:
@@ -112,14 +103,14 @@ class _SigmakokiFirmware(Firmware):
         if line == "Q:":
             return self._status(now)
         if line == "!:":
-            return "B" if self._axes.moving(now) else "R"
+            return "B" if self._axes_move(now) else "R"
         return self.VERSION if line == "?:V" else None
 
     def _obey(self, line: str, now: float) -> bool:
         verb, _, words = line.partition(":")
         if verb == "L":
             return self._stop(words, now)
-        if self._axes.moving(now):
+        if self._axes_move(now):
             return False
         if verb in self.MOVES:
             return self._plan(verb, words)
@@ -136,11 +127,9 @@ class _SigmakokiFirmware(Firmware):
     def _status(self, now: float) -> str:
         """Answer to Q: — positions, then whether the last command was taken, limits, busy or ready."""
         # a switch is read only once the axis is known to have stopped
-        busy = self._axes.moving(now)
-        places = [
-            position_text(round(axis.count(now)), detached=self._detached) for axis in self._axes.by_name.values()
-        ]
-        hit = "".join(name for name, axis in self._axes.by_name.items() if axis.at_limit)
+        busy = self._axes_move(now)
+        places = [position_text(round(axis.count(now)), detached=self._detached) for axis in self._axes.values()]
+        hit = "".join(name for name, axis in self._axes.items() if axis.at_limit)
         limit = {"": "K", "1": "L", "2": "M", "12": "W"}[hit]
         return ",".join([*places, "K" if self._accepted else "X", limit, "B" if busy else "R"])
 
@@ -152,7 +141,7 @@ class _SigmakokiFirmware(Firmware):
             return False
         names = self._named(match[1])
         each = [m.groups() for m in re.finditer(pattern, match[2])]
-        if len(each) != len(names) or not set(names) <= set(self._axes.by_name):
+        if len(each) != len(names) or not set(names) <= set(self._axes):
             return False
         self._planned = {
             name: (kind, int(f"{found[0]}{found[1] if kind != 'J' else 1}"))
@@ -176,7 +165,7 @@ class _SigmakokiFirmware(Firmware):
         return True
 
     def _home(self, names: list[str], now: float) -> bool:
-        if not names or not set(names) <= set(self._axes.by_name):
+        if not names or not set(names) <= set(self._axes):
             return False
         self._planned = {}
         for name in names:
@@ -187,9 +176,9 @@ class _SigmakokiFirmware(Firmware):
         """Stop an axis, or all with W and E."""
         self._planned = {}
         if words in ("W", "E"):
-            self._axes.stop(now)
+            self._stop_axes(now)
             return True
-        if words not in self._axes.by_name:
+        if words not in self._axes:
             return False
         if self.STOP_ENDS_HOMING or not self._axes[words].homing:
             self._axes[words].stop(now)
@@ -197,12 +186,12 @@ class _SigmakokiFirmware(Firmware):
 
     def _named(self, word: str) -> list[str]:
         """Axes that a word names: W is all."""
-        return list(self._axes.by_name) if word == "W" else [word]
+        return list(self._axes) if word == "W" else [word]
 
     def _zero(self, words: str, now: float) -> bool:
         """Call the place where an axis stands 0."""
         names = self._named(words)
-        if not set(names) <= set(self._axes.by_name):
+        if not set(names) <= set(self._axes):
             return False
         for name in names:
             self._axes[name].set_count(0.0, now)
@@ -224,7 +213,7 @@ class ShotFirmware(_SigmakokiFirmware):
 
     def _question(self, line: str, now: float) -> str | None:
         if line == "?:SW":  # divisions of a full step
-            return ",".join("2" for _ in self._axes.by_name)
+            return ",".join("2" for _ in self._axes)
         return super()._question(line, now)
 
     def _obey(self, line: str, now: float) -> bool:
@@ -240,7 +229,7 @@ class ShotFirmware(_SigmakokiFirmware):
         names = self._named(match[1])
         each = [tuple(map(int, m)) for m in re.findall(r"S(\d+)F(\d+)R(\d+)", match[2])]
         right = all(1 <= s <= f <= _SHOT_TOP_SPEED and r <= 1000 for s, f, r in each)
-        if not right or len(each) != len(names) or not set(names) <= set(self._axes.by_name):
+        if not right or len(each) != len(names) or not set(names) <= set(self._axes):
             return False
         for name, (_, fast, _) in zip(names, each, strict=True):
             self._speed[name] = float(fast)
@@ -274,7 +263,7 @@ class GscFirmware(_SigmakokiFirmware):
 
     def _homed_axes(self, words: str) -> list[str]:
         match = re.fullmatch(r"(?:([12])[+-])|(?:W[+-][+-])", words)
-        return [] if match is None else [match[1]] if match[1] else list(self._axes.by_name)
+        return [] if match is None else [match[1]] if match[1] else list(self._axes)
 
     def _set_speeds(self, words: str) -> bool:
         match = re.fullmatch(r"([12])S(\d+)F(\d+)R(\d+)S(\d+)F(\d+)R(\d+)", words)
@@ -282,7 +271,7 @@ class GscFirmware(_SigmakokiFirmware):
             return False
         slowest, fastest = _GSC_SPEEDS[match[1]]
         numbers = [int(number) for number in match.groups()[1:]]
-        for name, (slow, fast, ramp) in zip(self._axes.by_name, (numbers[:3], numbers[3:]), strict=False):
+        for name, (slow, fast, ramp) in zip(self._axes, (numbers[:3], numbers[3:]), strict=False):
             if not (slowest <= slow <= fast <= fastest and ramp <= 1000):
                 return False
             self._speed[name] = float(fast)

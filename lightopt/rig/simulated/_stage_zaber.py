@@ -8,8 +8,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from lightopt.rig.simulated._axes import Axes
-from lightopt.rig.simulated._firmware import Firmware
+from lightopt.rig.simulated._axes import StageFirmware
 
 _SPEED_UNIT = 1.6384
 _LONGEST = 256
@@ -18,13 +17,12 @@ _COMMAND = re.compile(
 )
 
 
-class ZaberFirmware(Firmware):
+class ZaberFirmware(StageFirmware):
     """A chain with one device.
 
     Faults besides those of its axes (a stall flags FS, a switch WL): ``alarm`` (option ``flag``: a warning that stays,
     FS by default, ``axis``; moves stop), ``refuse`` (commands other than questions are rejected with ``reason``,
-    BADDATA by default), ``checksum`` (a reply's checksum is wrong), both with the options of :class:`Trigger`;
-    ``power_cycle``.
+    BADDATA by default), ``checksum`` (a reply's checksum is wrong), both with the options of :class:`Trigger`.
 
     limits: ``limit.min`` and ``limit.max`` of each axis by its number.
     maxspeed: Speed at first, in the unit of the setting.
@@ -32,6 +30,7 @@ class ZaberFirmware(Firmware):
     """
 
     FAULTS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"refuse": {"reason": "BADDATA"}, "checksum": {}}
+    DEVICE_FAULTS = ("alarm",)
 
     def __init__(
         self,
@@ -42,9 +41,8 @@ class ZaberFirmware(Firmware):
         home_speed: float = 50_000.0,
         checksums: bool = True,
     ) -> None:
-        super().__init__()
-        self._axes = Axes({"1": {}, "2": {}} if axes is None else axes)
-        names = list(self._axes.by_name)
+        super().__init__({"1": {}, "2": {}} if axes is None else axes)
+        names = list(self._axes)
         if names != [str(number + 1) for number in range(len(names))]:
             raise ValueError(f"the axes are numbered from 1, found {', '.join(names)}")
         self._settings: dict[str, dict[str, int]] = {}
@@ -63,26 +61,23 @@ class ZaberFirmware(Firmware):
         self._buffer = rest[-_LONGEST:]
         return b"".join(self._answer(line.rstrip(b"\r"), now) for line in lines)
 
-    def positions(self, now: float) -> dict[str, float]:
-        return self._axes.real(now)
-
     def _suffer(self, fault: str, options: Mapping[str, Any], now: float) -> None:
         if fault == "alarm":
             chosen = {"flag": "FS", "axis": None, **options}
             axis = chosen["axis"]
             if len(chosen) > 2 or (axis is not None and axis not in self._flags):
                 raise ValueError("alarm wants a flag, and an axis of the device")
-            self._axes.stop(now)
+            self._stop_axes(now)
             for name in self._flags if axis is None else [axis]:
                 self._flags[name].add(str(chosen["flag"]))
-        elif fault == "power_cycle":
-            self._axes.power_cycle(now)
-            self._buffer = b""
-            for name, flags in self._flags.items():
-                flags.clear()
-                self._moves[name] = False
         else:
-            self._axes.inject(fault, options, ("alarm", *self.FAULTS, "power_cycle"))
+            super()._suffer(fault, options, now)
+
+    def _power_up(self) -> None:
+        self._buffer = b""
+        for name, flags in self._flags.items():
+            flags.clear()
+            self._moves[name] = False
 
     def _answer(self, line: bytes, now: float) -> bytes:
         start = line.rfind(b"/")
