@@ -14,7 +14,6 @@ import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -23,26 +22,20 @@ import numpy as np
 from benchmarks.inspection import FIRST, FULL, Size, prepare, replace_block
 from lightopt import load_part
 from lightopt.estimate.registration import Observation, Placement, place_part
-from lightopt.inspection import (
-    DETECTORS,
-    CalibratedPosture,
-    Deviations,
-    InspectOptions,
-    PostureView,
-    RegisteredSet,
-    calibrate_registered,
-    deviations,
-    find_regions,
-    least_rate,
-    nominal_pixels,
-    posture_view,
-    predict,
-    region_hits,
-    sets_needed,
-    subtract_systematic,
-    synthetic_image,
-    threshold,
-)
+from lightopt.inspection import InspectOptions, least_rate
+from lightopt.inspection._options import DETECTORS
+from lightopt.inspection.calibration._calibrate import calibrate_registered
+from lightopt.inspection.calibration._calibration import CalibratedPosture, sets_needed
+from lightopt.inspection.calibration._systematic import subtract_systematic
+from lightopt.inspection.detection._deviation import Deviations, deviations
+from lightopt.inspection.detection._matched_filter import score_templates
+from lightopt.inspection.detection._regions import find_regions
+from lightopt.inspection.detection._residual_score import score_deviations, threshold
+from lightopt.inspection.evaluation._evaluation import region_hits
+from lightopt.inspection.fusion._synthetic_image import synthetic_image
+from lightopt.inspection.prediction._posture_view import PostureView, posture_view
+from lightopt.inspection.prediction._predict import predict
+from lightopt.inspection.prediction._registered_set import RegisteredSet, nominal_pixels
 from lightopt.optics import expose, image_rng, saturated
 from lightopt.rendering import PostureImages, cast_rays_at, render_posture
 from lightopt.scene import Scene, build_scene
@@ -154,10 +147,11 @@ def regions_of(
     found: Deviations = deviations(view)
     if taught is not None and taught.systematic is not None:
         found = subtract_systematic(found, taught.systematic, nominal_pixels(view, model, assumed))
-    make_synthetic = None if options.fusion is None else partial(synthetic_image, view, options.fusion, probes=0)
-    detector = DETECTORS[options.detector]
-    score = detector.score(found, options.min_images, make_synthetic, None)
-    noise = threshold(options.false_alarms, int(view.clean.sum()), detector.tests)
+    if options.fusion is None:
+        score = score_deviations(found, min_images=options.min_images)
+    else:
+        score = score_templates(synthetic_image(view, options.fusion, probes=0))
+    noise = threshold(options.false_alarms, int(view.clean.sum()), DETECTORS[options.detector])
     high = noise if taught is None else taught.threshold(options.false_alarms)
     return find_regions(score, high)[0]
 

@@ -20,7 +20,8 @@ from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
 from lightopt.images import ImageSet, read_image_set
-from lightopt.inspection import InspectionResult, InspectOptions, PredictionCache, inspect_set, judge
+from lightopt.inspection import InspectionResult, InspectOptions, inspect_set, judge
+from lightopt.inspection.prediction._registered_set import PredictionCache
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set, trace_samples
 from lightopt.scene import Scene, screen_window, view_from_part
 

@@ -35,19 +35,11 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.defects import BUILT_IN_CATALOGUE, PlacedDefect, radial_place, surface_coordinates
 from lightopt.design import Contrast, DetectionModel, Visibility, defect_hypotheses, luminance_matrix, unpack_flags
 from lightopt.images import ImageSet, read_image_set
-from lightopt.inspection import (
-    SCALES_PX,
-    InspectionResult,
-    InspectOptions,
-    SetEvaluation,
-    deviations,
-    evaluate_set,
-    find_regions,
-    inspect_set,
-    score_deviations,
-    split_regions,
-    threshold,
-)
+from lightopt.inspection import InspectionResult, InspectOptions, SetEvaluation, inspect_set
+from lightopt.inspection.detection._deviation import deviations
+from lightopt.inspection.detection._regions import find_regions, split_regions
+from lightopt.inspection.detection._residual_score import SCALES_PX, score_deviations, threshold
+from lightopt.inspection.evaluation._evaluation import evaluate_set
 from lightopt.rendering import PatchTable, build_patches, cast_rays_at
 from lightopt.report import chart, figure_image, fixed_style
 from lightopt.rig.capture import CaptureOptions, CapturePlan, Devices, capture, connect_devices, start_bench, wiring_of

@@ -13,8 +13,8 @@ from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
 from lightopt.images._file_names import posture_folder
+from lightopt.images._image_files import write_png
 from lightopt.images._manifest import ImageEntry
-from lightopt.images._png import write_png
 from lightopt.images._reader import ImageSet
 from lightopt.images._result_folder import ResultFolder
 

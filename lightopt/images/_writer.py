@@ -15,7 +15,6 @@ from lightopt.core.provenance import file_sha256
 from lightopt.core.transforms import Posture
 from lightopt.images._atomic import make_folder, remove_file, write_bytes_atomic, write_npz_atomic, write_text_atomic
 from lightopt.images._existing_set import remove_set, resumable_manifest
-from lightopt.images._exr import write_exr
 from lightopt.images._file_names import (
     MANIFEST_NAME,
     FileNames,
@@ -25,8 +24,8 @@ from lightopt.images._file_names import (
     inside_problem,
     png_name,
 )
+from lightopt.images._image_files import write_exr, write_png
 from lightopt.images._manifest import GeometryEntry, ImageEntry, Manifest
-from lightopt.images._png import write_png
 
 _PATCHES_NAME = "patches.npz"
 

@@ -12,21 +12,21 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import DARK_SPREAD
 from lightopt.images import ImageSet
 from lightopt.inspection._files import InspectionFolder
-from lightopt.inspection._options import DETECTORS, RESIDUAL, InspectOptions
+from lightopt.inspection._options import DETECTORS, InspectOptions
 from lightopt.inspection._results import InspectedPosture, InspectionResult, Verdict, judge
 from lightopt.inspection.calibration._calibration import CalibratedPosture, Calibration
 from lightopt.inspection.calibration._systematic import subtract_systematic
 from lightopt.inspection.detection._coverage import measure_coverage, surface_coverage
 from lightopt.inspection.detection._defects import merge_detections
 from lightopt.inspection.detection._deviation import deviations
+from lightopt.inspection.detection._matched_filter import score_templates
 from lightopt.inspection.detection._regions import find_regions, measure_regions, split_regions
-from lightopt.inspection.detection._residual_score import threshold
+from lightopt.inspection.detection._residual_score import score_deviations, threshold
 from lightopt.inspection.evaluation._evaluation import SetEvaluation, evaluate_set
 from lightopt.inspection.evaluation._ground_truth import TruthSource
 from lightopt.inspection.fusion._synthetic_image import synthetic_image
 from lightopt.inspection.prediction._posture_view import PostureView
-from lightopt.inspection.prediction._prediction_cache import PredictionCache
-from lightopt.inspection.prediction._registered_set import RegisteredSet, nominal_pixels, register_set
+from lightopt.inspection.prediction._registered_set import PredictionCache, RegisteredSet, nominal_pixels, register_set
 from lightopt.scene import part_postures, place_defects
 
 # a posture with more regions than this is not a part with so many defects: its model does not describe it
@@ -182,11 +182,13 @@ def _inspect_posture(
     if options.fusion is not None:
         make = functools.partial(synthetic_image, view, options.fusion, threads=threads)
         make_synthetic = functools.cache(make)
-    detector = DETECTORS[options.detector]
-    score = detector.score(found, options.min_images, make_synthetic, threads)
+    if options.uses_synthetic and make_synthetic is not None:
+        score = score_templates(make_synthetic())
+    else:
+        score = score_deviations(found, min_images=options.min_images, threads=threads)
     pixels = int(view.clean.sum())
     if calibrated is None:
-        high = threshold(options.false_alarms, pixels, detector.tests)
+        high = threshold(options.false_alarms, pixels, DETECTORS[options.detector])
     else:
         high = calibrated.threshold(options.false_alarms)
     labels, count = find_regions(score, high)
@@ -211,7 +213,7 @@ def _inspect_posture(
             found,
             min_images=options.min_images,
             # the synthetic image has no deviations to measure a contrast by: what the residual detector would find
-            high=threshold(options.false_alarms, pixels, RESIDUAL.tests) if detector.uses_synthetic else high,
+            high=threshold(options.false_alarms, pixels, DETECTORS["residual"]) if options.uses_synthetic else high,
             threads=threads,
         ),
     )
@@ -242,8 +244,11 @@ def inspection_warnings(
 def _uncalibrated_warnings(rig: RigConfig, options: InspectOptions) -> list[str]:
     warnings: list[str] = []
     sensor = rig.camera.sensor
-    if caveat := DETECTORS[options.detector].caveat:
-        warnings.append(f"detector {options.detector}: {caveat}")
+    if options.uses_synthetic:
+        warnings.append(
+            f"detector {options.detector}: its rate of false alarms is that of an image of even texture; on this part "
+            "it is known only with a calibration"
+        )
     if sensor.read_noise_levels == 0.0 and not sensor.electrons_per_level:
         warnings.append(
             f"{rig.source.at('camera', 'sensor')}: no read_noise_levels and no electrons_per_level, so that rounding "

@@ -488,7 +488,7 @@ def test_images_that_are_saturated_all_over_are_refused(cli, bench, images):
 def test_a_posture_without_a_pixel_to_judge_is_said_and_no_good_part(cli, bench, parts, monkeypatch):
     from dataclasses import replace
 
-    from lightopt.inspection.prediction import _prediction_cache as _predictions
+    from lightopt.inspection.prediction import _registered_set as _predictions
 
     def nothing_clean(*given, **more):
         found = predict(*given, **more)

@@ -12,9 +12,12 @@ from lightopt import build_scene, load_part, load_rig
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import read_observations
 from lightopt.images import read_image_set
-from lightopt.inspection import deviations, posture_view, predict, score_deviations
 from lightopt.inspection._image_blocks import filter_tile, gaussian_taps
 from lightopt.inspection.detection._coverage import coverage_of_rows, measure_coverage
+from lightopt.inspection.detection._deviation import deviations
+from lightopt.inspection.detection._residual_score import score_deviations
+from lightopt.inspection.prediction._posture_view import posture_view
+from lightopt.inspection.prediction._predict import predict
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set
 
 FLAT = Posture(0.0, 0.0)

@@ -12,13 +12,14 @@ from lightopt import load_part, load_rig
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Placement, place_part
 from lightopt.images import read_image_set
-from lightopt.inspection import PredictionCache, nominal_scene, predict
 from lightopt.inspection.prediction._nearby_placement import (
     difference_steps,
     placement_derivatives,
     shift_prediction,
     shifted_scene,
 )
+from lightopt.inspection.prediction._predict import predict
+from lightopt.inspection.prediction._registered_set import PredictionCache, nominal_scene
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set, render_posture
 
 TILTED = Posture(-10.0, 170.0)
@@ -134,7 +135,7 @@ def test_what_the_first_part_did_not_determine_stays(first, shared_bench, tmp_pa
 def test_slopes_too_large_to_keep_are_not_rendered(first, shared_bench, tmp_path, monkeypatch):
     rig, part, images = images_of(shared_bench, tmp_path / "second", (0.46, -0.34, 0.55), seed=2)
     nominal, observations = nominal_scene(rig, part, images, scenes=first.nominal_scenes)
-    monkeypatch.setattr("lightopt.inspection.prediction._prediction_cache.MOST_BYTES", 1000)
+    monkeypatch.setattr("lightopt.inspection.prediction._registered_set.MOST_BYTES", 1000)
     assert first.nearby_placement(nominal, observations) is None
     assert not first.derivatives
 

@@ -3,7 +3,6 @@
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 from lightopt.config import PartConfig, RigConfig
@@ -11,7 +10,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.images import ImageSet, posture_folder
-from lightopt.inspection._options import DETECTORS, InspectOptions
+from lightopt.inspection._options import InspectOptions
 from lightopt.inspection.calibration._calibration import (
     CalibratedPosture,
     Calibration,
@@ -21,9 +20,16 @@ from lightopt.inspection.calibration._calibration import (
 )
 from lightopt.inspection.calibration._systematic import PackedDeviations, SystematicSums, subtract_systematic
 from lightopt.inspection.detection._deviation import deviations
+from lightopt.inspection.detection._matched_filter import score_templates
+from lightopt.inspection.detection._residual_score import score_deviations
 from lightopt.inspection.fusion._synthetic_image import synthetic_image
-from lightopt.inspection.prediction._prediction_cache import PredictionCache
-from lightopt.inspection.prediction._registered_set import ExposuresByLight, RegisteredSet, nominal_pixels, register_set
+from lightopt.inspection.prediction._registered_set import (
+    ExposuresByLight,
+    PredictionCache,
+    RegisteredSet,
+    nominal_pixels,
+    register_set,
+)
 
 
 @dataclass
@@ -85,7 +91,6 @@ def calibrate_registered(
     fingerprint: What the calibration is valid for, from :func:`calibration_fingerprint`.
     """
     require_good_sets(len(names), options)
-    detector = DETECTORS[options.detector]
     postures: dict[Posture, _GoodPosture] = {}
     with tempfile.TemporaryDirectory(prefix="lightopt-calibration-") as folder:
         for number, (name, registered) in enumerate(sets):
@@ -95,15 +100,12 @@ def calibrate_registered(
                     postures[view.posture] = _GoodPosture(exposures, name)
                 gathered = _same_images(postures, view.posture, exposures, name)
                 seen.append(view.posture)
-                found = deviations(view, threads=threads)
-                if detector.uses_synthetic:
-                    assert options.fusion is not None
-                    make_synthetic = partial(synthetic_image, view, options.fusion, probes=0, threads=threads)
-                    score = detector.score(found, options.min_images, make_synthetic, threads)
+                if options.uses_synthetic and options.fusion is not None:
+                    score = score_templates(synthetic_image(view, options.fusion, probes=0, threads=threads))
                     gathered.peaks.append(float(score.max(initial=0.0)))
                     continue
                 nominal = nominal_pixels(view, registered.nominal, registered.placement)
-                packed = PackedDeviations.of(found, nominal)
+                packed = PackedDeviations.of(deviations(view, threads=threads), nominal)
                 gathered.sums.add(packed)
                 path = Path(folder) / f"{number}-{posture_folder(view.posture)}.npz"
                 packed.save(path)
@@ -151,6 +153,6 @@ def _calibrated(posture: Posture, gathered: _GoodPosture, options: InspectOption
             one = PackedDeviations.load(path)
             others = gathered.sums.systematic(but=one)
             found = subtract_systematic(one.in_own_image(), others, one.nominal_image())
-            score = DETECTORS[options.detector].score(found, options.min_images, None, None)
+            score = score_deviations(found, min_images=options.min_images)
             peaks.append(float(score.max(initial=0.0)))
     return CalibratedPosture(posture=posture, exposures=gathered.exposures, peaks=tuple(peaks), systematic=systematic)

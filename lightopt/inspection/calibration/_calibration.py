@@ -22,7 +22,7 @@ from lightopt.core.errors import InputError, counted
 from lightopt.core.provenance import computed_by, differences, file_sha256
 from lightopt.core.transforms import Posture
 from lightopt.images import ResultFolder, posture_folder, read_exr, write_exr
-from lightopt.inspection._options import DETECTORS, InspectOptions
+from lightopt.inspection._options import InspectOptions
 from lightopt.inspection.calibration._systematic import SystematicDeviations
 from lightopt.inspection.prediction._registered_set import ExposuresByLight, exposures_text
 
@@ -149,8 +149,7 @@ def calibration_fingerprint(rig: RigConfig, part: PartConfig, options: InspectOp
     of_part: dict[str, bool | set[str]] = {**dict.fromkeys(names, True), "mesh": {"file"}}
     ranges = {"elevation_range_deg", "azimuth_range_deg"}
     chosen: dict[str, Any] = {"detector": options.detector, "register": options.register}
-    by_synthetic = DETECTORS[options.detector].uses_synthetic
-    chosen |= {"fusion": options.fusion} if by_synthetic else {"min_images": options.min_images}
+    chosen |= {"fusion": options.fusion} if options.uses_synthetic else {"min_images": options.min_images}
     return {
         "rig": _hash(
             {

@@ -40,7 +40,7 @@ class SurfaceState(IntEnum):
     What is seen at a grazing angle only (:data:`lightopt.rendering.GRAZING_DEG`) is left out of all shares.
 
     What is lit in fewer images than must show a defect, or is only reached by light and stays dark, is judged by these,
-    as :func:`lightopt.inspection.score_deviations` does it. No pixel is missing, only patches of the surface:
+    as the detector does it. No pixel is missing, only patches of the surface:
     images show them at an edge at most, and a posture without images would show them better.
     """
 

@@ -91,13 +91,12 @@ def evaluate_set(image_set: ImageSet, result: InspectionResult, *, known: Sequen
 
     Raises InputError: labels are missing, or they are those of images of another size.
     """
-    labels = true_labels(image_set, result, known=known)
-    listed = labels.listed
+    listed, labels, source = true_labels(image_set, result, known=known)
     pixels = np.zeros((len(result.postures), len(listed)), np.intp)
     found = np.zeros(len(listed), np.bool_)
     false_alarms = 0
     areas: list[float] = []
-    for number, (posture, truth) in enumerate(zip(result.postures, labels.of_posture, strict=True)):
+    for number, (posture, truth) in enumerate(zip(result.postures, labels, strict=True)):
         clean = posture.view.clean
         mine = np.bincount(truth[clean & (truth >= 0)], minlength=len(listed))
         pixels[number] = mine[: len(listed)]
@@ -123,7 +122,7 @@ def evaluate_set(image_set: ImageSet, result: InspectionResult, *, known: Sequen
         false_alarms=false_alarms,
         postures=len(result.postures),
         areas=tuple(areas),
-        labels=labels.source,
+        labels=source,
         name=image_set.folder.resolve().name,
     )
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -98,19 +98,16 @@ def _part_file_source(part: PartConfig, name: str) -> TruthSource:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrueLabels:
+class TrueLabels(NamedTuple):
     """Ground truth of the images of a set.
 
     listed: of each defect what :func:`lightopt.scene.defect_facts` gives.
-    of_posture: per posture of the inspection the index of the defect that each pixel shows, −1 for none, shape (H,
-        W).
-    source: ``images``: the labels that the set was rendered with; ``part file``: cast from that, where the part was
-        found; ``no defects``: none is on the part.
+    of_posture: per posture the index of the defect that each pixel shows, −1 for none, shape (H, W).
+    source: the labels that the set was rendered with, or those cast from the part file, where the part was found.
     """
 
-    listed: tuple[Mapping[str, Any], ...]
-    of_posture: tuple[Int32, ...]
+    listed: Sequence[Mapping[str, Any]]
+    of_posture: list[Int32]
     source: Literal["images", "part file", "no defects"]
 
 
@@ -123,13 +120,10 @@ def true_labels(image_set: ImageSet, result: InspectionResult, *, known: Sequenc
     """
     listed = image_set.manifest.extra.get("defects")
     if isinstance(listed, list):
-        arrays = tuple(_stored(image_set, posture) for posture in result.postures)
-        return TrueLabels(listed=tuple(listed), of_posture=arrays, source="images")
-    return TrueLabels(
-        listed=tuple(defect_facts(known, result.nominal.placement)),
-        of_posture=tuple(_cast(posture, result, known) for posture in result.postures),
-        source="part file" if known else "no defects",
-    )
+        return TrueLabels(listed, [_stored(image_set, posture) for posture in result.postures], "images")
+    arrays = [_cast(posture, result, known) for posture in result.postures]
+    facts = defect_facts(known, result.nominal.placement)
+    return TrueLabels(facts, arrays, "part file" if known else "no defects")
 
 
 def _stored(image_set: ImageSet, posture: InspectedPosture) -> Int32:

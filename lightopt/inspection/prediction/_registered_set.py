@@ -1,10 +1,10 @@
 """A set of images with its part registered: for each posture the images beside the predicted good part.
 
-Also the way back from where the part lies to where its file has it: mesh file coordinates and nominal pixels.
+Also what a batch reuses from set to set, and the way back from where the part lies to where its file has it.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,14 +21,172 @@ from lightopt.estimate.registration import (
     read_observations,
     register,
 )
+from lightopt.geometry import RayCaster
 from lightopt.images import ImageSet
+from lightopt.inspection.prediction._nearby_placement import (
+    LOOSE,
+    TIGHT,
+    PixelSample,
+    PlacementDerivatives,
+    PlacementOffset,
+    difference_steps,
+    fit_placement_offset,
+    placement_derivatives,
+    sample_pixels,
+    shift_prediction,
+)
 from lightopt.inspection.prediction._posture_view import PostureView, posture_view
-from lightopt.inspection.prediction._prediction_cache import PredictionCache, observed_lights
+from lightopt.inspection.prediction._predict import Prediction, SurfaceMap, map_surface, predict
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene, build_scene, project, view_from_part
 
 # by light the exposure and the number of frames of each image
 ExposuresByLight = dict[str, tuple[tuple[float, int], ...]]
+
+Key = tuple[Posture, tuple[str, ...]]  # a posture and the lights that there are images of
+
+SAME_PLACE_MM = 0.002
+SAME_TURN_RAD = 5e-5  # a part that was found this near to the previous one takes over its prediction as it is
+
+# Derivatives are stored up to this size: six images for each image of a set. Where they are larger, each part is
+# searched for.
+MOST_BYTES = 1 << 30
+
+
+@dataclass
+class PredictionCache:
+    """The part inspected last where it lay, for the next sets of a batch.
+
+    nominal_scenes: scenes with the part where its file has it, by postures and lights.
+    placement, scene: where the last part lay, and the scene with it there.
+    rendered: predictions with the part there.
+    samples: pixels that determine the placement, by posture and lights, light, and whether derivatives are known.
+    """
+
+    nominal_scenes: dict[tuple[tuple[Posture, ...], tuple[str, ...]], Scene] = field(default_factory=dict)
+    placement: Placement | None = None
+    scene: Scene | None = None
+    caster: RayCaster | None = None
+    rendered: dict[Key, Prediction] = field(default_factory=dict)
+    derivatives: dict[Key, PlacementDerivatives] = field(default_factory=dict)
+    registration: Registration | None = None
+    misfit: float | None = None
+    samples: dict[tuple[Key, str, bool], PixelSample] = field(default_factory=dict)
+    surface_maps: dict[tuple[Posture, ...], SurfaceMap] = field(default_factory=dict)
+
+    def use_placement(self, scene: Scene, placement: Placement) -> tuple[Scene, Placement]:
+        """The scene and placement to predict with: those of the previous part, if that lay in the same place.
+
+        Postures and lights stay those of `scene`: sets of one batch may show different ones.
+        """
+        before = self.placement
+        if before is not None and self.scene is not None:
+            distance = max(abs(before.x - placement.x), abs(before.y - placement.y))
+            if distance <= SAME_PLACE_MM and abs(before.turn - placement.turn) <= SAME_TURN_RAD:
+                return replace(self.scene, postures=scene.postures, lights=scene.lights), before
+        self.placement, self.scene, self.caster, self.misfit = placement, scene, None, None
+        for cached in (self.rendered, self.derivatives, self.samples, self.surface_maps):
+            cached.clear()
+        return scene, placement
+
+    def prediction(
+        self, scene: Scene, posture: Posture, lights: Sequence[str], *, threads: int | None = None
+    ) -> Prediction:
+        """The prediction of a posture under some lights, for a scene from :meth:`use_placement`."""
+        key = posture, tuple(lights)
+        if key not in self.rendered:
+            self.rendered[key] = predict(scene, posture, self._caster(scene), lights=lights, threads=threads)
+        return self.rendered[key]
+
+    def shifted_prediction(
+        self, scene: Scene, posture: Posture, lights: Sequence[str], offset: Float64, *, threads: int | None
+    ) -> Prediction:
+        """The prediction of a posture for a part that lies a little off the previous one: :meth:`nearby_placement`."""
+        key = posture, tuple(lights)
+        moved = offset * difference_steps(scene)
+        return shift_prediction(self.rendered[key], self.derivatives[key], moved, threads=threads)
+
+    def nearby_placement(
+        self, nominal: Scene, observations: Sequence[Observation], *, threads: int | None = None
+    ) -> tuple[Scene, Placement, Float64] | None:
+        """Where a part lies that lies nearly where the previous one lay; None where it does not, or none was before.
+
+        The scene of the predictions, the part's placement, and its offset from the predictions in steps of the
+        derivatives, shape (3,). What the images do not determine is as for the previous part.
+
+        nominal: the part where its file has it, with the postures and lights of the set.
+        """
+        if self.placement is None or self.scene is None or self.misfit is None:
+            return None
+        scene = replace(self.scene, postures=nominal.postures, lights=nominal.lights)
+        keys = _keys(scene, observations)
+        if not self.rendered.keys() >= set(keys.values()):
+            return None
+        if lacking := [key for key in keys.values() if key not in self.derivatives]:
+            pixels = sum(len(key[1]) for key in keys.values()) * scene.camera.width * scene.camera.height
+            if 6 * 4 * pixels > MOST_BYTES:
+                return None
+            found = self._fit(scene, observations, keys, moves=True)
+            if not found.near or found.misfit > LOOSE * self.misfit:
+                return None
+            for key in lacking:
+                self.derivatives[key] = placement_derivatives(
+                    scene, self.placement, key[0], self.rendered[key], self._caster(scene), threads=threads
+                )
+        found = self._fit(scene, observations, keys, moves=True)
+        if not found.near or found.misfit > TIGHT * self.misfit:
+            return None
+        return scene, found.placement(scene, self.placement), found.offset
+
+    def measure_misfit(self, scene: Scene, observations: Sequence[Observation]) -> None:
+        """Remember how well a part's images fit the predictions that were made for it."""
+        if self.misfit is None:
+            self.misfit = self._fit(scene, observations, _keys(scene, observations), moves=False).misfit
+
+    def surface_map(self, scene: Scene, expected: Sequence[Posture] = ()) -> SurfaceMap | None:
+        """Patches of the surface and the pixels that see them; None for a single posture.
+
+        scene: with the postures that there are images of.
+        expected: those that there should be images of.
+        """
+        postures = tuple(dict.fromkeys((*scene.postures, *expected)))
+        if len(postures) < 2:
+            return None
+        if postures not in self.surface_maps:
+            self.surface_maps[postures] = map_surface(replace(scene, postures=postures), self._caster(scene))
+        return self.surface_maps[postures]
+
+    def _caster(self, scene: Scene) -> RayCaster:
+        if self.caster is None:
+            self.caster = cast_rays_at(scene)
+        return self.caster
+
+    def _fit(
+        self, scene: Scene, observations: Sequence[Observation], keys: dict[Posture, Key], *, moves: bool
+    ) -> PlacementOffset:
+        assert self.placement is not None
+        samples: list[PixelSample] = []
+        for o in observations:
+            key = keys[o.posture]
+            derivatives = self.derivatives.get(key)
+            mine = key, o.light, derivatives is not None
+            if mine not in self.samples:
+                self.samples[mine] = sample_pixels(scene, self.placement, self.rendered[key], derivatives, o.light)
+            samples.append(self.samples[mine])
+        return fit_placement_offset(scene, self.placement, observations, samples, moves=moves)
+
+
+def observed_lights(scene: Scene, observations: Sequence[Observation]) -> tuple[str, ...]:
+    """Names of the lights that there are images of, in the scene's order."""
+    return tuple(light.name for light in scene.lights if any(o.light == light.name for o in observations))
+
+
+def _keys(scene: Scene, observations: Sequence[Observation]) -> dict[Posture, Key]:
+    # of each posture, the lights that the set has for it in the rig's order
+    return {
+        posture: (posture, observed_lights(scene, [o for o in observations if o.posture == posture]))
+        for posture in scene.postures
+    }
 
 
 @dataclass(frozen=True)
@@ -67,7 +225,7 @@ def register_set(
                 prediction = cache.shifted_prediction(scene, posture, lights, offset, threads=threads)
             where = str(image_set.folder)
             view = posture_view(scene, mine, prediction, where=where, threads=threads)
-            yield view, _exposures_by_light(mine, view.lights)
+            yield view, {x: tuple(sorted((o.exposure, o.frames) for o in mine if o.light == x)) for x in view.lights}
         if register and offset is None:
             cache.measure_misfit(scene, observations)
 
@@ -117,10 +275,6 @@ def _find(
     scene, placement = cache.use_placement(scene, found.placement)
     cache.registration = found
     return scene, placement, None
-
-
-def _exposures_by_light(observations: Sequence[Observation], lights: Sequence[str]) -> ExposuresByLight:
-    return {light: tuple(sorted((o.exposure, o.frames) for o in observations if o.light == light)) for light in lights}
 
 
 def exposures_text(exposures: ExposuresByLight) -> str:
