@@ -152,7 +152,7 @@ def _calibrated(posture: Posture, gathered: _GoodPosture, options: InspectOption
         for path in gathered.packed:
             one = PackedDeviations.load(path)
             others = gathered.sums.systematic(but=one)
-            found = subtract_systematic(one.in_own_image(), others, one.nominal_image())
+            found = subtract_systematic(one.at_pixels(one.own), others, one.nominal_image())
             score = score_deviations(found, min_images=options.min_images)
             peaks.append(float(score.max(initial=0.0)))
     return CalibratedPosture(posture=posture, exposures=gathered.exposures, peaks=tuple(peaks), systematic=systematic)

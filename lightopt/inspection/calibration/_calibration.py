@@ -97,12 +97,13 @@ class Calibration:
             )
         before = self.fingerprint.get("options")
         before = before if isinstance(before, Mapping) else {}
-        problems += [
-            f"option '{key}': {self.name} was made with {_shown(before.get(key))}, found {_shown(value)}; calibrate "
-            "anew, or inspect as it was made"
-            for key, value in now["options"].items()
-            if value != before.get(key)
-        ]
+        for key, value in now["options"].items():
+            if value != before.get(key):
+                was, found = ("none" if one is None else one for one in (before.get(key), value))
+                problems.append(
+                    f"option '{key}': {self.name} was made with {was}, found {found}; calibrate anew, or inspect as it "
+                    "was made"
+                )
         if options.false_alarms < least_rate(len(self.sets)):
             problems.append(too_few_good_sets(len(self.sets), options.false_alarms, self.name))
         if problems:
@@ -137,10 +138,6 @@ class Calibration:
             "good_sets": list(self.sets),
             "made_for": dict(self.fingerprint),
         }
-
-
-def _shown(value: object) -> str:
-    return "none" if value is None else str(value)
 
 
 def calibration_fingerprint(rig: RigConfig, part: PartConfig, options: InspectOptions) -> dict[str, Any]:
@@ -229,8 +226,7 @@ class CalibrationFolder(ResultFolder):
             for kind, images in (("mean", one.systematic.mean), ("spread", one.systematic.spread))
             for light, image in zip(one.exposures, images, strict=True)
         }
-        path = self.place(name)
-        sha256 = write_exr(path, channels, metadata={"posture": one.posture.as_dict()})
+        sha256 = write_exr(self.place(name), channels, metadata={"posture": one.posture.as_dict()})
         return {"maps": {"exr": name, "sha256": sha256}}
 
 

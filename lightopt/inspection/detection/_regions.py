@@ -138,7 +138,9 @@ def split_regions(labels: Int32, count: int, score: Float32, found: Deviations, 
         core = core_pixels(region, *box_sums(found, box, SCALES_PX[:1]))
         within = np.where(region, score[box], np.float32(0.0))
         region &= core | (within >= PEAK_SHARE * ndimage.maximum_filter(within, 2 * SPREAD_PX + 1))
-        cores, most = _core_components(core)
+        # cores within GAP_PX of each other are one, as in find_regions
+        joined, most = _label(_dilated(core))
+        cores = np.where(core, joined[GAP_PX:-GAP_PX, GAP_PX:-GAP_PX], np.int32(0))
         peak = ndimage.maximum(np.where(region, score[box], 0.0), cores, np.arange(1, most + 1))
         certain = 1 + np.flatnonzero(np.asarray(peak) >= high)
         if len(certain) < 2:
@@ -154,12 +156,6 @@ def split_regions(labels: Int32, count: int, score: Float32, found: Deviations, 
         result[box][region] = seeds[row, column][region]
         number += len(certain)
     return result, number
-
-
-def _core_components(core: Bool) -> tuple[Int32, int]:
-    # numbered; those within GAP_PX of each other are one, as in find_regions
-    number, count = _label(_dilated(core))
-    return np.where(core, number[GAP_PX:-GAP_PX, GAP_PX:-GAP_PX], 0).astype(np.int32), count
 
 
 def measure_regions(
