@@ -229,7 +229,19 @@ def inspection_warnings(
     calibrated: bool = False,
 ) -> tuple[str, ...]:
     """Warnings of an inspection; `expected` are the postures that there should be images of."""
-    warnings = [*([] if calibrated else _uncalibrated_warnings(rig, options)), *registration]
+    warnings: list[str] = []
+    sensor = rig.camera.sensor
+    if options.uses_synthetic and not calibrated:
+        warnings.append(
+            f"detector {options.detector}: its rate of false alarms is that of an image of even texture; on this part "
+            "it is known only with a calibration"
+        )
+    if sensor.read_noise_levels == 0.0 and not sensor.electrons_per_level and not calibrated:
+        warnings.append(
+            f"{rig.source.at('camera', 'sensor')}: no read_noise_levels and no electrons_per_level, so that rounding "
+            "is all the noise there is; good parts may show regions; give what the sensor has"
+        )
+    warnings += registration
     for one in postures:
         warnings += [f"posture {one.view.posture}: {text}" for text in _posture_warnings(rig, one, options)]
     there = {one.view.posture for one in postures}
@@ -239,22 +251,6 @@ def inspection_warnings(
         if posture not in there
     ]
     return tuple(warnings)
-
-
-def _uncalibrated_warnings(rig: RigConfig, options: InspectOptions) -> list[str]:
-    warnings: list[str] = []
-    sensor = rig.camera.sensor
-    if options.uses_synthetic:
-        warnings.append(
-            f"detector {options.detector}: its rate of false alarms is that of an image of even texture; on this part "
-            "it is known only with a calibration"
-        )
-    if sensor.read_noise_levels == 0.0 and not sensor.electrons_per_level:
-        warnings.append(
-            f"{rig.source.at('camera', 'sensor')}: no read_noise_levels and no electrons_per_level, so that rounding "
-            "is all the noise there is; good parts may show regions; give what the sensor has"
-        )
-    return warnings
 
 
 def _posture_warnings(rig: RigConfig, inspected: InspectedPosture, options: InspectOptions) -> list[str]:

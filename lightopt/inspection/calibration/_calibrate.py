@@ -87,7 +87,6 @@ def calibrate_registered(
     """Learn from registered image sets of good parts.
 
     sets: Each with its name for messages; taken one at a time.
-    names: Of all sets.
     fingerprint: What the calibration is valid for, from :func:`calibration_fingerprint`.
     """
     require_good_sets(len(names), options)

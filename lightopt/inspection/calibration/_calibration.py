@@ -129,16 +129,6 @@ class Calibration:
             )
         return found
 
-    def as_dict(self) -> dict[str, Any]:
-        """JSON form, maps apart."""
-        return {
-            "false_alarms": self.rate,
-            "confidence": CONFIDENCE,
-            "least_false_alarms": round(least_rate(len(self.sets)), 5),
-            "good_sets": list(self.sets),
-            "made_for": dict(self.fingerprint),
-        }
-
 
 def calibration_fingerprint(rig: RigConfig, part: PartConfig, options: InspectOptions) -> dict[str, Any]:
     """All that scores depend on, as hashes, and the options: not names, limits of the verdict, or lists of defects."""
@@ -215,7 +205,14 @@ class CalibrationFolder(ResultFolder):
             }
             for one in calibration.postures
         ]
-        return self.finish({**calibration.as_dict(), "postures": postures})
+        content = {
+            "false_alarms": calibration.rate,
+            "confidence": CONFIDENCE,
+            "least_false_alarms": round(least_rate(len(calibration.sets)), 5),
+            "good_sets": list(calibration.sets),
+            "made_for": dict(calibration.fingerprint),
+        }
+        return self.finish({**content, "postures": postures})
 
     def _maps(self, one: CalibratedPosture) -> dict[str, Any]:
         if one.systematic is None:

@@ -39,9 +39,7 @@ class PackedDeviations:
     """Deviations of one set in one posture, at the pixels that can be judged: small enough to store those of all sets.
 
     own, nominal: flat index of each pixel in the set's images, and in those of the part where its file has it (−1
-        outside of them), shape (n,).
-    z: float16, shape (lights, n).
-    usable, lit: same shape.
+        outside of them), shape (n,); the others have shape (lights, n).
     """
 
     shape: tuple[int, int]
@@ -97,10 +95,7 @@ class PackedDeviations:
 
 
 def subtract_systematic(found: Deviations, systematic: SystematicDeviations, nominal: Int32) -> Deviations:
-    """Deviations without what good parts have in common.
-
-    systematic: Of good parts in that posture, under the same lights.
-    """
+    """Deviations without what good parts have in common in that posture, under the same lights."""
     known = nominal >= 0
     at = np.where(known, nominal, 0)
     lights = len(found.z)

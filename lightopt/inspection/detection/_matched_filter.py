@@ -32,10 +32,7 @@ def templates() -> tuple[Float64, ...]:
 
 
 def score_templates(image: SyntheticImage) -> Float32:
-    """−log₁₀ of the probability that a place of even texture answers to a template as strongly, shape (H, W).
-
-    image: Without highlights.
-    """
+    """−log₁₀ of the probability that a place of even texture answers to a template as strongly, shape (H, W)."""
     mask = image.mask
     if not mask.any():
         return np.zeros(mask.shape, np.float32)

@@ -42,7 +42,6 @@ FURTHEST, PLACES = 30.0, 120
 class KnownDefect:
     """A defect that the images show, and whether it was found.
 
-    name, kind: as the set's manifest has them.
     size: square root of length times width of its outline [mm].
     pixels: of it that can be judged, in the posture that shows most of them.
     found: whether a region that is not far larger than it touches it in any posture.
@@ -153,11 +152,7 @@ def region_hits(labels: Int32, truth: Int32) -> list[Int32]:
 
 
 def area_under_roc(score: Float64, positive: Bool) -> float:
-    """Probability that a positive scores more than a negative, ties counting half (Mann and Whitney).
-
-    score: Shape (n,).
-    positive: Shape (n,), neither all true nor all false.
-    """
+    """Probability that a positive scores more than a negative, ties counting half (Mann and Whitney)."""
     p = int(positive.sum())
     q = len(positive) - p
     _, which, times = np.unique(score, return_inverse=True, return_counts=True)
@@ -231,11 +226,7 @@ class DetectionCurve:
 
 
 def fit_detection_curve(sizes: Sequence[float], found: Sequence[bool]) -> DetectionCurve:
-    """Fit the curve of detection.
-
-    sizes: Of the defects [mm].
-    found: Whether each was.
-    """
+    """Fit the curve of detection to the sizes of defects [mm] and whether each was found."""
     x, hit = np.log(np.asarray(sizes, np.float64)), np.asarray(found, np.bool_)
     n, k = len(x), int(hit.sum())
     if n < LEAST_DEFECTS or k in (0, n) or np.ptp(x) == 0.0:

@@ -50,7 +50,8 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
     if manifest.kind == "simulated" and manifest.lightopt is not None:
         return TruthSource()
     own = manifest.part
-    if own is not None and own.sha256 != part.source.sha256 and own.file != part.source.path.name:
+    unchanged = own is not None and own.sha256 == part.source.sha256
+    if own is not None and not unchanged and own.file != part.source.path.name:
         beside = part.source.path.parent / own.file
         if not beside.is_file() or file_sha256(beside) != own.sha256:
             raise InputError(
@@ -58,16 +59,17 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
                 f"taken by {own.file}, which does not lie beside {part.source.path} as it was then; put it there, or "
                 "inspect without ground truth"
             )
-        return _part_file_source(load_part(beside), own.file)
-    if own is not None and own.sha256 == part.source.sha256:
-        return _part_file_source(part, own.file)
-    if not part.defects:
-        raise InputError(
-            f"{image_set.folder}: nothing is known of defects on this part: the images have no labels, as lightopt "
-            f"render writes them, and {part.source.path}, by which they were not taken as it is now, names no defects; "
-            "give the part file whose defects: are those of the part in the images, or inspect without ground truth"
-        )
-    return TruthSource(part)
+        part, unchanged = load_part(beside), True
+    if part.defects:
+        return TruthSource(part)
+    if own is not None and unchanged:
+        good = f"ground truth: {own.file}, by which it was taken, names no defects: held to be a good part"
+        return TruthSource(part, warnings=(good,))
+    raise InputError(
+        f"{image_set.folder}: nothing is known of defects on this part: the images have no labels, as lightopt "
+        f"render writes them, and {part.source.path}, by which they were not taken as it is now, names no defects; "
+        "give the part file whose defects: are those of the part in the images, or inspect without ground truth"
+    )
 
 
 def truth_sources(sets: Sequence[ImageSet], part: PartConfig) -> list[TruthSource]:
@@ -88,14 +90,6 @@ def truth_sources(sets: Sequence[ImageSet], part: PartConfig) -> list[TruthSourc
     if problems:
         raise InputError(*problems)
     return sources
-
-
-def _part_file_source(part: PartConfig, name: str) -> TruthSource:
-    if part.defects:
-        return TruthSource(part)
-    return TruthSource(
-        part, warnings=(f"ground truth: {name}, by which it was taken, names no defects: held to be a good part",)
-    )
 
 
 class TrueLabels(NamedTuple):

@@ -43,11 +43,7 @@ class Prediction:
 def predict(
     scene: Scene, posture: Posture, caster: RayCaster, *, lights: Sequence[str], threads: int | None = None
 ) -> Prediction:
-    """Render the good part in a posture.
-
-    scene: With the part where it lies.
-    caster: Of the scene's part.
-    """
+    """Render the good part in a posture of a scene with the part where it lies."""
     chosen = tuple(light for light in scene.lights if light.name in lights)
     # with a trace of scattered light, what a light reaches has some, and what is in its shadow none
     reflectance = replace(scene.reflectance, R_d=max(scene.reflectance.R_d, TRACE))

@@ -146,8 +146,7 @@ class PredictionCache:
     def surface_map(self, scene: Scene, expected: Sequence[Posture] = ()) -> SurfaceMap | None:
         """Patches of the surface and the pixels that see them; None for a single posture.
 
-        scene: with the postures that there are images of.
-        expected: those that there should be images of.
+        expected: postures that there should be images of.
         """
         postures = tuple(dict.fromkeys((*scene.postures, *expected)))
         if len(postures) < 2:
@@ -305,8 +304,7 @@ def world_to_mesh_file(
 def nominal_pixels(view: PostureView, scene: Scene, placement: Placement) -> Int32:
     """For each pixel the one that shows its place where the part's file has it: flat index or −1, shape (H, W).
 
-    scene: With the part where its file has it.
-    placement: Where it lies from there.
+    scene, placement: As :func:`world_to_mesh_file` takes them.
     """
     geometry = view.prediction.images.geometry
     index = np.full(geometry.hit.shape, -1, np.int32)
