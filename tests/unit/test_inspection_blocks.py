@@ -58,7 +58,7 @@ def test_coverage_in_blocks_is_that_of_the_whole_image(shown, threads):
     state, least = _judge_rows(view, found, slice(None), 2, 6.0)
     blocks = measure_coverage(view, found, min_images=2, high=6.0, threads=threads)
     assert np.array_equal(blocks.state, state)
-    assert np.array_equal(blocks.least_contrast, least)
+    assert np.array_equal(blocks.least_contrast, least.astype(np.float32))
     assert blocks.inspected > 0.1 * blocks.seen > 0.0
     assert blocks.seen == pytest.approx(view.prediction.area[state > SurfaceState.GRAZING].sum(dtype=float), rel=1e-9)
 

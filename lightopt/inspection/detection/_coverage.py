@@ -122,7 +122,9 @@ class Shares:
         }
 
 
-def class_areas(areas: NDArray[np.floating[Any]], state: UInt8, least_contrast: Float32) -> dict[str, Any]:
+def class_areas(
+    areas: NDArray[np.floating[Any]], state: UInt8, least_contrast: NDArray[np.floating[Any]]
+) -> dict[str, Any]:
     """The fields of :class:`Shares`, added up over places.
 
     areas: of each place [mm²].
@@ -162,18 +164,19 @@ def measure_coverage(
 ) -> PostureCoverage:
     """The surface of a posture that was inspected, given the threshold of the score."""
 
-    def judge(rows: slice) -> tuple[UInt8, Float32]:
+    def judge(rows: slice) -> tuple[UInt8, Float64]:
         return _judge_rows(view, found.in_box(rows), rows, min_images, high)
 
     # block by block of rows, since small arrays stay in a processor's cache
     blocks = in_row_blocks(judge, len(view.clean), threads)
     state, least = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
-    return PostureCoverage(**class_areas(view.prediction.area, state, least), state=state, least_contrast=least)
+    areas = class_areas(view.prediction.area, state, least)
+    return PostureCoverage(**areas, state=state, least_contrast=least.astype(np.float32))
 
 
 def _judge_rows(
     view: PostureView, found: Deviations, rows: slice, min_images: int, high: float
-) -> tuple[UInt8, Float32]:
+) -> tuple[UInt8, Float64]:
     # state and least contrast of some rows, given the deviations in these
     predicted, clean = view.predicted[:, rows], view.clean[rows]
     part = view.part[rows] & (view.prediction.area[rows] > 0.0)
@@ -189,7 +192,7 @@ def _judge_rows(
     state[part & (lit >= min_images)] = SurfaceState.INSPECTED
     least = least_contrast(found, predicted, min_images=min_images, high=high)
     least[state < SurfaceState.FEWER] = np.inf
-    return state, least.astype(np.float32)
+    return state, least
 
 
 def least_contrast(found: Deviations, predicted: Float32, *, min_images: int, high: float) -> Float64:
