@@ -50,22 +50,14 @@ class RandomDefect:
     entry: the kind of the catalogue.
     at_mm: centre in the mesh file's coordinates [mm].
     direction_deg: of its length, as part files count it [°].
+    placed: the defect in the part frame.
     """
 
     name: str
     entry: CatalogueEntry
     at_mm: tuple[float, float, float]
     direction_deg: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Candidate:
-    """A place that is tried for a defect, which is number `slot`; part frame."""
-
-    slot: int
-    at_mm: tuple[float, float, float]
-    direction_deg: float
-    defect: PlacedDefect
+    placed: PlacedDefect
 
 
 def place_random_defects(
@@ -94,18 +86,18 @@ def place_random_defects(
     scene = build_scene(rig, part, defects=False)
     kinds = [catalogue[slot % len(catalogue)] for slot in range(count)]
     rng = np.random.default_rng(seed)
-    chosen: dict[int, _Candidate] = {}
+    chosen: dict[int, RandomDefect] = {}
     threads = None if run is None else run.threads
     for _ in range(ROUNDS):
         waiting = [slot for slot in range(count) if slot not in chosen]
         if not waiting:
             break
-        candidates = _draw(scene, kinds, waiting, rng)
-        for candidate, fits in zip(candidates, _fit(scene, candidates, threads), strict=True):
+        candidates = _draw(scene, [kinds[slot] for slot in waiting], rng)
+        for number, fits in enumerate(_fit(scene, candidates, threads)):
             # each defect takes the first of its places that is apart from those taken
-            others = chosen.values()
-            if fits and candidate.slot not in chosen and not any(_overlap(candidate.defect, o.defect) for o in others):
-                chosen[candidate.slot] = candidate
+            slot, one = waiting[number // TRIES], candidates[number]
+            if fits and slot not in chosen and not any(_overlap(one.placed, o.placed) for o in chosen.values()):
+                chosen[slot] = one
     if lost := [entry.name for slot, entry in enumerate(kinds) if slot not in chosen]:
         raise InputError(
             f"{part.source.path}: room for {count - len(lost)} of {counted(count, 'defect')}, each seen whole in a "
@@ -116,14 +108,13 @@ def place_random_defects(
     result: list[RandomDefect] = []
     for slot, entry in enumerate(kinds):
         numbers[entry.name] += 1
-        name, place = f"{entry.name[:190]}-{numbers[entry.name]}", chosen[slot]
-        result.append(RandomDefect(name=name, entry=entry, at_mm=place.at_mm, direction_deg=place.direction_deg))
+        result.append(replace(chosen[slot], name=f"{entry.name[:190]}-{numbers[entry.name]}"))
     return tuple(result)
 
 
-def _draw(scene: Scene, kinds: list[CatalogueEntry], slots: list[int], rng: np.random.Generator) -> list[_Candidate]:
-    # slot after slot; all random numbers are drawn whatever becomes of them
-    total = len(slots) * TRIES
+def _draw(scene: Scene, kinds: list[CatalogueEntry], rng: np.random.Generator) -> list[RandomDefect]:
+    # of each kind as many as are tried; all random numbers are drawn whatever becomes of them
+    total = len(kinds) * TRIES
     cumulative = np.cumsum(face_areas(scene.mesh))
     faces = np.searchsorted(cumulative, rng.random(total) * cumulative[-1], side="right")
     # evenly over a triangle: a parallelogram folded at its diagonal
@@ -132,24 +123,25 @@ def _draw(scene: Scene, kinds: list[CatalogueEntry], slots: list[int], rng: np.r
     u, v = np.where(beyond, 1.0 - u, u), np.where(beyond, 1.0 - v, v)
     directions = np.round(rng.random(total) * 360.0, _ANGLE_DIGITS) % 360.0
     axes = {"x_axis": scene.placement.rotation[:, 0], "y_axis": scene.placement.rotation[:, 1]}
-    candidates: list[_Candidate] = []
+    candidates: list[RandomDefect] = []
     for i in range(total):
-        slot, direction = slots[i // TRIES], float(directions[i])
+        kind, direction = kinds[i // TRIES], float(directions[i])
         place = surface_place(scene.mesh, int(faces[i]), float(u[i]), float(v[i]))
         # the file's digits are what a later reader has
         x, y, z = (np.round(scene.placement.to_file(place.point), _POSITION_DIGITS) + 0.0).tolist()
         defect = PlacedDefect(
-            name=kinds[slot].name,
-            shape=kinds[slot].shape,
+            name=kind.name,
+            shape=kind.shape,
             position=place.point,
             normal=place.normal,
             along=tangent_direction(place.normal, math.radians(direction), **axes),
         )
-        candidates.append(_Candidate(slot, (x, y, z), direction, defect))
+        at_mm = (x, y, z)
+        candidates.append(RandomDefect(name=kind.name, entry=kind, at_mm=at_mm, direction_deg=direction, placed=defect))
     return candidates
 
 
-def _fit(scene: Scene, candidates: list[_Candidate], threads: int | None) -> Bool:
+def _fit(scene: Scene, candidates: list[RandomDefect], threads: int | None) -> Bool:
     # which of them an image shows whole; one posture at a time, so that the memory does not grow with their number
     fits = np.zeros(len(candidates), np.bool_)
     caster = cast_rays_at(scene)
@@ -158,12 +150,12 @@ def _fit(scene: Scene, candidates: list[_Candidate], threads: int | None) -> Boo
         index = np.full(pixels.shape, -1, np.int32)
         index[pixels.row, pixels.column] = np.arange(len(pixels.row), dtype=np.int32)
         for i in np.flatnonzero(~fits):
-            fits[i] = _is_visible(candidates[i].defect, pixels, index)
+            fits[i] = _is_visible(candidates[i].placed, pixels, index)
     # a place that a later reader would take for another, on the other side of an edge, is no place
     finder = SurfaceFinder(scene.mesh)
     for i in np.flatnonzero(fits):
         again = finder.nearest(scene.placement.to_part(np.array(candidates[i].at_mm)))
-        fits[i] = again.normal @ candidates[i].defect.normal > 1.0 - 1e-4
+        fits[i] = again.normal @ candidates[i].placed.normal > 1.0 - 1e-4
     return fits
 
 

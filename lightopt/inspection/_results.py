@@ -23,7 +23,6 @@ class InspectedPosture:
     make_synthetic: makes the image without highlights and keeps it; None where none is wanted.
     score: −log₁₀ of the probability that noise alone looks as much like a defect, shape (H, W).
     labels: number of the region that each pixel belongs to, 0 for none, shape (H, W).
-    threshold: score from which a region counts.
     """
 
     view: PostureView
@@ -138,11 +137,9 @@ class Verdict:
 class BatchRow:
     """One part of a batch, in the batch's table.
 
-    name: of its folder.
     report: its own report, relative to the batch's; empty where it has none.
     defects: number of those found, whether they count or not.
-    verdict: None where the part was refused.
-    refused: why it was not inspected.
+    refused: why it was not inspected; then there is no verdict.
     """
 
     name: str

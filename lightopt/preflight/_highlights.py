@@ -114,11 +114,9 @@ def _scale_text(sensor: Sensor, full_scale: float) -> str:
 
 @dataclass(frozen=True)
 class NormalErrors:
-    """Errors of the normal at the edges of a mesh where it bends.
+    """Errors of the normal at the edges of a mesh where it bends: median and 90th percentile, by edge length [rad].
 
-    median, high: Median and 90th percentile of the error, weighted by edge length [rad].
-    angle: Median angle by which the normal turns along or across these edges [rad].
-    edge: Median length of these edges [mm].
+    angle, edge: Medians of the angle by which the normal turns there [rad], and of the edges' length [mm].
     """
 
     median: float
@@ -153,62 +151,49 @@ def interpolation_errors(mesh: TriangleMesh, *, bent: float) -> NormalErrors | N
 
 def check_facets(checked: CheckedScene) -> Iterator[Finding]:
     """Whether the highlight shows the mesh's facets."""
-    sigma = checked.scene.reflectance.sigma
-    mesh = checked.scene.mesh
-    if mesh.normals is None:
-        crease = math.radians(checked.part.mesh.crease_angle_deg)
-        yield _flat(checked, facet_angles(mesh, bent=LEAST_BEND * sigma, crease=crease))
+    sigma, mesh, source = checked.scene.reflectance.sigma, checked.scene.mesh, checked.part.source
+    flat, bent, visible = mesh.normals is None, LEAST_BEND * sigma, VISIBLE_ERROR * sigma
+    if flat:
+        found = facet_angles(mesh, bent=bent, crease=math.radians(checked.part.mesh.crease_angle_deg))
     else:
-        yield _smooth(checked, interpolation_errors(mesh, bent=LEAST_BEND * sigma))
-
-
-def _flat(checked: CheckedScene, found: NormalErrors | None) -> Finding:
-    sigma = checked.scene.reflectance.sigma
-    where = checked.part.source.at("mesh", "normals")
+        found = interpolation_errors(mesh, bent=bent)
     if found is None:
-        return Finding("ok", "facets", f"no curved surface: no facets to show at σ = {sigma:g} rad", where)
-    shows = found.median > VISIBLE_ERROR * sigma
-    text = (
-        f"shaded flat, with angles of {_angle(found.median)} between facets (median over curved surface; 90 % below "
-        f"{_angle(found.high)}) against σ = {sigma:g} rad ({_angle(sigma)})"
-    )
-    if shows:
-        text += (
+        why = "no curved surface" if flat else f"normals turn by less than {LEAST_BEND:g}·σ along every edge"
+        text = f"{why}: no facets to show at σ = {sigma:g} rad"
+        yield Finding("ok", "facets", text, source.at("mesh", "normals"))
+        return
+    if flat:
+        wrong = found.median
+        text = (
+            f"shaded flat, with angles of {_angle(found.median)} between facets (median over curved surface; 90 % "
+            f"below {_angle(found.high)}) against σ = {sigma:g} rad ({_angle(sigma)})"
+        )
+        advice = (
             f": highlights break up into facets. Use normals: smooth, a STEP file, or an export with facets at most "
-            f"{_angle(VISIBLE_ERROR * sigma)} apart ({found.median / (VISIBLE_ERROR * sigma):.2g} times shorter)"
+            f"{_angle(visible)} apart ({wrong / visible:.2g} times shorter)"
         )
-    return Finding("warning" if shows else "ok", "facets", text, where, _values(found, sigma))
-
-
-def _smooth(checked: CheckedScene, found: NormalErrors | None) -> Finding:
-    sigma = checked.scene.reflectance.sigma
-    if found is None:
-        text = f"normals turn by less than {LEAST_BEND:g}·σ along every edge: no facets to show at σ = {sigma:g} rad"
-        return Finding("ok", "facets", text, checked.part.source.at("mesh", "normals"))
-    shows = found.high > VISIBLE_ERROR * sigma
-    text = (
-        f"normals turn by {_angle(found.angle)} along an edge of {found.edge:.3g} mm (medians over curved surface); "
-        f"interpolated, they are off by about {_angle(found.median)}, at 90 % of the edges by less than "
-        f"{_angle(found.high)}, against σ = {sigma:g} rad ({_angle(sigma)})"
-    )
-    if shows:
-        finer = math.sqrt(found.high / (VISIBLE_ERROR * sigma))
-        text += (
-            f": highlights show the mesh's facets. Use a STEP file, an export with edges {finer:.2g} times shorter on "
-            "curved surface or, where sharp edges were smoothed over, a smaller crease_angle_deg"
+    else:
+        wrong = found.high
+        text = (
+            f"normals turn by {_angle(found.angle)} along an edge of {found.edge:.3g} mm (medians over curved "
+            f"surface); interpolated, they are off by about {_angle(found.median)}, at 90 % of the edges by less than "
+            f"{_angle(found.high)}, against σ = {sigma:g} rad ({_angle(sigma)})"
         )
-    where = checked.part.source.at("mesh", "file")
-    return Finding("warning" if shows else "ok", "facets", text, where, _values(found, sigma))
-
-
-def _values(found: NormalErrors, sigma: float) -> dict[str, float]:
-    return {
+        advice = (
+            f": highlights show the mesh's facets. Use a STEP file, an export with edges "
+            f"{math.sqrt(wrong / visible):.2g} times shorter on curved surface or, where sharp edges were smoothed "
+            "over, a smaller crease_angle_deg"
+        )
+    values = {
         "sigma_rad": sigma,
         "median_angle_rad": found.angle,
         "median_edge_mm": found.edge,
         "median_normal_error_rad": found.median,
         "high_normal_error_rad": found.high,
     }
+    shows = wrong > visible
+    where = source.at("mesh", "normals" if flat else "file")
+    yield Finding("warning" if shows else "ok", "facets", text + advice if shows else text, where, values)
 
 
 def _angle(radians: float) -> str:
@@ -219,12 +204,8 @@ def _summary(error: Float64, angle: Float64, length: Float64, counts: Bool) -> N
     if not counts.any():
         return None
     error, angle, length = error[counts], angle[counts], length[counts]
-    return NormalErrors(
-        median=_percentile(error, length, 0.5),
-        high=_percentile(error, length, 0.9),
-        angle=_percentile(angle, length, 0.5),
-        edge=_percentile(length, length, 0.5),
-    )
+    parts = ((error, 0.5), (error, 0.9), (angle, 0.5), (length, 0.5))
+    return NormalErrors(*(_percentile(values, length, share) for values, share in parts))
 
 
 def _percentile(values: Float64, weights: Float64, share: float) -> float:

@@ -137,7 +137,7 @@ def _angles(light: PanelLight) -> str:
 
 def check_hidden_part(checked: CheckedScene) -> Iterator[Finding]:
     """How much of the part's image a panel hides, standing between camera and part."""
-    for (index, sample), (at, light) in itertools.product(enumerate(checked.samples), enumerate(checked.scene.lights)):
+    for sample, (at, light) in itertools.product(checked.samples, enumerate(checked.scene.lights)):
         hidden = segments_blocked(sample.view.lights[at], sample.view.camera.position, sample.hits.points)
         count = int(np.count_nonzero(hidden))
         if not count:
@@ -147,8 +147,7 @@ def check_hidden_part(checked: CheckedScene) -> Iterator[Finding]:
             f"posture {sample.posture}: {light.name} stands between camera and part and hides about {pixels:,} px "
             f"({percent(share)}) of it. Renderings leave it out, a camera cannot"
         )
-        posture = checked.scene.postures[index].as_dict()
-        values = {"light": light.name, "posture": posture, "pixels": pixels, "share": share}
+        values = {"light": light.name, "posture": sample.posture.as_dict(), "pixels": pixels, "share": share}
         yield Finding("warning", "light in view", text, checked.rig.source.at("lights", at), values)
 
 

@@ -42,7 +42,6 @@ FURTHEST, PLACES = 30.0, 120
 class KnownDefect:
     """A defect that the images show, and whether it was found.
 
-    name, kind: as the set's manifest has them.
     size: square root of length times width of its outline [mm].
     pixels: of it that can be judged, in the posture that shows most of them.
     found: whether a region that is not far larger than it touches it in any posture.
@@ -91,13 +90,12 @@ def evaluate_set(image_set: ImageSet, result: InspectionResult, *, known: Sequen
 
     Raises InputError: labels are missing, or they are those of images of another size.
     """
-    labels = true_labels(image_set, result, known=known)
-    listed = labels.listed
+    listed, labels, source = true_labels(image_set, result, known=known)
     pixels = np.zeros((len(result.postures), len(listed)), np.intp)
     found = np.zeros(len(listed), np.bool_)
     false_alarms = 0
     areas: list[float] = []
-    for number, (posture, truth) in enumerate(zip(result.postures, labels.of_posture, strict=True)):
+    for number, (posture, truth) in enumerate(zip(result.postures, labels, strict=True)):
         clean = posture.view.clean
         mine = np.bincount(truth[clean & (truth >= 0)], minlength=len(listed))
         pixels[number] = mine[: len(listed)]
@@ -123,7 +121,7 @@ def evaluate_set(image_set: ImageSet, result: InspectionResult, *, known: Sequen
         false_alarms=false_alarms,
         postures=len(result.postures),
         areas=tuple(areas),
-        labels=labels.source,
+        labels=source,
         name=image_set.folder.resolve().name,
     )
 
@@ -154,11 +152,7 @@ def region_hits(labels: Int32, truth: Int32) -> list[Int32]:
 
 
 def area_under_roc(score: Float64, positive: Bool) -> float:
-    """Probability that a positive scores more than a negative, ties counting half (Mann and Whitney).
-
-    score: Shape (n,).
-    positive: Shape (n,), neither all true nor all false.
-    """
+    """Probability that a positive scores more than a negative, ties counting half (Mann and Whitney)."""
     p = int(positive.sum())
     q = len(positive) - p
     _, which, times = np.unique(score, return_inverse=True, return_counts=True)
@@ -232,11 +226,7 @@ class DetectionCurve:
 
 
 def fit_detection_curve(sizes: Sequence[float], found: Sequence[bool]) -> DetectionCurve:
-    """Fit the curve of detection.
-
-    sizes: Of the defects [mm].
-    found: Whether each was.
-    """
+    """Fit the curve of detection to the sizes of defects [mm] and whether each was found."""
     x, hit = np.log(np.asarray(sizes, np.float64)), np.asarray(found, np.bool_)
     n, k = len(x), int(hit.sum())
     if n < LEAST_DEFECTS or k in (0, n) or np.ptp(x) == 0.0:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -50,7 +50,8 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
     if manifest.kind == "simulated" and manifest.lightopt is not None:
         return TruthSource()
     own = manifest.part
-    if own is not None and own.sha256 != part.source.sha256 and own.file != part.source.path.name:
+    unchanged = own is not None and own.sha256 == part.source.sha256
+    if own is not None and not unchanged and own.file != part.source.path.name:
         beside = part.source.path.parent / own.file
         if not beside.is_file() or file_sha256(beside) != own.sha256:
             raise InputError(
@@ -58,16 +59,17 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
                 f"taken by {own.file}, which does not lie beside {part.source.path} as it was then; put it there, or "
                 "inspect without ground truth"
             )
-        return _part_file_source(load_part(beside), own.file)
-    if own is not None and own.sha256 == part.source.sha256:
-        return _part_file_source(part, own.file)
-    if not part.defects:
-        raise InputError(
-            f"{image_set.folder}: nothing is known of defects on this part: the images have no labels, as lightopt "
-            f"render writes them, and {part.source.path}, by which they were not taken as it is now, names no defects; "
-            "give the part file whose defects: are those of the part in the images, or inspect without ground truth"
-        )
-    return TruthSource(part)
+        part, unchanged = load_part(beside), True
+    if part.defects:
+        return TruthSource(part)
+    if own is not None and unchanged:
+        good = f"ground truth: {own.file}, by which it was taken, names no defects: held to be a good part"
+        return TruthSource(part, warnings=(good,))
+    raise InputError(
+        f"{image_set.folder}: nothing is known of defects on this part: the images have no labels, as lightopt "
+        f"render writes them, and {part.source.path}, by which they were not taken as it is now, names no defects; "
+        "give the part file whose defects: are those of the part in the images, or inspect without ground truth"
+    )
 
 
 def truth_sources(sets: Sequence[ImageSet], part: PartConfig) -> list[TruthSource]:
@@ -90,27 +92,16 @@ def truth_sources(sets: Sequence[ImageSet], part: PartConfig) -> list[TruthSourc
     return sources
 
 
-def _part_file_source(part: PartConfig, name: str) -> TruthSource:
-    if part.defects:
-        return TruthSource(part)
-    return TruthSource(
-        part, warnings=(f"ground truth: {name}, by which it was taken, names no defects: held to be a good part",)
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrueLabels:
+class TrueLabels(NamedTuple):
     """Ground truth of the images of a set.
 
     listed: of each defect what :func:`lightopt.scene.defect_facts` gives.
-    of_posture: per posture of the inspection the index of the defect that each pixel shows, −1 for none, shape (H,
-        W).
-    source: ``images``: the labels that the set was rendered with; ``part file``: cast from that, where the part was
-        found; ``no defects``: none is on the part.
+    of_posture: per posture the index of the defect that each pixel shows, −1 for none, shape (H, W).
+    source: the labels that the set was rendered with, or those cast from the part file, where the part was found.
     """
 
-    listed: tuple[Mapping[str, Any], ...]
-    of_posture: tuple[Int32, ...]
+    listed: Sequence[Mapping[str, Any]]
+    of_posture: list[Int32]
     source: Literal["images", "part file", "no defects"]
 
 
@@ -123,13 +114,10 @@ def true_labels(image_set: ImageSet, result: InspectionResult, *, known: Sequenc
     """
     listed = image_set.manifest.extra.get("defects")
     if isinstance(listed, list):
-        arrays = tuple(_stored(image_set, posture) for posture in result.postures)
-        return TrueLabels(listed=tuple(listed), of_posture=arrays, source="images")
-    return TrueLabels(
-        listed=tuple(defect_facts(known, result.nominal.placement)),
-        of_posture=tuple(_cast(posture, result, known) for posture in result.postures),
-        source="part file" if known else "no defects",
-    )
+        return TrueLabels(listed, [_stored(image_set, posture) for posture in result.postures], "images")
+    arrays = [_cast(posture, result, known) for posture in result.postures]
+    facts = defect_facts(known, result.nominal.placement)
+    return TrueLabels(facts, arrays, "part file" if known else "no defects")
 
 
 def _stored(image_set: ImageSet, posture: InspectedPosture) -> Int32:
