@@ -6,7 +6,7 @@ these.
 """
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,6 @@ from lightopt.core.arrays import UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
-from lightopt.design._candidates import Candidates
 from lightopt.design._commands import degrees_text
 from lightopt.design._previous_result import (
     PLANNED_PART_NAME,
@@ -26,7 +25,7 @@ from lightopt.design._previous_result import (
     begin_writing,
     end_writing,
 )
-from lightopt.design._result import DesignResult, SetResult, angles_of
+from lightopt.design._result import DesignResult, angles_of
 from lightopt.design._result_json import ranking_csv, result_document
 from lightopt.design.blind_spots._files import BLIND_PNG, blind_files
 from lightopt.images import (
@@ -43,35 +42,32 @@ from lightopt.images import (
 )
 from lightopt.rendering import PatchTable, RenderOptions, render_image_set
 
+RANKING_NAME = "ranking.csv"
+IMAGES_NAME = "images"
+
+# a rig file with the new angles, relative to the output folder; the postures that it is for, and its text
+RigFile = tuple[Path, tuple[Posture, ...], str]
+
 
 def check_editable(rig: RigConfig) -> None:
     """Refuse a rig whose angles cannot be changed in its file: built in code, or with anchors and aliases."""
-    if not rig.source.text:
-        raise InputError(
-            f"{rig.source.path}: the rig was built in code, so that there is no file to write the new angles into; "
-            "load it from one"
-        )
     _rig_text(rig, [(light.elevation_deg, light.azimuth_deg) for light in rig.lights], rig.source.path.parent)
 
 
-def rig_texts(
-    rig: RigConfig, results: Sequence[SetResult], candidates: Candidates, *, folder: Path
-) -> list[tuple[Path, tuple[Posture, ...], str]]:
-    """File, relative to the output `folder`, postures and text of each rig to write.
-
-    One rig where the same positions are best for all postures, else one per posture.
-    """
-    answered = [(result, result.answers[0]) for result in results if result.answers[0].nothing is None]
+def _rig_files(design: DesignResult) -> list[RigFile]:
+    # one rig where the same positions are best for all postures, else one per posture
     sets = [
-        (angles_of(candidates, answer.found.best), result.postures, Path(posture_folder(result.postures[0])))
-        for result, answer in answered
+        (angles_of(design.candidates, answer.found.best), result.postures, Path(posture_folder(result.postures[0])))
+        for result in design.results
+        if (answer := result.answers[0]).nothing is None
     ]
-    if sets and len(answered) == len(results) and len({angles for angles, _, _ in sets}) == 1:
+    if sets and len(sets) == len(design.results) and len({angles for angles, _, _ in sets}) == 1:
         all_postures = tuple(posture for _, postures, _ in sets for posture in postures)
         sets = [(sets[0][0], all_postures, Path())]
-    elif len(results) == 1:
-        sets = [(angles, postures, Path()) for angles, postures, _ in sets]
-    return [(home / RIG_NAME, postures, _rig_text(rig, angles, folder / home)) for angles, postures, home in sets]
+    return [
+        (home / RIG_NAME, postures, _rig_text(design.rig, angles, design.folder / home))
+        for angles, postures, home in sets
+    ]
 
 
 def _rig_text(rig: RigConfig, angles: Sequence[tuple[float, float]], home: Path) -> str:
@@ -81,10 +77,19 @@ def _rig_text(rig: RigConfig, angles: Sequence[tuple[float, float]], home: Path)
             values["lights", index, "elevation_deg"] = degrees_text(elevation)
         if light.azimuth_range_deg is not None:
             values["lights", index, "azimuth_deg"] = degrees_text(azimuth)
+    return _edited(rig, "the rig", "the new angles", lambda: copied_text(rig, home, values))
+
+
+def _edited(config: RigConfig | PartConfig, kind: str, what: str, edit: Callable[[], str]) -> str:
+    path = config.source.path
+    if not config.source.text:
+        raise InputError(
+            f"{path}: {kind} was built in code, so that there is no file to write {what} into; load it from one"
+        )
     try:
-        return copied_text(rig, home, values)
+        return edit()
     except InputError as error:
-        raise InputError(*(f"{rig.source.path}: {text}" for text in error.messages)) from None
+        raise InputError(*(f"{path}: {text}" for text in error.messages)) from None
 
 
 def planned_part_text(part: PartConfig, postures: Sequence[Posture], *, folder: Path, comment: str) -> str:
@@ -93,27 +98,15 @@ def planned_part_text(part: PartConfig, postures: Sequence[Posture], *, folder: 
     Raises InputError: The part was not read from a file, or its file is written so that its postures cannot be
         replaced.
     """
-    if not part.source.text:
-        raise InputError(
-            f"{part.source.path}: the part was built in code, so that there is no file to write the planned postures "
-            "into; load it from one"
-        )
     entries = [
         f"{{elevation_deg: {degrees_text(p.elevation_deg)}, rotation_deg: {degrees_text(p.rotation_deg)}}}"
         for p in postures
     ]
-    try:
-        text = copied_text(part, folder)
-        return with_list(text, "postures", entries, comment=comment, replace=True)
-    except InputError as error:
-        raise InputError(*(f"{part.source.path}: {text}" for text in error.messages)) from None
 
+    def edit() -> str:
+        return with_list(copied_text(part, folder), "postures", entries, comment=comment, replace=True)
 
-RANKING_NAME = "ranking.csv"
-IMAGES_NAME = "images"
-
-# a rig file with the new angles, the postures that it is for, and its text
-RigFile = tuple[Path, tuple[Posture, ...], str]
+    return _edited(part, "the part", "the planned postures", edit)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -159,37 +152,28 @@ def write_design(
     """
     folder, run = result.folder, run or RunContext()
     make_folder(folder)
-    rigs = [
-        (folder / path, postures, text)
-        for path, postures, text in rig_texts(result.rig, result.results, result.candidates, folder=folder)
-    ]
+    rigs = _rig_files(result)
     files = dict(_further_files(result, blind_pictures or {}))
     sets = _image_sets(rigs, result) if result.options.images else []
-    listed = _listed(folder, rigs, sets, overlaps=len(result.candidates.names) > 1)
+    listed = _listed(rigs, sets, overlaps=len(result.candidates.names) > 1)
     report = [REPORT_NAME] if result.options.report else []
     listed["files"] = [{"file": name} for name in (*files, *report)]
     report_is_ours = begin_writing(folder, listed, force=force)
     ranking = ranking_csv(result.results, result.candidates)
-    for path, content in (
-        (folder / RANKING_NAME, ranking),
-        *((path, text) for path, _, text in rigs),
-        *((folder / name, content) for name, content in files.items()),
-    ):
-        _write(path, content, force)
+    for name, content in ((RANKING_NAME, ranking), *((path, text) for path, _, text in rigs), *files.items()):
+        _write(folder / name, content, force)
     overlaps: list[Overlap] = []
     for images in sets:
         _render(images, result, force, run)
         if listed["overlaps"]:
-            overlaps += _write_overlaps(images, force)
+            overlaps += _write_overlaps(folder / images.folder, images, force)
     return DesignOutput(
         result=result,
         document=result_document(result, listed, overlaps),
         overlaps=tuple(overlaps),
         warnings=tuple(dict.fromkeys((*result.warnings, *run.warnings))),
-        paths=(
-            *(folder / name for name in (RESULT_NAME, RANKING_NAME, *files)),
-            *(path for path, _, _ in rigs),
-            *(folder / name for name in report),
+        paths=tuple(
+            folder / name for name in (RESULT_NAME, RANKING_NAME, *files, *(path for path, _, _ in rigs), *report)
         ),
         force=force,
         replace_report=force or report_is_ours,
@@ -236,7 +220,7 @@ def _write(path: Path, content: str | bytes | UInt8, force: bool) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Images:
-    """An image set to render: of one rig, with the same exposures in all postures."""
+    """An image set to render: of one rig, with the same exposures in all postures; paths in the output folder."""
 
     folder: Path
     rig: Path
@@ -257,23 +241,17 @@ def _image_sets(rigs: Sequence[RigFile], result: DesignResult) -> list[_Images]:
     return sets
 
 
-def _listed(
-    folder: Path, rigs: Sequence[RigFile], sets: Sequence[_Images], *, overlaps: bool
-) -> dict[str, list[dict[str, Any]]]:
+def _listed(rigs: Sequence[RigFile], sets: Sequence[_Images], *, overlaps: bool) -> dict[str, list[dict[str, Any]]]:
     # the files to come, as result.json lists them
-    homes = [(images.folder.relative_to(folder), images) for images in sets]
     return {
         "rigs": [
-            {
-                "file": (path.parent.relative_to(folder) / RIG_NAME).as_posix(),
-                "postures": [posture.as_dict() for posture in postures],
-            }
+            {"file": path.as_posix(), "postures": [posture.as_dict() for posture in postures]}
             for path, postures, _ in rigs
         ],
-        "images": [{"folder": home.as_posix(), "exposures": list(images.exposures)} for home, images in homes],
+        "images": [{"folder": images.folder.as_posix(), "exposures": list(images.exposures)} for images in sets],
         "overlaps": [
-            {"map": (home / overlap_map_name(posture, exposure)).as_posix()}
-            for home, images in homes
+            {"map": (images.folder / overlap_map_name(posture, exposure)).as_posix()}
+            for images in sets
             for posture in images.postures
             for exposure in images.exposures
             if overlaps
@@ -284,9 +262,9 @@ def _listed(
 def _render(images: _Images, result: DesignResult, force: bool, run: RunContext) -> None:
     options = result.options
     render_image_set(
-        load_rig(images.rig),
+        load_rig(result.folder / images.rig),
         result.part,
-        images.folder,
+        result.folder / images.folder,
         options=RenderOptions(
             postures=images.postures,
             exposures=images.exposures,
@@ -300,11 +278,10 @@ def _render(images: _Images, result: DesignResult, force: bool, run: RunContext)
     )
 
 
-def _write_overlaps(images: _Images, force: bool) -> list[Overlap]:
+def _write_overlaps(folder: Path, images: _Images, force: bool) -> list[Overlap]:
     # in the order in which they are listed
-    found = {(overlap.posture, overlap.exposure): overlap for overlap in find_overlaps(read_image_set(images.folder))}
+    found = {(overlap.posture, overlap.exposure): overlap for overlap in find_overlaps(read_image_set(folder))}
     overlaps = [found[posture, exposure] for posture in images.postures for exposure in images.exposures]
     for overlap in overlaps:
-        path = images.folder / overlap_map_name(overlap.posture, overlap.exposure)
-        write_overlap_map(overlap, path, overwrite=force)
+        write_overlap_map(overlap, folder / overlap_map_name(overlap.posture, overlap.exposure), overwrite=force)
     return overlaps

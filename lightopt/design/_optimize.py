@@ -26,7 +26,7 @@ from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.objectives._registry import objectives_named
 from lightopt.design.postures._exposures import plan_exposures
-from lightopt.design.postures._plan_postures import chosen_angles, plan_postures, planned_answers
+from lightopt.design.postures._plan_postures import plan_postures, planned_answers, with_chosen
 from lightopt.design.responses._defect_hypotheses import defect_hypotheses
 from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
@@ -61,21 +61,24 @@ def optimize(
     check_request(rig, part, options, plan, folder)
     command = command_text(rig.source.path, part.source.path, options, plan)
 
-    postures = None
+    chosen = None
     if plan.chooses:
         if not force:
             refuse_other_result(folder, known_provenance(rig, part, options, plan))
-        postures = _ChosenPostures(*plan_postures(rig, part, options, plan, run))
-        options = postures.fixed_in(options, rig)
+        chosen = plan_postures(rig, part, options, plan, run)
+        options = with_chosen(options, rig, chosen)
 
     problem = _state_problem(rig, part, options, plan, None if force else folder, run)
-    table = None if postures is None else postures.evaluator.table_of(postures.chosen.way.order)
+    table = None if chosen is None else chosen.evaluator.table_of(chosen.way.order)
     matrices = PostureMatrices(problem, folder, run, table)
     found = _search(problem, matrices, run)
-    if postures is not None:
-        found = _scored_on_all_images(found, problem, postures, run)
+    if chosen is not None:
+        # one set of lights for all postures is one result: the same positions, scored by all planned images together
+        free, progress = candidates_of(rig, options), run.stage("the score along each angle")
+        result = planned_answers(found.results[0], chosen, found.candidates, free, progress)
+        found = replace(found, results=(result,))
 
-    planned, visibility = _complete(problem, matrices, found, plan, postures, run)
+    planned, visibility = _complete(problem, matrices, found, plan, chosen, run)
     blind = None
     if problem.defects is not None:
         areas = matrices.patches().patches.areas
@@ -91,24 +94,6 @@ def optimize(
         reused=matrices.reused,
         warnings=run.warnings,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _ChosenPostures:
-    """Postures that were chosen, and the surface that they were chosen on."""
-
-    chosen: ChosenPostures
-    evaluator: ImageEvaluator
-
-    def fixed_in(self, options: OptimizeOptions, rig: RigConfig) -> OptimizeOptions:
-        """The options with these postures and the light positions that go with them."""
-        return replace(
-            options,
-            objectives=options.objectives or (DEFECT_OBJECTIVE,),
-            postures=self.chosen.way.order,
-            common_lights=True,
-            places=chosen_angles(rig, self.chosen.choice, options),
-        )
 
 
 def _state_problem(
@@ -200,39 +185,36 @@ def _search(problem: Problem, matrices: PostureMatrices, run: RunContext) -> _Fo
     return _Found(results=results, candidates=free or problem.candidates, visibility=visibility)
 
 
-def _scored_on_all_images(found: _Found, problem: Problem, postures: _ChosenPostures, run: RunContext) -> _Found:
-    """The same positions, scored for defects by what the images of all chosen postures show together."""
-    # one set of lights for all postures is one result
-    result = planned_answers(
-        found.results[0],
-        postures.chosen,
-        postures.evaluator,
-        found.candidates,
-        candidates_of(problem.rig, problem.options),
-        run.stage("the score along each angle"),
-    )
-    return replace(found, results=(result,))
-
-
 def _complete(
     problem: Problem,
     matrices: PostureMatrices,
     found: _Found,
     plan: PlanOptions,
-    postures: _ChosenPostures | None,
+    chosen: ChosenPostures | None,
     run: RunContext,
 ) -> tuple[PlanResult, Sequence[PostureVisibility]]:
     """Exposures and tolerances of the best positions, and what all images of the plan show of defects."""
-    chosen = None if postures is None else postures.chosen
     requested = chosen is not None or plan.exposures or plan.tolerances is not None
     if not requested or any(result.answers[0].nothing is not None for result in found.results):
         return PlanResult(chosen=chosen), found.visibility
     options = problem.options
-    lights = _placed_lights(problem.rig, found.results, found.candidates, options)
+    # the lights where they are best for the first objective in each posture, at exposure 1
+    angles = {
+        posture: angles_of(found.candidates, result.answers[0].found.best)
+        for result in found.results
+        for posture in result.postures
+    }
+    lights = Setup(
+        rig=problem.rig,
+        postures=tuple(angles),
+        angles=tuple(angles.values()),
+        exposures=((1.0,),) * len(angles),
+        points=options.points,
+    )
     brackets, tolerances = None if chosen is None else chosen.brackets, ()
     # all shares are of the surface that the postures were chosen on
     evaluator = matrices.evaluator(detection_model_of(problem.scene, problem.part, options))
-    shares_on = evaluator if postures is None else postures.evaluator
+    shares_on = evaluator if chosen is None else chosen.evaluator
     if plan.exposures and chosen is None:
         brackets = plan_exposures(
             shares_on,
@@ -247,15 +229,8 @@ def _complete(
     if brackets is not None:
         lights = replace(lights, exposures=tuple(map(brackets.of, lights.postures)))
     if plan.tolerances is not None:
-        tolerances = _placed_tolerances(
-            lights,
-            shares_on,
-            plan.tolerances,
-            found.results[0].answers[0].objective,
-            problem.thresholds,
-            min_images=options.min_images,
-            run=run,
-        )
+        objective = found.results[0].answers[0].objective
+        tolerances = _placed_tolerances(lights, shares_on, plan.tolerances, objective, problem, run)
     if chosen is None and brackets is None:
         return PlanResult(tolerances=tolerances), found.visibility
     commands = plan_commands(lights, options)
@@ -275,35 +250,16 @@ def _complete(
     return planned, visibility
 
 
-def _placed_lights(
-    rig: RigConfig, results: Sequence[SetResult], candidates: Candidates, options: OptimizeOptions
-) -> Setup:
-    """The lights at the positions that are best for the first objective in each posture, at exposure 1."""
-    angles = {
-        posture: angles_of(candidates, result.answers[0].found.best)
-        for result in results
-        for posture in result.postures
-    }
-    return Setup(
-        rig=rig,
-        postures=tuple(angles),
-        angles=tuple(angles.values()),
-        exposures=((1.0,),) * len(angles),
-        points=options.points,
-    )
-
-
 def _placed_tolerances(
     setup: Setup,
     evaluator: ImageEvaluator,
     tolerances: Tolerances,
     objective: Objective,
-    thresholds: LevelThresholds,
-    *,
-    min_images: int,
+    problem: Problem,
     run: RunContext,
 ) -> tuple[ToleranceResult, ...]:
     """How far the objective's score falls, in each posture and in all together."""
+    min_images = problem.options.min_images
     drawn = replace(evaluator, table=drawn_patches(evaluator.table, DRAWN_PATCHES))
     names = [light.name for light in setup.rig.lights]
     several = len(setup.postures) > 1
@@ -320,7 +276,7 @@ def _placed_tolerances(
                 replace(drawn, detection=None),
                 replace(group, exposures=((1.0,),) * len(group.postures)),
                 objective=objective,
-                thresholds=thresholds,
+                thresholds=problem.thresholds,
             )
         progress = run.stage(f"tolerances, {', '.join(map(str, group.postures))}")
         found.append(

@@ -62,20 +62,6 @@ class OptimizeOptions:
     places: tuple[tuple[float, float], ...] | None = None
 
 
-def _problems_of_options(options: OptimizeOptions) -> list[str]:
-    problems: list[str] = []
-    if options.points is not None and (problem := points_problem(options.points)):
-        problems.append(f"option 'points': {problem}")
-    for name, value in (("patch_budget", options.patch_budget), ("rows", options.rows), ("limit", options.limit)):
-        if value < 1:
-            problems.append(f"option '{name}': expected at least 1, found {value}")
-    if options.postures is not None and len(set(options.postures)) < len(options.postures):
-        problems.append("option 'postures': the same posture was given twice")
-    defects = (min_images_problem(options.min_images), threshold_problem(options.threshold))
-    problems += [problem for problem in defects if problem is not None]
-    return problems
-
-
 @dataclass(frozen=True, kw_only=True)
 class PlanOptions:
     """What to plan beside the positions of the lights; nothing by default.
@@ -129,7 +115,16 @@ class PlanOptions:
 
 def check_options(options: OptimizeOptions, plan: PlanOptions) -> None:
     """Refuse options that are out of range, all at once."""
-    problems = _problems_of_options(options)
+    problems: list[str] = []
+    if options.points is not None and (problem := points_problem(options.points)):
+        problems.append(f"option 'points': {problem}")
+    for name, value in (("patch_budget", options.patch_budget), ("rows", options.rows), ("limit", options.limit)):
+        if value < 1:
+            problems.append(f"option '{name}': expected at least 1, found {value}")
+    if options.postures is not None and len(set(options.postures)) < len(options.postures):
+        problems.append("option 'postures': the same posture was given twice")
+    defects = (min_images_problem(options.min_images), threshold_problem(options.threshold))
+    problems += [problem for problem in defects if problem is not None]
     if plan.choose_postures is not None and plan.choose_postures < 1:
         problems.append(f"option 'choose_postures': expected 1 posture or more, found {plan.choose_postures}")
     if plan.target is not None and not 0.0 < plan.target <= 1.0:

@@ -8,6 +8,7 @@ from typing import Any
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
 from lightopt.design._commands import Command, Way
+from lightopt.design._options import PlanOptions
 from lightopt.design._problem import Problem
 from lightopt.design._tolerances import ToleranceAnalysis
 from lightopt.design.blind_spots._summary import BlindSpotSummary
@@ -15,6 +16,7 @@ from lightopt.design.objectives._objective import Objective
 from lightopt.design.postures._choice import PostureChoice
 from lightopt.design.postures._exposures import Brackets
 from lightopt.design.postures._posture_grid import ExcludedPosture
+from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import Levels
 from lightopt.design.search._combinations import Ranked
 from lightopt.design.search._curves import Curve
@@ -92,44 +94,30 @@ OWN_SHARES_OF = (
 NEGLIGIBLE_SHARE = 0.001  # of the pairs: what further postures add together that is too little for an image
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ChosenPostures:
     """The postures of a plan, and what there was to choose from.
 
     choice: Postures and lights.
-    candidate_count: Number of postures to choose from.
+    evaluator: All postures to choose from, and the patches for the last iterations and all figures.
+    drawn: Number of patches for the first iterations.
     left_out: Postures that the stage reaches and that are of no use.
     way: Through the chosen ones, were all captured in one round.
     pace: How fast the stage goes, and who says so.
     least: Images that must show a pair.
-    requested, target: Number of postures and share that were requested; None where not.
-    drawn, patches: Number of patches for the first iterations, and for the last ones and all figures.
-    max_edge, footprint: Longest edge of these, and side of a pixel's footprint on the part where it is smallest [mm].
-    grain: How far shares may be off since a patch counts as its middle does: see
-        :class:`lightopt.rendering.PatchTable`.
-    inspectable_share, left_out_share: Of the part's surface, by area: inspectable in one candidate posture or more;
-        seen at a grazing angle only.
-    exposures: To choose from, 1 among them.
-    brackets: Which of them are planned; None where there were no others.
+    plan: What was requested.
+    brackets: Which exposures are planned; None where there were no others to choose from.
     """
 
     choice: PostureChoice
-    candidate_count: int
+    evaluator: ImageEvaluator
+    drawn: int
     left_out: tuple[ExcludedPosture, ...]
     way: Way
     pace: str
     least: int
-    requested: int | None
-    target: float | None
-    drawn: int
-    patches: int
-    max_edge: float
-    footprint: float
-    grain: float
-    inspectable_share: float
-    left_out_share: float
-    exposures: tuple[float, ...] = (1.0,)
-    brackets: Brackets | None = None
+    plan: PlanOptions
+    brackets: Brackets | None
 
     def exposures_of(self, posture: Posture) -> tuple[float, ...]:
         """Planned exposures of a posture, the longest first."""

@@ -5,6 +5,7 @@ import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from lightopt.core.arrays import Bool
 from lightopt.design._candidates import Candidates
 from lightopt.design._commands import Way
 from lightopt.design._result import (
@@ -151,10 +152,16 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
     cover = chosen.choice.cover
     total = max(1, cover.total)
     before = chosen.choice.initial_if_moved
+    table = chosen.evaluator.table
+    inspectable, areas = table.inspectable_anywhere, table.patches.areas
+
+    def area_share(which: Bool) -> float:
+        return round(float(areas[which].sum() / areas.sum()), 6)
+
     return {
         "min_images": chosen.least,
-        "requested": chosen.requested,
-        "target": chosen.target,
+        "requested": chosen.plan.choose_postures,
+        "target": chosen.plan.target,
         "share": round(cover.share, 6),
         "shares_of": SHARES_OF,
         "optimum": "proven" if chosen.proven else "local",
@@ -179,7 +186,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
         "postures_to_a_tenth_of_a_point": chosen.sufficient,
         **_way_dict(chosen.way),
         "travel_pace": chosen.pace,
-        "candidates": chosen.candidate_count,
+        "candidates": len(table.postures),
         "left_out": [{**out.posture.as_dict(), "kind": out.kind, "reason": out.reason} for out in chosen.left_out],
         "iterations": chosen.choice.iterations,
         "starts": chosen.choice.starts,
@@ -188,14 +195,14 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
         "lights_best_for_postures": chosen.choice.exact and chosen.choice.converged,
         "patches": {
             "drawn": chosen.drawn,
-            "all": chosen.patches,
-            "max_edge_mm": round(chosen.max_edge, 6),
-            "footprint_mm": round(chosen.footprint, 6),
-            "grain": round(chosen.grain, 6),
+            "all": len(chosen.evaluator.patches),
+            "max_edge_mm": round(table.max_edge, 6),
+            "footprint_mm": round(table.footprint, 6),
+            "grain": round(table.grain, 6),
         },
-        "inspectable_share_of_surface": round(chosen.inspectable_share, 6),
-        "left_out_share_of_surface": round(chosen.left_out_share, 6),
-        "bounds_with_any_of_exposures": list(chosen.exposures),
+        "inspectable_share_of_surface": area_share(inspectable),
+        "left_out_share_of_surface": area_share(table.visible.any(axis=0) & ~inspectable),
+        "bounds_with_any_of_exposures": list(chosen.plan.all_exposures),
     }
 
 

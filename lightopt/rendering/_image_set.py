@@ -177,8 +177,7 @@ def render_image_set(
 
 
 def _check_options(options: RenderOptions) -> None:
-    problems: list[str] = []
-    problems += [
+    problems = [
         f"option 'exposures': expected a number above 0, found {exposure:g}"
         for exposure in options.exposures
         if not (np.isfinite(exposure) and exposure > 0.0)

@@ -157,7 +157,9 @@ def build_patches(scene: Scene, *, caster: RayCaster, budget: int = DEFAULT_PATC
         rest = np.flatnonzero(~seen)
         seen[rest] = visible_points(centroids[rest], facets[rest], view, caster)
     hidden, shown = int((~seen).sum()), int(seen.sum())
-    edge, most = footprint, _most_cuts(budget, shown)
+    # half of the budget for cutting where fine faces elsewhere take more: else a large flat face of two triangles would
+    # be seen or not, lit or not, as the middles of these are
+    edge, most = footprint, max(budget - shown, budget // 2)
     limit = hidden + 16 * max(budget, shown) + 1  # beyond it the step below is the longest anyway
     while (cut := estimate_patch_count(mesh, edge, select=seen, limit=limit) - hidden - shown) > most:
         # what cutting adds goes with 1 / edge²
@@ -187,15 +189,6 @@ def patches_for_edge(table: PatchTable, mesh: TriangleMesh, edge: float) -> int:
     seen[table.patches.face[table.visible.any(axis=0)]] = True
     cuts = estimate_patch_count(mesh, edge, select=seen) - len(mesh.faces)
     return min(cuts + max(table.seen_faces, int(seen.sum())), 2 * cuts + 1)
-
-
-def _most_cuts(budget: int, shown: int) -> int:
-    """Patches that cutting may add to the faces that the camera sees.
-
-    What is left of the budget; half of it where fine faces elsewhere take more, whether or not these are within the
-    budget, since a large flat face of two triangles would else be seen or not, lit or not, as the middles of these are.
-    """
-    return max(budget - shown, budget // 2)
 
 
 def patch_pixels(patch: Int32, count: int) -> PatchPixels:
@@ -244,11 +237,9 @@ def camera_visibility(
 ) -> tuple[Bool, Bool]:
     """Which points of the surface the camera sees, and which of these at a grazing angle.
 
-    points, normals, facets: Points [mm], normals of the surface there, and those of the facets that they lie on, part
-        frame, shape (p, 3)
-    view, caster: The camera as the part sees it, and the part's ray caster
-    Returns visible, grazing: Boolean, shape (p,): in the image, from the front, with nothing in between; and of these,
-        at more than :data:`lightopt.rendering.GRAZING_DEG` to the normal
+    normals: Of the surface at the points, shape (p, 3); the other parameters are those of :func:`visible_points`
+    Returns visible, grazing: As :func:`visible_points`; and of these, those seen at more than
+        :data:`lightopt.rendering.GRAZING_DEG` to the normal, shape (p,)
     """
     visible = visible_points(points, facets, view, caster)
     grazing = np.zeros_like(visible)
@@ -258,15 +249,15 @@ def camera_visibility(
     return visible, grazing
 
 
-def visible_points(points: Float64, normals: Float64, view: PartView, caster: RayCaster) -> Bool:
+def visible_points(points: Float64, facets: Float64, view: PartView, caster: RayCaster) -> Bool:
     """Whether the camera sees points of the surface: in the image, from the front, with nothing in between.
 
-    points, normals: Points [mm] and normals of the facets that they lie on, part frame, shape (p, 3)
+    points, facets: Points [mm] and normals of the facets that they lie on, part frame, shape (p, 3)
     view, caster: The camera as the part sees it, and the part's ray caster
     """
     camera = view.camera
     columns, rows, depth = project(camera, points)
-    visible = (depth > 0.0) & (np.einsum("ij,ij->i", normals, camera.position - points) > 0.0)
+    visible = (depth > 0.0) & (np.einsum("ij,ij->i", facets, camera.position - points) > 0.0)
     visible[visible] &= (
         (columns[visible] >= 0.0)
         & (columns[visible] < camera.width)
@@ -275,7 +266,7 @@ def visible_points(points: Float64, normals: Float64, view: PartView, caster: Ra
     )
     index = np.flatnonzero(visible).astype(np.int32)
     blocked = caster.occluded(
-        points, normals, camera.position[None, :], point_index=index, target_index=np.zeros(len(index), np.int32)
+        points, facets, camera.position[None, :], point_index=index, target_index=np.zeros(len(index), np.int32)
     )
     visible[index[blocked]] = False
     return visible

@@ -69,10 +69,7 @@ def trace_hits(
     *,
     neighbours: bool = False,
 ) -> Hits:
-    """Where camera rays through image points meet the part, without what the surface is like there.
-
-    Parameters as in :func:`trace_samples`.
-    """
+    """Where camera rays through image points meet the part; parameters as in :func:`trace_samples`."""
     directions = pixel_directions(camera, columns, rows)
     face = caster.first_hit(camera.position, directions, neighbours=neighbours)
     return resolve_hits(face, camera.position, directions, mesh.vertices, mesh.faces)

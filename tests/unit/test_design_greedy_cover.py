@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import Bounds, LinearConstraint, milp
 
-from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.design import counts_of_images
 from lightopt.design.postures._cover_search import best_set, greedy_cover, improve_by_exchange
@@ -228,20 +227,6 @@ def test_a_target_that_cannot_be_reached_is_said_not_to_be():
     assert cover.min_size is None
     assert cover.share == pytest.approx(2 / 3)
     assert cover.all_covered == 2
-
-
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [({"count": 0}, "1 or more, found 0"), ({"target": 0.0}, "found 0"), ({"target": 1.5}, "found 1.5")],
-)
-def test_bad_questions_are_refused(arguments, expected):
-    with pytest.raises(InputError, match=expected):
-        greedy_cover(flags([1]), unit_weights(1), **arguments)
-
-
-def test_nothing_to_choose_from_is_refused():
-    with pytest.raises(InputError, match="at least one candidate"):
-        greedy_cover([], unit_weights(1))
 
 
 def offered(*areas, images):

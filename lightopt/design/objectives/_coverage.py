@@ -85,25 +85,11 @@ class CoverageObjective(Objective):
         by_runs = float(products[simple].sum())
         by_bits = float(np.count_nonzero(~simple)) * cells / BITS_SHARE
         share = by_runs / max(1.0, by_runs + by_bits)
-        table = run_scores(
-            levels,
-            np.flatnonzero(simple),
-            weights,
-            thresholds,
-            rule=RULE,
-            threads=threads,
-            progress=part_of(progress, 0.0, share),
-        )
-        if not simple.all():
-            table += bit_scores(
-                levels,
-                np.flatnonzero(~simple),
-                weights,
-                thresholds,
-                rule=RULE,
-                threads=threads,
-                progress=part_of(progress, share, 1.0),
-            )
+        table = np.zeros(cells, np.int64)
+        for scores, some, start, end in ((run_scores, simple, 0.0, share), (bit_scores, ~simple, share, 1.0)):
+            chosen, part = np.flatnonzero(some), part_of(progress, start, end)
+            if len(chosen):
+                table += scores(levels, chosen, weights, thresholds, rule=RULE, threads=threads, progress=part)
         return table
 
     def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:

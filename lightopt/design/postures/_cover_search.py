@@ -21,7 +21,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from lightopt.core.errors import InputError
 from lightopt.design.postures._choice import Cover, CoverStep
 from lightopt.design.responses._packed_bits import (
     Counts,
@@ -56,18 +55,11 @@ def greedy_cover(
     Stops after `count`, when the share `target` of the weight is seen in k images, or when nothing adds anything.
     Candidates that later ones make redundant are dropped, and the choice continues as far as it may.
 
-    candidates: Counts of each, shape (k, p, words), all of one k.
-    count: Most candidates to choose; as many as are needed by default.
+    candidates: Counts of each, shape (k, p, words), all of one k; at least one.
+    count: Most candidates to choose, at least 1; as many as are needed by default.
     target: Share of all pairs to be seen in k images or more, above 0 and up to 1.
     among: Only these may be chosen; the bound is that of all.
-    Raises InputError: No candidate, a count below 1, a target out of range.
     """
-    if not candidates:
-        raise InputError("cover: expected at least one candidate, found none")
-    if count is not None and count < 1:
-        raise InputError(f"cover: expected a count of 1 or more, found {count}")
-    if target is not None and not 0.0 < target <= 1.0:
-        raise InputError(f"cover: expected a target above 0 and up to 1, found {target:g}")
     greedy = _Greedy(
         candidates,
         weights,

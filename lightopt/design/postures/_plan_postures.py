@@ -1,19 +1,18 @@
 """Choose the postures of a plan, or say why a target is out of reach; then score it by all of its images together."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.core.arrays import Bool
 from lightopt.core.errors import CheckFailed, counted, percent
 from lightopt.core.run_context import RunContext, Share
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
 from lightopt.design._commands import way_through
-from lightopt.design._options import OptimizeOptions, PlanOptions
+from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions
 from lightopt.design._problem import candidates_of, detection_model_of
 from lightopt.design._result import SHARES_OF, ChosenPostures, ObjectiveResult, SetResult, angles_of
 from lightopt.design.blind_spots._blind_spots import (
@@ -32,11 +31,11 @@ from lightopt.design.postures._light_positions import position_counts, position_
 from lightopt.design.postures._posture_grid import posture_grid, usable_postures
 from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
-from lightopt.design.responses._packed_bits import Counts, covered_weight, sum_counts, unpack_flags
+from lightopt.design.responses._packed_bits import covered_weight, sum_counts, unpack_flags
 from lightopt.design.search._combinations import Ranked
 from lightopt.design.search._curves import Curve, score_curves
-from lightopt.rendering import PatchTable, build_patches, cast_rays_at
-from lightopt.scene import PanelLight, build_lights, build_scene, pace_text
+from lightopt.rendering import build_patches, cast_rays_at
+from lightopt.scene import build_lights, build_scene, pace_text
 
 # among what the lights of a plan are the best, or not known to be
 PROVEN_OF = "positions of the lights in these postures at these exposures; for the postures see chosen_postures"
@@ -62,12 +61,7 @@ class PlannedDetectability(DetectabilityObjective):
 
 
 def planned_answers(
-    result: SetResult,
-    chosen: ChosenPostures,
-    evaluator: ImageEvaluator,
-    candidates: Candidates,
-    free: Candidates | None,
-    progress: Share | None = None,
+    result: SetResult, chosen: ChosenPostures, candidates: Candidates, free: Candidates | None, progress: Share | None
 ) -> SetResult:
     """The best lights of each objective, scored for defects by what they show in the plan's postures and exposures.
 
@@ -79,8 +73,9 @@ def planned_answers(
     """
     first = result.answers[0].objective
     assert isinstance(first, DetectabilityObjective)
+    evaluator = chosen.evaluator
     goal = PlannedDetectability(first.hypotheses, first.min_images, area=int(evaluator.weights.areas.sum()))
-    answers = tuple(_planned(answer, goal, chosen, evaluator, candidates, free) for answer in result.answers)
+    answers = tuple(_planned(answer, goal, chosen, candidates, free) for answer in result.answers)
     best = answers[0].found.best
     at = angles_of(candidates, best)
     curves: tuple[Curve, ...] = ()
@@ -90,13 +85,12 @@ def planned_answers(
         and position_counts_fit(evaluator, free, min_images=chosen.least)
     ):
         here = tuple(some.index(angles) for angles, some in zip(at, free.angles, strict=True))
-        curves = _curves(replace(best, candidates=here), chosen, evaluator, free, progress)
+        curves = _curves(replace(best, candidates=here), chosen, free, progress)
     return replace(result, answers=answers, curves=curves)
 
 
-def _curves(
-    best: Ranked, chosen: ChosenPostures, evaluator: ImageEvaluator, free: Candidates, progress: Share | None
-) -> tuple[Curve, ...]:
+def _curves(best: Ranked, chosen: ChosenPostures, free: Candidates, progress: Share | None) -> tuple[Curve, ...]:
+    evaluator = chosen.evaluator
     postures = [(posture, chosen.exposures_of(posture)) for posture in chosen.way.order]
     lights = chosen.choice.position_counts or position_counts(
         evaluator, postures, free, min_images=chosen.least, progress=progress
@@ -113,13 +107,16 @@ def _planned(
     answer: ObjectiveResult,
     goal: PlannedDetectability,
     chosen: ChosenPostures,
-    evaluator: ImageEvaluator,
     candidates: Candidates,
     free: Candidates | None,
 ) -> ObjectiveResult:
-    best = answer.found.best
+    best, evaluator = answer.found.best, chosen.evaluator
     panels = candidates.panels_at(best.candidates)
-    counts = _counts(chosen, evaluator, panels)
+    images = (
+        replace(evaluator, exposures=chosen.exposures_of(posture)).counts(posture, panels, min_images=chosen.least)
+        for posture in chosen.way.order
+    )
+    counts = sum_counts(images, evaluator.weights, chosen.least)
     score = covered_weight(counts, evaluator.weights)
     scores = {**answer.scores, goal.name: score}
     if answer.objective.name != goal.name:
@@ -138,14 +135,6 @@ def _planned(
         nothing=None,
         proven_of=PROVEN_OF,
     )
-
-
-def _counts(chosen: ChosenPostures, evaluator: ImageEvaluator, panels: Sequence[PanelLight]) -> Counts:
-    images = (
-        replace(evaluator, exposures=chosen.exposures_of(posture)).counts(posture, panels, min_images=chosen.least)
-        for posture in chosen.way.order
-    )
-    return sum_counts(images, evaluator.weights, chosen.least)
 
 
 NEAR_SHARE = 0.01  # the message names how many postures come this near to all of them
@@ -206,20 +195,17 @@ def _text(target: float, choice: PostureChoice, evaluator: ImageEvaluator, least
             "Raise option 'choose_postures' or leave it out"
         )
     lost = _lost(choice, evaluator, least)
+    lights = "the best lights found (others may show more)" if choice.iterations else "the lights as they stand"
     near = next(
         (i for i, step in enumerate(cover.steps, 1) if step.covered >= (most - NEAR_SHARE) * cover.total),
         len(cover.steps),
     )
     return (
-        f"option 'target': {required} of the surface × defects is not reached: with {_which(choice)}, all {available} "
+        f"option 'target': {required} of the surface × defects is not reached: with {lights}, all {available} "
         f"postures together show {text(most)}, and {counted(near, 'posture')} come within "
         f"{100 * NEAR_SHARE:g} point of that. Of what stays unseen, {_reasons(lost, choice)}. "
         f"{_hint(lost, evaluator)}Ask for less, use option 'choose_postures', or change what stands in the way"
     )
-
-
-def _which(choice: PostureChoice) -> str:
-    return "the best lights found (others may show more)" if choice.iterations else "the lights as they stand"
 
 
 def _hint(lost: Mapping[int, float], evaluator: ImageEvaluator) -> str:
@@ -252,8 +238,8 @@ def _reasons(lost: Mapping[int, float], choice: PostureChoice) -> str:
 
 def plan_postures(
     rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, run: RunContext
-) -> tuple[ChosenPostures, ImageEvaluator]:
-    """Choose the postures, and the light positions that go with them; also returns the evaluator of all patches.
+) -> ChosenPostures:
+    """Choose the postures, and the light positions that go with them.
 
     Raises InputError: Whatever is wrong with the files or the options.
     Raises CheckFailed: A target that cannot be reached, or no defect that any posture shows.
@@ -306,38 +292,30 @@ def plan_postures(
             f"{counted(options.min_images, 'image')} or more: lower option 'threshold' or option 'min_images', or "
             "change the lights' gain, their ranges, or the catalogue"
         )
-
-    chosen = ChosenPostures(
+    return ChosenPostures(
         choice=choice,
-        brackets=brackets,
-        candidate_count=len(postures),
+        evaluator=whole,
+        drawn=len(drawn.patches),
         left_out=left_out,
         way=way_through(rig, choice.postures),
         pace=pace_text(rig),
         least=options.min_images,
-        requested=plan.choose_postures,
-        target=plan.target,
-        drawn=len(drawn.patches),
-        patches=len(whole.patches),
-        max_edge=table.max_edge,
-        footprint=table.footprint,
-        grain=table.grain,
-        inspectable_share=_area_share(table, table.inspectable_anywhere),
-        left_out_share=_area_share(table, table.visible.any(axis=0) & ~table.inspectable_anywhere),
-        exposures=plan.all_exposures,
+        plan=plan,
+        brackets=brackets,
     )
-    return chosen, whole
 
 
-def _area_share(table: PatchTable, which: Bool) -> float:
-    areas = table.patches.areas
-    return float(areas[which].sum() / areas.sum())
-
-
-def chosen_angles(rig: RigConfig, choice: PostureChoice, options: OptimizeOptions) -> tuple[tuple[float, float], ...]:
-    """Elevation and azimuth of each light in a choice [°]."""
-    if choice.lights is None:
-        return tuple((light.elevation_deg, light.azimuth_deg) for light in rig.lights)
-    angles = candidates_of(rig, options)
-    assert angles is not None
-    return tuple(places[k] for places, k in zip(angles.angles, choice.lights, strict=True))
+def with_chosen(options: OptimizeOptions, rig: RigConfig, chosen: ChosenPostures) -> OptimizeOptions:
+    """The options with chosen postures and the light positions that go with them."""
+    places = tuple((light.elevation_deg, light.azimuth_deg) for light in rig.lights)
+    if chosen.choice.lights is not None:
+        free = candidates_of(rig, options)
+        assert free is not None
+        places = tuple(angles[k] for angles, k in zip(free.angles, chosen.choice.lights, strict=True))
+    return replace(
+        options,
+        objectives=options.objectives or (DEFECT_OBJECTIVE,),
+        postures=chosen.way.order,
+        common_lights=True,
+        places=places,
+    )

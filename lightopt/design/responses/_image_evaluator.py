@@ -20,7 +20,7 @@ from lightopt.core.threads import Task, available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.design.responses._detection import DetectionModel, PatchDetection
 from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Visibility, area_units
-from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, counts_of_images
+from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, counts_of_images, weight_planes
 from lightopt.geometry import RayCaster, face_normals
 from lightopt.optics import expose
 from lightopt.rendering import PatchTable, SurfacePoints, converged_panel, shade_converged, shade_points, shadow_targets
@@ -65,7 +65,8 @@ class ImageEvaluator:
         """Weights of the pairs of these patches and the hypotheses."""
         assert self.detection is not None
         units = area_units(self.table.patches.areas[self.patches])
-        return PairWeights.of_hypotheses(self.detection.hypotheses, units)
+        masks, factors = weight_planes(self.detection.hypotheses)
+        return PairWeights(areas=units, masks=masks, factors=factors)
 
     def table_of(self, postures: Sequence[Posture]) -> PatchTable:
         """The same patches in some of the postures."""

@@ -147,12 +147,6 @@ class PairWeights:
         for name in ("areas", "masks", "factors"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
-    @staticmethod
-    def of_hypotheses(hypotheses: Sequence[DefectHypothesis], areas: Int64) -> PairWeights:
-        """Each patch by its area [µm²], each hypothesis by its own weight."""
-        masks, factors = weight_planes(hypotheses)
-        return PairWeights(areas=areas, masks=masks, factors=factors)
-
     @property
     def arrays(self) -> tuple[Int64, Words, Int64]:
         """Areas, masks, factors."""
@@ -161,6 +155,10 @@ class PairWeights:
     def of(self, patches: slice | Bool) -> PairWeights:
         """Weights of some of the patches."""
         return replace(self, areas=self.areas[patches])
+
+    def sum_of(self, flags: Words) -> int:
+        """Weight of the pairs whose flags are set, shape (p, words)."""
+        return int(self.areas @ weighted_bits(flags, self.masks, self.factors))
 
     @property
     def total(self) -> int:
@@ -196,12 +194,12 @@ def counts_of_images(images: Sequence[Words], k: int) -> Counts:
 
 def total_benefit(counts: Counts, weights: PairWeights) -> int:
     """Σ weight · min(k, count)."""
-    return int(sum(_sum(flags, *weights.arrays) for flags in counts))
+    return sum(weights.sum_of(flags) for flags in counts)
 
 
 def covered_weight(counts: Counts, weights: PairWeights) -> int:
     """Σ weight · [count ≥ k]."""
-    return int(_sum(counts[-1], *weights.arrays))
+    return weights.sum_of(counts[-1])
 
 
 def marginal_gains(counts: Counts, more: Counts, weights: PairWeights) -> tuple[int, int]:
@@ -221,18 +219,6 @@ def all_marginal_gains(
 
     run_all(((add, (i,)) for i in range(len(candidates))), threads=threads or available_processors())
     return gains
-
-
-@kernel
-def _sum(flags: Words, areas: Int64, masks: Words, factors: Int64) -> np.int64:
-    total = np.int64(0)
-    for p in range(flags.shape[0]):
-        hypotheses = np.int64(0)
-        for w in range(flags.shape[1]):
-            if flags[p, w]:
-                hypotheses += word_weight(flags[p, w], w, masks, factors)
-        total += areas[p] * hypotheses
-    return total
 
 
 @kernel

@@ -1,21 +1,6 @@
 """The luminance matrices of a run's postures, computed or read from the cache; and the patches.
 
-A cached matrix is an ``.npz`` with the arrays
-
-``key``
-    SHA-256 of all that the matrix depends on, as text.
-``areas_mm2``
-    Of the inspectable patches, shape (p,).
-``grazing_mm2``
-    Area that the camera sees at a grazing angle.
-``light_0``, ``light_1``, …
-    Delivered levels under each light of the rig, in its order, uint8 or uint16, shape (candidates, p).
-``angles_0_deg``, ``angles_1_deg``, …
-    Elevation and azimuth of those candidates, shape (candidates, 2).
-``defects_0``, ``defects_1``, …
-    Where images are tested for defects: bits of those that are visible, uint64, shape (candidates, p, words).
-``patch``, ``grazing``
-    With them: indices of the patches, shape (p,), and of those that the camera sees at a grazing angle.
+The arrays of a cached matrix are described in docs/how-to/optimization.md.
 """
 
 import hashlib
