@@ -153,7 +153,7 @@ def find_defects(
         registration=() if found is None else found.warnings,
         calibrated=calibration is not None,
     )
-    surface_map = cache.surface_map(registered.scene, expected)
+    surface_map = cache.surface_map(registered.scene, expected, threads=run.threads)
     coverages = [(p.view.posture, p.coverage) for p in postures]
     return InspectionResult(
         defects=merge_detections([detection for p in postures for detection in p.detections]),

@@ -133,7 +133,7 @@ def render_image_set(
     resumed = sum(writer.done(*key) for key in plan)
     if resumed == len(plan) and writer.file_done() and all(map(writer.geometry_done, scene.postures)):
         return RenderedSet(folder=Path(folder), images=len(plan), resumed=resumed, warnings=tuple(warnings))
-    table = build_patches(scene, caster=caster, budget=options.patch_budget)
+    table = build_patches(scene, caster=caster, budget=options.patch_budget, threads=run.threads)
     names = [light.name for light in rig.lights]
     rays = 0
     with BackgroundTasks() as disk:

@@ -13,7 +13,7 @@ from lightopt.core.kernels import kernel
 from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
-from lightopt.geometry import Hits, Patches, RayCaster, TriangleMesh
+from lightopt.geometry import Hits, Patches, RayCaster
 from lightopt.rendering._converged_panel import (
     ConvergedPanel,
     PanelVisibility,
@@ -23,7 +23,7 @@ from lightopt.rendering._converged_panel import (
 )
 from lightopt.rendering._defect_shading import DefectSamples, defect_samples
 from lightopt.rendering._point_lights import shade_points
-from lightopt.rendering._surface import SurfacePoints, trace_hits, trace_samples
+from lightopt.rendering._surface import SurfacePoints, trace_samples
 from lightopt.rendering._vectors import dot, vector_at
 from lightopt.scene import PanelLight, PartView, Scene, screen_window, view_from_part
 
@@ -100,13 +100,6 @@ def rays_of_images(scene: Scene, *, supersample: int = 1) -> float:
         return math.inf
     # blocker maps leave about as many shadow rays as there are camera rays
     return 2.0 * len(scene.postures) * scene.camera.width * scene.camera.height * supersample**2
-
-
-def trace_posture(mesh: TriangleMesh, view: PartView, caster: RayCaster) -> Hits:
-    """Where the rays through all pixel centres meet the part; part frame."""
-    left, top, right, bottom = screen_window(view.camera, mesh)
-    columns, rows = np.meshgrid(_centres(left, right), _centres(top, bottom))
-    return trace_hits(caster, mesh, view.camera, columns.ravel(), rows.ravel(), neighbours=True)
 
 
 def render(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.arrays import Bool, Float64, Index, Int32, Int64
+from lightopt.core.threads import Task, available_processors, blocks, run_all
 from lightopt.core.transforms import Posture
 from lightopt.geometry import (
     Patches,
@@ -21,15 +22,26 @@ from lightopt.geometry import (
     longest_edges,
     refine,
 )
-from lightopt.rendering._images import trace_posture
 from lightopt.rendering._surface import GRAZING_COSINE
-from lightopt.scene import PartView, Scene, pixel_footprint, project, view_from_part
+from lightopt.scene import (
+    PartView,
+    PinholeCamera,
+    Scene,
+    pixel_directions,
+    pixel_footprint,
+    project,
+    screen_window,
+    view_from_part,
+)
 
 DEFAULT_PATCH_BUDGET = 200_000
 """Patches visible in at least one posture, by default."""
 
 # the geometry image holds patch numbers as float32, which counts no further
 _MOST_PATCHES = 1 << 24
+
+# image rows whose rays are cast at once, and points that are looked at at once: they bound the memory
+_BLOCK_ROWS, _BLOCK_POINTS = 32, 1 << 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,7 +148,9 @@ class PatchPixels:
         return self.pixels[self.start[patch] : self.start[patch + 1]]
 
 
-def build_patches(scene: Scene, *, caster: RayCaster, budget: int = DEFAULT_PATCH_BUDGET) -> PatchTable:
+def build_patches(
+    scene: Scene, *, caster: RayCaster, budget: int = DEFAULT_PATCH_BUDGET, threads: int | None = None
+) -> PatchTable:
     """Cut the faces that the camera sees towards the pixel's footprint, within a budget (paper, section 3.3).
 
     scene: With the postures to look from
@@ -147,15 +161,22 @@ def build_patches(scene: Scene, *, caster: RayCaster, budget: int = DEFAULT_PATC
     mesh = scene.mesh
     views = [view_from_part(scene, posture) for posture in scene.postures]
     footprint = min(_smallest_footprint(view, mesh) for view in views)
-    seen = np.zeros(len(mesh.faces), np.bool_)
-    for view in views:
-        seen[trace_posture(mesh, view, caster).face] = True
+    threads = threads or available_processors()
+    seen = _faces_of_pixels(mesh, views, caster, threads)
     # a face too narrow for any pixel's centre, such as a wall seen at a grazing angle, shows by its centroid
     facets = face_normals(mesh)
-    centroids = mesh.vertices[mesh.faces].mean(axis=1)
-    for view in views:
-        rest = np.flatnonzero(~seen)
-        seen[rest] = visible_points(centroids[rest], facets[rest], view, caster)
+    rest = np.flatnonzero(~seen)
+
+    def find_narrow(view: int, some: slice) -> None:
+        face = rest[some]
+        centroids = mesh.vertices[mesh.faces[face]].mean(axis=1)
+        seen[face[visible_points(centroids, facets[face], views[view], caster)]] = True
+
+    def in_blocks(work: Callable[..., None], count: int) -> None:
+        tasks = ((work, (k, slice(*some))) for k in range(len(views)) for some in blocks(count, _BLOCK_POINTS))
+        run_all(tasks, threads=threads)
+
+    in_blocks(find_narrow, len(rest))
     hidden, shown = int((~seen).sum()), int(seen.sum())
     # half of the budget for cutting where fine faces elsewhere take more: else a large flat face of two triangles would
     # be seen or not, lit or not, as the middles of these are
@@ -166,21 +187,47 @@ def build_patches(scene: Scene, *, caster: RayCaster, budget: int = DEFAULT_PATC
         edge *= max(1.02, min(4.0, math.sqrt(cut / max(1, most))))
     edge = min(edge, max(footprint, _longest_edge(mesh, seen)))
     patches = refine(mesh, max_edge_mm=edge, max_patches=_MOST_PATCHES, select=seen)
-    sights = [
-        camera_visibility(patches.centroids, patches.normals, facets[patches.face], view, caster) for view in views
-    ]
-    visible = np.stack([seen for seen, _ in sights])
+    # of a face that is not seen, the centroid was tried above
+    shape, candidates = (len(views), len(patches)), np.flatnonzero(seen[patches.face])
+    visible, grazing = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
+
+    def look(view: int, some: slice) -> None:
+        patch = candidates[some]
+        points, normals, own_facets = patches.centroids[patch], patches.normals[patch], facets[patches.face[patch]]
+        visible[view, patch], grazing[view, patch] = camera_visibility(points, normals, own_facets, views[view], caster)
+
+    in_blocks(look, len(candidates))
     over = shown < budget < int(visible.any(axis=0).sum()) and most > budget - shown
     return PatchTable(
         patches=patches,
         postures=scene.postures,
         visible=visible,
-        grazing=np.stack([grazing for _, grazing in sights]),
+        grazing=grazing,
         max_edge=edge,
         footprint=footprint,
         seen_faces=shown if shown >= budget else 0,
         exceeded=budget if over else 0,
     )
+
+
+def _faces_of_pixels(mesh: TriangleMesh, views: Sequence[PartView], caster: RayCaster, threads: int) -> Bool:
+    # which faces the centre of a pixel shows, in one of the views at least
+    seen = np.zeros(len(mesh.faces), np.bool_)
+
+    def cast(camera: PinholeCamera, rows: Float64, columns: Float64) -> None:
+        column, row = np.meshgrid(columns, rows)
+        directions = pixel_directions(camera, column.ravel(), row.ravel())
+        face = caster.first_hit(camera.position, directions, neighbours=True)
+        seen[face[face >= 0]] = True
+
+    def tasks() -> Iterator[Task]:
+        for view in views:
+            left, top, right, bottom = screen_window(view.camera, mesh)
+            for first, end in blocks(bottom - top, _BLOCK_ROWS):
+                yield cast, (view.camera, np.arange(top + first, top + end) + 0.5, np.arange(left, right) + 0.5)
+
+    run_all(tasks(), threads=threads)
+    return seen
 
 
 def patches_for_edge(table: PatchTable, mesh: TriangleMesh, edge: float) -> int:
@@ -264,9 +311,4 @@ def visible_points(points: Float64, facets: Float64, view: PartView, caster: Ray
         & (rows[visible] >= 0.0)
         & (rows[visible] < camera.height)
     )
-    index = np.flatnonzero(visible).astype(np.int32)
-    blocked = caster.occluded(
-        points, facets, camera.position[None, :], point_index=index, target_index=np.zeros(len(index), np.int32)
-    )
-    visible[index[blocked]] = False
-    return visible
+    return caster.visible(points, facets, camera.position[None, :], candidates=visible[None, :])[0]

@@ -260,7 +260,7 @@ def plan_postures(
         "for all of them"
     )
     scene = replace(scene, postures=postures)
-    table = build_patches(scene, caster=caster, budget=options.patch_budget)
+    table = build_patches(scene, caster=caster, budget=options.patch_budget, threads=run.threads)
     whole = ImageEvaluator(
         scene=scene,
         table=table,

@@ -76,17 +76,14 @@ class Contrast:
 
 
 # linear levels where the surface is good and where a hypothesis fills the pixel [grey level at exposure 1], shapes (k,)
-# and (k, t); a pixel's footprint on a plane that faces the camera [mm]; bits of the visible hypotheses
+# and (k, t); shares of _pixel_shares; bits of the visible hypotheses
 @kernel
 def _contrast_words(
     good: Float64,
     varied: Float64,
     first: Int64,
     facing: Bool,
-    widths: Float64,
     shares: Float64,
-    footprints: Float64,
-    cosines: Float64,
     scale: float,
     black: float,
     saturation: float,
@@ -96,15 +93,16 @@ def _contrast_words(
 ) -> Words:
     words = np.zeros((len(good), (varied.shape[1] + 63) // 64), np.uint64)
     for i in range(len(good)):
+        if good[i] == 0.0 and not varied[i].any():
+            continue  # no light: nothing shows
         level = min(black + scale * good[i], saturation)
         least = threshold * math.sqrt(read_noise * read_noise + (level - black) / electrons + 1.0 / 12.0)
-        side = footprints[i] / math.sqrt(cosines[i])
-        for e in range(len(widths)):
+        for e in range(len(facing)):
             start, count = first[e], first[e + 1] - first[e]
             mean = 0.0
             for t in range(start, start + count):
                 mean += varied[i, t] / count
-            one, of_one, most, of_most = _shares(shares[e], side / widths[e])
+            one, of_one, most, of_most = shares[i, e]
             for t in range(start, start + count):
                 common = mean - good[i]
                 if facing[e]:
@@ -119,6 +117,17 @@ def _contrast_words(
                 ):
                     words[i, t // 64] |= np.uint64(1) << np.uint64(t % 64)
     return words
+
+
+@kernel
+def _pixel_shares(tables: Float64, widths: Float64, footprints: Float64, cosines: Float64) -> Float64:
+    # shares of the pixel that e defects fill, by a pixel's footprint on a plane that faces the camera [mm]; (k, e, 4)
+    found = np.empty((len(footprints), len(widths), 4))
+    for i in range(len(footprints)):
+        side = footprints[i] / math.sqrt(cosines[i])
+        for e in range(len(widths)):
+            found[i, e] = _shares(tables[e], side / widths[e])
+    return found
 
 
 @kernel
@@ -178,10 +187,11 @@ class PatchDetection:
     def __init__(self, scene: Scene, surface: SurfacePoints, posture: Posture, detection: DetectionModel) -> None:
         self.detection = detection
         self.reflectance = scene.reflectance
-        self.cosines = np.einsum("ij,ij->i", surface.normals, surface.views)
+        cosines = np.einsum("ij,ij->i", surface.normals, surface.views)
         camera = view_from_part(scene, posture).camera
-        self._footprint = pixel_footprint(camera, 1.0)
-        self._depths = (surface.points - camera.position) @ camera.forward
+        footprints = pixel_footprint(camera, 1.0) * ((surface.points - camera.position) @ camera.forward)
+        self._first, self._facing, widths, tables = detection.pixel_fill
+        self._shares = _pixel_shares(tables, widths, footprints, cosines)
         # the mesh file's axes in the part's frame
         axes = scene.placement.rotation
         self._references = tangent_references(surface.normals, x_axis=axes[:, 0], y_axis=axes[:, 1])
@@ -218,9 +228,9 @@ class PatchDetection:
             _contrast_words(
                 shaded.good,
                 shaded.varied,
-                *self.detection.pixel_fill,
-                self._footprint * self._depths[here],
-                self.cosines[here],
+                self._first,
+                self._facing,
+                self._shares[here],
                 exposure * sensor.max_level / contrast.full_scale,
                 sensor.black_level,
                 sensor.saturated_from,

@@ -160,8 +160,8 @@ class PostureMatrices:
     def patches(self) -> PatchTable:
         """The patches, made when first needed."""
         if self.table is None:
-            problem = self.problem
-            self.table = build_patches(problem.scene, caster=problem.caster, budget=problem.options.patch_budget)
+            problem, budget = self.problem, self.problem.options.patch_budget
+            self.table = build_patches(problem.scene, caster=problem.caster, budget=budget, threads=self.run.threads)
         return self.table
 
     def matrix(self, posture: Posture, *, held: int) -> LuminanceMatrix:

@@ -90,9 +90,9 @@ class SurfaceMap:
     seen: dict[Posture, tuple[Index, Index]]
 
 
-def map_surface(scene: Scene, caster: RayCaster) -> SurfaceMap:
+def map_surface(scene: Scene, caster: RayCaster, *, threads: int | None = None) -> SurfaceMap:
     """Divide the surface into patches and find the pixel that sees each in each posture of `scene`."""
-    table = build_patches(scene, caster=caster, budget=PATCHES)
+    table = build_patches(scene, caster=caster, budget=PATCHES, threads=threads)
     seen: dict[Posture, tuple[Index, Index]] = {}
     for posture, visible, grazing in zip(table.postures, table.visible, table.grazing, strict=True):
         patch = np.flatnonzero(visible)

@@ -121,7 +121,9 @@ class PredictionCache:
         if self.misfit is None:
             self.misfit = self._fit(scene, observations, _keys(scene, observations), moves=False).misfit
 
-    def surface_map(self, scene: Scene, expected: Sequence[Posture] = ()) -> SurfaceMap | None:
+    def surface_map(
+        self, scene: Scene, expected: Sequence[Posture] = (), *, threads: int | None = None
+    ) -> SurfaceMap | None:
         """Patches of the surface and the pixels that see them; None for a single posture.
 
         scene: with the postures that there are images of.
@@ -131,7 +133,8 @@ class PredictionCache:
         if len(postures) < 2:
             return None
         if postures not in self.surface_maps:
-            self.surface_maps[postures] = map_surface(replace(scene, postures=postures), self._caster(scene))
+            here = replace(scene, postures=postures)
+            self.surface_maps[postures] = map_surface(here, self._caster(scene), threads=threads)
         return self.surface_maps[postures]
 
     def _caster(self, scene: Scene) -> RayCaster:
