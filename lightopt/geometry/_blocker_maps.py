@@ -27,6 +27,7 @@ TEXELS = 256  # texels of a map, along each side
 LEAST_DISTANCE = 1.5  # of a target from the mesh's centre, in radii of the mesh; nearer ones get no map
 MOST_MAPS = 256  # maps that are held at once: 64 MiB
 MOST_BODIES = 100  # of a mesh; of more, all triangles are taken to touch another one
+FEW_TRIANGLES = 300_000  # of maps that are made in less time than threads take to begin
 WORTHWHILE_SHARE = 0.1  # a map is made where as many rays as this share of the triangles may go to its target
 
 # in radii of the mesh, some hundred times the rounding of its float32 coordinates
@@ -74,9 +75,9 @@ class BlockerMaps:
 
     @property
     def doubtful(self) -> Bool | None:
-        """Faces at folds, and those that may touch another body, shape (m,); None unless the mesh was found closed."""
+        """Faces at folds, and those that may touch another body, shape (m,); None for an open mesh."""
         with self._lock:
-            return self._surface[1] if self._surface is not None else None
+            return self._surface[1] if self._is_closed() and self._surface is not None else None
 
     def unproven(self, targets: Float64, begins: Float64, candidates: Bool) -> Bool:
         """Which rays no map proves free, of the candidates; shape (t, n).
@@ -108,10 +109,11 @@ class BlockerMaps:
             distance = np.linalg.norm(targets, axis=1)
             keys = [key for i, key in enumerate(_keys(targets)) if distance[i] >= LEAST_DISTANCE]
             fresh = [key for key in dict.fromkeys(keys) if key not in self._maps][:MOST_MAPS]
+            few = len(fresh) * len(self._faces) < FEW_TRIANGLES
             made = in_threads(
                 lambda i: _made(self._vertices, self._faces, planes, either, np.frombuffer(fresh[i])),
                 range(len(fresh)),
-                threads,
+                1 if few else threads,
             )
             self._maps |= dict(zip(fresh, made, strict=True))
             for key in list(self._maps)[:-MOST_MAPS]:
@@ -128,14 +130,23 @@ def _made(vertices: Float32, faces: Int32, planes: Float32, either: Bool, target
     return view, depths
 
 
+@kernel
 def _view(target: Float64) -> Float32:
-    distance = float(np.linalg.norm(target))
-    forward = -target / distance
-    right = np.cross(np.eye(3)[np.argmin(np.abs(forward))], forward)
-    right /= np.linalg.norm(right)
-    edge = 1.02 / math.sqrt(distance**2 - 1.0)
-    numbers = [*right, *np.cross(forward, right), *forward, distance, -edge, TEXELS / (2.0 * edge)]
-    return np.array(numbers, np.float32)
+    distance = math.sqrt(target[0] * target[0] + target[1] * target[1] + target[2] * target[2])
+    fx, fy, fz = -target[0] / distance, -target[1] / distance, -target[2] / distance
+    # right is across the axis that is furthest from forward
+    if abs(fx) <= min(abs(fy), abs(fz)):
+        rx, ry, rz = 0.0, -fz, fy
+    elif abs(fy) <= abs(fz):
+        rx, ry, rz = fz, 0.0, -fx
+    else:
+        rx, ry, rz = -fy, fx, 0.0
+    length = math.sqrt(rx * rx + ry * ry + rz * rz)
+    rx, ry, rz = rx / length, ry / length, rz / length
+    ux, uy, uz = fy * rz - fz * ry, fz * rx - fx * rz, fx * ry - fy * rx
+    edge = 1.02 / math.sqrt(distance * distance - 1.0)
+    numbers = (rx, ry, rz, ux, uy, uz, fx, fy, fz, distance, -edge, TEXELS / (2.0 * edge))
+    return np.array(numbers).astype(np.float32)
 
 
 @kernel

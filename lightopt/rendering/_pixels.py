@@ -1,17 +1,20 @@
 """The pixels of a posture whose light can be predicted: off silhouettes, creases and the edges of shadows."""
 
+import math
 from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
+from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
 from lightopt.rendering._converged_panel import shadow_targets
 from lightopt.rendering._point_lights import visible_counts
 from lightopt.rendering._surface import GRAZING_COSINE, SurfacePoints, trace_samples
+from lightopt.rendering._vectors import dot, minus, vector_at
 from lightopt.scene import PanelLight, PartView, Scene, screen_window, view_from_part
 
 UNLIT, WHOLE, LEFT_OUT = 0, 1, 2
@@ -121,20 +124,30 @@ def _edges(surface: SurfacePoints, row: Int32, column: Int32, shape: tuple[int, 
     # pixels that differ from the next one to the right or below by a step, by a crease, or by seeing no part at all
     index = np.full((shape[0] + 1, shape[1] + 1), -1, np.int32)
     index[row, column] = np.arange(len(row), dtype=np.int32)
+    return _differing(surface.points, surface.normals, surface.facets, row, column, index)
+
+
+@kernel
+def _differing(points: Float64, normals: Float64, facets: Float64, row: Int32, column: Int32, index: Int32) -> Bool:
     edge = np.zeros(len(row), np.bool_)
-    for dy, dx in ((0, 1), (1, 0)):
-        here = index[: shape[0] - dy, : shape[1] - dx].ravel()
-        there = index[dy : shape[0], dx : shape[1]].ravel()
-        lonely = (here >= 0) != (there >= 0)
-        edge[np.maximum(here, there)[lonely]] = True
-        both = (here >= 0) & (there >= 0)
-        a, b = here[both], there[both]
-        crease = np.einsum("ij,ij->i", surface.normals[a], surface.normals[b]) < CREASE_COSINE
-        step = surface.points[b] - surface.points[a]
-        rise = np.abs(np.einsum("ij,ij->i", step, surface.facets[a]))
-        differ = crease | (rise > STEEPEST_STEP * np.linalg.norm(step, axis=1))
-        edge[a[differ]] = True
-        edge[b[differ]] = True
+    rows, columns = index.shape[0] - 1, index.shape[1] - 1
+    for a in range(len(row)):
+        y, x = row[a], column[a]
+        # inside the image, where the part ends on any side
+        edge[a] |= (y > 0 and index[y - 1, x] < 0) or (x > 0 and index[y, x - 1] < 0)
+        for down in range(2):
+            below, beside = y + down, x + 1 - down
+            if below == rows or beside == columns:
+                continue
+            b = index[below, beside]
+            if b < 0:
+                edge[a] = True
+                continue
+            step = minus(vector_at(points, b), vector_at(points, a))
+            crease = dot(vector_at(normals, a), vector_at(normals, b)) < CREASE_COSINE
+            rise = abs(dot(step, vector_at(facets, a)))
+            if crease or rise > STEEPEST_STEP * math.sqrt(dot(step, step)):
+                edge[a] = edge[b] = True
     return edge
 
 
@@ -147,6 +160,8 @@ def _spread(flags: Bool, row: Int32, column: Int32) -> Bool:
     rows, columns = int(row.max()) + 1, int(column.max()) + 1
     grid = np.zeros((rows + 2 * m, columns + 2 * m), np.bool_)
     grid[row + m, column + m] = flags
+    if len(row) * (2 * m + 1) ** 2 < grid.size:  # few pixels, far apart
+        return _near_flagged(grid, row, column)
     wide = grid[:, :columns].copy()
     for dx in range(1, 2 * m + 1):
         wide |= grid[:, dx : dx + columns]
@@ -154,3 +169,11 @@ def _spread(flags: Bool, row: Int32, column: Int32) -> Bool:
     for dy in range(1, 2 * m + 1):
         near |= wide[dy : dy + rows]
     return near[row, column]
+
+
+@kernel
+def _near_flagged(grid: Bool, row: Int32, column: Int32) -> Bool:
+    near = np.zeros(len(row), np.bool_)
+    for i in range(len(row)):
+        near[i] = grid[row[i] : row[i] + 2 * MARGIN_PX + 1, column[i] : column[i] + 2 * MARGIN_PX + 1].any()
+    return near

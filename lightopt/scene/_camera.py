@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lightopt.core.arrays import Float64
+from lightopt.core.kernels import kernel
 from lightopt.core.transforms import azimuth_tangent, direction, elevation_tangent
 from lightopt.geometry import TriangleMesh
 
@@ -101,7 +102,16 @@ def pixel_directions(camera: PinholeCamera, columns: Float64, rows: Float64) -> 
     y = (rows - 0.5 * camera.height) * scale
     if not camera.distortion.is_zero:
         x, y = _undistort(camera.distortion, x, y)
-    return camera.forward + x[:, None] * camera.right - y[:, None] * camera.up
+    return _directions(x, y, camera.forward, camera.right, camera.up)
+
+
+@kernel
+def _directions(x: Float64, y: Float64, forward: Float64, right: Float64, up: Float64) -> Float64:
+    directions = np.empty((len(x), 3))
+    for i in range(len(x)):
+        for axis in range(3):
+            directions[i, axis] = forward[axis] + x[i] * right[axis] - y[i] * up[axis]
+    return directions
 
 
 def project(camera: PinholeCamera, points: Float64) -> tuple[Float64, Float64, Float64]:

@@ -30,7 +30,7 @@ from lightopt.design.postures._light_positions import (
     first_allowed,
     position_counts_fit,
 )
-from lightopt.design.responses._image_evaluator import ImageEvaluator
+from lightopt.design.responses._image_evaluator import FlagCache, ImageEvaluator
 from lightopt.design.responses._packed_bits import Counts
 from lightopt.scene import PanelLight
 
@@ -210,9 +210,11 @@ class _MultiStartSearch:
         search = partial(
             AlternatingSearch, postures=self.postures, candidates=self.candidates, min_images=least, run=self.run
         )
+        self.drawn_cache = FlagCache(CACHED_BYTES)  # lights and postures come back from pass to pass
         self.full_search = self.drawn_search = search(self.whole, where="all patches", prove=True)
         if self.drawn.table is not self.whole.table:
-            self.drawn_search = search(self.drawn, where="drawn patches", prove=False)
+            drawn = replace(self.drawn, cache=self.drawn_cache)
+            self.drawn_search = search(drawn, where="drawn patches", prove=False)
         self.on_all_patches = self.drawn_search is self.full_search or position_counts_fit(
             self.whole, self.candidates, min_images=least
         )
@@ -274,6 +276,7 @@ class _MultiStartSearch:
         # continue on all patches, with the number of chosen postures, or more, instead of the target
         if self.drawn_search is self.full_search:
             return solution
+        self.drawn_cache.clear()  # all patches take the memory
         request = replace(self.request, count=count or max(1, len(solution.cover.steps)), target=None)
         cover = self.full_search.cover(solution.panels, solution.lights, request, before=solution.cover.chosen)
         solution = replace(solution, cover=cover, converged=self.candidates is None)

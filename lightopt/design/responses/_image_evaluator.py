@@ -36,6 +36,31 @@ DRAWN_PATCHES = 20_000
 """Patches that represent all where much is tried: the first iterations of the search, and tolerances."""
 
 
+class FlagCache:
+    """What images of single lights show, by posture, exposures and panel, as long as there is room for it."""
+
+    def __init__(self, most_bytes: int) -> None:
+        self._most_bytes, self._bytes = most_bytes, 0
+        self._words: dict[tuple[Posture, tuple[float, ...], int], tuple[PanelLight, Words]] = {}
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._bytes = 0
+        self._words.clear()
+
+    def find(self, posture: Posture, exposures: tuple[float, ...], panel: PanelLight) -> Words | None:
+        """Flags of shape (p, words), where they are held."""
+        found = self._words.get((posture, exposures, id(panel)))
+        return None if found is None else found[1]
+
+    def keep(self, posture: Posture, exposures: tuple[float, ...], panel: PanelLight, flags: Words) -> None:
+        """Hold flags of shape (p, words), if there is room left."""
+        if self._bytes + flags.nbytes <= self._most_bytes:
+            self._bytes += flags.nbytes
+            # with the panel, since a number belongs to an object as long as that is there
+            self._words[posture, exposures, id(panel)] = panel, flags.copy()
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ImageEvaluator:
     """A part, its patches, and the defects that its images are tested for.
@@ -45,6 +70,7 @@ class ImageEvaluator:
     detection: The hypotheses, and when one is visible; None where levels alone are wanted.
     shadows: Whether the part casts shadows on itself.
     exposures: That an image may be taken with: it shows what it shows with any of them.
+    cache: For what images show; only for an evaluator of these very patches.
     """
 
     scene: Scene
@@ -54,6 +80,7 @@ class ImageEvaluator:
     shadows: bool = True
     threads: int | None = None
     exposures: tuple[float, ...] = (1.0,)
+    cache: FlagCache | None = None
 
     @cached_property
     def patches(self) -> Index:
@@ -186,6 +213,25 @@ class ImageEvaluator:
 
     def flags(self, posture: Posture, panels: Sequence[Sequence[PanelLight]]) -> tuple[Words, ...]:
         """Which pairs the images show: of each light an array of shape (positions, p, words)."""
+        cache, exposures = self.cache, self.exposures
+        if cache is None:
+            return self._new_flags(posture, panels)
+        found = [[cache.find(posture, exposures, panel) for panel in some] for some in panels]
+        missing = [
+            [panel for panel, flags in zip(some, known, strict=True) if flags is None]
+            for some, known in zip(panels, found, strict=True)
+        ]
+        images: list[Words] = []
+        for known, some, new in zip(found, missing, self._new_flags(posture, missing), strict=True):
+            for panel, flags in zip(some, new, strict=True):
+                cache.keep(posture, exposures, panel, flags)
+            rest = iter(new)
+            images.append(np.stack([next(rest) if flags is None else flags for flags in known]))
+        return tuple(images)
+
+    def _new_flags(self, posture: Posture, panels: Sequence[Sequence[PanelLight]]) -> tuple[Words, ...]:
+        if not any(panels):
+            return tuple(np.zeros((0, len(self.patches), self._words), np.uint64) for _ in panels)
         if sum(map(len, panels)) <= self.positions_at_once(posture, self.exposures):
             matrices = self.matrices(posture, panels, exposures=self.exposures)
             lights = [[(matrices, light)] for light in range(len(panels))]
@@ -194,16 +240,16 @@ class ImageEvaluator:
                 ((matrices, 0) for matrices in self.in_batches(posture, some, exposures=self.exposures))
                 for some in panels
             ]
-        return tuple(
-            np.stack(
-                [
-                    scattered_flags(matrices, self.patches, light=light, place=at)
-                    for matrices, light in batches
-                    for at in range(len(matrices[0].levels[light]))
-                ]
-            )
-            for batches in lights
-        )
+        found: list[Words] = []
+        for some, batches in zip(panels, lights, strict=True):
+            images = np.zeros((len(some), len(self.patches), self._words), np.uint64)
+            place = 0
+            for matrices, light in batches:
+                for at in range(len(matrices[0].levels[light])):
+                    images[place] = scattered_flags(matrices, self.patches, light=light, place=at)
+                    place += 1
+            found.append(images)
+        return tuple(found)
 
     def counts(self, posture: Posture, panels: Sequence[PanelLight], *, min_images: int) -> Counts:
         """In how many images of a posture, one of each light, each pair is seen, up to `min_images`."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Int32
+from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture, rotation_z
 from lightopt.estimate.registration._observations import Observation
 from lightopt.geometry import RayCaster
@@ -105,20 +106,24 @@ def light_at(
         shape=(scene.camera.height, scene.camera.width),
     )
     light = np.zeros((1 + len(sigmas), len(pixels.images), len(columns)))
-    names = [panel.name for panel in scene.lights]
-    for name in dict.fromkeys(image.light for image in pixels.images):
-        panel = view.lights[names.index(name)]
-        verdict = panel_visibility(some, panel, caster, threads=threads)
+    names = list(dict.fromkeys(image.light for image in pixels.images))
+    panels = {panel.name: panel for panel in view.lights}
+
+    def shade(number: int) -> None:
+        name = names[number]
+        verdict = panel_visibility(some, panels[name], caster, threads=1)
         whole = np.flatnonzero(verdict == WHOLE)
-        layer = light_layer(surface.take(whole), panel, caster, threads=threads)
+        layer = light_layer(surface.take(whole), panels[name], caster, threads=1)
         known = np.where((verdict == WHOLE) | (verdict == UNLIT), 0.0, np.nan)
         found = np.stack([known] * (1 + len(sigmas)))
         found[0, whole] = layer.diffuse
-        for number, sigma in enumerate(sigmas):
-            found[1 + number, whole] = layer.specular(sigma, threads=threads)
+        for place, sigma in enumerate(sigmas, start=1):
+            found[place, whole] = layer.specular(sigma, threads=1)
         for i, image in enumerate(pixels.images):
             if image.light == name:
                 light[:, i, hits.ray] = found
+
+    in_threads(shade, range(len(names)), threads)
     if pixels.rays > 1:
         light = light.reshape(*light.shape[:2], len(pixels.row), -1).mean(axis=3)
     return light[0], light[1:]
