@@ -212,7 +212,7 @@ def surface_still(surface: ColouredSurface) -> Image.Image:
         rows = np.arange(row, min(row + _BLOCK_ROWS, bottom))
         down = (rows + 0.5 - 0.5 * height) * scale
         rays = (across[:, None] * right - down[:, None, None] * above - surface.toward).reshape(-1, 3)
-        face = caster.first_hit(eye, rays)
+        face = caster.first_hit(eye, rays, neighbours=True)
         hit = np.flatnonzero(face >= 0)
         face, rays = face[hit], rays[hit]
         facing = np.abs(np.einsum("ij,ij->i", normals[face], rays)) / np.linalg.norm(rays, axis=1)

@@ -146,7 +146,7 @@ def cast_part(scene: Scene, caster: RayCaster, posture: Posture, view: ParallelV
     for start in range(0, len(nearness), _BLOCK):
         index = np.arange(start, min(start + _BLOCK, len(nearness)))
         rows, columns = (part.astype(np.float64) + 0.5 for part in np.divmod(index, 2 * half))
-        hits, surface = trace_samples(caster, scene.mesh, camera, columns, rows)
+        hits, surface = trace_samples(caster, scene.mesh, camera, columns, rows, neighbours=True)
         found = index[hits.ray]
         nearness[found] = view.nearness(surface.points @ rotation.T + translation)
         # backs of faces are shown like fronts: this is a drawing, not an image

@@ -95,7 +95,7 @@ def light_at(
     only some of a panel is seen.
     """
     columns, rows = pixels.positions
-    hits, surface = trace_samples(caster, scene.mesh, view.camera, columns, rows)
+    hits, surface = trace_samples(caster, scene.mesh, view.camera, columns, rows, neighbours=True)
     some = PosturePixels(
         posture=pixels.posture,
         view=view,

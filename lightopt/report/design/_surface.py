@@ -235,7 +235,7 @@ def blind_pictures(result: DesignResult) -> dict[Posture, UInt8]:
         for top in range(0, camera.height, BLOCK_ROWS):
             rows = picture[top : top + BLOCK_ROWS]
             y, x = np.divmod(np.arange(len(rows) * camera.width), camera.width)
-            hits, surface = trace_samples(result.caster, scene.mesh, camera, x + 0.5, top + y + 0.5)
+            hits, surface = trace_samples(result.caster, scene.mesh, camera, x + 0.5, top + y + 0.5, neighbours=True)
             # brightness shows the shape: how much the surface faces the camera
             facing = np.abs(np.einsum("ij,ij->i", surface.normals, surface.views))
             shade = LEAST_SHADE + (1.0 - LEAST_SHADE) * facing[:, None]
