@@ -54,9 +54,8 @@ class BlockerMaps:
         self._closed: bool | None = None
         self._maps: dict[bytes, BlockerMap] = {}
 
-    @property
-    def closed(self) -> bool:
-        """Whether the mesh is closed and consistently oriented; if it is not, there are no maps."""
+    def check(self) -> bool:
+        """Find out whether the mesh is closed and consistently oriented; if it is not, there are no maps."""
         with self._lock:
             return self._is_closed()
 

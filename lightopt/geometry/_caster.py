@@ -13,8 +13,9 @@ from embreex.mesh_construction import TriangleMesh as EmbreeMesh
 
 from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
+from lightopt.core.threads import in_threads
 from lightopt.geometry._blocker_maps import BlockerMaps
-from lightopt.geometry._packets import packet_scene
+from lightopt.geometry._packets import PacketScene, packet_scene
 from lightopt.geometry._triangle_mesh import bounding_box
 
 _log = logging.getLogger("lightopt.geometry")
@@ -53,7 +54,15 @@ class RayCaster:
         local = _local_vertices(vertices, self.centre, self.radius)
         faces = np.ascontiguousarray(faces, dtype=np.int32)
         self._maps = BlockerMaps(local, faces)
-        self._packets = packet_scene(local, faces, few_rays=rays < FEW_RAYS * len(faces))
+        self._packets: PacketScene | None = None
+
+        def prepare(task: int) -> None:
+            if task == 0:
+                self._packets = packet_scene(local, faces, few_rays=rays < FEW_RAYS * len(faces))
+            else:
+                self._maps.check()
+
+        in_threads(prepare, range(2), 2)
         if self._packets is None:
             self._scene: Any = rtcore_scene.EmbreeScene(robust=True)  # pyright: ignore[reportAttributeAccessIssue]
             self._mesh = EmbreeMesh(self._scene, local, faces)
@@ -70,7 +79,7 @@ class RayCaster:
     @property
     def has_blocker_maps(self) -> bool:
         """Whether rays can be proven free: the mesh is closed and consistently oriented."""
-        return self._maps.closed
+        return self._maps.check()
 
     def is_outside(self, point: Float64) -> bool:
         """Whether a point lies outside the mesh's bounding sphere; [mm], shape (3,)."""
