@@ -19,7 +19,7 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
-from lightopt.geometry._topology import merge_rows
+from lightopt.geometry._topology import merge_rows, sort_by_keys
 
 _log = logging.getLogger("lightopt.geometry")
 
@@ -258,7 +258,7 @@ def _closed_and_folded(vertices: Float32, faces: Int32, planes: Float32, welded:
                 place[low] += 1
     for low in range(len(vertices)):
         begin, end = first[low], first[low + 1]
-        _sort(other[begin:end], face[begin:end])
+        sort_by_keys(other[begin:end], face[begin:end])
         while begin < end:
             uses, balance, high, one = 0, 0, other[begin], face[begin]
             fold = False
@@ -275,21 +275,6 @@ def _closed_and_folded(vertices: Float32, faces: Int32, planes: Float32, welded:
     for i in range(len(vertices)):
         folded[i] = sharp[welded[i]]
     return True, folded
-
-
-@kernel
-def _sort(keys: Int32, values: Int32) -> None:
-    # both by the keys, those of equal keys in the order that they have
-    if len(keys) > 32:
-        order = np.argsort(keys, kind="mergesort")
-        keys[:], values[:] = keys[order], values[order]
-        return
-    for i in range(1, len(keys)):
-        key, value, j = keys[i], values[i], i
-        while j > 0 and keys[j - 1] > key:
-            keys[j], values[j] = keys[j - 1], values[j - 1]
-            j -= 1
-        keys[j], values[j] = key, value
 
 
 @kernel

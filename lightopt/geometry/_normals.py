@@ -1,11 +1,13 @@
 """Vertex normals: smooth ones for faceted formats, and those that a file carries."""
 
+import math
+
 import numpy as np
 
 from lightopt.core.arrays import Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.geometry._topology import EdgePairs, merge_rows
-from lightopt.geometry._triangle_mesh import TriangleMesh
+from lightopt.geometry._triangle_mesh import TriangleMesh, face_cross
 
 # Facet normals of coordinates in float64 are good to about this [rad].
 _ANGLE_ROUNDING = 1e-9
@@ -28,15 +30,14 @@ def smooth_normals(
     faces: Vertex indices with an agreeing winding, shape (m, 3)
     crease_angle: Largest angle between the normals of two faces across a smooth edge [rad]
     """
-    corners = vertices[faces]
-    flat = _unit_cross(corners)
-    smooth = ~pairs.same_direction & (_bends(flat, pairs) <= crease_angle + _ANGLE_ROUNDING)
+    flat = _unit_crosses(vertices, faces)
+    smooth = ~pairs.same_direction & (_bends(flat, pairs.corners) <= crease_angle + _ANGLE_ROUNDING)
     group = _join_corners(3 * len(faces), pairs.corners[smooth])
     members = np.flatnonzero(group == np.arange(len(group), dtype=np.int32))
     number = np.empty(len(group), dtype=np.int32)
     number[members] = np.arange(len(members), dtype=np.int32)
     new_faces = number[group].reshape(-1, 3)
-    summed = _sum_by_angle(corners, flat, new_faces, len(members))
+    summed = _sum_by_angle(vertices, faces, flat, new_faces, len(members))
     normals, cancelled = _unit_or(summed, flat[members // 3])
     return TriangleMesh(vertices[faces.reshape(-1)[members]], new_faces, normals), cancelled
 
@@ -58,15 +59,8 @@ def carried_normals(
     Returns: The mesh, warnings about normals that had to be replaced or turned, and the number of vertices merged.
     """
     # triangle edges are long against rounding, so sums over the faces around a vertex point to its outside
-    corners = vertices[faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    outside = np.zeros_like(vertices)
-    for axis in range(3):
-        weights = np.repeat(cross[:, axis], 3)
-        outside[:, axis] = np.bincount(faces.reshape(-1), weights=weights, minlength=len(vertices))
-    flat = _unit_cross(corners)
-    any_flat = np.zeros_like(vertices)
-    any_flat[faces.reshape(-1)] = np.repeat(flat, 3, axis=0)
+    flat = _unit_crosses(vertices, faces)
+    outside, any_flat = _around_vertices(vertices, faces, flat)
     unit, _ = _unit_or(outside, any_flat, least=0.0)
     used = np.zeros(len(vertices), dtype=np.bool_)
     used[faces] = True
@@ -87,7 +81,7 @@ def carried_normals(
             f"{np.count_nonzero(inward)} of {np.count_nonzero(used)} vertex normals pointed into the part: turned"
         )
     if crease_angle is not None:
-        warnings += _smeared_creases(given[faces.reshape(-1)], flat, pairs, crease_angle)
+        warnings += _smeared_creases(given, faces.reshape(-1), flat, pairs, crease_angle)
     first, number = merge_rows(np.concatenate([vertices, given], axis=1)[used])
     compact = np.full(len(vertices), -1, dtype=np.int32)
     compact[used] = number
@@ -96,11 +90,12 @@ def carried_normals(
     return TriangleMesh(vertices[keep], compact[faces], given[keep]), tuple(warnings), merged
 
 
-def _smeared_creases(at_corners: Float64, flat: Float64, pairs: EdgePairs, crease_angle: float) -> list[str]:
-    sharp = pairs.corners[_bends(flat, pairs) > crease_angle + _ANGLE_ROUNDING]
+def _smeared_creases(given: Float64, vertex: Int32, flat: Float64, pairs: EdgePairs, crease_angle: float) -> list[str]:
+    # vertex: of each corner
+    sharp = pairs.corners[_bends(flat, pairs.corners) > crease_angle + _ANGLE_ROUNDING]
     c, d = sharp[:, 0], sharp[:, 1]
-    level = (np.abs(at_corners[c] - at_corners[_next(d)]) < _SAME_NORMAL).all(axis=1)
-    level &= (np.abs(at_corners[d] - at_corners[_next(c)]) < _SAME_NORMAL).all(axis=1)
+    level = (np.abs(given[vertex[c]] - given[vertex[_next(d)]]) < _SAME_NORMAL).all(axis=1)
+    level &= (np.abs(given[vertex[d]] - given[vertex[_next(c)]]) < _SAME_NORMAL).all(axis=1)
     if not level.any():
         return []
     message = (
@@ -111,12 +106,16 @@ def _smeared_creases(at_corners: Float64, flat: Float64, pairs: EdgePairs, creas
     return [message]
 
 
-def _bends(flat: Float64, pairs: EdgePairs) -> Float64:
-    """Angle between the facets' normals across each edge [rad], shape (e,)."""
-    a, b = flat[pairs.corners[:, 0] // 3], flat[pairs.corners[:, 1] // 3]
-    # the sine from the cross product and the cosine from the dot product: accurate near 0 and near π
-    sine = np.cross(a, b)
-    return np.arctan2(np.sqrt(np.einsum("ij,ij->i", sine, sine)), np.einsum("ij,ij->i", a, b))
+@kernel
+def _bends(flat: Float64, pairs: Int32) -> Float64:
+    """Angle between the facets' normals across each edge of two corners [rad], shape (e,)."""
+    angles = np.empty(len(pairs))
+    for e in range(len(pairs)):
+        a, b = flat[pairs[e, 0] // 3], flat[pairs[e, 1] // 3]
+        # the sine from the cross product and the cosine from the dot product: accurate near 0 and near π
+        x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+        angles[e] = math.atan2(math.sqrt(x * x + y * y + z * z), a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+    return angles
 
 
 def _next(corners: Int32) -> Int32:
@@ -124,9 +123,27 @@ def _next(corners: Int32) -> Int32:
     return corners - corners % 3 + (corners + 1) % 3
 
 
-def _unit_cross(corners: Float64) -> Float64:
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return cross / np.sqrt(np.einsum("ij,ij->i", cross, cross))[:, None]
+@kernel
+def _unit_crosses(vertices: Float64, faces: Int32) -> Float64:
+    normals = np.empty((len(faces), 3))
+    for f in range(len(faces)):
+        x, y, z = face_cross(vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]])
+        length = math.sqrt(x * x + z * z + y * y)
+        normals[f] = x / length, y / length, z / length
+    return normals
+
+
+@kernel
+def _around_vertices(vertices: Float64, faces: Int32, flat: Float64) -> tuple[Float64, Float64]:
+    # the sum of the facets' normals by their areas around each vertex, and the last of the facets' unit normals
+    total, last = np.zeros_like(vertices), np.zeros_like(vertices)
+    for f in range(len(faces)):
+        cross = face_cross(vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]])
+        for k in range(3):
+            for axis in range(3):
+                total[faces[f, k], axis] += cross[axis]
+                last[faces[f, k], axis] = flat[f, axis]
+    return total, last
 
 
 def _unit_or(vectors: Float64, fallback: Float64, *, least: float = 1e-9) -> tuple[Float64, int]:
@@ -162,15 +179,19 @@ def _join(parent: Int32, x: int, y: int) -> None:
 
 
 @kernel
-def _sum_by_angle(corners: Float64, flat: Float64, faces: Int32, vertex_count: int) -> Float64:
+def _sum_by_angle(vertices: Float64, faces: Int32, flat: Float64, new_faces: Int32, vertex_count: int) -> Float64:
     total = np.zeros((vertex_count, 3))
     for f in range(len(faces)):
         for k in range(3):
-            here, after, before = corners[f, k], corners[f, (k + 1) % 3], corners[f, (k + 2) % 3]
+            here, after, before = (
+                vertices[faces[f, k]],
+                vertices[faces[f, (k + 1) % 3]],
+                vertices[faces[f, (k + 2) % 3]],
+            )
             ux, uy, uz = after[0] - here[0], after[1] - here[1], after[2] - here[2]
             vx, vy, vz = before[0] - here[0], before[1] - here[1], before[2] - here[2]
             cx, cy, cz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
             angle = np.arctan2(np.sqrt(cx * cx + cy * cy + cz * cz), ux * vx + uy * vy + uz * vz)
             for axis in range(3):
-                total[faces[f, k], axis] += angle * flat[f, axis]
+                total[new_faces[f, k], axis] += angle * flat[f, axis]
     return total

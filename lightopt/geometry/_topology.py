@@ -31,13 +31,11 @@ class MeshEdges:
     ends: Vertex indices, the lower one first, shape (e, 2)
     uses: Number of faces at the edge, shape (e,)
     corners: The corners that begin the edge in the first and in the last of them, as 3·face + corner, shape (e, 2)
-    order: All corners, those of an edge together, shape (3·m,)
     """
 
     ends: Int64
     uses: Int64
     corners: Int64
-    order: Int64
 
     @property
     def faces(self) -> Int64:
@@ -62,34 +60,86 @@ def mesh_edges(faces: NDArray[np.integer]) -> MeshEdges:
 
     faces: Vertex indices, shape (m, 3); edges meet where these are the same, whatever the positions are
     """
-    start, end = _corner_vertices(faces)
-    count = int(start.max()) + 1
-    key = np.minimum(start, end) * count + np.maximum(start, end)
-    order = np.argsort(key, kind="stable")
-    key = key[order]
-    first = np.flatnonzero(np.concatenate([[True], key[1:] != key[:-1]]))
-    last = np.append(first[1:], len(key)) - 1
-    return MeshEdges(
-        ends=np.stack([key[first] // count, key[first] % count], axis=1),
-        uses=last - first + 1,
-        corners=np.stack([order[first], order[last]], axis=1),
-        order=order,
-    )
+    faces = np.ascontiguousarray(faces, np.int32)
+    order = _corners_by_edge(faces)
+    start, end = faces.reshape(-1)[order], faces[:, (1, 2, 0)].reshape(-1)[order]
+    ends = np.stack([np.minimum(start, end), np.maximum(start, end)], axis=1).astype(np.int64)
+    first = np.flatnonzero(np.concatenate([[True], (ends[1:] != ends[:-1]).any(axis=1)]))
+    last = np.append(first[1:], len(ends)) - 1
+    corners = np.stack([order[first], order[last]], axis=1).astype(np.int64)
+    return MeshEdges(ends=ends[first], uses=last - first + 1, corners=corners)
 
 
 def edge_pairs(faces: Int32) -> EdgePairs:
     """Match the edges of all faces."""
-    edges = mesh_edges(faces)
-    start, _ = _corner_vertices(faces)
-    corners = edges.corners[edges.uses == 2].astype(np.int32)
-    rim = np.zeros(len(faces), dtype=np.bool_)
-    rim[edges.order[np.repeat(edges.uses != 2, edges.uses)] // 3] = True
-    return EdgePairs(corners=corners, same_direction=start[corners[:, 0]] == start[corners[:, 1]], rim=rim)
+    return EdgePairs(*_pairs(faces, _corners_by_edge(faces)))
 
 
-def _corner_vertices(faces: NDArray[np.integer]) -> tuple[Int64, Int64]:
-    """The vertices at which the edge of each corner begins and ends, shape (3·m,)."""
-    return faces.reshape(-1).astype(np.int64), faces[:, (1, 2, 0)].reshape(-1).astype(np.int64)
+@kernel
+def _corners_by_edge(faces: Int32) -> Int32:
+    # all corners, 3·face + corner, those of one edge after the other; edges by their lower vertex, then by the other
+    # one, and corners of an edge ascending
+    flat = faces.reshape(-1)
+    first = np.zeros(flat.max() + 2, np.int64)
+    for c in range(len(flat)):
+        first[min(flat[c], flat[_next_corner(c)]) + 1] += 1
+    for i in range(len(first) - 1):
+        first[i + 1] += first[i]
+    place = first[:-1].copy()
+    order, other = np.empty(len(flat), np.int32), np.empty(len(flat), np.int32)
+    for c in range(len(flat)):
+        a, b = flat[c], flat[_next_corner(c)]
+        at = place[min(a, b)]
+        order[at], other[at] = c, max(a, b)
+        place[min(a, b)] += 1
+    for i in range(len(first) - 1):
+        sort_by_keys(other[first[i] : first[i + 1]], order[first[i] : first[i + 1]])
+    return order
+
+
+@kernel
+def _next_corner(corner: int) -> int:
+    return corner - corner % 3 + (corner + 1) % 3
+
+
+@kernel
+def _pairs(faces: Int32, order: Int32) -> tuple[Int32, Bool, Bool]:
+    flat = faces.reshape(-1)
+    pairs, same = np.empty((len(flat) // 2, 2), np.int32), np.empty(len(flat) // 2, np.bool_)
+    rim = np.zeros(len(faces), np.bool_)
+    begin = count = 0
+    while begin < len(order):
+        a, b = flat[order[begin]], flat[_next_corner(order[begin])]
+        end = begin + 1
+        while end < len(order):
+            c, d = flat[order[end]], flat[_next_corner(order[end])]
+            if min(c, d) != min(a, b) or max(c, d) != max(a, b):
+                break
+            end += 1
+        if end - begin == 2:
+            pairs[count, 0], pairs[count, 1] = order[begin], order[begin + 1]
+            same[count] = flat[order[begin]] == flat[order[begin + 1]]
+            count += 1
+        else:
+            for k in range(begin, end):
+                rim[order[k] // 3] = True
+        begin = end
+    return pairs[:count].copy(), same[:count].copy(), rim
+
+
+@kernel
+def sort_by_keys(keys: Int32, values: Int32) -> None:
+    """Sort both by the keys, in place; values of equal keys keep their order."""
+    if len(keys) > 32:
+        order = np.argsort(keys, kind="mergesort")
+        keys[:], values[:] = keys[order], values[order]
+        return
+    for i in range(1, len(keys)):
+        key, value, j = keys[i], values[i], i
+        while j > 0 and keys[j - 1] > key:
+            keys[j], values[j] = keys[j - 1], values[j - 1]
+            j -= 1
+        keys[j], values[j] = key, value
 
 
 @kernel

@@ -73,14 +73,14 @@ def bounding_box(vertices: Float64) -> Float64:
 
 def face_normals(mesh: TriangleMesh) -> Float64:
     """Outward unit normals of the facets, part file's frame, shape (m, 3); zero for faces without area."""
-    cross = _cross(mesh.vertices, mesh.faces)
+    cross = face_crosses(mesh.vertices, mesh.faces)
     length = np.sqrt(np.einsum("ij,ij->i", cross, cross))
     return cross / np.where(length > 0.0, length, 1.0)[:, None]
 
 
 def face_areas(mesh: TriangleMesh) -> Float64:
     """Areas of the flat facets [mm²], shape (m,)."""
-    cross = _cross(mesh.vertices, mesh.faces)
+    cross = face_crosses(mesh.vertices, mesh.faces)
     return 0.5 * np.sqrt(np.einsum("ij,ij->i", cross, cross))
 
 
@@ -100,17 +100,20 @@ def transformed(mesh: TriangleMesh, rotation: ArrayLike, translation: ArrayLike)
 
 
 @kernel
-def _cross(vertices: Float64, faces: Int32) -> Float64:
-    # normals as long as twice the areas
+def face_crosses(vertices: Float64, faces: Int32) -> Float64:
+    """Normals of the facets as long as twice their areas, shape (m, 3)."""
     result = np.empty((len(faces), 3))
     for i in range(len(faces)):
-        a, b, c = vertices[faces[i, 0]], vertices[faces[i, 1]], vertices[faces[i, 2]]
-        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-        result[i, 0] = uy * vz - uz * vy
-        result[i, 1] = uz * vx - ux * vz
-        result[i, 2] = ux * vy - uy * vx
+        result[i] = face_cross(vertices[faces[i, 0]], vertices[faces[i, 1]], vertices[faces[i, 2]])
     return result
+
+
+@kernel
+def face_cross(a: Float64, b: Float64, c: Float64) -> tuple[float, float, float]:
+    """(b − a) × (c − a)."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
 
 
 def _rows_of_three(name: str, values: Float64) -> Float64:

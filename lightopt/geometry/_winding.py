@@ -1,5 +1,6 @@
 """Make all faces of a surface wind the same way, and closed surfaces face outwards."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,7 @@ from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.errors import counted
 from lightopt.core.kernels import kernel
 from lightopt.geometry._topology import EdgePairs, edge_pairs
-from lightopt.geometry._triangle_mesh import TriangleMesh
+from lightopt.geometry._triangle_mesh import TriangleMesh, face_cross
 
 # Closed surfaces with less volume than this part of area^1.5 are folded sheets without an inside.
 _NO_VOLUME = 1e-9
@@ -72,13 +73,12 @@ def _turned(faces: Int32, turn: Bool) -> Int32:
 
 def _inside_out(vertices: Float64, faces: Int32, label: Int32, closed: Bool) -> Bool:
     # the volume of a closed surface does not depend on the origin, its rounding error does
-    corners = (vertices - vertices.mean(axis=0))[faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    volume = np.bincount(label, weights=np.einsum("ij,ij->i", corners[:, 0], cross) / 6.0, minlength=len(closed))
-    area = np.bincount(label, weights=0.5 * np.sqrt(np.einsum("ij,ij->i", cross, cross)), minlength=len(closed))
+    middle = vertices.mean(axis=0)
+    volume, area = _volumes(vertices, faces, label, middle, len(closed))
     result = closed & (volume < -_NO_VOLUME * area**1.5)
     if not result.any() or np.count_nonzero(closed) == 1:
         return result
+    corners = (vertices - middle)[faces]
     low, high = np.full((len(closed), 3), np.inf), np.full((len(closed), 3), -np.inf)
     np.minimum.at(low, label, corners.min(axis=1))
     np.maximum.at(high, label, corners.max(axis=1))
@@ -92,6 +92,19 @@ def _inside_out(vertices: Float64, faces: Int32, label: Int32, closed: Bool) -> 
         others = corners[in_closed & around[label]]
         result[c] = abs(winding_number(others, point)) < 0.5
     return result
+
+
+@kernel
+def _volumes(vertices: Float64, faces: Int32, label: Int32, middle: Float64, count: int) -> tuple[Float64, Float64]:
+    # volume [mm³] and area [mm²] of each surface
+    volume, area = np.zeros(count), np.zeros(count)
+    for f in range(len(faces)):
+        a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
+        x, y, z = face_cross(a, b, c)
+        x0, y0, z0 = a[0] - middle[0], a[1] - middle[1], a[2] - middle[2]
+        volume[label[f]] += (x0 * x + y0 * y + z0 * z) / 6.0
+        area[label[f]] += 0.5 * math.sqrt(x * x + y * y + z * z)
+    return volume, area
 
 
 @kernel
