@@ -86,9 +86,8 @@ class DetectabilityObjective(Objective):
         )
 
     def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
-        del thresholds
-        per_trial = weights @ self._seen(_visibility(matrix))
-        return int(per_trial @ self._hypothesis_weights())
+        # with one position of each light, all that could be seen is
+        return self.bound(matrix, weights, thresholds)
 
     def scores(
         self,
