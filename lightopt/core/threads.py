@@ -115,22 +115,26 @@ def run_all(tasks: Iterable[Task], *, threads: int, done: Callable[[], None] | N
                 done()
         return
     waiting_tasks = iter(tasks)
-    stopped = Event()
-    pool = _Pool(threads, initializer=_stopped.set, initargs=(stopped,))
+    idle = _idle_pools.setdefault(threads, [])
+    try:
+        pool = idle.pop()
+    except IndexError:
+        pool = _Pool(threads)
+    pool.stopped = stopped = Event()
     try:
         while True:
             for function, arguments in itertools.islice(waiting_tasks, 2 * threads - pool.running):
                 pool.start(function, *arguments)
             if not pool.running:
-                return
+                break
             pool.finish_one()
             if done is not None:
                 done()
     except BaseException:
         stopped.set()
-        raise
-    finally:
         pool.end()
+        raise
+    idle.append(pool)
 
 
 class _Pool:
@@ -139,10 +143,11 @@ class _Pool:
     Not futures: an interrupt (Ctrl-C) while one is waited for may leave its lock to a thread that does not hold it.
     """
 
-    def __init__(self, threads: int, **options: Any) -> None:
-        self._threads = ThreadPoolExecutor(threads, **options)
+    def __init__(self, threads: int) -> None:
+        self._threads = ThreadPoolExecutor(threads)
         self._finished: SimpleQueue[BaseException | None] = SimpleQueue()
         self.running = 0
+        self.stopped: Event | None = None
 
     def start(self, function: Callable[..., None], *arguments: Any) -> None:
         self._threads.submit(self._do, function, arguments)
@@ -162,9 +167,17 @@ class _Pool:
         self._threads.shutdown(wait=True, cancel_futures=True)
 
     def _do(self, function: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+        _stopped.set(self.stopped)
         try:
             function(*arguments)
         except BaseException as error:  # noqa: BLE001  (raised where it is waited for)
             self._finished.put(error)
         else:
             self._finished.put(None)
+
+
+# pools whose work is done, by their number of threads, since starting threads takes longer than many a small piece of
+# work; work inside work takes another one. A forked process has none of its parent's threads
+_idle_pools: dict[int, list[_Pool]] = {}
+if hasattr(os, "register_at_fork"):  # not on Windows, where nothing forks
+    os.register_at_fork(after_in_child=_idle_pools.clear)

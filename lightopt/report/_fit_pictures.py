@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from lightopt.core.arrays import Float32, UInt8
 from lightopt.report._charts import LINE, MARK, SHADE, chart, label_whole_numbers
@@ -125,15 +126,14 @@ def residual_picture(
     """
     top = np.float32(saturated_from)
     difference = np.minimum(measured, top) - np.clip(predicted, 0.0, top)
-    height, width = difference.shape
+    width = difference.shape[1]
     scale = RESIDUAL_SCALE * full
-    bar = np.tile(np.linspace(-1.0, 1.0, width), (LEGEND_HEIGHT, 1))
-    drawing = Drawing(width, height + LEGEND_HEIGHT)
-    drawing.picture(_diverging(np.concatenate([difference / scale, bar])), 0, 0)
-    below = height + 17.0
-    drawing.text(4.0, below, f"−{scale:.3g}", size=13, colour="#ffffff")
-    drawing.text(width - 4.0, below, f"+{scale:.3g} levels", size=13, colour="#ffffff", align="right")
-    return write_picture(Path(path), drawing.image())
+    legend = Drawing(width, LEGEND_HEIGHT)
+    legend.picture(_diverging(np.tile(np.linspace(-1.0, 1.0, width), (LEGEND_HEIGHT, 1))), 0, 0)
+    legend.text(4.0, 17.0, f"−{scale:.3g}", size=13, colour="#ffffff")
+    legend.text(width - 4.0, 17.0, f"+{scale:.3g} levels", size=13, colour="#ffffff", align="right")
+    picture = np.concatenate([_diverging(difference / scale), np.asarray(legend.image())])
+    return write_picture(Path(path), Image.fromarray(picture))
 
 
 def _diverging(shares: NDArray[np.floating[Any]]) -> UInt8:

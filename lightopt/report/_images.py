@@ -34,7 +34,7 @@ def write_picture(path: Path, image: Image.Image, *, overwrite: bool = True) -> 
 def png_bytes(image: Image.Image) -> bytes:
     """The bytes of a PNG file."""
     data = io.BytesIO()
-    image.save(data, format="PNG", compress_level=6)
+    image.save(data, format="PNG", compress_level=3)
     return data.getvalue()
 
 
