@@ -15,9 +15,9 @@ from lightopt.images._manifest import (
 )
 from lightopt.images._overlap import Overlap, find_overlaps, overlap_map_name, write_overlap_map, write_overlaps
 from lightopt.images._png import read_png, read_png_metadata, write_png
-from lightopt.images._reader import ImageSet, read_image_set
 from lightopt.images._result_folder import ResultFolder
-from lightopt.images._writer import ImageSetWriter
+from lightopt.images._set_reader import ImageSet, read_image_set
+from lightopt.images._set_writer import ImageSetWriter
 
 __all__ = [
     "DARK_CHECKED_KEY",
