@@ -41,11 +41,9 @@ def load_rig(path: Path | str) -> RigConfig:
 
 
 def load_part(path: Path | str) -> PartConfig:
-    """Read a part file (``lightopt-part/1``); its mesh file must exist.
+    """Read a part file (``lightopt-part/1``) as :func:`load_rig` does; its mesh file must exist.
 
-    Returns: The file's content, in its own units; ``source`` names file, hash and lines, and
-        ``source.resolve(part.mesh.file)`` is the path of the mesh.
-    Raises lightopt.core.errors.InputError: With one message per thing that is wrong, sorted by line
+    ``source.resolve(part.mesh.file)`` is the path of the mesh.
     """
     return _load(Path(path), PartConfig, "lightopt-part/1")
 
@@ -227,24 +225,17 @@ def _read_what_is_valid(path: Path, wrong: InputError) -> LightsOnly:
         raise wrong from None
     rig = _document(text)
     section = mapping(mapping(rig).get("hardware") or mapping(_document(_section(text))).get("hardware"))
-    if not section:
-        raise InputError(
-            *wrong.messages,
-            "nothing was switched off: no hardware section can be read here, so nobody knows which lights may be on; "
-            "mend the file and repeat, or switch the controllers off by hand",
-        )
     raw_controllers, raw_lights = mapping(section.get("controllers")), mapping(section.get("lights"))
     controllers = _readable(ControllerConfig, raw_controllers)
     lights = _readable(ChannelConfig, raw_lights)
     unreadable = tuple(name for name in raw_controllers if name not in controllers)
     unknown = tuple(name for name, entry in raw_lights.items() if mapping(entry).get("controller") not in controllers)
     if not controllers:
-        raise InputError(
-            *wrong.messages,
-            "nothing was switched off: no controller can be read; "
-            f"lights that may be on: {', '.join(unknown) or 'all of them'}; "
-            "mend the file and repeat, or switch the controllers off by hand",
-        )
+        reason = f"no controller can be read; lights that may be on: {', '.join(unknown) or 'all of them'}"
+        if not section:
+            reason = "no hardware section can be read here, so nobody knows which lights may be on"
+        advice = "mend the file and repeat, or switch the controllers off by hand"
+        raise InputError(*wrong.messages, f"nothing was switched off: {reason}; {advice}")
     name = mapping(rig).get("name")
     return LightsOnly(
         name if isinstance(name, str) else path.name,

@@ -1,7 +1,7 @@
 """A part file: mesh, placement, postures, reflectance and defects."""
 
 import os.path
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal
@@ -9,11 +9,10 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, PrivateAttr, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
 
 from lightopt.config import _fields as fields
-from lightopt.config._defects import CatalogueEntryConfig, DefectConfig, same_names
+from lightopt.config._defects import CatalogueEntryConfig, DefectConfig
 from lightopt.config._source import Source
 from lightopt.core.units import step_units_mm, unit_name
 
-_Unit = Annotated[Literal["um", "mm", "cm", "m", "inch", "ft"], fields.expecting("um, mm, cm, m, inch or ft")]
 _ChordTolerance = Annotated[float, Field(ge=1e-4, le=10), fields.expecting("a number from 0.0001 to 10 (mm)")]
 _Catalogue = Annotated[tuple[CatalogueEntryConfig, ...], Field(strict=False, min_length=1, max_length=100)]
 _Share = Annotated[float, Field(ge=0, le=1), fields.expecting("a number from 0 to 1")]
@@ -51,13 +50,13 @@ class MeshConfig(fields.Frozen):
     file: fields.Text = Field(
         description="Mesh or CAD file, relative to this file: .stl, .ply, .obj, .glb, .step or .stp."
     )
-    units: _Unit | None = Field(
+    units: Literal["um", "mm", "cm", "m", "inch", "ft"] | None = Field(
         default=None,
         description="Length unit of the mesh file: um, mm, cm, m, inch or ft. Mandatory for .stl, .ply and "
         ".obj, which carry none; for .glb (metres) and STEP only what the file itself says.",
         validate_default=True,
     )
-    normals: Annotated[Literal["smooth", "facet"], fields.expecting("smooth or facet")] = Field(
+    normals: Literal["smooth", "facet"] = Field(
         default="smooth",
         description="smooth: normals vary over the facets, except across edges sharper than the crease "
         "angle; facet: each facet is flat.",
@@ -123,9 +122,7 @@ class MeshConfig(fields.Frozen):
 class PlacementConfig(fields.Frozen):
     """How the part lies in the world at posture (0, 0): turned, then anchored, then shifted."""
 
-    anchor: Annotated[
-        Literal["as_modelled", "rest_on_table", "centred"], fields.expecting("as_modelled, rest_on_table or centred")
-    ] = Field(
+    anchor: Literal["as_modelled", "rest_on_table", "centred"] = Field(
         default="rest_on_table",
         description="as_modelled: the mesh's own origin; rest_on_table: bounding box centred in X and Y, "
         "lowest point at Z = 0; centred: bounding box centred at the origin.",
@@ -158,9 +155,7 @@ class ReflectanceConfig(fields.Frozen):
 class PartConfig(fields.Frozen):
     """A part to inspect: its shape, how it lies, the postures it is seen in, and its surface."""
 
-    format: Annotated[Literal["lightopt-part/1"], fields.expecting("lightopt-part/1")] = Field(
-        description="Kind and version of this file: lightopt-part/1."
-    )
+    format: Literal["lightopt-part/1"] = Field(description="Kind and version of this file: lightopt-part/1.")
     name: fields.Text = Field(description="Name of the part, for people.")
     mesh: MeshConfig = Field(description="The part's shape.")
     placement: PlacementConfig = Field(
@@ -191,21 +186,17 @@ class PartConfig(fields.Frozen):
     @field_validator("postures", mode="wrap")
     @classmethod
     def _differ(cls, value: object, handler: ValidatorFunctionWrapHandler) -> Any:
-        if not isinstance(value, (list, tuple)):
-            return handler(value)
-        return fields.with_complaints(value, handler, _same_postures(value))
+        return fields.with_complaints(value, handler, _same_postures(fields.entries(value)))
 
     @field_validator("defects", "defect_catalogue", mode="wrap")
     @classmethod
     def _have_names_of_their_own(
         cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo
     ) -> Any:
-        if not isinstance(value, (list, tuple)):
-            return handler(value)
-        return fields.with_complaints(value, handler, same_names(value, str(info.field_name)))
+        return fields.with_complaints(value, handler, fields.same_names(fields.entries(value), str(info.field_name)))
 
 
-def _same_postures(postures: list[object] | tuple[object, ...]) -> Iterator[fields.Complaint]:
+def _same_postures(postures: Sequence[object]) -> Iterator[fields.Complaint]:
     angles = [tuple(fields.value_of(p, key) for key in ("elevation_deg", "rotation_deg")) for p in postures]
     valid = [pair if all(type(angle) in (int, float) for angle in pair) else None for pair in angles]
     for i, first in fields.repeated(valid):

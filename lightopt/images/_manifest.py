@@ -321,10 +321,6 @@ def _manifest(top: _Fields) -> Manifest:
         if entry.key in seen:
             top.problem(f"images[{i}]", "each light, posture and exposure once", entry.light)
         seen.add(entry.key)
-    provenance = top.data.get("provenance") or {}
-    if not isinstance(provenance, dict):
-        top.problem("provenance", "an object", provenance)
-        provenance = {}
     warnings = top.data.get("warnings") or []
     if not isinstance(warnings, list) or not all(isinstance(line, str) for line in warnings):
         top.problem("warnings", "a list of texts", warnings)
@@ -332,20 +328,19 @@ def _manifest(top: _Fields) -> Manifest:
     files = top.texts("files")
     for name in files:
         top.require_inside("files", name)
-    full_scale = top.number("full_scale", 255.0, above=0)
     saturation = None
     if top.data.get("saturation_level") is not None:
         saturation = top.number("saturation_level", above=0, upto=max_level)
     return Manifest(
         kind=kind,
         bit_depth=int(bits),
-        full_scale=full_scale,
+        full_scale=top.number("full_scale", 255.0, above=0),
         saturation_level=saturation,
         black_level=top.number("black_level", 0.0, upto=max_level),
         lightopt=top.optional_text("lightopt"),
         rig=_source(top, "rig"),
         part=_source(top, "part"),
-        provenance=provenance,
+        provenance=top.inner("provenance", top.data.get("provenance") or {}).data,
         images=images,
         geometry=tuple(_geometry(item) for item in top.items("geometry")),
         patches=top.file("patches"),

@@ -1,7 +1,7 @@
 """Writing an image set file by file, so that a killed run leaves a valid set and can be resumed."""
 
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -66,9 +66,9 @@ class ImageSetWriter:
         self.replaced = remove_set(self.folder, header) if force else 0
         self.resumed = existing is not None
         self._may_overwrite = force or self.resumed
-        if not self._may_overwrite:
-            for name in dict.fromkeys(name for key in plan for name in _file_names(key)):
-                self._refuse_unlisted(name)
+        for light, posture, exposure in plan:
+            for name in (png_name(light, posture, exposure), exr_name(light, posture), geometry_name(posture)):
+                self._unlisted(name)
         self.manifest = existing or replace(header, images=(), geometry=(), patches=None, files={})
         self._names.claim_images(entry.key for entry in self.manifest.images)
         make_folder(self.folder)
@@ -115,7 +115,12 @@ class ImageSetWriter:
         files: dict[str, str | None] = {}
         hashes: dict[str, str] = {}
         if png is not None:
-            self._check_levels(entry, png)
+            wanted, top = np.dtype(np.uint8 if self.manifest.bit_depth <= 8 else np.uint16), self.manifest.max_level
+            if png.dtype != wanted or int(png.max()) > top:
+                raise InputError(
+                    f"light {entry.light!r}: expected {wanted} levels up to {top} ({self.manifest.bit_depth} bits), "
+                    f"found {png.dtype} up to {png.max()}"
+                )
             name = files["png"] = png_name(*entry.key)
             hashes["png"] = write_png(self._place(name), png, metadata=self._metadata(entry, linear=False))
         if exr is not None:
@@ -163,9 +168,8 @@ class ImageSetWriter:
 
     def add_levels(self, name: str, levels: UInt8 | NDArray[np.uint16], *, metadata: Mapping[str, Any]) -> None:
         """Write camera levels (H, W) that are no image of a light (a dark frame) as a further file, then list it."""
-        path = self._further_file(name)
         facts = {**self._origin(), "bit_depth": self.manifest.bit_depth, **metadata}
-        self._list_file(name, write_png(path, levels, metadata=facts))
+        self._add_further(name, lambda path: write_png(path, levels, metadata=facts))
 
     def add_geometry(
         self, posture: Posture, channels: Mapping[str, Float32], *, metadata: Mapping[str, Any] | None = None
@@ -188,14 +192,12 @@ class ImageSetWriter:
 
     def add_patches(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Write the patch table as ``patches.npz``, then list it."""
-        self._names.claim(_PATCHES_NAME, "the patch table")
-        digest = write_npz_atomic(self._place(_PATCHES_NAME), arrays)
-        self._list_file(_PATCHES_NAME, digest, patches=_PATCHES_NAME)
+        self._add_further(_PATCHES_NAME, lambda path: write_npz_atomic(path, arrays), patches=_PATCHES_NAME)
 
     def add_file(self, name: str, data: bytes | str) -> None:
         """Write a further file of the set (a report, a contact sheet; text as UTF-8), then list it."""
-        path = self._further_file(name)
-        self._list_file(name, write_bytes_atomic(path, data.encode("utf-8") if isinstance(data, str) else data))
+        content = data.encode("utf-8") if isinstance(data, str) else data
+        self._add_further(name, lambda path: write_bytes_atomic(path, content))
 
     def drop(
         self,
@@ -238,31 +240,29 @@ class ImageSetWriter:
         with self._lock:
             self._save(extra={**self.manifest.extra, key: value})
 
-    def _further_file(self, name: str) -> Path:
+    def _add_further(self, name: str, write: Callable[[Path], str], **changes: Any) -> None:
+        # write a file that is no image and list it, with other changes of the manifest
         if problem := inside_problem(name):
             raise InputError(f"{name!r}: {problem}")
         self._names.claim(name, f"the file {name}")
-        return self._place(name)
-
-    def _list_file(self, name: str, digest: str, **changes: Any) -> None:
-        self._verified[name] = digest
+        self._verified[name] = digest = write(self._place(name))
         with self._lock:
             self._save(files={**self.manifest.files, name: digest}, **changes)
 
-    def _refuse_unlisted(self, name: str) -> None:
+    def _place(self, name: str) -> Path:
+        # path to write a file to, its folder made
+        path = self._unlisted(name)
+        make_folder(path.parent)
+        return path
+
+    def _unlisted(self, name: str) -> Path:
+        # path of a file, refused where one that this run has not written may not be overwritten
         path = self.folder / name
-        if path.exists():
+        if not self._may_overwrite and name not in self._verified and path.exists():
             raise InputError(
                 f"{path}: exists but belongs to no image set; "
                 "use option 'force' to overwrite it, or choose another output folder"
             )
-
-    def _place(self, name: str) -> Path:
-        """Path to write a file to, its folder made."""
-        if not self._may_overwrite and name not in self._verified:
-            self._refuse_unlisted(name)
-        path = self.folder / name
-        make_folder(path.parent)
         return path
 
     def _intact(self, name: str, digest: str | None) -> bool:
@@ -274,14 +274,6 @@ class ImageSetWriter:
             except OSError:
                 return False
         return self._verified[name] == digest
-
-    def _check_levels(self, entry: ImageEntry, png: NDArray[Any]) -> None:
-        wanted = np.uint8 if self.manifest.bit_depth <= 8 else np.uint16
-        if png.dtype != wanted or int(png.max()) > self.manifest.max_level:
-            raise InputError(
-                f"light {entry.light!r}: expected {np.dtype(wanted)} levels up to {self.manifest.max_level} "
-                f"({self.manifest.bit_depth} bits), found {png.dtype} up to {png.max()}"
-            )
 
     def _origin(self) -> dict[str, Any]:
         return {"lightopt": self.manifest.lightopt, "kind": self.manifest.kind}
@@ -302,8 +294,3 @@ class ImageSetWriter:
         manifest = replace(self.manifest, **changes)
         write_text_atomic(self.folder / MANIFEST_NAME, manifest.to_json())
         self.manifest = manifest
-
-
-def _file_names(key: ImageKey) -> tuple[str, ...]:
-    light, posture, _ = key
-    return png_name(*key), exr_name(light, posture), geometry_name(posture)

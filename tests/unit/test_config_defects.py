@@ -106,7 +106,7 @@ CASES = [
     (changed(3, sigma_factor=1), "expected another number than 1, which makes no haze"),
     (changed(3, direction_deg=400), "expected a number from -360 to 360 (degrees), found 400"),
     (changed(3, colour=1), 'unknown key "colour"'),
-    ([GOOD[0], GOOD[0]], 'defects[1].name: the name of defects[0], too: "a"'),
+    ([GOOD[0], GOOD[0]], 'defects[1].name: the name "a" is already that of defects[0]'),
 ]
 
 
