@@ -24,9 +24,7 @@ MOST_ROWS, MOST_NOTES = 8, 3  # shown without `--verbose`
 
 
 def overlap(
-    images: Annotated[
-        Path, typer.Argument(metavar="IMAGES", help="Image set, rendered or captured: folder or manifest.json.")
-    ],
+    images: common.Images,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -137,17 +135,14 @@ def compare(
     if json_file is not None:
         figures = {**result.as_dict(), "provenance": comparison_provenance(result, thresholds)}
         write_text_atomic(json_file, json.dumps(figures, indent=2) + "\n", overwrite=force)
+    files = result.files if isinstance(result, SetComparison) else (result,)
     if not quiet:
-        files = result.files if isinstance(result, SetComparison) else (result,)
         _show(files, parts=2 if sets else 1, verbose=verbose)
         if isinstance(result, SetComparison):
             _show_notes((*result.notes, *(f"only in the new set: {name}" for name in result.extra)), verbose)
     if diff is not None:
         draw = partial(difference_picture, saturation=saturation, overwrite=force)
-        if isinstance(result, SetComparison):
-            drawn = _draw_set(result.files, diff, draw)
-        else:
-            drawn = _draw_file(result, diff, draw)
+        drawn = _draw(files, diff, draw, sets=sets)
         if not quiet:
             echo(drawn)
     if not result.passed:
@@ -193,14 +188,13 @@ def _show_notes(notes: Sequence[str], verbose: bool) -> None:
         echo(f"and {counted(len(notes) - len(shown), 'note')} more; --verbose shows all")
 
 
-def _draw_set(files: Sequence[FileComparison], folder: Path, draw: Callable[..., float]) -> str:
+def _draw(files: Sequence[FileComparison], path: Path, draw: Callable[..., float], *, sets: bool) -> str:
+    if not sets:
+        (one,) = files
+        if not one.channels:
+            raise InputError(f"{path}: no difference picture, since the files cannot be compared", *one.reasons)
+        return f"{path}: blue lower, red higher, full colour at {draw(one.a, one.b, path):.4g}"
     drawn = [file for file in files if file.channels and Path(file.a).suffix in (".exr", ".png")]
     for file in drawn:
-        draw(file.a, file.b, folder / f"{'_'.join(Path(file.b).parts[-2:])}.diff.png")
-    return f"{counted(len(drawn), 'difference picture')} in {folder}"
-
-
-def _draw_file(file: FileComparison, path: Path, draw: Callable[..., float]) -> str:
-    if not file.channels:
-        raise InputError(f"{path}: no difference picture, since the files cannot be compared", *file.reasons)
-    return f"{path}: blue lower, red higher, full colour at {draw(file.a, file.b, path):.4g}"
+        draw(file.a, file.b, path / f"{'_'.join(Path(file.b).parts[-2:])}.diff.png")
+    return f"{counted(len(drawn), 'difference picture')} in {path}"

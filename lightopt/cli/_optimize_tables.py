@@ -11,16 +11,7 @@ from lightopt.cli._terminal import echo, show_page_table, show_table
 from lightopt.core.errors import counted
 
 if TYPE_CHECKING:
-    from lightopt.core.transforms import Posture
-    from lightopt.design import (
-        BlindSpotSummary,
-        DesignOutput,
-        DesignResult,
-        Objective,
-        ObjectiveResult,
-        PlanResult,
-        SetResult,
-    )
+    from lightopt.design import BlindSpotSummary, DesignOutput, DesignResult, ObjectiveResult, PlanResult, SetResult
     from lightopt.images import Overlap
 
 Section = Mapping[str, Any]  # of result.json, as the report has it
@@ -71,30 +62,24 @@ def _show_inputs(result: DesignResult) -> None:
 
 
 def _show_best(found: DesignResult, *, verbose: bool) -> None:
+    # with `verbose` also what the columns are, and what the shares of scores are shares of
+    from lightopt.design import LEFT_OUT_MEANING, near_meaning, shares_of
+
     names = [answer.objective.name for answer in found.results[0].answers]
     counts = ("left out", "runner-up", "ties", "near best", "combinations")
     header = ["posture", "best for", *found.candidates.names, *names, *counts]
     rows: list[list[str]] = []
     for result in found.results:
-        posture = _together(result.postures)
+        posture = str(result.postures[0]) if len(result.postures) == 1 else f"all {len(result.postures)}"
         for answer in result.answers:
             rows.append([posture, answer.objective.name, *_cells(answer, result, found)])
             posture = ""
     show_table(header, rows, numbers_from=2)
-    if verbose:
-        _explain([answer.objective for answer in found.results[0].answers])
-
-
-def _together(postures: Sequence[Posture]) -> str:
-    return str(postures[0]) if len(postures) == 1 else f"all {len(postures)}"
-
-
-def _explain(objectives: Sequence[Objective]) -> None:
-    """What the columns of the table are, and what the shares of scores are shares of, a line for each surface."""
-    from lightopt.design import LEFT_OUT_MEANING, near_meaning, shares_of
-
-    for surface, names in shares_of(objectives).items():
-        echo(f"shares of {' and '.join(names)}: of {surface}")
+    if not verbose:
+        return
+    objectives = [answer.objective for answer in found.results[0].answers]
+    for surface, surface_names in shares_of(objectives).items():
+        echo(f"shares of {' and '.join(surface_names)}: of {surface}")
     echo(LEFT_OUT_MEANING)
     echo(near_meaning(objectives))
     echo("of each light its elevation and its azimuth about Z from +X")
@@ -186,7 +171,7 @@ def show_commands(result: PlanResult, folder: Path, *, verbose: bool) -> None:
         for command in document["commands"]:
             echo(f"  {command}")
         if verbose and len(document["rounds"]) > 1:
-            _show_rounds(document["rounds"])
+            _show_travel(document["rounds"])
 
 
 def _show_postures(document: Section, *, verbose: bool) -> None:
@@ -216,7 +201,7 @@ def _show_postures(document: Section, *, verbose: bool) -> None:
         echo(f"{name}: {value}")
 
 
-def _show_rounds(rounds: Sequence[Section]) -> None:
+def _show_travel(rounds: Sequence[Section]) -> None:
     from lightopt.core.transforms import Posture
 
     for number, one in enumerate(rounds, start=1):

@@ -95,16 +95,10 @@ def _list_span(text: str, key: str) -> tuple[int, int, str] | None:
             # behind a list in brackets the comment is of the list, behind a block it is of its last entry
             rest = end + len(text[end:].split("\n", 1)[0].rstrip("\r"))
             flow = isinstance(value, yaml.CollectionNode) and value.flow_style
-            beside = text[end:rest] if flow else _after_colon(text, name.end_mark.index)
-            return start, rest, beside.rstrip()
+            after_key = text[name.end_mark.index :].split("\n", 1)[0]
+            comment = after_key[after_key.index(":") + 1 :] if "#" in after_key else ""
+            return start, rest, (text[end:rest] if flow else comment).rstrip()
     return None
-
-
-def _after_colon(text: str, end: int) -> str:
-    # the comment between a key and the block below it
-    line = text[end:].split("\n", 1)[0]
-    at = line.find("#")
-    return line[line.index(":") + 1 :] if at >= 0 else ""
 
 
 def _end(node: yaml.Node) -> int:

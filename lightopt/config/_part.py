@@ -1,7 +1,6 @@
 """A part file: mesh, placement, postures, reflectance and defects."""
 
 import os.path
-from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal
@@ -186,7 +185,14 @@ class PartConfig(fields.Frozen):
     @field_validator("postures", mode="wrap")
     @classmethod
     def _differ(cls, value: object, handler: ValidatorFunctionWrapHandler) -> Any:
-        return fields.with_complaints(value, handler, _same_postures(fields.entries(value)))
+        postures = fields.entries(value)
+        angles = [tuple(fields.value_of(p, key) for key in ("elevation_deg", "rotation_deg")) for p in postures]
+        valid = [pair if all(type(angle) in (int, float) for angle in pair) else None for pair in angles]
+        complaints = (
+            ((i,), postures[i], fields.complaint(f"the same posture as postures[{first}]"))
+            for i, first in fields.repeated(valid)
+        )
+        return fields.with_complaints(value, handler, complaints)
 
     @field_validator("defects", "defect_catalogue", mode="wrap")
     @classmethod
@@ -194,13 +200,6 @@ class PartConfig(fields.Frozen):
         cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo
     ) -> Any:
         return fields.with_complaints(value, handler, fields.same_names(fields.entries(value), str(info.field_name)))
-
-
-def _same_postures(postures: Sequence[object]) -> Iterator[fields.Complaint]:
-    angles = [tuple(fields.value_of(p, key) for key in ("elevation_deg", "rotation_deg")) for p in postures]
-    valid = [pair if all(type(angle) in (int, float) for angle in pair) else None for pair in angles]
-    for i, first in fields.repeated(valid):
-        yield (i,), postures[i], fields.complaint(f"the same posture as postures[{first}]")
 
 
 def _declared_units(path: Path) -> frozenset[str]:

@@ -127,11 +127,12 @@ def compare_arrays(
         reasons.append(f"{name}: {fresh} values are NaN or infinite where the golden's are finite")
     masks: dict[str, Any] = {}
     if saturation is not None:
-        masks = _compare_masks(a >= saturation[0], b >= saturation[1])
-        if min_iou is not None and masks["iou"] < min_iou:
-            reasons.append(
-                f"{name}: saturated areas overlap by {masks['iou']:.4f} (IoU); at least {min_iou:g} expected"
-            )
+        full_a, full_b = a >= saturation[0], b >= saturation[1]
+        union = int((full_a | full_b).sum())
+        iou = int((full_a & full_b).sum()) / union if union else 1.0
+        masks = {"saturated_a": int(full_a.sum()), "saturated_b": int(full_b.sum()), "iou": iou}
+        if min_iou is not None and iou < min_iou:
+            reasons.append(f"{name}: saturated areas overlap by {iou:.4f} (IoU); at least {min_iou:g} expected")
     return ChannelDifference(
         name=name,
         pixels=int(a.size),
@@ -155,9 +156,3 @@ def _statistics(distance: Float64) -> dict[str, Any]:
         "rms": float(np.sqrt(np.mean(distance**2))),
         "percentiles": dict(zip(PERCENTILES, values.tolist(), strict=True)),
     }
-
-
-def _compare_masks(a: Bool, b: Bool) -> dict[str, Any]:
-    union = int((a | b).sum())
-    iou = int((a & b).sum()) / union if union else 1.0
-    return {"saturated_a": int(a.sum()), "saturated_b": int(b.sum()), "iou": iou}

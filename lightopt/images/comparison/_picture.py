@@ -52,7 +52,9 @@ def difference_picture(
     signed = np.zeros(old.shape)
     np.subtract(now, old, out=signed, where=finite)
     if scale is None:
-        scale = _automatic_scale(signed)
+        scale = _LEAST_SCALE
+        if signed.any():
+            scale = max(float(np.percentile(np.abs(signed[signed != 0]), _SCALE_PERCENTILE)), _LEAST_SCALE)
     elif not (scale > 0 and np.isfinite(scale)):
         raise InputError(f"scale of the difference picture: expected a number above 0, found {scale}")
     pixels = _diverging(signed / scale)
@@ -69,7 +71,14 @@ def difference_picture(
         "beyond_scale": int((np.abs(signed) > scale).sum()),
         "only_golden": int(only_golden.sum()),
         "only_new": int(only_new.sum()),
-        "colours": _legend(scale),
+        "colours": {
+            f"{-scale:g} (new − golden) and below": _LOWER,
+            "0": _EQUAL,
+            f"{scale:g} and above": _HIGHER,
+            "saturated only in golden": _ONLY_GOLDEN,
+            "saturated only in new": _ONLY_NEW,
+            "not finite": _NOT_FINITE,
+        },
     }
     write_png(path, pixels, metadata=metadata, overwrite=overwrite)
     return scale
@@ -85,13 +94,6 @@ def _choose(golden: LoadedFile, new: LoadedFile, channel: str | None) -> str:
     return channel
 
 
-def _automatic_scale(signed: Float64) -> float:
-    distance = np.abs(signed[signed != 0])
-    if not distance.size:
-        return _LEAST_SCALE
-    return max(float(np.percentile(distance, _SCALE_PERCENTILE)), _LEAST_SCALE)
-
-
 def _diverging(relative: Float64) -> UInt8:
     """Colours (H, W, 3) of differences relative to the scale, −1 to 1; beyond looks like the end."""
     channels = [
@@ -99,14 +101,3 @@ def _diverging(relative: Float64) -> UInt8:
         for low, middle, high in zip(_LOWER, _EQUAL, _HIGHER, strict=True)
     ]
     return np.floor(np.stack(channels, axis=-1) + 0.5).astype(np.uint8)
-
-
-def _legend(scale: float) -> dict[str, Any]:
-    return {
-        f"{-scale:g} (new − golden) and below": _LOWER,
-        "0": _EQUAL,
-        f"{scale:g} and above": _HIGHER,
-        "saturated only in golden": _ONLY_GOLDEN,
-        "saturated only in new": _ONLY_NEW,
-        "not finite": _NOT_FINITE,
-    }
