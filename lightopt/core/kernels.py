@@ -42,6 +42,7 @@ from numba.np import linalg
 
 _log = logging.getLogger("lightopt.core")
 
+_NO_SETTINGS = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_THREADING_LAYER")  # which change no machine code
 _UNUSED_S = 90 * 86400.0  # files of kernels that were not used for so long are removed [s]
 LOGGED_SECONDS = 0.1  # compiling a kernel takes longer than this, loading it less
 
@@ -253,7 +254,9 @@ class _DiskCache(NullCache):
     def _path(self, arguments: tuple[Any, ...]) -> Path:
         codegen = self._compiled.targetctx.codegen()
         options = sorted((name, repr(value)) for name, value in self._compiled.targetoptions.items())
-        key = f"{fingerprint(self._compiled)} {_type_names(arguments)} {codegen.magic_tuple()} {options} {_settings()}"
+        # settings of the compiler, such as to check bounds
+        settings = sorted((n, v) for n, v in os.environ.items() if n.startswith("NUMBA_") and n not in _NO_SETTINGS)
+        key = f"{fingerprint(self._compiled)} {_type_names(arguments)} {codegen.magic_tuple()} {options} {settings}"
         name = re.sub(r"\W", "", self._compiled.py_func.__name__)
         return cache_folder() / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:32]}.kernel"
 
@@ -266,14 +269,6 @@ def _remove_unused(folder: Path) -> None:
         with contextlib.suppress(OSError):  # open in another process on Windows, or removed by it
             if path.stat().st_mtime < oldest:
                 path.unlink()
-
-
-def _settings() -> list[tuple[str, str]]:
-    """Settings of numba's compiler in the environment, such as to check bounds."""
-    other = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_THREADING_LAYER")
-    return sorted(
-        (name, value) for name, value in os.environ.items() if name.startswith("NUMBA_") and name not in other
-    )
 
 
 def _type_names(arguments: tuple[Any, ...]) -> str:

@@ -97,12 +97,11 @@ def check_levels(checked: CheckedScene) -> Iterator[Finding]:
         f"mirrors the whole panel of {mirrored} {shown} of specular light; saturation is at {saturation:.4g}"
         f"{_scale_text(sensor, reflectance.full_scale)}"
     )
-    if level >= saturation:
+    saturates = level >= saturation
+    if saturates:
         exposure = 0.5 * saturation / level
         text += f": it saturates without any highlight. Check R_d, gain, normalisation, or expose by {exposure:.2g}"
-        yield Finding("warning", "levels", text, where, values)
-    else:
-        yield Finding("ok", "levels", text, where, values)
+    yield Finding("warning" if saturates else "ok", "levels", text, where, values)
 
 
 def _scale_text(sensor: Sensor, full_scale: float) -> str:
@@ -204,11 +203,9 @@ def _summary(error: Float64, angle: Float64, length: Float64, counts: Bool) -> N
     if not counts.any():
         return None
     error, angle, length = error[counts], angle[counts], length[counts]
-    parts = ((error, 0.5), (error, 0.9), (angle, 0.5), (length, 0.5))
-    return NormalErrors(*(_percentile(values, length, share) for values, share in parts))
-
-
-def _percentile(values: Float64, weights: Float64, share: float) -> float:
-    order = np.argsort(values, kind="stable")
-    total = np.cumsum(weights[order])
-    return float(values[order[np.searchsorted(total, share * total[-1])]])
+    found: list[float] = []
+    for values, share in ((error, 0.5), (error, 0.9), (angle, 0.5), (length, 0.5)):
+        order = np.argsort(values, kind="stable")
+        total = np.cumsum(length[order])
+        found.append(float(values[order[np.searchsorted(total, share * total[-1])]]))
+    return NormalErrors(*found)

@@ -41,12 +41,10 @@ def check_size(checked: CheckedScene) -> Iterator[Finding]:
     guess = guess_unit(checked.part, longest, view)
     if guess is not None:
         values = {**values, "unit": guess.unit, "likely_units": list(guess.likely)}
-        yield Finding("warning", "size", f"{text}: {guess.text}", where, values)
+        text += f": {guess.text}"
     elif absurd:
-        kind = "small" if longest < view else "large"
-        yield Finding("warning", "size", f"{text}: very {kind} for this camera", where, values)
-    else:
-        yield Finding("ok", "size", text, where, values)
+        text += f": very {'small' if longest < view else 'large'} for this camera"
+    yield Finding("warning" if absurd else "ok", "size", text, where, values)
 
 
 def check_mesh(checked: CheckedScene) -> Iterator[Finding]:

@@ -108,12 +108,10 @@ def build_camera(rig: RigConfig) -> PinholeCamera:
         height=c.resolution_px[1],
         pixel_size=c.pixel_size_um * 1e-3,
         image_distance=image_distance,
-        distortion=Distortion(**c.distortion.model_dump()) if c.distortion else Distortion(),
+        distortion=Distortion(**c.distortion.model_dump()),
     )
-    columns = np.linspace(0.0, camera.width, 33)
-    rows = np.linspace(0.0, camera.height, 33)
-    grid = np.meshgrid(columns, rows)
-    if not np.isfinite(pixel_directions(camera, grid[0].ravel(), grid[1].ravel())).all():
+    columns, rows = np.meshgrid(np.linspace(0.0, camera.width, 33), np.linspace(0.0, camera.height, 33))
+    if not np.isfinite(pixel_directions(camera, columns.ravel(), rows.ravel())).all():
         raise InputError(
             f"{rig.source.at('camera', 'distortion')}: this lens model folds the image over inside the frame, so that "
             "some pixels look nowhere; expected coefficients of a calibration that covered the whole image"
@@ -191,6 +189,8 @@ def _mesh(part: PartConfig, footprint: float) -> tuple[TriangleMesh, Placement, 
     m = part.mesh
     path = part.source.resolve(m.file)
     tolerance = chord_tolerance(part, footprint)
+    # the sagitta of a chord goes with the square of its angle: both limits coarsen alike
+    angular_tolerance = ANGULAR_TOLERANCE * max(1.0, math.sqrt(tolerance / CHORD_TOLERANCE_MM))
     loaded = load_mesh(
         path,
         # formats that carry their unit are checked against `units` when the file is read
@@ -198,7 +198,7 @@ def _mesh(part: PartConfig, footprint: float) -> tuple[TriangleMesh, Placement, 
         normals=m.normals,
         crease_angle=math.radians(m.crease_angle_deg),
         chord_tolerance_mm=tolerance,
-        angular_tolerance=_angular_tolerance(tolerance),
+        angular_tolerance=min(MOST_ANGULAR_TOLERANCE, angular_tolerance),
         max_triangles=m.max_triangles,
     )
     return *_place(loaded.mesh, part.placement), loaded.warnings
@@ -212,11 +212,6 @@ def chord_tolerance(part: PartConfig, footprint: float) -> float:
     if part.mesh.chord_tolerance_mm is not None:
         return part.mesh.chord_tolerance_mm
     return min(CHORD_TOLERANCE_MM, CHORD_TOLERANCE_FOOTPRINTS * footprint)
-
-
-def _angular_tolerance(chord: float) -> float:
-    # the sagitta of a chord goes with the square of its angle: both limits coarsen alike
-    return min(MOST_ANGULAR_TOLERANCE, ANGULAR_TOLERANCE * max(1.0, math.sqrt(chord / CHORD_TOLERANCE_MM)))
 
 
 def _place(mesh: TriangleMesh, placement: PlacementConfig) -> tuple[TriangleMesh, Placement]:

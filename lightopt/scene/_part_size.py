@@ -60,7 +60,8 @@ def guess_unit(part: PartConfig, longest: float, view: float) -> UnitGuess | Non
     longest: Its longest side as it is read now [mm]
     view: The view's shorter side [mm]
     """
-    unit = _unit(part)
+    # formats that carry their unit: GLB is in metres, STEP is converted to millimetres as it is read
+    unit = part.mesh.units or ("m" if part.mesh.file.lower().endswith(".glb") else "mm")
     likely = likely_units(longest, view, unit)
     if not likely:
         return None
@@ -72,13 +73,6 @@ def guess_unit(part: PartConfig, longest: float, view: float) -> UnitGuess | Non
     read = f"Read as {unit}, the part's longest side is {longest:.4g} mm"
     text = f"a wrong unit? {read}; it would be about as large as the view if the file were in {likely_text}"
     return UnitGuess(unit, likely, text)
-
-
-def _unit(part: PartConfig) -> str:
-    if part.mesh.units is not None:
-        return part.mesh.units
-    # formats that carry their unit: GLB is in metres, STEP is converted to millimetres as it is read
-    return "m" if part.mesh.file.lower().endswith(".glb") else "mm"
 
 
 def _factor(ratio: float) -> str:
