@@ -64,14 +64,11 @@ def light(
     longest = wiring.light(name).max_on_s
     at_most = "" if longest is None else f", {longest:g} s at most (max_on_s)"
     with _open(loaded, serial_log) as devices:
-        echo(
-            f"{name} is on at level {chosen}"
-            + (f" until Enter is pressed{at_most}" if seconds is None else f" for {seconds:g} s")
-        )
+        duration = f"until Enter is pressed{at_most}" if seconds is None else f"for {seconds:g} s"
+        echo(f"{name} is on at level {chosen} {duration}")
         held = hold_light(devices, name, chosen, seconds=seconds, wait=_wait)
-    echo(
-        f"{name} is off; " + ("its level cannot be read back" if held is None else f"the controller held level {held}")
-    )
+    held_text = "its level cannot be read back" if held is None else f"the controller held level {held}"
+    echo(f"{name} is off; {held_text}")
 
 
 @bench.command(cls=common.HeadedCommand)

@@ -16,7 +16,7 @@ from lightopt.core.run_context import RunContext
 
 if TYPE_CHECKING:
     from lightopt.config import RigConfig
-    from lightopt.estimate.reflectance import FitFolder, FitOptions, FitResult, FittedValue, MeasuredNoise
+    from lightopt.estimate.reflectance import FitFolder, FitOptions, FitResult, FittedValue
 
 
 paper_option = partial(typer.Option, rich_help_panel="The paper's procedure (--method paper)")
@@ -260,7 +260,13 @@ def _show(result: FitResult, verbose: bool) -> None:
     if result.dark is not None:
         echo(_with_error(result.dark).replace("black_level", "black level:"))
     if result.write_noise and result.noise is not None:
-        _show_noise(result.noise)
+        noise = result.noise
+        figures = (
+            ("read noise {:.3g} ± {:.1g} levels", noise.read_noise, noise.read_noise_error),
+            ("{:.4g} ± {:.2g} electrons per level", noise.electrons, noise.electrons_error),
+        )
+        if parts := [text.format(value, error) for text, value, error in figures if value is not None]:
+            echo("noise written: " + ", ".join(parts))
     if result.placement is not None:
         p = result.placement
         turn, error = math.degrees(p.turn), math.degrees(p.errors[2])
@@ -286,16 +292,6 @@ def _with_error(value: FittedValue) -> str:
     if value.interval is None:
         return f"{value.name} {value.value:.4g} (held)"
     return f"{value.name} {value.value:.6g} ± {value.standard_error:.2g}"
-
-
-def _show_noise(noise: MeasuredNoise) -> None:
-    figures = (
-        ("read noise {:.3g} ± {:.1g} levels", noise.read_noise, noise.read_noise_error),
-        ("{:.4g} ± {:.2g} electrons per level", noise.electrons, noise.electrons_error),
-    )
-    parts = [text.format(value, error) for text, value, error in figures if value is not None]
-    if parts:
-        echo("noise written: " + ", ".join(parts))
 
 
 def _show_points(result: FitResult) -> None:

@@ -110,20 +110,12 @@ def compare(
 
     Example: lightopt compare golden/ out/ --diff differences/
     """
-    from lightopt.images import make_folder, write_text_atomic
-    from lightopt.images.comparison import (
-        ComparisonThresholds,
-        SetComparison,
-        compare_files,
-        compare_sets,
-        comparison_provenance,
-        difference_picture,
-    )
+    from lightopt.images import comparison, make_folder, write_text_atomic
 
     sets = golden.is_dir() or new.is_dir() or golden.name == "manifest.json"
     if sets and diff is not None:
         make_folder(diff)
-    thresholds = ComparisonThresholds(
+    thresholds = comparison.ComparisonThresholds(
         absolute=absolute,
         relative=relative,
         max_share=max_share,
@@ -131,17 +123,19 @@ def compare(
         min_iou=min_iou,
         saturation=saturation,
     )
-    result = compare_sets(golden, new, thresholds) if sets else compare_files(golden, new, thresholds)
+    result = (
+        comparison.compare_sets(golden, new, thresholds) if sets else comparison.compare_files(golden, new, thresholds)
+    )
     if json_file is not None:
-        figures = {**result.as_dict(), "provenance": comparison_provenance(result, thresholds)}
+        figures = {**result.as_dict(), "provenance": comparison.comparison_provenance(result, thresholds)}
         write_text_atomic(json_file, json.dumps(figures, indent=2) + "\n", overwrite=force)
-    files = result.files if isinstance(result, SetComparison) else (result,)
+    files = result.files if isinstance(result, comparison.SetComparison) else (result,)
     if not quiet:
         _show(files, parts=2 if sets else 1, verbose=verbose)
-        if isinstance(result, SetComparison):
+        if isinstance(result, comparison.SetComparison):
             _show_notes((*result.notes, *(f"only in the new set: {name}" for name in result.extra)), verbose)
     if diff is not None:
-        draw = partial(difference_picture, saturation=saturation, overwrite=force)
+        draw = partial(comparison.difference_picture, saturation=saturation, overwrite=force)
         drawn = _draw(files, diff, draw, sets=sets)
         if not quiet:
             echo(drawn)

@@ -11,7 +11,7 @@ from lightopt.cli._terminal import echo, show_page_table, show_table
 from lightopt.core.errors import counted
 
 if TYPE_CHECKING:
-    from lightopt.design import BlindSpotSummary, DesignOutput, DesignResult, ObjectiveResult, PlanResult, SetResult
+    from lightopt import design
     from lightopt.images import Overlap
 
 Section = Mapping[str, Any]  # of result.json, as the report has it
@@ -19,7 +19,7 @@ Section = Mapping[str, Any]  # of result.json, as the report has it
 SUMMED_UP_FILES = 3  # so many files beside the main ones, or more, are counted and not listed
 
 
-def show_design(output: DesignOutput, *, verbose: bool) -> None:
+def show_design(output: design.DesignOutput, *, verbose: bool) -> None:
     """The best sets with every objective's score, and the main files; with `verbose` all tables and files."""
     from lightopt.report.design import blind_tables, defect_tables
 
@@ -37,7 +37,7 @@ def show_design(output: DesignOutput, *, verbose: bool) -> None:
     _show_paths(output, verbose=verbose)
 
 
-def _show_paths(output: DesignOutput, *, verbose: bool) -> None:
+def _show_paths(output: design.DesignOutput, *, verbose: bool) -> None:
     main = {"report.html", "result.json", "part.planned.yaml"}
     shown = [path for path in output.paths if path.name in main or path.name.startswith("rig.")]
     rest = len(output.paths) - len(shown)
@@ -49,7 +49,7 @@ def _show_paths(output: DesignOutput, *, verbose: bool) -> None:
         echo(f"and {rest} more files in {output.result.folder}; --verbose lists them")
 
 
-def _show_inputs(result: DesignResult) -> None:
+def _show_inputs(result: design.DesignResult) -> None:
     for out in result.all_candidates.left_out:
         echo(
             f"left out: {out.light} at elevation {out.elevation_deg:g}°, azimuth {out.azimuth_deg:g}°: it {out.reason}"
@@ -61,7 +61,7 @@ def _show_inputs(result: DesignResult) -> None:
         echo(f"{result.reused} stored luminance {matrices} reused")
 
 
-def _show_best(found: DesignResult, *, verbose: bool) -> None:
+def _show_best(found: design.DesignResult, *, verbose: bool) -> None:
     # with `verbose` also what the columns are, and what the shares of scores are shares of
     from lightopt.design import LEFT_OUT_MEANING, near_meaning, shares_of
 
@@ -85,30 +85,22 @@ def _show_best(found: DesignResult, *, verbose: bool) -> None:
     echo("of each light its elevation and its azimuth about Z from +X")
 
 
-def _cells(answer: ObjectiveResult, result: SetResult, found: DesignResult) -> list[str]:
-    from lightopt.design import (
-        angles_of,
-        combinations_counted_text,
-        gap_text,
-        left_out_text,
-        near_text,
-        score_text,
-        ties_text,
-    )
+def _cells(answer: design.ObjectiveResult, result: design.SetResult, found: design.DesignResult) -> list[str]:
+    from lightopt import design
 
     best = answer.found
-    counted_text = combinations_counted_text(answer)
+    counted_text = design.combinations_counted_text(answer)
     if answer.nothing is not None:
         blank = ["-"] * (len(found.candidates.names) + len(result.answers))
-        return [*blank, left_out_text(result), "-", "all 0", "all 0", counted_text]
-    angles = [f"{elevation:g}°, {azimuth:g}°" for elevation, azimuth in angles_of(found.candidates, best.best)]
+        return [*blank, design.left_out_text(result), "-", "all 0", "all 0", counted_text]
+    angles = [f"{elevation:g}°, {azimuth:g}°" for elevation, azimuth in design.angles_of(found.candidates, best.best)]
     objectives = {other.objective.name: other.objective for other in result.answers}
-    scores = [score_text(value, objectives[name], result) for name, value in answer.scores.items()]
-    counts = [gap_text(answer, result), ties_text(answer), near_text(answer), counted_text]
-    return [*angles, *scores, left_out_text(result), *counts]
+    scores = [design.score_text(value, objectives[name], result) for name, value in answer.scores.items()]
+    counts = [design.gap_text(answer, result), design.ties_text(answer), design.near_text(answer), counted_text]
+    return [*angles, *scores, design.left_out_text(result), *counts]
 
 
-def _summarise_blind_spots(blind: BlindSpotSummary) -> None:
+def _summarise_blind_spots(blind: design.BlindSpotSummary) -> None:
     """What the chosen lights show of the defects over all postures, in one line."""
     from lightopt.design import BLIND_SHARES_OF, blind_text, share_text
 
@@ -137,7 +129,7 @@ def show_overlaps(overlaps: Sequence[Overlap]) -> None:
     show_table(["posture", "exposure", "saturated px", "in two or more", "overlaps"], rows, numbers_from=9)
 
 
-def show_plan(result: PlanResult, *, verbose: bool) -> None:
+def show_plan(result: design.PlanResult, *, verbose: bool) -> None:
     """What a plan shows; with `verbose` also its tables, what the figures mean and how far they hold."""
     from lightopt.design import plan_document
     from lightopt.report.design import exposure_note, exposure_table, tolerance_table
@@ -161,7 +153,7 @@ def show_plan(result: PlanResult, *, verbose: bool) -> None:
             echo(f"off by the tolerance, {table.header[-1]}: the worst corner keeps {worst}, 95 % of draws {most}")
 
 
-def show_commands(result: PlanResult, folder: Path, *, verbose: bool) -> None:
+def show_commands(result: design.PlanResult, folder: Path, *, verbose: bool) -> None:
     """The commands that carry a plan out; with `verbose` the travel of the stage as well."""
     from lightopt.design import plan_document
 

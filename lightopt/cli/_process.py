@@ -49,7 +49,6 @@ class _Output(io.FileIO):
         self._may_fail = may_fail
 
     def write(self, data: Any, /) -> int:
-        """Write, or drop."""
         try:
             return super().write(data)
         except OSError as error:

@@ -147,7 +147,12 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
     Raises InputError: As of :func:`with_values`
     """
     changes = dict(values or {})
-    for keys, name in _names(config).items():
+    names: dict[Keys, str] = {}
+    if isinstance(config, PartConfig):
+        names["mesh", "file"] = config.mesh.file
+    elif config.hardware is not None and config.hardware.camera.folder is not None:
+        names["hardware", "camera", "folder"] = config.hardware.camera.folder
+    for keys, name in names.items():
         moved = _moved(config.source.resolve(name), name, folder)
         if moved != name:
             changes[keys] = json.dumps(moved, ensure_ascii=False)
@@ -158,14 +163,6 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
         return text
     schema = _moved(config.source.resolve(comment[2]), comment[2], folder)
     return text[: comment.start(2)] + schema + text[comment.end(2) :]
-
-
-def _names(config: RigConfig | PartConfig) -> dict[Keys, str]:
-    if isinstance(config, PartConfig):
-        return {("mesh", "file"): config.mesh.file}
-    if config.hardware is None or config.hardware.camera.folder is None:
-        return {}
-    return {("hardware", "camera", "folder"): config.hardware.camera.folder}
 
 
 def _moved(target: Path, name: str, folder: Path) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, cast
 
 from pydantic import (
@@ -11,6 +12,7 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
+    PrivateAttr,
     StringConstraints,
     ValidationError,
     ValidationInfo,
@@ -18,6 +20,8 @@ from pydantic import (
     WrapValidator,
 )
 from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from lightopt.config._source import Source
 
 MOST_POINTS = 65_536
 
@@ -45,6 +49,17 @@ class Frozen(BaseModel):
     """Base of all configuration: unknown keys are errors, nothing is converted, numbers are finite."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class FileConfig(Frozen):
+    """Base of what a whole file holds."""
+
+    _source: Source = PrivateAttr(default=Source(Path("<built in code>"), ""))
+
+    @property
+    def source(self) -> Source:
+        """The file that this was read from."""
+        return self._source
 
 
 def complaint(reason: str) -> PydanticCustomError:

@@ -224,7 +224,10 @@ def _read_what_is_valid(path: Path, wrong: InputError) -> LightsOnly:
     except InputError:
         raise wrong from None
     rig = _document(text)
-    section = mapping(mapping(rig).get("hardware") or mapping(_document(_section(text))).get("hardware"))
+    # the lines from `hardware:` to the next line that is not indented
+    lines = re.search(r"^hardware:.*(?:\n(?:[ \t#].*)?)*", text.replace("\r\n", "\n"), re.MULTILINE)
+    alone = mapping(_document(lines[0])) if lines else {}
+    section = mapping(mapping(rig).get("hardware") or alone.get("hardware"))
     raw_controllers, raw_lights = mapping(section.get("controllers")), mapping(section.get("lights"))
     controllers = _readable(ControllerConfig, raw_controllers)
     lights = _readable(ChannelConfig, raw_lights)
@@ -252,12 +255,6 @@ def _document(text: str) -> object:
         return parse(text).data
     except YamlError:
         return None
-
-
-def _section(text: str) -> str:
-    """The lines from ``hardware:`` to the next line that is not indented."""
-    found = re.search(r"^hardware:.*(?:\n(?:[ \t#].*)?)*", text.replace("\r\n", "\n"), re.MULTILINE)
-    return found[0] if found else ""
 
 
 def _readable(model: type[Entry], entries: Mapping[str, object]) -> dict[str, Entry]:

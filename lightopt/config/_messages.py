@@ -63,15 +63,11 @@ def model_problems(model: type[BaseModel], errors: Sequence[ErrorDetails], docum
             keys in document.incomplete or any((*keys, w) in covered for w in wanted)
         ):
             continue  # the key that was dropped or misspelt is reported
-        problems.append(Problem(_line(document, keys, error), keys, _message(model, error, meant)))
+        place = tuple(error["loc"]) if kind == "extra_forbidden" else keys
+        while place and place not in document.lines:
+            place = place[:-1]
+        problems.append(Problem(document.lines.get(place, 1), keys, _message(model, error, meant)))
     return problems
-
-
-def _line(document: Document, keys: Keys, error: ErrorDetails) -> int:
-    place = tuple(error["loc"]) if error["type"] == "extra_forbidden" else keys
-    while place and place not in document.lines:
-        place = place[:-1]
-    return document.lines.get(place, 1)
 
 
 def _message(model: type[BaseModel], error: ErrorDetails, meant: Mapping[Keys, str]) -> str:

@@ -1,15 +1,15 @@
 """A part file: mesh, placement, postures, reflectance and defects."""
 
+import contextlib
 import os.path
 from difflib import get_close_matches
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
+from pydantic import Field, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
 
 from lightopt.config import _fields as fields
 from lightopt.config._defects import CatalogueEntryConfig, DefectConfig
-from lightopt.config._source import Source
 from lightopt.core.units import step_units_mm, unit_name
 
 _ChordTolerance = Annotated[float, Field(ge=1e-4, le=10), fields.expecting("a number from 0.0001 to 10 (mm)")]
@@ -103,7 +103,9 @@ class MeshConfig(fields.Frozen):
         if suffix == ".glb" and units not in (None, "m"):
             raise fields.complaint(f"expected m or nothing (.glb is in metres by its specification), found {units}")
         if suffix in _STEP and units is not None and info.context is not None:
-            declared = _declared_units(info.context["folder"] / file)
+            declared: set[str] = set()
+            with contextlib.suppress(OSError):
+                declared = set(map(unit_name, step_units_mm((info.context["folder"] / file).read_bytes())))
             if units not in declared:
                 unit = f"the file is in {' and '.join(sorted(declared))}" if declared else "no unit is found in it"
                 raise fields.complaint(f"found {units}, but {unit}; STEP carries its own unit, remove this key")
@@ -151,7 +153,7 @@ class ReflectanceConfig(fields.Frozen):
     )
 
 
-class PartConfig(fields.Frozen):
+class PartConfig(fields.FileConfig):
     """A part to inspect: its shape, how it lies, the postures it is seen in, and its surface."""
 
     format: Literal["lightopt-part/1"] = Field(description="Kind and version of this file: lightopt-part/1.")
@@ -175,12 +177,6 @@ class PartConfig(fields.Frozen):
         default=InspectionConfig(),
         description="Limits by which inspections judge OK or NG; no defects allowed if absent.",
     )
-    _source: Source = PrivateAttr(default=Source(Path("<built in code>"), ""))
-
-    @property
-    def source(self) -> Source:
-        """The file this part was read from."""
-        return self._source
 
     @field_validator("postures", mode="wrap")
     @classmethod
@@ -200,13 +196,6 @@ class PartConfig(fields.Frozen):
         cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo
     ) -> Any:
         return fields.with_complaints(value, handler, fields.same_names(fields.entries(value), str(info.field_name)))
-
-
-def _declared_units(path: Path) -> frozenset[str]:
-    try:
-        return frozenset(map(unit_name, step_units_mm(path.read_bytes())))
-    except OSError:
-        return frozenset()
 
 
 def _require(folder: Path, file: str) -> None:

@@ -1,15 +1,13 @@
 """A rig file: camera, lights, stage and hardware."""
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
+from pydantic import Field, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
 
 from lightopt.config import _fields as fields
 from lightopt.config._camera import CameraConfig
 from lightopt.config._hardware import HardwareConfig, misfits
-from lightopt.config._source import Source
 
 _Normalisation = Literal["mean", "sum"]
 _Falloff = Literal["none", "inverse_square"]
@@ -106,7 +104,7 @@ class StageConfig(fields.Frozen):
     )
 
 
-class RigConfig(fields.Frozen):
+class RigConfig(fields.FileConfig):
     """A rig: one camera, the lights around the table, and the stage that holds the part."""
 
     format: Literal["lightopt-rig/1"] = Field(description="Kind and version of this file: lightopt-rig/1.")
@@ -120,12 +118,6 @@ class RigConfig(fields.Frozen):
     hardware: HardwareConfig | None = Field(
         default=None, description="The devices behind camera, lights and stage; absent is the virtual bench."
     )
-    _source: Source = PrivateAttr(default=Source(Path("<built in code>"), ""))
-
-    @property
-    def source(self) -> Source:
-        """The file this rig was read from."""
-        return self._source
 
     @field_validator("lights", mode="wrap")
     @classmethod

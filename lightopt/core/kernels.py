@@ -3,10 +3,8 @@
 A compiled kernel is kept in a file named by its fingerprint and the types of its arguments. The fingerprint is that of
 the kernel's bytecode, of the kernels that it calls and of the constants that it uses, wherever they are defined: an
 edit recompiles the kernels that it changes and no others. Of several processes that need the same kernel one compiles,
-and the others wait for its file. Files that no process has used for months are removed when a new one is written.
-
-numba's own cache is not used: it keys a kernel by the one file that it stands in, but compiles into it what it calls
-from other files, and two processes that write to the same index may exchange each other's kernels.
+and the others wait for its file. Files that no process has used for months are removed when a new one is written. Why
+numba's own cache is not used is in docs/decisions/0001-numba-kernels.md.
 """
 
 import contextlib

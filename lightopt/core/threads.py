@@ -84,7 +84,7 @@ class BackgroundTasks:
 
     def add(self, function: Callable[..., None], *arguments: Any) -> None:
         """Do a task after those that were given before."""
-        while self._pool.has_finished():
+        while not self._pool.finished.empty():
             self._pool.finish_one()
         self._pool.start(self._do, function, arguments)
 
@@ -141,19 +141,16 @@ class _Pool:
 
     def __init__(self, threads: int, **options: Any) -> None:
         self._threads = ThreadPoolExecutor(threads, **options)
-        self._finished: SimpleQueue[BaseException | None] = SimpleQueue()
+        self.finished: SimpleQueue[BaseException | None] = SimpleQueue()
         self.running = 0
 
     def start(self, function: Callable[..., None], *arguments: Any) -> None:
         self._threads.submit(self._do, function, arguments)
         self.running += 1
 
-    def has_finished(self) -> bool:
-        return not self._finished.empty()
-
     def finish_one(self) -> None:
         # waits for a task, and raises what it raised
-        error = self._finished.get()
+        error = self.finished.get()
         self.running -= 1
         if error is not None:
             raise error
@@ -165,6 +162,6 @@ class _Pool:
         try:
             function(*arguments)
         except BaseException as error:  # noqa: BLE001  (raised where it is waited for)
-            self._finished.put(error)
+            self.finished.put(error)
         else:
-            self._finished.put(None)
+            self.finished.put(None)

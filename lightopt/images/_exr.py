@@ -1,20 +1,14 @@
 """OpenEXR images of float32 channels."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from lightopt.core.arrays import Float32
 from lightopt.core.errors import InputError
 from lightopt.images._oiio import open_input, openimageio, read_metadata, write_image
-
-if TYPE_CHECKING:
-    import OpenImageIO
-
 
 Channel = Float32
 
@@ -86,7 +80,15 @@ def read_exr(path: str | Path) -> dict[str, Channel]:
     path = Path(path)
     with open_input(path, file_format="openexr") as source:
         spec = source.spec()
-        _check_plain(path, source, spec)
+        if spec.deep:
+            raise InputError(f"{path}: a deep EXR; expected a flat image")
+        if source.seek_subimage(1, 0):
+            raise InputError(f"{path}: an EXR of several parts; expected one")
+        source.seek_subimage(0, 0)
+        window = (spec.x, spec.y, spec.width, spec.height)
+        display = (spec.full_x, spec.full_y, spec.full_width, spec.full_height)
+        if window != display:
+            raise InputError(f"{path}: data window {window} (x, y, w, h) differs from the display window {display}")
         index = {name: i for i, name in enumerate(spec.channelnames)}
         for name, i in index.items():
             if str(spec.channelformat(i)) not in ("float", "half"):
@@ -96,18 +98,6 @@ def read_exr(path: str | Path) -> dict[str, Channel]:
             raise InputError(f"{path}: damaged: {source.geterror().strip()}; write the file anew")
     values = np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, -1)
     return {name: np.ascontiguousarray(values[..., index[name]]) for name in sorted(index)}
-
-
-def _check_plain(path: Path, source: OpenImageIO.ImageInput, spec: OpenImageIO.ImageSpec) -> None:
-    if spec.deep:
-        raise InputError(f"{path}: a deep EXR; expected a flat image")
-    if source.seek_subimage(1, 0):
-        raise InputError(f"{path}: an EXR of several parts; expected one")
-    source.seek_subimage(0, 0)
-    window = (spec.x, spec.y, spec.width, spec.height)
-    display = (spec.full_x, spec.full_y, spec.full_width, spec.full_height)
-    if window != display:
-        raise InputError(f"{path}: data window {window} (x, y, w, h) differs from the display window {display}")
 
 
 def read_exr_metadata(path: str | Path) -> dict[str, Any]:

@@ -37,7 +37,8 @@ SCENE_CHECKS: tuple[Callable[[CheckedScene], Iterable[Finding]], ...] = (
 
 def check_rig(rig: RigConfig) -> CheckResult:
     """Check a rig alone; InputError when the lens model folds the image over."""
-    return CheckResult(_run_rig(rig))
+    checked = CheckedRig(rig, build_camera(rig), build_lights(rig))
+    return CheckResult(tuple(finding for check in RIG_CHECKS for finding in check(checked)))
 
 
 def check_scene(rig: RigConfig, part: PartConfig) -> CheckResult:
@@ -49,9 +50,5 @@ def check_scene(rig: RigConfig, part: PartConfig) -> CheckResult:
     caster = cast_rays_at(scene)
     samples = tuple(sample_posture(scene, posture, caster) for posture in scene.postures)
     checked = CheckedScene(rig, part, scene, caster, samples)
-    return CheckResult((*_run_rig(rig), *(finding for check in SCENE_CHECKS for finding in check(checked))))
-
-
-def _run_rig(rig: RigConfig) -> tuple[Finding, ...]:
-    checked = CheckedRig(rig, build_camera(rig), build_lights(rig))
-    return tuple(finding for check in RIG_CHECKS for finding in check(checked))
+    findings = (finding for check in SCENE_CHECKS for finding in check(checked))
+    return CheckResult((*check_rig(rig).findings, *findings))

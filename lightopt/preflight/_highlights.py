@@ -21,7 +21,6 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64
 from lightopt.geometry import TriangleMesh, face_normals, mesh_edges
-from lightopt.optics import Sensor
 from lightopt.preflight._findings import CheckedScene, Finding
 from lightopt.rendering import highlight_level
 from lightopt.scene import COARSE_SHARE, PanelLight, coarse_points, like_panels, point_spacing, points_advice
@@ -92,23 +91,21 @@ def check_levels(checked: CheckedScene) -> Iterator[Finding]:
         "full_scale": reflectance.full_scale,
     }
     shown = f"{peak:.3g}" if peak < 100.0 else f"{peak:,.0f}"
+    # why light saturates at another level than the sensor's saturation level
+    black = f" less its black level of {sensor.black_level:g}" if sensor.black_level else ""
+    same_scale = sensor.max_level == reflectance.full_scale
+    scale = "" if same_scale else f", in levels of full_scale {reflectance.full_scale:g}"
+    why = f" (the sensor's {sensor.saturated_from:g}{black}{scale})" if black or scale else ""
     text = (
         f"at exposure 1 a surface that faces {brightest.name} shows {level:.3g} levels of diffuse light, and one that "
         f"mirrors the whole panel of {mirrored} {shown} of specular light; saturation is at {saturation:.4g}"
-        f"{_scale_text(sensor, reflectance.full_scale)}"
+        f"{why}"
     )
     saturates = level >= saturation
     if saturates:
         exposure = 0.5 * saturation / level
         text += f": it saturates without any highlight. Check R_d, gain, normalisation, or expose by {exposure:.2g}"
     yield Finding("warning" if saturates else "ok", "levels", text, where, values)
-
-
-def _scale_text(sensor: Sensor, full_scale: float) -> str:
-    # why light saturates at another level than the sensor's saturation level
-    black = f" less its black level of {sensor.black_level:g}" if sensor.black_level else ""
-    scale = f", in levels of full_scale {full_scale:g}" if sensor.max_level != full_scale else ""
-    return f" (the sensor's {sensor.saturated_from:g}{black}{scale})" if black or scale else ""
 
 
 @dataclass(frozen=True)

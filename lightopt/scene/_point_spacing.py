@@ -61,12 +61,13 @@ def point_spacing(light: PanelLight, sigma: float) -> PointSpacing | None:
     k = math.isqrt(light.points)
     lobe = 2.0 * light.distance * sigma
     rule = max(1, math.ceil(2.0 * max(light.size) / lobe))
+    # gaps beyond this leave nothing of the area, whatever they are exactly
+    unit = max(lobe, max(light.size) / k / _LARGEST_GAP)
+    axes = [_profiles(side / unit, k) for side in light.size]
+    threshold = SATURATION_SHARE * axes[0][1][0] * axes[1][1][0]
+    grid, whole = (_area(axes[0][i], axes[1][i], threshold) for i in range(2))
     return PointSpacing(
-        points=light.points,
-        spacing=max(light.size) / k,
-        lobe=lobe,
-        area_error=_area_ratio(light.size, k, lobe) - 1.0,
-        enough=rule * rule,
+        points=light.points, spacing=max(light.size) / k, lobe=lobe, area_error=grid / whole - 1.0, enough=rule * rule
     )
 
 
@@ -108,15 +109,6 @@ def points_advice(light: PanelLight, enough: int) -> str:
     """What to write in the rig file instead of too few points; `enough` as in :class:`PointSpacing`."""
     auto = "Use points: auto" + (" with normalisation: mean" if light.normalisation == "sum" else "")
     return auto if enough > MOST_POINTS else f"{auto}, or points: {enough} for an error of about 1 %"
-
-
-def _area_ratio(size: tuple[float, float], k: int, lobe: float) -> float:
-    # gaps beyond this leave nothing of the area, whatever they are exactly
-    s = max(lobe, max(size) / k / _LARGEST_GAP)
-    axes = [_profiles(side / s, k) for side in size]
-    threshold = SATURATION_SHARE * axes[0][1][0] * axes[1][1][0]
-    grid, whole = (_area(axes[0][i], axes[1][i], threshold) for i in range(2))
-    return grid / whole
 
 
 def _profiles(side: float, k: int) -> tuple[Float64, Float64]:
