@@ -133,7 +133,12 @@ def compare(
     if not quiet:
         _show(files, parts=2 if sets else 1, verbose=verbose)
         if isinstance(result, comparison.SetComparison):
-            _show_notes((*result.notes, *(f"only in the new set: {name}" for name in result.extra)), verbose)
+            notes = [*result.notes, *(f"only in the new set: {name}" for name in result.extra)]
+            shown = notes if verbose else notes[:MOST_NOTES]
+            for note in shown:
+                echo(f"note: {note}")
+            if len(shown) < len(notes):
+                echo(f"and {counted(len(notes) - len(shown), 'note')} more; --verbose shows all")
     if diff is not None:
         draw = partial(comparison.difference_picture, saturation=saturation, overwrite=force)
         drawn = _draw(files, diff, draw, sets=sets)
@@ -172,14 +177,6 @@ def _show(files: Sequence[FileComparison], *, parts: int, verbose: bool) -> None
         show_table(["file", "channel", "max", "rms", "p99", "differing", "IoU", ""], rows, numbers_from=2)
     if len(shown) < len(differing):
         echo(f"and {counted(len(differing) - len(shown), 'channel')} more that differ; --verbose shows all")
-
-
-def _show_notes(notes: Sequence[str], verbose: bool) -> None:
-    shown = notes if verbose else notes[:MOST_NOTES]
-    for note in shown:
-        echo(f"note: {note}")
-    if len(shown) < len(notes):
-        echo(f"and {counted(len(notes) - len(shown), 'note')} more; --verbose shows all")
 
 
 def _draw(files: Sequence[FileComparison], path: Path, draw: Callable[..., float], *, sets: bool) -> str:

@@ -21,19 +21,32 @@ SUMMED_UP_FILES = 3  # so many files beside the main ones, or more, are counted 
 
 def show_design(output: design.DesignOutput, *, verbose: bool) -> None:
     """The best sets with every objective's score, and the main files; with `verbose` all tables and files."""
+    from lightopt import design
     from lightopt.report.design import blind_tables, defect_tables
 
     result = output.result
     _show_best(result, verbose=verbose)
     if verbose:
-        _show_inputs(result)
+        for out in result.all_candidates.left_out:
+            place = f"elevation {out.elevation_deg:g}°, azimuth {out.azimuth_deg:g}°"
+            echo(f"left out: {out.light} at {place}: it {out.reason}")
+        if result.patches is not None:
+            echo(result.patches.message)
+        if result.reused:
+            matrices = "matrix" if result.reused == 1 else "matrices"
+            echo(f"{result.reused} stored luminance {matrices} reused")
         for table in (*defect_tables(output.document), *blind_tables(output.document)):
             show_page_table(table)
             echo(table.caption)
         if output.overlaps:
             show_overlaps(output.overlaps)
     elif result.blind is not None:
-        _summarise_blind_spots(result.blind)
+        _, chosen, _ = result.blind.parts()[0]
+        reasons = "; ".join(
+            f"{design.blind_text(code, result.blind.lights)} {design.share_text(share, chosen.grain)}"
+            for code, share in sorted(chosen.by_reason().items())
+        )
+        echo(f"seen {design.share_text(chosen.seen, chosen.grain)} of {design.BLIND_SHARES_OF}; {reasons}")
     _show_paths(output, verbose=verbose)
 
 
@@ -47,18 +60,6 @@ def _show_paths(output: design.DesignOutput, *, verbose: bool) -> None:
         echo(f"{path}")
     if rest:
         echo(f"and {rest} more files in {output.result.folder}; --verbose lists them")
-
-
-def _show_inputs(result: design.DesignResult) -> None:
-    for out in result.all_candidates.left_out:
-        echo(
-            f"left out: {out.light} at elevation {out.elevation_deg:g}°, azimuth {out.azimuth_deg:g}°: it {out.reason}"
-        )
-    if result.patches is not None:
-        echo(result.patches.message)
-    if result.reused:
-        matrices = "matrix" if result.reused == 1 else "matrices"
-        echo(f"{result.reused} stored luminance {matrices} reused")
 
 
 def _show_best(found: design.DesignResult, *, verbose: bool) -> None:
@@ -98,18 +99,6 @@ def _cells(answer: design.ObjectiveResult, result: design.SetResult, found: desi
     scores = [design.score_text(value, objectives[name], result) for name, value in answer.scores.items()]
     counts = [design.gap_text(answer, result), design.ties_text(answer), design.near_text(answer), counted_text]
     return [*angles, *scores, design.left_out_text(result), *counts]
-
-
-def _summarise_blind_spots(blind: design.BlindSpotSummary) -> None:
-    """What the chosen lights show of the defects over all postures, in one line."""
-    from lightopt.design import BLIND_SHARES_OF, blind_text, share_text
-
-    _, chosen, _ = blind.parts()[0]
-    reasons = "; ".join(
-        f"{blind_text(code, blind.lights)} {share_text(share, chosen.grain)}"
-        for code, share in sorted(chosen.by_reason().items())
-    )
-    echo(f"seen {share_text(chosen.seen, chosen.grain)} of {BLIND_SHARES_OF}; {reasons}")
 
 
 def show_overlaps(overlaps: Sequence[Overlap]) -> None:
@@ -163,7 +152,13 @@ def show_commands(result: design.PlanResult, folder: Path, *, verbose: bool) -> 
         for command in document["commands"]:
             echo(f"  {command}")
         if verbose and len(document["rounds"]) > 1:
-            _show_travel(document["rounds"])
+            from lightopt.core.transforms import Posture
+
+            for number, one in enumerate(document["rounds"], start=1):
+                order = " → ".join(str(Posture.from_dict(posture)) for posture in one["order_of_travel"])
+                echo(f"stage, capture {number}: {order}, {one['travel_s']:.1f} s of travel")
+            total = sum(one["travel_s"] for one in document["rounds"])
+            echo(f"together {total:.1f} s of travel, without the ways back to (0°, 0°)")
 
 
 def _show_postures(document: Section, *, verbose: bool) -> None:
@@ -191,16 +186,6 @@ def _show_postures(document: Section, *, verbose: bool) -> None:
         echo(f"left out: posture {Posture.from_dict(out)}: {out['reason']}")
     for name, value in posture_facts(chosen, document.get("rounds", ())):
         echo(f"{name}: {value}")
-
-
-def _show_travel(rounds: Sequence[Section]) -> None:
-    from lightopt.core.transforms import Posture
-
-    for number, one in enumerate(rounds, start=1):
-        order = " → ".join(str(Posture.from_dict(posture)) for posture in one["order_of_travel"])
-        echo(f"stage, capture {number}: {order}, {one['travel_s']:.1f} s of travel")
-    total = sum(one["travel_s"] for one in rounds)
-    echo(f"together {total:.1f} s of travel, without the ways back to (0°, 0°)")
 
 
 def _show_spare(chosen: Section, text: partial[str]) -> None:

@@ -151,15 +151,11 @@ def input_hashes(rig: RigConfig, part: PartConfig | None) -> dict[str, dict[str,
 
     Raises OSError: The mesh cannot be read
     """
-    hashes = {"rig": _file(rig)}
+    files = {"rig": rig} if part is None else {"rig": rig, "part": part}
+    hashes = {kind: {"file": one.source.path.name, "sha256": one.source.sha256} for kind, one in files.items()}
     if part is not None:
-        hashes["part"] = _file(part)
         hashes["mesh"] = {"sha256": file_sha256(part.source.resolve(part.mesh.file))}
     return hashes
-
-
-def _file(config: RigConfig | PartConfig) -> dict[str, str]:
-    return {"file": config.source.path.name, "sha256": config.source.sha256}
 
 
 def json_schema(kind: Literal["rig", "part"]) -> dict[str, Any]:

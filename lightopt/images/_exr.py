@@ -27,7 +27,18 @@ def write_exr(path: str | Path, channels: Mapping[str, Channel], *, metadata: Ma
     metadata: JSON-able values, kept in one attribute ``lightopt:json``.
     Raises InputError: The channels are not float32 of one shape (H, W), or the file cannot be written.
     """
-    height, width = _common_shape(path, channels)
+    if not channels:
+        raise InputError(f"{path}: an EXR image needs at least one channel")
+    for name, channel in channels.items():
+        if not name or channel.dtype != np.float32 or channel.ndim != 2 or not channel.size:
+            raise InputError(
+                f"{path}: channel {name!r}: expected a name and float32 of shape (H, W), "
+                f"found {channel.dtype} of shape {channel.shape}"
+            )
+    shapes = {channel.shape for channel in channels.values()}
+    if len(shapes) != 1:
+        raise InputError(f"{path}: channels of different shapes: {sorted(shapes)}")
+    height, width = shapes.pop()
     OpenImageIO = openimageio()
     spec = OpenImageIO.ImageSpec(width, height, len(channels), "float")
     spec.channelnames = tuple(channels)
@@ -53,22 +64,6 @@ def _is_complete(path: Path) -> bool:
     failed = bool(source.geterror()) or row is None
     source.close()
     return not failed
-
-
-def _common_shape(path: str | Path, channels: Mapping[str, Channel]) -> tuple[int, int]:
-    if not channels:
-        raise InputError(f"{path}: an EXR image needs at least one channel")
-    shapes = {channel.shape for channel in channels.values()}
-    for name, channel in channels.items():
-        if not name or channel.dtype != np.float32 or channel.ndim != 2 or not channel.size:
-            raise InputError(
-                f"{path}: channel {name!r}: expected a name and float32 of shape (H, W), "
-                f"found {channel.dtype} of shape {channel.shape}"
-            )
-    if len(shapes) != 1:
-        raise InputError(f"{path}: channels of different shapes: {sorted(shapes)}")
-    height, width = shapes.pop()
-    return height, width
 
 
 def read_exr(path: str | Path) -> dict[str, Channel]:

@@ -23,7 +23,7 @@ from lightopt.core.arrays import Bool, Float64
 from lightopt.geometry import TriangleMesh, face_normals, mesh_edges
 from lightopt.preflight._findings import CheckedScene, Finding
 from lightopt.rendering import highlight_level
-from lightopt.scene import COARSE_SHARE, PanelLight, coarse_points, like_panels, point_spacing, points_advice
+from lightopt.scene import PanelLight, coarse_points, like_panels, point_spacing, points_advice
 
 NEGLIGIBLE_ERROR = 0.015
 
@@ -68,7 +68,6 @@ def _points(light: PanelLight, sigma: float, where: str) -> Finding:
     )
     if abs(found.area_error) <= NEGLIGIBLE_ERROR:
         return Finding("ok", "points", text, where, values)
-    assert abs(found.area_error) <= COARSE_SHARE
     return Finding("note", "points", f"{text}. {points_advice(light, found.enough)}", where, values)
 
 

@@ -65,15 +65,11 @@ def guess_unit(part: PartConfig, longest: float, view: float) -> UnitGuess | Non
     likely = likely_units(longest, view, unit)
     if not likely:
         return None
+    ratios = {name: MM_PER_UNIT[name] / MM_PER_UNIT[unit] for name in likely}
+    factors = {name: f"{ratio:.4g}" if ratio >= 1.0 else f"1/{1.0 / ratio:.4g}" for name, ratio in ratios.items()}
     likely_text = " or ".join(
-        f"{name} ({longest * MM_PER_UNIT[name] / MM_PER_UNIT[unit]:.4g} mm, a factor of "
-        f"{_factor(MM_PER_UNIT[name] / MM_PER_UNIT[unit])})"
-        for name in likely
+        f"{name} ({longest * ratios[name]:.4g} mm, a factor of {factors[name]})" for name in likely
     )
     read = f"Read as {unit}, the part's longest side is {longest:.4g} mm"
     text = f"a wrong unit? {read}; it would be about as large as the view if the file were in {likely_text}"
     return UnitGuess(unit, likely, text)
-
-
-def _factor(ratio: float) -> str:
-    return f"{ratio:.4g}" if ratio >= 1.0 else f"1/{1.0 / ratio:.4g}"

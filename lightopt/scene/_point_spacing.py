@@ -65,9 +65,18 @@ def point_spacing(light: PanelLight, sigma: float) -> PointSpacing | None:
     unit = max(lobe, max(light.size) / k / _LARGEST_GAP)
     axes = [_profiles(side / unit, k) for side in light.size]
     threshold = SATURATION_SHARE * axes[0][1][0] * axes[1][1][0]
-    grid, whole = (_area(axes[0][i], axes[1][i], threshold) for i in range(2))
+    areas: list[float] = []
+    for across, along in zip(*axes, strict=True):  # of the grid and of the whole panel
+        # number of cells (i, j) with across[i]·along[j] ≥ threshold
+        ascending = np.sort(along)
+        needed = threshold / np.maximum(across, 1e-300)
+        areas.append(float((len(ascending) - np.searchsorted(ascending, needed)).sum()))
     return PointSpacing(
-        points=light.points, spacing=max(light.size) / k, lobe=lobe, area_error=grid / whole - 1.0, enough=rule * rule
+        points=light.points,
+        spacing=max(light.size) / k,
+        lobe=lobe,
+        area_error=areas[0] / areas[1] - 1.0,
+        enough=rule * rule,
     )
 
 
@@ -123,10 +132,3 @@ def _profiles(side: float, k: int) -> tuple[Float64, Float64]:
     root = math.sqrt(0.5)
     whole = np.array([math.erf((e + half) * root) - math.erf((e - half) * root) for e in x])
     return grid / k, whole * math.sqrt(0.5 * math.pi) / side
-
-
-def _area(across: Float64, along: Float64, threshold: float) -> float:
-    # number of cells (i, j) with across[i]·along[j] ≥ threshold
-    ascending = np.sort(along)
-    needed = threshold / np.maximum(across, 1e-300)
-    return float((len(ascending) - np.searchsorted(ascending, needed)).sum())

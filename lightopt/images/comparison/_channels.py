@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Bool, Float64
+from lightopt.core.arrays import Bool
 from lightopt.core.errors import InputError
 
 # percentiles of |a − b| that are reported, by their key in reports
@@ -133,11 +133,19 @@ def compare_arrays(
         masks = {"saturated_a": int(full_a.sum()), "saturated_b": int(full_b.sum()), "iou": iou}
         if min_iou is not None and iou < min_iou:
             reasons.append(f"{name}: saturated areas overlap by {iou:.4f} (IoU); at least {min_iou:g} expected")
+    statistics: dict[str, Any] = {"max": None, "rms": None, "percentiles": None}
+    if distance.size:
+        values = np.percentile(distance, list(PERCENTILES.values()))
+        statistics = {
+            "max": float(distance.max()),
+            "rms": float(np.sqrt(np.mean(distance**2))),
+            "percentiles": dict(zip(PERCENTILES, values.tolist(), strict=True)),
+        }
     return ChannelDifference(
         name=name,
         pixels=int(a.size),
         compared=int(golden.size),
-        **_statistics(distance),
+        **statistics,
         differing=differing,
         share=share,
         not_finite_a=int((~finite_a).sum()),
@@ -145,14 +153,3 @@ def compare_arrays(
         **masks,
         reasons=tuple(reasons),
     )
-
-
-def _statistics(distance: Float64) -> dict[str, Any]:
-    if not distance.size:
-        return {"max": None, "rms": None, "percentiles": None}
-    values = np.percentile(distance, list(PERCENTILES.values()))
-    return {
-        "max": float(distance.max()),
-        "rms": float(np.sqrt(np.mean(distance**2))),
-        "percentiles": dict(zip(PERCENTILES, values.tolist(), strict=True)),
-    }

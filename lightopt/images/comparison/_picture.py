@@ -8,7 +8,7 @@ import numpy as np
 from lightopt.core.arrays import Float64, UInt8
 from lightopt.core.errors import InputError
 from lightopt.images import write_png
-from lightopt.images.comparison._files import LEVELS, LoadedFile, load_file
+from lightopt.images.comparison._files import LEVELS, load_file
 
 _LOWER = (33, 102, 172)
 _EQUAL = (247, 247, 247)
@@ -46,7 +46,11 @@ def difference_picture(
         raise InputError(
             f"{a} and {b}: no difference to show between {golden.kind} of {golden.shape} and {new.kind} of {new.shape}"
         )
-    name = _choose(golden, new, channel)
+    common = sorted(golden.channels.keys() & new.channels.keys())
+    preferred = [name for name in ("Y", LEVELS) if name in common] + common
+    name = channel if channel is not None else preferred[0] if preferred else ""
+    if name not in common:
+        raise InputError(f"no channel {name!r} in both images; they share {', '.join(common) or 'none'}")
     old, now = golden.channels[name].astype(np.float64), new.channels[name].astype(np.float64)
     finite = np.isfinite(old) & np.isfinite(now)
     signed = np.zeros(old.shape)
@@ -82,16 +86,6 @@ def difference_picture(
     }
     write_png(path, pixels, metadata=metadata, overwrite=overwrite)
     return scale
-
-
-def _choose(golden: LoadedFile, new: LoadedFile, channel: str | None) -> str:
-    common = sorted(golden.channels.keys() & new.channels.keys())
-    if channel is None:
-        preferred = [name for name in ("Y", LEVELS) if name in common]
-        channel = (preferred + common)[0] if common else ""
-    if channel not in common:
-        raise InputError(f"no channel {channel!r} in both images; they share {', '.join(common) or 'none'}")
-    return channel
 
 
 def _diverging(relative: Float64) -> UInt8:
