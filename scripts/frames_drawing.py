@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.transforms import azimuth_tangent, direction, elevation_tangent, posture_rotation
+from lightopt.core.transforms import azimuth_tangent, direction, elevation_tangent, rotation_x, rotation_z
 from lightopt.report._drawing import CAP_HEIGHT, INK, LINE_HEIGHT, SOFT, Box, Drawing, Label, fixed_style, sub
 from lightopt.report._images import check_png_path, write_picture
 from lightopt.report._rig_elements import (
@@ -319,13 +319,13 @@ def draw_posture(drawing: Drawing, box: Box) -> list[Label]:
     theta, phi = np.radians(28.0), np.radians(55.0)
     labels: list[Label] = []
     for half, tilt in zip(boxes, (0.0, theta), strict=True):
-        rotation = posture_rotation(elevation=tilt, rotation=phi)
-        carried = posture_rotation(elevation=tilt, rotation=0.0)
+        carried = rotation_x(tilt)
+        rotation = carried @ rotation_z(phi)
         points = 60.0 * np.stack([X, -0.9 * X, 1.1 * Z, -0.6 * Z, -0.55 * Y])
         inner = (half[0] + 4, half[1] + 30, half[2] - 20, half[3] - 20)
         view = fit_view(points, elevation=np.radians(26.0), azimuth=np.radians(300.0), box=inner)
         pen = Pen(drawing, view, labels)
-        before = posture_rotation(elevation=0.0, rotation=phi) if tilt else np.eye(3)
+        before = rotation_z(phi) if tilt else np.eye(3)
         _block(pen, before, ghost=True)
         pen.line(np.stack([-54.0 * X, 60.0 * X]), STAGE, 1.6, dash=(14, 5))
         if tilt:

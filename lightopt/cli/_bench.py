@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -28,8 +28,7 @@ def status(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
 
     unreachable: dict[str, LightoptError] = {}
     loaded = load_rig(rig)
-    devices = _open(loaded, serial_log, touch_lights=False, unreachable=unreachable)
-    with devices:
+    with _open(loaded, serial_log, touch_lights=False, unreachable=unreachable) as devices:
         rows = list(device_statuses(devices, loaded, unreachable))
     show_table(("device", "state"), [(row.name, row.text) for row in rows], numbers_from=2)
     if failed := [row for row in rows if row.failed]:
@@ -65,14 +64,11 @@ def light(
     longest = wiring.light(name).max_on_s
     at_most = "" if longest is None else f", {longest:g} s at most (max_on_s)"
     with _open(loaded, serial_log) as devices:
-        echo(
-            f"{name} is on at level {chosen}"
-            + (f" until Enter is pressed{at_most}" if seconds is None else f" for {seconds:g} s")
-        )
+        duration = f"until Enter is pressed{at_most}" if seconds is None else f"for {seconds:g} s"
+        echo(f"{name} is on at level {chosen} {duration}")
         held = hold_light(devices, name, chosen, seconds=seconds, wait=_wait)
-    echo(
-        f"{name} is off; " + ("its level cannot be read back" if held is None else f"the controller held level {held}")
-    )
+    held_text = "its level cannot be read back" if held is None else f"the controller held level {held}"
+    echo(f"{name} is off; {held_text}")
 
 
 @bench.command(cls=common.HeadedCommand)
@@ -91,12 +87,9 @@ def off(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
     finally:
         for problem in lights.problems:
             echo_warning(problem)
-    which = f"({', '.join(done.controllers)})"
-    if done.unverified:
-        echo(
-            f"all lights of {lights.name} were switched off {which}; {', '.join(done.unverified)} "
-            "cannot be read back: look"
-        )
+    which, unverified = f"({', '.join(done.controllers)})", ", ".join(done.unverified)
+    if unverified:
+        echo(f"all lights of {lights.name} were switched off {which}; {unverified} cannot be read back: look")
     else:
         echo(f"all lights of {lights.name} are off {which}")
 
@@ -174,10 +167,8 @@ def snap(
     if light is not None:
         check_level(wiring, loaded, light, None)
         check_on_time(wiring, loaded, light, snap_on_s(wiring, relative))
-    devices = connect_devices(
-        loaded, wiring, part=loaded_part, serial_log=serial_log, run=RunContext(warn=echo_warning)
-    )
-    with devices:
+    run = RunContext(warn=echo_warning)
+    with connect_devices(loaded, wiring, part=loaded_part, serial_log=serial_log, run=run) as devices:
         low, high, mean = take(devices, file, light=light, exposure=relative, overwrite=force)
     echo(f"levels {low} to {high}, mean {mean:.1f}")
     echo(f"{file}")
@@ -247,37 +238,24 @@ def _show_cameras(producer: Path | None) -> list[CameraInfo]:
 
 def _camera_state(config: CameraDeviceConfig, cameras: list[CameraInfo]) -> str:
     """Whether the camera of a rig is among those that answer."""
-    if config.driver not in ("aravis", "genicam"):
-        return "simulated" if config.driver == "virtual" else ""
-    if config.port == "virtual":
+    if "virtual" in (config.driver, config.port):
         return "simulated"
+    if config.driver == "folder":
+        return ""
     named = [camera for camera in cameras if camera.driver == config.driver]
     found = [camera for camera in named if config.port is None or config.port in camera.names]
     return "yes" if len(found) == 1 else f"NO: {len(found)} answer"
 
 
-def _open(
-    rig: RigConfig,
-    serial_log: Path | None,
-    *,
-    needs_stage: bool = False,
-    touch_lights: bool = True,
-    unreachable: dict[str, LightoptError] | None = None,
-) -> Devices:
+def _open(rig: RigConfig, serial_log: Path | None, *, needs_stage: bool = False, **options: Any) -> Devices:
+    # without the camera; `options` as of connect_devices
     from lightopt.rig.capture import connect_devices, wiring_of
 
     wiring = wiring_of(rig)
     if needs_stage and wiring.hardware.stage is None:
         raise InputError(f"{rig.source.at('hardware')}: this rig has no stage")
-    return connect_devices(
-        rig,
-        wiring,
-        camera=False,
-        serial_log=serial_log,
-        touch_lights=touch_lights,
-        unreachable=unreachable,
-        run=RunContext(warn=echo_warning),
-    )
+    run = RunContext(warn=echo_warning)
+    return connect_devices(rig, wiring, camera=False, serial_log=serial_log, run=run, **options)
 
 
 def _wait(seconds: float | None) -> None:

@@ -63,25 +63,23 @@ def capture(
 
     Example: lightopt capture rig.yaml part.yaml -o captured --exposures 1,1/16
     """
-    chosen_postures = common.parse_postures(posture)
-    chosen_exposures = common.parse_exposures(exposures)
     if out is None and not dry_run:
         raise InputError("--out: expected a folder for the image set; --dry-run alone needs none")
 
     from lightopt.rig.capture import CaptureOptions, check_devices, check_folder, make_plan
     from lightopt.rig.capture import capture as run
 
-    loaded_rig, loaded_part = common.load_inputs(rig, part)
     options = CaptureOptions(
         lights=tuple(light) if light else None,
-        postures=chosen_postures,
-        exposures=chosen_exposures,
+        postures=common.parse_postures(posture),
+        exposures=common.parse_exposures(exposures),
         average=average,
         dark=dark,
         home=home,
         check=check_lights,
         check_repeatability=check_repeatability,
     )
+    loaded_rig, loaded_part = common.load_inputs(rig, part)
     if dry_run:
         plan = make_plan(loaded_rig, loaded_part, options)
         _show_plan(plan)  # it can be read where the devices are not
@@ -118,7 +116,7 @@ def capture(
         _show_result(done)
     if sheet:
         title = f"{loaded_part.name} on {loaded_rig.name}, captured"
-        common.add_sheets(out, exposures=chosen_exposures, title=title, force=force, quiet=quiet)
+        common.add_sheets(out, exposures=options.exposures, title=title, force=force, quiet=quiet)
 
 
 def _show_plan(plan: CapturePlan) -> None:

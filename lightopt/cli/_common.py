@@ -28,6 +28,9 @@ run_option = partial(typer.Option, rich_help_panel="Run")  # headings of options
 
 RigFile = Annotated[Path, typer.Argument(metavar="RIG", help="Rig file (YAML): camera, lights, stage.")]
 PartFile = Annotated[Path, typer.Argument(metavar="PART", help="Part file (YAML): mesh, postures, reflectance.")]
+Images = Annotated[
+    Path, typer.Argument(metavar="IMAGES", help="Image set, rendered or captured: folder or manifest.json.")
+]
 Out = Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Output folder; created if missing.")]
 Force = Annotated[bool, output_option("--force", help="Overwrite existing results.")]
 Report = Annotated[bool, output_option("--report/--no-report", help="Write report.html.")]

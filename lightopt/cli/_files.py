@@ -148,22 +148,17 @@ def defects(
 
     Example: lightopt defects rig.yaml part.yaml --seed 1 --count 14 -o part.defects.yaml
     """
+    from lightopt import inspection
     from lightopt.images import make_folder
-    from lightopt.inspection import (
-        place_random_defects,
-        random_defect_provenance,
-        random_defects_text,
-        write_random_defects,
-    )
 
     loaded_rig, loaded_part = common.load_inputs(rig, part)
     comment = f"{counted(count, 'defect')}, scattered by: lightopt defects --seed {seed} --count {count}"
     run = RunContext(threads=threads)
-    placed = place_random_defects(loaded_rig, loaded_part, count=count, seed=seed, run=run)
-    made_from = random_defect_provenance(loaded_rig, loaded_part, count=count, seed=seed)
-    text = random_defects_text(loaded_part, placed, folder=out.parent, comment=comment, made_from=made_from)
+    placed = inspection.place_random_defects(loaded_rig, loaded_part, count=count, seed=seed, run=run)
+    made_from = inspection.random_defect_provenance(loaded_rig, loaded_part, count=count, seed=seed)
+    text = inspection.random_defects_text(loaded_part, placed, folder=out.parent, comment=comment, made_from=made_from)
     make_folder(out.parent)
-    write_random_defects(out, text, force=force)
+    inspection.write_random_defects(out, text, force=force)
     if not quiet:
         kinds = Counter(defect.entry.name for defect in placed)
         echo(f"{counted(len(placed), 'defect')}: {', '.join(f'{n} × {name}' for name, n in kinds.items())}")

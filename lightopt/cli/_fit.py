@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -15,14 +16,11 @@ from lightopt.core.run_context import RunContext
 
 if TYPE_CHECKING:
     from lightopt.config import RigConfig
-    from lightopt.estimate.reflectance import FitFolder, FitOptions, FitResult, FittedValue, MeasuredNoise, PaperOptions
+    from lightopt.estimate.reflectance import FitFolder, FitOptions, FitResult, FittedValue
 
 
 paper_option = partial(typer.Option, rich_help_panel="The paper's procedure (--method paper)")
 
-Images = Annotated[
-    Path, typer.Argument(metavar="IMAGES", help="Image set, rendered or captured: folder or manifest.json.")
-]
 Method = Annotated[
     Literal["likelihood", "paper"],
     typer.Option(
@@ -48,7 +46,7 @@ FREE = ("gain", "dark")
 def fit_diffuse(
     rig: common.RigFile,
     part: common.PartFile,
-    images: Images,
+    images: common.Images,
     out: common.Out,
     method: Method = "likelihood",
     register: common.Register = False,
@@ -74,12 +72,11 @@ def fit_diffuse(
 
     Example: lightopt fit-diffuse rig.yaml part.yaml captured/ -o fitted
     """
-    from lightopt.estimate.reflectance import PaperOptions
+    from lightopt.estimate.reflectance import FitOptions, PaperOptions
 
     paper = PaperOptions(lambda_d=lambda_d, R_d_start=start_rd, away=math.radians(highlight_margin))
-    options = _options(
-        "diffuse", method, free, points, paper, pixels=pixels, register=register, write_noise=write_noise
-    )
+    options = FitOptions(method=method, register=register, pixels=pixels, write_noise=write_noise, paper=paper)
+    options = _complete("diffuse", options, free, points)
     _run(
         "diffuse", rig, part, images, out, options, allow_unconverged=allow_unconverged, force=force, threads=threads,
         quiet=quiet, verbose=verbose,
@@ -89,7 +86,7 @@ def fit_diffuse(
 def fit_specular(
     rig: common.RigFile,
     part: common.PartFile,
-    images: Images,
+    images: common.Images,
     out: common.Out,
     method: Method = "likelihood",
     joint: Annotated[
@@ -134,15 +131,16 @@ def fit_specular(
 
     Example: lightopt fit-specular rig.yaml part.yaml captured/ -o fitted --joint
     """
-    from lightopt.estimate.reflectance import PaperOptions
+    from lightopt.estimate.reflectance import FitOptions, PaperOptions
 
     paper = PaperOptions(
         lambda_s1=lambda_s1, lambda_s2=lambda_s2, sigma_step=sigma_step, sigma_start=start_sigma, R_s_start=start_rs
     )
-    options = _options(
-        "specular", method, free, points, paper, pixels=pixels, joint=joint, register=register, validate=validate,
-        write_noise=write_noise,
+    options = FitOptions(
+        method=method, joint=joint, register=register, pixels=pixels, validate=validate, write_noise=write_noise,
+        paper=paper,
     )  # fmt: skip
+    options = _complete("specular", options, free, points)
     _run(
         "specular", rig, part, images, out, options, allow_unconverged=allow_unconverged, force=force, threads=threads,
         quiet=quiet, verbose=verbose,
@@ -192,21 +190,10 @@ def _run(
         )
 
 
-def _options(
-    kind: str,
-    method: Literal["likelihood", "paper"],
-    free: list[str] | None,
-    points: str | None,
-    paper: PaperOptions,
-    *,
-    pixels: int,
-    joint: bool = False,
-    register: bool,
-    validate: bool = True,
-    write_noise: bool,
-) -> FitOptions:
+def _complete(kind: str, options: FitOptions, free: list[str] | None, points: str | None) -> FitOptions:
+    """The options with what else is fitted and the numbers of points; InputError where they exclude each other."""
     from lightopt.config import points_problem
-    from lightopt.estimate.reflectance import FitOptions, PaperOptions
+    from lightopt.estimate.reflectance import PaperOptions
 
     problems = [f'--free: expected {" or ".join(FREE)}, found "{name}"' for name in free or () if name not in FREE]
     texts = [] if points is None else [text.strip() for text in points.split(",")]
@@ -216,29 +203,18 @@ def _options(
         m for text in texts if (m := common.parse_points(text)) is not None
     )
     problems += [f"--points: {problem}" for m in chosen if (problem := points_problem(m)) is not None]
-    problems += paper.problems()
-    if method == "likelihood":
+    problems += options.paper.problems()
+    if options.method == "likelihood":
         usual = PaperOptions().as_dict()
-        changed = [flag(name) for name, value in paper.as_dict().items() if value != usual[name]]
+        changed = [flag(name) for name, value in options.paper.as_dict().items() if value != usual[name]]
         problems += [f"{name}: belongs to --method paper, which was not given" for name in changed]
-    elif free or joint or register:
+    elif free or options.joint or options.register:
         problems.append("--method paper: takes none of --free, --joint and --register")
-    elif write_noise:
+    elif options.write_noise:
         problems.append("--method paper: estimates no noise, so that --write-noise has nothing to write")
     if problems:
         raise InputError(*problems)
-    return FitOptions(
-        method=method,
-        joint=joint,
-        gain="gain" in (free or ()),
-        dark="dark" in (free or ()),
-        register=register,
-        points=chosen,
-        pixels=pixels,
-        validate=validate,
-        write_noise=write_noise,
-        paper=paper,
-    )
+    return replace(options, gain="gain" in (free or ()), dark="dark" in (free or ()), points=chosen)
 
 
 def _save_residuals(folder: FitFolder, rig: RigConfig) -> Callable[[Any, Any], None]:
@@ -284,7 +260,13 @@ def _show(result: FitResult, verbose: bool) -> None:
     if result.dark is not None:
         echo(_with_error(result.dark).replace("black_level", "black level:"))
     if result.write_noise and result.noise is not None:
-        _show_noise(result.noise)
+        noise = result.noise
+        figures = (
+            ("read noise {:.3g} ± {:.1g} levels", noise.read_noise, noise.read_noise_error),
+            ("{:.4g} ± {:.2g} electrons per level", noise.electrons, noise.electrons_error),
+        )
+        if parts := [text.format(value, error) for text, value, error in figures if value is not None]:
+            echo("noise written: " + ", ".join(parts))
     if result.placement is not None:
         p = result.placement
         turn, error = math.degrees(p.turn), math.degrees(p.errors[2])
@@ -310,16 +292,6 @@ def _with_error(value: FittedValue) -> str:
     if value.interval is None:
         return f"{value.name} {value.value:.4g} (held)"
     return f"{value.name} {value.value:.6g} ± {value.standard_error:.2g}"
-
-
-def _show_noise(noise: MeasuredNoise) -> None:
-    figures = (
-        ("read noise {:.3g} ± {:.1g} levels", noise.read_noise, noise.read_noise_error),
-        ("{:.4g} ± {:.2g} electrons per level", noise.electrons, noise.electrons_error),
-    )
-    parts = [text.format(value, error) for text, value, error in figures if value is not None]
-    if parts:
-        echo("noise written: " + ", ".join(parts))
 
 
 def _show_points(result: FitResult) -> None:

@@ -24,9 +24,7 @@ MOST_ROWS, MOST_NOTES = 8, 3  # shown without `--verbose`
 
 
 def overlap(
-    images: Annotated[
-        Path, typer.Argument(metavar="IMAGES", help="Image set, rendered or captured: folder or manifest.json.")
-    ],
+    images: common.Images,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -112,20 +110,12 @@ def compare(
 
     Example: lightopt compare golden/ out/ --diff differences/
     """
-    from lightopt.images import make_folder, write_text_atomic
-    from lightopt.images.comparison import (
-        ComparisonThresholds,
-        SetComparison,
-        compare_files,
-        compare_sets,
-        comparison_provenance,
-        difference_picture,
-    )
+    from lightopt.images import comparison, make_folder, write_text_atomic
 
     sets = golden.is_dir() or new.is_dir() or golden.name == "manifest.json"
     if sets and diff is not None:
         make_folder(diff)
-    thresholds = ComparisonThresholds(
+    thresholds = comparison.ComparisonThresholds(
         absolute=absolute,
         relative=relative,
         max_share=max_share,
@@ -133,21 +123,25 @@ def compare(
         min_iou=min_iou,
         saturation=saturation,
     )
-    result = compare_sets(golden, new, thresholds) if sets else compare_files(golden, new, thresholds)
+    result = (
+        comparison.compare_sets(golden, new, thresholds) if sets else comparison.compare_files(golden, new, thresholds)
+    )
     if json_file is not None:
-        figures = {**result.as_dict(), "provenance": comparison_provenance(result, thresholds)}
+        figures = {**result.as_dict(), "provenance": comparison.comparison_provenance(result, thresholds)}
         write_text_atomic(json_file, json.dumps(figures, indent=2) + "\n", overwrite=force)
+    files = result.files if isinstance(result, comparison.SetComparison) else (result,)
     if not quiet:
-        files = result.files if isinstance(result, SetComparison) else (result,)
         _show(files, parts=2 if sets else 1, verbose=verbose)
-        if isinstance(result, SetComparison):
-            _show_notes((*result.notes, *(f"only in the new set: {name}" for name in result.extra)), verbose)
+        if isinstance(result, comparison.SetComparison):
+            notes = [*result.notes, *(f"only in the new set: {name}" for name in result.extra)]
+            shown = notes if verbose else notes[:MOST_NOTES]
+            for note in shown:
+                echo(f"note: {note}")
+            if len(shown) < len(notes):
+                echo(f"and {counted(len(notes) - len(shown), 'note')} more; --verbose shows all")
     if diff is not None:
-        draw = partial(difference_picture, saturation=saturation, overwrite=force)
-        if isinstance(result, SetComparison):
-            drawn = _draw_set(result.files, diff, draw)
-        else:
-            drawn = _draw_file(result, diff, draw)
+        draw = partial(comparison.difference_picture, saturation=saturation, overwrite=force)
+        drawn = _draw(files, diff, draw, sets=sets)
         if not quiet:
             echo(drawn)
     if not result.passed:
@@ -185,22 +179,13 @@ def _show(files: Sequence[FileComparison], *, parts: int, verbose: bool) -> None
         echo(f"and {counted(len(differing) - len(shown), 'channel')} more that differ; --verbose shows all")
 
 
-def _show_notes(notes: Sequence[str], verbose: bool) -> None:
-    shown = notes if verbose else notes[:MOST_NOTES]
-    for note in shown:
-        echo(f"note: {note}")
-    if len(shown) < len(notes):
-        echo(f"and {counted(len(notes) - len(shown), 'note')} more; --verbose shows all")
-
-
-def _draw_set(files: Sequence[FileComparison], folder: Path, draw: Callable[..., float]) -> str:
+def _draw(files: Sequence[FileComparison], path: Path, draw: Callable[..., float], *, sets: bool) -> str:
+    if not sets:
+        (one,) = files
+        if not one.channels:
+            raise InputError(f"{path}: no difference picture, since the files cannot be compared", *one.reasons)
+        return f"{path}: blue lower, red higher, full colour at {draw(one.a, one.b, path):.4g}"
     drawn = [file for file in files if file.channels and Path(file.a).suffix in (".exr", ".png")]
     for file in drawn:
-        draw(file.a, file.b, folder / f"{'_'.join(Path(file.b).parts[-2:])}.diff.png")
-    return f"{counted(len(drawn), 'difference picture')} in {folder}"
-
-
-def _draw_file(file: FileComparison, path: Path, draw: Callable[..., float]) -> str:
-    if not file.channels:
-        raise InputError(f"{path}: no difference picture, since the files cannot be compared", *file.reasons)
-    return f"{path}: blue lower, red higher, full colour at {draw(file.a, file.b, path):.4g}"
+        draw(file.a, file.b, path / f"{'_'.join(Path(file.b).parts[-2:])}.diff.png")
+    return f"{counted(len(drawn), 'difference picture')} in {path}"

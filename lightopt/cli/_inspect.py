@@ -16,20 +16,9 @@ from lightopt.core.errors import CheckFailed, InputError, counted, percent
 from lightopt.core.run_context import RunContext, StageShare
 
 if TYPE_CHECKING:
+    from lightopt import inspection
     from lightopt.config import PartConfig, RigConfig
     from lightopt.images import ImageSet
-    from lightopt.inspection import (
-        BatchFolder,
-        BatchRow,
-        Calibration,
-        Fusion,
-        InspectedSet,
-        InspectionFolder,
-        InspectionResult,
-        InspectOptions,
-        SetEvaluation,
-        Verdict,
-    )
 
 
 MOST_DEFECTS = 6  # rows of the table of defects without `--verbose`; defects.csv has all of them
@@ -101,15 +90,15 @@ def inspect(
 
     Example: lightopt inspect rig.yaml part.yaml captured/ -o inspected
     """
+    from lightopt import inspection
     from lightopt.images import read_image_set
-    from lightopt.inspection import InspectOptions, read_calibration, rejections
 
-    learned = None if calibration is None else read_calibration(calibration)
+    learned = None if calibration is None else inspection.read_calibration(calibration)
     if false_alarms is None:
-        false_alarms = InspectOptions.false_alarms if learned is None else learned.rate
-    options = InspectOptions(
+        false_alarms = inspection.InspectOptions.false_alarms if learned is None else learned.rate
+    options = inspection.InspectOptions(
         detector=detector,
-        fusion=None if fusion == "none" else cast("Fusion", fusion),
+        fusion=None if fusion == "none" else cast("inspection.Fusion", fusion),
         false_alarms=false_alarms,
         min_images=min_images,
         register=register,
@@ -129,7 +118,7 @@ def inspect(
     if learned is not None:
         learned.require_match(loaded_rig, loaded_part, options)
     rows = _inspect(output, sets, out, options, learned, evaluate=evaluate, force=force)
-    bad = rejections(sets, rows) if fail_on_defect else []
+    bad = inspection.rejections(sets, rows) if fail_on_defect else []
     if refused := [row.name for row in rows if row.verdict is None]:
         raise InputError(*bad, f"{len(refused)} of {counted(len(sets), 'set')} not inspected: {', '.join(refused)}")
     if bad:
@@ -151,34 +140,28 @@ def _inspect(
     output: _Output,
     sets: list[ImageSet],
     out: Path,
-    options: InspectOptions,
-    calibration: Calibration | None,
+    options: inspection.InspectOptions,
+    calibration: inspection.Calibration | None,
     *,
     evaluate: bool,
     force: bool,
-) -> list[BatchRow]:
+) -> list[inspection.BatchRow]:
     # one set goes to `out`; several go to folders below it, and what is said of all of them to `out`
-    from lightopt.inspection import (
-        BatchFolder,
-        BatchRow,
-        InspectionFolder,
-        inspect_batch,
-        inspection_provenance,
-        set_names,
-        truth_sources,
-    )
+    from lightopt import inspection
 
     rig, part, several = output.rig, output.part, len(sets) > 1
-    names = set_names(sets, out)
-    sources = truth_sources(sets, part) if evaluate else None
-    describe = partial(inspection_provenance, rig, part, options=options, calibration=calibration)
+    names = inspection.set_names(sets, out)
+    sources = inspection.truth_sources(sets, part) if evaluate else None
+    describe = partial(inspection.inspection_provenance, rig, part, options=options, calibration=calibration)
     batch = None
     if several:
         made_from = describe(sets)
         made_from["options"]["evaluate"] = evaluate
-        batch = BatchFolder(out, made_from, force=force)
+        batch = inspection.BatchFolder(out, made_from, force=force)
     folders = [
-        InspectionFolder(out / name if several else out, describe([image_set], before=sets[:number]), force=force)
+        inspection.InspectionFolder(
+            out / name if several else out, describe([image_set], before=sets[:number]), force=force
+        )
         for number, (image_set, name) in enumerate(zip(sets, names, strict=True))
     ]
     shown: list[StageShare | None] = [None]
@@ -187,7 +170,7 @@ def _inspect(
         if shown[0] is not None:
             shown[0](stage, share)
 
-    results = inspect_batch(
+    results = inspection.inspect_batch(
         rig,
         part,
         sets,
@@ -197,8 +180,8 @@ def _inspect(
         folders=folders,
         run=RunContext(threads=output.threads, progress=progress, warn=echo_warning),
     )
-    rows: list[BatchRow] = []
-    evaluations: list[SetEvaluation] = []
+    rows: list[inspection.BatchRow] = []
+    evaluations: list[inspection.SetEvaluation] = []
     begun = monotonic()
     for name, image_set, folder in zip(names, sets, folders, strict=True):
         with show_progress(quiet=output.quiet) as shown[0]:  # ends before the result is printed
@@ -212,7 +195,7 @@ def _inspect(
             echo_error(*(f"{name}: not inspected: {message}" for message in bare))
             # results name folders, and not where on this machine they are
             reasons = (message.replace(own, name) for message in inspected.error.messages)
-            rows.append(BatchRow(name=name, refused=tuple(reasons)))
+            rows.append(inspection.BatchRow(name=name, refused=tuple(reasons)))
             continue
         rows.append(_write_set(output, folder, inspected, summarised=not several))
         if inspected.evaluation is not None:
@@ -228,33 +211,37 @@ def _inspect(
     return rows
 
 
-def _calibrate(output: _Output, sets: list[ImageSet], out: Path, options: InspectOptions, *, force: bool) -> None:
+def _calibrate(
+    output: _Output, sets: list[ImageSet], out: Path, options: inspection.InspectOptions, *, force: bool
+) -> None:
+    from lightopt import inspection
     from lightopt.images import make_folder
-    from lightopt.inspection import CalibrationFolder, calibrate, inspection_provenance, require_good_sets
 
     rig, part = output.rig, output.part
-    require_good_sets(len(sets), options)
-    folder = CalibrationFolder(out, inspection_provenance(rig, part, sets, options), force=force)
+    inspection.require_good_sets(len(sets), options)
+    folder = inspection.CalibrationFolder(out, inspection.inspection_provenance(rig, part, sets, options), force=force)
     make_folder(out)
     with show_progress(quiet=output.quiet) as progress:
         run = RunContext(threads=output.threads, progress=progress, warn=echo_warning)
-        calibration = calibrate(rig, part, sets, options=options, run=run)
+        calibration = inspection.calibrate(rig, part, sets, options=options, run=run)
     path = folder.write(calibration)
     if not output.quiet:
         _show_calibration(calibration, options.false_alarms)
         echo(f"{path}")
 
 
-def _write_set(output: _Output, folder: InspectionFolder, inspected: InspectedSet, *, summarised: bool) -> BatchRow:
+def _write_set(
+    output: _Output, folder: inspection.InspectionFolder, inspected: inspection.InspectedSet, *, summarised: bool
+) -> inspection.BatchRow:
     """Print a result, write its files, and the evaluation where it is `summarised` for this set alone."""
+    from lightopt import inspection
     from lightopt.images import posture_folder
-    from lightopt.inspection import REPORT_NAME, TRUTH_NAME, BatchRow, summarise, truth_text
     from lightopt.report.inspection import defect_overlay, inspection_report
 
     result, verdict = inspected.result, inspected.verdict
     assert result is not None
     assert verdict is not None
-    summary = summarise([inspected.evaluation]) if summarised and inspected.evaluation is not None else None
+    summary = inspection.summarise([inspected.evaluation]) if summarised and inspected.evaluation is not None else None
     if not output.quiet:  # before the pictures, which take longer than the inspection did
         if summarised:
             _show_inspection(result, verdict, verbose=output.verbose)
@@ -269,32 +256,34 @@ def _write_set(output: _Output, folder: InspectionFolder, inspected: InspectedSe
             defect_overlay(path, posture, result.defects)
     more: list[Path] = []
     if summary is not None:
-        more.append(folder.write_text(TRUTH_NAME, truth_text(summary)))
+        more.append(folder.write_text(inspection.TRUTH_NAME, inspection.truth_text(summary)))
     if output.report:
         page = inspection_report(
             result, verdict, part=output.part.name, rig=output.rig.name, provenance=folder.made_from, truth=summary
         )
-        more.append(folder.write_text(REPORT_NAME, page))
+        more.append(folder.write_text(inspection.REPORT_NAME, page))
     _show_written(output, summary, [*folder.write(result, verdict), *more])
-    report = f"{inspected.name}/{REPORT_NAME}" if output.report else ""
-    return BatchRow(name=inspected.name, report=report, defects=len(result.defects), verdict=verdict)
+    report = f"{inspected.name}/{inspection.REPORT_NAME}" if output.report else ""
+    return inspection.BatchRow(name=inspected.name, report=report, defects=len(result.defects), verdict=verdict)
 
 
 def _write_batch(
-    output: _Output, folder: BatchFolder, rows: Sequence[BatchRow], evaluations: Sequence[SetEvaluation] | None
+    output: _Output,
+    folder: inspection.BatchFolder,
+    rows: Sequence[inspection.BatchRow],
+    evaluations: Sequence[inspection.SetEvaluation] | None,
 ) -> None:
     """Write the files above the folders of several sets."""
-    from lightopt import __version__
-    from lightopt.inspection import REPORT_NAME, TRUTH_NAME, summarise, truth_text
+    from lightopt import __version__, inspection
     from lightopt.report.inspection import batch_report
 
-    summary = None if evaluations is None else summarise(evaluations)
+    summary = None if evaluations is None else inspection.summarise(evaluations)
     written: list[Path] = []
     if summary is not None:
-        written.append(folder.write_text(TRUTH_NAME, truth_text(summary)))
+        written.append(folder.write_text(inspection.TRUTH_NAME, inspection.truth_text(summary)))
     if output.report:
         page = batch_report(rows, part=output.part.name, rig=output.rig.name, version=__version__, truth=summary)
-        written.append(folder.write_text(REPORT_NAME, page))
+        written.append(folder.write_text(inspection.REPORT_NAME, page))
     written.insert(0, folder.finish({"sets": [row.as_dict() for row in rows]}))
     _show_written(output, summary, written)
 
@@ -308,7 +297,7 @@ def _show_written(output: _Output, summary: Mapping[str, Any] | None, written: S
         echo(f"{path}")
 
 
-def _show_calibration(calibration: Calibration, rate: float) -> None:
+def _show_calibration(calibration: inspection.Calibration, rate: float) -> None:
     """The greatest score of each good set, the threshold, and the rates that these sets can hold."""
     from lightopt.inspection import least_rate
 
@@ -340,7 +329,7 @@ def _show_evaluation(summary: Mapping[str, Any], *, verbose: bool) -> None:
         show_page_table(detection_table(summary))
 
 
-def _show_inspection(result: InspectionResult, verdict: Verdict, *, verbose: bool) -> None:
+def _show_inspection(result: inspection.InspectionResult, verdict: inspection.Verdict, *, verbose: bool) -> None:
     # the verdict, defects, where the part lies, what was inspected
     from lightopt.inspection import REFERENCE_DEFECT
     from lightopt.report.inspection import dark_text, defect_table, placement_text, surface_notes, surface_table

@@ -70,14 +70,6 @@ app.add_typer(bench, name="bench", short_help="Test the devices of a rig one by 
 app.command(short_help="Print the JSON schema of a rig or part file.", cls=HeadedCommand)(schema)
 
 
-def _speak_utf8() -> None:
-    # redirected output on Windows is in a code page that knows neither θ nor σ
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            encoding = stream.encoding if stream.isatty() else "utf-8"
-            stream.reconfigure(encoding=encoding, errors="replace")
-
-
 def take_ctrl_c() -> None:
     """Let Ctrl-C interrupt the main thread, unless a shell that runs a command in the background lets it be ignored."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
@@ -94,7 +86,11 @@ def run(arguments: list[str]) -> int:
     """Run a command line and return its exit status; errors are printed to standard error, none is raised."""
     with _debugging(arguments) as rest:
         try:
-            _speak_utf8()
+            # redirected output on Windows is in a code page that knows neither θ nor σ
+            for stream in (sys.stdout, sys.stderr):
+                if isinstance(stream, io.TextIOWrapper):
+                    encoding = stream.encoding if stream.isatty() else "utf-8"
+                    stream.reconfigure(encoding=encoding, errors="replace")
             status = _command()(rest, prog_name="lightopt", standalone_mode=False)
         except (KeyboardInterrupt, typer.Abort):
             status = INTERRUPTED

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -13,7 +12,7 @@ from lightopt.core.errors import CheckFailed, InputError
 from lightopt.core.run_context import RunContext
 
 if TYPE_CHECKING:
-    from lightopt.design import DesignResult, TargetNotReached
+    from lightopt.design import TargetNotReached
 
 
 light_option = partial(typer.Option, rich_help_panel="Light positions")
@@ -239,7 +238,14 @@ def optimize(
         show_plan(result.plan, verbose=verbose)
         show_design(output, verbose=verbose)
         show_commands(result.plan, out, verbose=verbose)
-    _require_usable(result, out)
+    messages = [
+        f"{', '.join(map(str, one.postures))}: objective {answer.objective.name}: {answer.nothing}"
+        for one in result.results
+        for answer in one.answers[:1]
+        if answer.nothing is not None
+    ]
+    if messages:
+        raise CheckFailed(*messages, f"no rig was written for these postures; {out / 'result.json'} says the same")
 
 
 def _given(**options: object) -> dict[str, Any]:
@@ -264,14 +270,3 @@ def _show_reachable(error: TargetNotReached) -> None:
         "at least: what these postures show, chosen one after the other with one set of lights for all of them; "
         "--choose-postures N places the lights for N, and may choose others"
     )
-
-
-def _require_usable(result: DesignResult, out: Path) -> None:
-    messages = [
-        f"{', '.join(map(str, one.postures))}: objective {answer.objective.name}: {answer.nothing}"
-        for one in result.results
-        for answer in one.answers[:1]
-        if answer.nothing is not None
-    ]
-    if messages:
-        raise CheckFailed(*messages, f"no rig was written for these postures; {out / 'result.json'} says the same")

@@ -11,16 +11,7 @@ from lightopt.cli._terminal import echo, show_page_table, show_table
 from lightopt.core.errors import counted
 
 if TYPE_CHECKING:
-    from lightopt.core.transforms import Posture
-    from lightopt.design import (
-        BlindSpotSummary,
-        DesignOutput,
-        DesignResult,
-        Objective,
-        ObjectiveResult,
-        PlanResult,
-        SetResult,
-    )
+    from lightopt import design
     from lightopt.images import Overlap
 
 Section = Mapping[str, Any]  # of result.json, as the report has it
@@ -28,25 +19,38 @@ Section = Mapping[str, Any]  # of result.json, as the report has it
 SUMMED_UP_FILES = 3  # so many files beside the main ones, or more, are counted and not listed
 
 
-def show_design(output: DesignOutput, *, verbose: bool) -> None:
+def show_design(output: design.DesignOutput, *, verbose: bool) -> None:
     """The best sets with every objective's score, and the main files; with `verbose` all tables and files."""
+    from lightopt import design
     from lightopt.report.design import blind_tables, defect_tables
 
     result = output.result
     _show_best(result, verbose=verbose)
     if verbose:
-        _show_inputs(result)
+        for out in result.all_candidates.left_out:
+            place = f"elevation {out.elevation_deg:g}°, azimuth {out.azimuth_deg:g}°"
+            echo(f"left out: {out.light} at {place}: it {out.reason}")
+        if result.patches is not None:
+            echo(result.patches.message)
+        if result.reused:
+            matrices = "matrix" if result.reused == 1 else "matrices"
+            echo(f"{result.reused} stored luminance {matrices} reused")
         for table in (*defect_tables(output.document), *blind_tables(output.document)):
             show_page_table(table)
             echo(table.caption)
         if output.overlaps:
             show_overlaps(output.overlaps)
     elif result.blind is not None:
-        _summarise_blind_spots(result.blind)
+        _, chosen, _ = result.blind.parts()[0]
+        reasons = "; ".join(
+            f"{design.blind_text(code, result.blind.lights)} {design.share_text(share, chosen.grain)}"
+            for code, share in sorted(chosen.by_reason().items())
+        )
+        echo(f"seen {design.share_text(chosen.seen, chosen.grain)} of {design.BLIND_SHARES_OF}; {reasons}")
     _show_paths(output, verbose=verbose)
 
 
-def _show_paths(output: DesignOutput, *, verbose: bool) -> None:
+def _show_paths(output: design.DesignOutput, *, verbose: bool) -> None:
     main = {"report.html", "result.json", "part.planned.yaml"}
     shown = [path for path in output.paths if path.name in main or path.name.startswith("rig.")]
     rest = len(output.paths) - len(shown)
@@ -58,81 +62,43 @@ def _show_paths(output: DesignOutput, *, verbose: bool) -> None:
         echo(f"and {rest} more files in {output.result.folder}; --verbose lists them")
 
 
-def _show_inputs(result: DesignResult) -> None:
-    for out in result.all_candidates.left_out:
-        echo(
-            f"left out: {out.light} at elevation {out.elevation_deg:g}°, azimuth {out.azimuth_deg:g}°: it {out.reason}"
-        )
-    if result.patches is not None:
-        echo(result.patches.message)
-    if result.reused:
-        matrices = "matrix" if result.reused == 1 else "matrices"
-        echo(f"{result.reused} stored luminance {matrices} reused")
+def _show_best(found: design.DesignResult, *, verbose: bool) -> None:
+    # with `verbose` also what the columns are, and what the shares of scores are shares of
+    from lightopt.design import LEFT_OUT_MEANING, near_meaning, shares_of
 
-
-def _show_best(found: DesignResult, *, verbose: bool) -> None:
     names = [answer.objective.name for answer in found.results[0].answers]
     counts = ("left out", "runner-up", "ties", "near best", "combinations")
     header = ["posture", "best for", *found.candidates.names, *names, *counts]
     rows: list[list[str]] = []
     for result in found.results:
-        posture = _together(result.postures)
+        posture = str(result.postures[0]) if len(result.postures) == 1 else f"all {len(result.postures)}"
         for answer in result.answers:
             rows.append([posture, answer.objective.name, *_cells(answer, result, found)])
             posture = ""
     show_table(header, rows, numbers_from=2)
-    if verbose:
-        _explain([answer.objective for answer in found.results[0].answers])
-
-
-def _together(postures: Sequence[Posture]) -> str:
-    return str(postures[0]) if len(postures) == 1 else f"all {len(postures)}"
-
-
-def _explain(objectives: Sequence[Objective]) -> None:
-    """What the columns of the table are, and what the shares of scores are shares of, a line for each surface."""
-    from lightopt.design import LEFT_OUT_MEANING, near_meaning, shares_of
-
-    for surface, names in shares_of(objectives).items():
-        echo(f"shares of {' and '.join(names)}: of {surface}")
+    if not verbose:
+        return
+    objectives = [answer.objective for answer in found.results[0].answers]
+    for surface, surface_names in shares_of(objectives).items():
+        echo(f"shares of {' and '.join(surface_names)}: of {surface}")
     echo(LEFT_OUT_MEANING)
     echo(near_meaning(objectives))
     echo("of each light its elevation and its azimuth about Z from +X")
 
 
-def _cells(answer: ObjectiveResult, result: SetResult, found: DesignResult) -> list[str]:
-    from lightopt.design import (
-        angles_of,
-        combinations_counted_text,
-        gap_text,
-        left_out_text,
-        near_text,
-        score_text,
-        ties_text,
-    )
+def _cells(answer: design.ObjectiveResult, result: design.SetResult, found: design.DesignResult) -> list[str]:
+    from lightopt import design
 
     best = answer.found
-    counted_text = combinations_counted_text(answer)
+    counted_text = design.combinations_counted_text(answer)
     if answer.nothing is not None:
         blank = ["-"] * (len(found.candidates.names) + len(result.answers))
-        return [*blank, left_out_text(result), "-", "all 0", "all 0", counted_text]
-    angles = [f"{elevation:g}°, {azimuth:g}°" for elevation, azimuth in angles_of(found.candidates, best.best)]
+        return [*blank, design.left_out_text(result), "-", "all 0", "all 0", counted_text]
+    angles = [f"{elevation:g}°, {azimuth:g}°" for elevation, azimuth in design.angles_of(found.candidates, best.best)]
     objectives = {other.objective.name: other.objective for other in result.answers}
-    scores = [score_text(value, objectives[name], result) for name, value in answer.scores.items()]
-    counts = [gap_text(answer, result), ties_text(answer), near_text(answer), counted_text]
-    return [*angles, *scores, left_out_text(result), *counts]
-
-
-def _summarise_blind_spots(blind: BlindSpotSummary) -> None:
-    """What the chosen lights show of the defects over all postures, in one line."""
-    from lightopt.design import BLIND_SHARES_OF, blind_text, share_text
-
-    _, chosen, _ = blind.parts()[0]
-    reasons = "; ".join(
-        f"{blind_text(code, blind.lights)} {share_text(share, chosen.grain)}"
-        for code, share in sorted(chosen.by_reason().items())
-    )
-    echo(f"seen {share_text(chosen.seen, chosen.grain)} of {BLIND_SHARES_OF}; {reasons}")
+    scores = [design.score_text(value, objectives[name], result) for name, value in answer.scores.items()]
+    counts = [design.gap_text(answer, result), design.ties_text(answer), design.near_text(answer), counted_text]
+    return [*angles, *scores, design.left_out_text(result), *counts]
 
 
 def show_overlaps(overlaps: Sequence[Overlap]) -> None:
@@ -152,7 +118,7 @@ def show_overlaps(overlaps: Sequence[Overlap]) -> None:
     show_table(["posture", "exposure", "saturated px", "in two or more", "overlaps"], rows, numbers_from=9)
 
 
-def show_plan(result: PlanResult, *, verbose: bool) -> None:
+def show_plan(result: design.PlanResult, *, verbose: bool) -> None:
     """What a plan shows; with `verbose` also its tables, what the figures mean and how far they hold."""
     from lightopt.design import plan_document
     from lightopt.report.design import exposure_note, exposure_table, tolerance_table
@@ -176,7 +142,7 @@ def show_plan(result: PlanResult, *, verbose: bool) -> None:
             echo(f"off by the tolerance, {table.header[-1]}: the worst corner keeps {worst}, 95 % of draws {most}")
 
 
-def show_commands(result: PlanResult, folder: Path, *, verbose: bool) -> None:
+def show_commands(result: design.PlanResult, folder: Path, *, verbose: bool) -> None:
     """The commands that carry a plan out; with `verbose` the travel of the stage as well."""
     from lightopt.design import plan_document
 
@@ -186,7 +152,13 @@ def show_commands(result: PlanResult, folder: Path, *, verbose: bool) -> None:
         for command in document["commands"]:
             echo(f"  {command}")
         if verbose and len(document["rounds"]) > 1:
-            _show_rounds(document["rounds"])
+            from lightopt.core.transforms import Posture
+
+            for number, one in enumerate(document["rounds"], start=1):
+                order = " → ".join(str(Posture.from_dict(posture)) for posture in one["order_of_travel"])
+                echo(f"stage, capture {number}: {order}, {one['travel_s']:.1f} s of travel")
+            total = sum(one["travel_s"] for one in document["rounds"])
+            echo(f"together {total:.1f} s of travel, without the ways back to (0°, 0°)")
 
 
 def _show_postures(document: Section, *, verbose: bool) -> None:
@@ -214,16 +186,6 @@ def _show_postures(document: Section, *, verbose: bool) -> None:
         echo(f"left out: posture {Posture.from_dict(out)}: {out['reason']}")
     for name, value in posture_facts(chosen, document.get("rounds", ())):
         echo(f"{name}: {value}")
-
-
-def _show_rounds(rounds: Sequence[Section]) -> None:
-    from lightopt.core.transforms import Posture
-
-    for number, one in enumerate(rounds, start=1):
-        order = " → ".join(str(Posture.from_dict(posture)) for posture in one["order_of_travel"])
-        echo(f"stage, capture {number}: {order}, {one['travel_s']:.1f} s of travel")
-    total = sum(one["travel_s"] for one in rounds)
-    echo(f"together {total:.1f} s of travel, without the ways back to (0°, 0°)")
 
 
 def _show_spare(chosen: Section, text: partial[str]) -> None:

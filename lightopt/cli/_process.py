@@ -49,7 +49,6 @@ class _Output(io.FileIO):
         self._may_fail = may_fail
 
     def write(self, data: Any, /) -> int:
-        """Write, or drop."""
         try:
             return super().write(data)
         except OSError as error:
@@ -66,7 +65,13 @@ def run_process(run: Callable[[list[str]], int]) -> int:
     """Run a command line as this process, and return the exit status that it has to leave with."""
     _protect_streams()
     failed: list[str] = []
-    threading.excepthook = lambda args: _thread_failed(args, failed)
+
+    def thread_failed(args: threading.ExceptHookArgs) -> None:
+        if args.exc_value is not None and not isinstance(args.exc_value, SystemExit):
+            failed.append(str(args.thread))
+            report_unexpected(args.exc_value)
+
+    threading.excepthook = thread_failed
     try:
         status = run(sys.argv[1:])
         try:
@@ -82,13 +87,6 @@ def run_process(run: Callable[[list[str]], int]) -> int:
     if failed and status in (0, 1):
         status = DEFECT  # a verdict that a part of the work is missing from is none
     return status
-
-
-def _thread_failed(args: threading.ExceptHookArgs, failed: list[str]) -> None:
-    if args.exc_value is None or isinstance(args.exc_value, SystemExit):
-        return
-    failed.append(str(args.thread))
-    report_unexpected(args.exc_value)
 
 
 def _protect_streams() -> None:

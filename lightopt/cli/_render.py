@@ -41,18 +41,13 @@ def render(
 
     Example: lightopt render rig.yaml part.yaml -o out --exposures 1,1/16
     """
-    chosen_postures = common.parse_postures(posture)
-    chosen_exposures = common.parse_exposures(exposures)
-    chosen_points = common.parse_points(points)
-
     from lightopt.rendering import DEFAULT_PATCH_BUDGET, RenderOptions, render_image_set
 
-    loaded_rig, loaded_part = common.load_inputs(rig, part)
     options = RenderOptions(
         lights=tuple(light) if light else None,
-        postures=chosen_postures,
-        points=chosen_points,
-        exposures=chosen_exposures,
+        postures=common.parse_postures(posture),
+        points=common.parse_points(points),
+        exposures=common.parse_exposures(exposures),
         noise=noise,
         layers=layers,
         shadows=shadows,
@@ -60,6 +55,7 @@ def render(
         defects=defects,
         patch_budget=DEFAULT_PATCH_BUDGET if patches is None else patches,
     )
+    loaded_rig, loaded_part = common.load_inputs(rig, part)
     with show_progress(quiet=quiet) as progress:
         run = RunContext(threads=threads, progress=progress, warn=echo_warning)
         done = render_image_set(loaded_rig, loaded_part, out, options=options, force=force, run=run)
@@ -73,4 +69,4 @@ def render(
         echo(f"{done.folder / 'manifest.json'}")
     if sheet:
         title = f"{loaded_part.name} on {loaded_rig.name}"
-        common.add_sheets(out, exposures=chosen_exposures, title=title, force=force, quiet=quiet)
+        common.add_sheets(out, exposures=options.exposures, title=title, force=force, quiet=quiet)

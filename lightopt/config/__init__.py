@@ -11,7 +11,7 @@ from lightopt.config._fields import MOST_POINTS, points_problem
 from lightopt.config._hardware import AxisConfig, ChannelConfig, ControllerConfig, HardwareConfig, StageDeviceConfig
 from lightopt.config._load import LightsOnly, input_hashes, json_schema, load_lights, load_part, load_rig
 from lightopt.config._part import InspectionConfig, PartConfig, PlacementConfig
-from lightopt.config._rig import LightConfig, LightSourceConfig, RigConfig
+from lightopt.config._rig import LightConfig, RigConfig
 from lightopt.config._source import Source
 
 __all__ = [
@@ -25,7 +25,6 @@ __all__ = [
     "HardwareConfig",
     "InspectionConfig",
     "LightConfig",
-    "LightSourceConfig",
     "LightsOnly",
     "PartConfig",
     "PixelPlaceConfig",

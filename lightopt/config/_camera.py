@@ -135,9 +135,7 @@ _OWNERS = {
 class CameraDeviceConfig(fields.Frozen):
     """The device that takes the images."""
 
-    driver: Annotated[
-        Literal["virtual", "folder", "aravis", "genicam"], fields.expecting("virtual, folder, aravis or genicam")
-    ] = Field(
+    driver: Literal["virtual", "folder", "aravis", "genicam"] = Field(
         default="virtual",
         description="virtual: frames rendered by the virtual bench; folder: frames replayed; aravis: GigE Vision and "
         "USB3 Vision cameras; genicam: any camera, through its maker's GenTL producer.",
@@ -171,7 +169,7 @@ class CameraDeviceConfig(fields.Frozen):
         default=None,
         description="aravis, genicam: gain in the camera's own units, mostly dB; as the camera has it if absent.",
     )
-    trigger: Annotated[Literal["auto", "software", "none"], fields.expecting("auto, software or none")] = Field(
+    trigger: Literal["auto", "software", "none"] = Field(
         default="auto",
         description="aravis, genicam: software: each frame is triggered; none: the camera runs freely and "
         "timing.discard_frames are thrown away after each change; auto: software where the camera has it.",

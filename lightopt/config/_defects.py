@@ -1,7 +1,7 @@
 """Defects in a part file: the kinds to plan for, and those that are on this part."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Annotated
 
 from pydantic import Field, ValidationInfo, field_validator
@@ -46,7 +46,7 @@ class CatalogueEntryConfig(fields.Frozen):
     """A kind of defect that the inspection is planned for; it may lie anywhere and in any direction."""
 
     name: fields.Text = Field(description="Name of the defect, for people; no two in the list are the same.")
-    kind: Annotated[DefectKind, fields.expecting("scratch, dent, bump, pit, blister, stain or haze")] = Field(
+    kind: DefectKind = Field(
         description="scratch (a groove), dent, bump, pit (a steep cone), blister (flat-topped), stain (R_d changed) or "
         "haze (sigma changed)."
     )
@@ -167,12 +167,6 @@ class DefectConfig(CatalogueEntryConfig):
             missing = 'missing key "at_mm" or "at_pixel": say where the defect is'
             fields.exactly_one(pixel, info, other="at_mm", missing=missing)
         return pixel
-
-
-def same_names(entries: list[object] | tuple[object, ...], where: str) -> Iterator[fields.Complaint]:
-    """Complaints about entries of a list that have the name of a previous one."""
-    for i, name, first, _ in fields.repeated_names(entries):
-        yield (i, "name"), name, fields.complaint(f'the name of {where}[{first}], too: "{name}"')
 
 
 def _extents(size: float | tuple[float, float]) -> tuple[float, float]:

@@ -95,16 +95,10 @@ def _list_span(text: str, key: str) -> tuple[int, int, str] | None:
             # behind a list in brackets the comment is of the list, behind a block it is of its last entry
             rest = end + len(text[end:].split("\n", 1)[0].rstrip("\r"))
             flow = isinstance(value, yaml.CollectionNode) and value.flow_style
-            beside = text[end:rest] if flow else _after_colon(text, name.end_mark.index)
-            return start, rest, beside.rstrip()
+            after_key = text[name.end_mark.index :].split("\n", 1)[0]
+            comment = after_key[after_key.index(":") + 1 :] if "#" in after_key else ""
+            return start, rest, (text[end:rest] if flow else comment).rstrip()
     return None
-
-
-def _after_colon(text: str, end: int) -> str:
-    # the comment between a key and the block below it
-    line = text[end:].split("\n", 1)[0]
-    at = line.find("#")
-    return line[line.index(":") + 1 :] if at >= 0 else ""
 
 
 def _end(node: yaml.Node) -> int:
@@ -153,7 +147,12 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
     Raises InputError: As of :func:`with_values`
     """
     changes = dict(values or {})
-    for keys, name in _names(config).items():
+    names: dict[Keys, str] = {}
+    if isinstance(config, PartConfig):
+        names["mesh", "file"] = config.mesh.file
+    elif config.hardware is not None and config.hardware.camera.folder is not None:
+        names["hardware", "camera", "folder"] = config.hardware.camera.folder
+    for keys, name in names.items():
         moved = _moved(config.source.resolve(name), name, folder)
         if moved != name:
             changes[keys] = json.dumps(moved, ensure_ascii=False)
@@ -164,14 +163,6 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
         return text
     schema = _moved(config.source.resolve(comment[2]), comment[2], folder)
     return text[: comment.start(2)] + schema + text[comment.end(2) :]
-
-
-def _names(config: RigConfig | PartConfig) -> dict[Keys, str]:
-    if isinstance(config, PartConfig):
-        return {("mesh", "file"): config.mesh.file}
-    if config.hardware is None or config.hardware.camera.folder is None:
-        return {}
-    return {("hardware", "camera", "folder"): config.hardware.camera.folder}
 
 
 def _moved(target: Path, name: str, folder: Path) -> str:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, cast
 
 from pydantic import (
@@ -11,6 +12,7 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
+    PrivateAttr,
     StringConstraints,
     ValidationError,
     ValidationInfo,
@@ -18,6 +20,8 @@ from pydantic import (
     WrapValidator,
 )
 from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from lightopt.config._source import Source
 
 MOST_POINTS = 65_536
 
@@ -45,6 +49,17 @@ class Frozen(BaseModel):
     """Base of all configuration: unknown keys are errors, nothing is converted, numbers are finite."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class FileConfig(Frozen):
+    """Base of what a whole file holds."""
+
+    _source: Source = PrivateAttr(default=Source(Path("<built in code>"), ""))
+
+    @property
+    def source(self) -> Source:
+        """The file that this was read from."""
+        return self._source
 
 
 def complaint(reason: str) -> PydanticCustomError:
@@ -110,14 +125,20 @@ def mapping(value: object) -> Mapping[str, Any]:
     return cast("Mapping[str, Any]", value) if isinstance(value, Mapping) else {}
 
 
-def repeated_names(entries: Iterable[object], key: Callable[[str], str] = str) -> Iterator[tuple[int, str, int, str]]:
-    """Index and name of each entry that has the name of a previous one, and the index and name of that one.
+def entries(value: object) -> Sequence[object]:
+    """A value of a file as a list; empty where it is none."""
+    return cast("Sequence[object]", value) if isinstance(value, (list, tuple)) else ()
+
+
+def same_names(items: Sequence[object], where: str, key: Callable[[str], str] = str) -> Iterator[Complaint]:
+    """Complaints about entries of the list `where` that have the name of a previous one.
 
     key: What is the same of names that count as the same
     """
-    names = [name if isinstance(name := value_of(entry, "name"), str) else None for entry in entries]
+    names = [name if isinstance(name := value_of(item, "name"), str) else None for item in items]
     for i, first in repeated(None if name is None else key(name) for name in names):
-        yield i, str(names[i]), first, str(names[first])
+        why = "" if names[i] == names[first] else " (upper and lower case are not distinguished)"
+        yield (i, "name"), names[i], complaint(f'the name "{names[i]}" is already that of {where}[{first}]{why}')
 
 
 def with_complaints(value: object, handler: ValidatorFunctionWrapHandler, complaints: Iterable[Complaint]) -> Any:
@@ -193,10 +214,9 @@ Text = Annotated[
 def _portable(name: str) -> str:
     stem = name.partition(".")[0].upper()
     devices = {"CON", "PRN", "AUX", "NUL"} | {f"{port}{i}" for port in ("COM", "LPT") for i in range(1, 10)}
-    if stem in devices:
-        raise complaint(f'expected a name that can be a file name, found "{name}", which Windows reserves')
-    if name.endswith("."):
-        raise complaint(f'expected a name that can be a file name, found "{name}", which ends with a dot')
+    if stem in devices or name.endswith("."):
+        why = "Windows reserves" if stem in devices else "ends with a dot"
+        raise complaint(f'expected a name that can be a file name, found "{name}", which {why}')
     return name
 
 

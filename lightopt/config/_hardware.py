@@ -138,7 +138,7 @@ class ControllerConfig(fields.Frozen):
     baud: _Baud | None = Field(default=None, description="Baud rate; the protocol's usual one if absent.")
     channels: _Channel = Field(default=4, description="Number of channels.")
     top_level: _Level = Field(default=255, description="Highest intensity of the controller.")
-    dialect: Annotated[Literal["lan", "serial"], fields.expecting("lan or serial")] = Field(
+    dialect: Literal["lan", "serial"] = Field(
         default="lan", description="ccs: frames without (lan) or with (serial) a unit number."
     )
     template: TemplateConfig | None = Field(
@@ -226,7 +226,7 @@ class AxisConfig(fields.Frozen):
 class StageDeviceConfig(fields.Frozen):
     """The device that turns the part."""
 
-    driver: Annotated[Literal["shot", "gsc", "grbl", "zaber"], fields.expecting("shot, gsc, grbl or zaber")] = Field(
+    driver: Literal["shot", "gsc", "grbl", "zaber"] = Field(
         description="Protocol: shot or gsc (SIGMA KOKI / OptoSigma), grbl, zaber."
     )
     port: fields.Text = Field(description=_PORT)

@@ -41,11 +41,9 @@ def load_rig(path: Path | str) -> RigConfig:
 
 
 def load_part(path: Path | str) -> PartConfig:
-    """Read a part file (``lightopt-part/1``); its mesh file must exist.
+    """Read a part file (``lightopt-part/1``) as :func:`load_rig` does; its mesh file must exist.
 
-    Returns: The file's content, in its own units; ``source`` names file, hash and lines, and
-        ``source.resolve(part.mesh.file)`` is the path of the mesh.
-    Raises lightopt.core.errors.InputError: With one message per thing that is wrong, sorted by line
+    ``source.resolve(part.mesh.file)`` is the path of the mesh.
     """
     return _load(Path(path), PartConfig, "lightopt-part/1")
 
@@ -153,15 +151,11 @@ def input_hashes(rig: RigConfig, part: PartConfig | None) -> dict[str, dict[str,
 
     Raises OSError: The mesh cannot be read
     """
-    hashes = {"rig": _file(rig)}
+    files = {"rig": rig} if part is None else {"rig": rig, "part": part}
+    hashes = {kind: {"file": one.source.path.name, "sha256": one.source.sha256} for kind, one in files.items()}
     if part is not None:
-        hashes["part"] = _file(part)
         hashes["mesh"] = {"sha256": file_sha256(part.source.resolve(part.mesh.file))}
     return hashes
-
-
-def _file(config: RigConfig | PartConfig) -> dict[str, str]:
-    return {"file": config.source.path.name, "sha256": config.source.sha256}
 
 
 def json_schema(kind: Literal["rig", "part"]) -> dict[str, Any]:
@@ -226,25 +220,21 @@ def _read_what_is_valid(path: Path, wrong: InputError) -> LightsOnly:
     except InputError:
         raise wrong from None
     rig = _document(text)
-    section = mapping(mapping(rig).get("hardware") or mapping(_document(_section(text))).get("hardware"))
-    if not section:
-        raise InputError(
-            *wrong.messages,
-            "nothing was switched off: no hardware section can be read here, so nobody knows which lights may be on; "
-            "mend the file and repeat, or switch the controllers off by hand",
-        )
+    # the lines from `hardware:` to the next line that is not indented
+    lines = re.search(r"^hardware:.*(?:\n(?:[ \t#].*)?)*", text.replace("\r\n", "\n"), re.MULTILINE)
+    alone = mapping(_document(lines[0])) if lines else {}
+    section = mapping(mapping(rig).get("hardware") or alone.get("hardware"))
     raw_controllers, raw_lights = mapping(section.get("controllers")), mapping(section.get("lights"))
     controllers = _readable(ControllerConfig, raw_controllers)
     lights = _readable(ChannelConfig, raw_lights)
     unreadable = tuple(name for name in raw_controllers if name not in controllers)
     unknown = tuple(name for name, entry in raw_lights.items() if mapping(entry).get("controller") not in controllers)
     if not controllers:
-        raise InputError(
-            *wrong.messages,
-            "nothing was switched off: no controller can be read; "
-            f"lights that may be on: {', '.join(unknown) or 'all of them'}; "
-            "mend the file and repeat, or switch the controllers off by hand",
-        )
+        reason = f"no controller can be read; lights that may be on: {', '.join(unknown) or 'all of them'}"
+        if not section:
+            reason = "no hardware section can be read here, so nobody knows which lights may be on"
+        advice = "mend the file and repeat, or switch the controllers off by hand"
+        raise InputError(*wrong.messages, f"nothing was switched off: {reason}; {advice}")
     name = mapping(rig).get("name")
     return LightsOnly(
         name if isinstance(name, str) else path.name,
@@ -261,12 +251,6 @@ def _document(text: str) -> object:
         return parse(text).data
     except YamlError:
         return None
-
-
-def _section(text: str) -> str:
-    """The lines from ``hardware:`` to the next line that is not indented."""
-    found = re.search(r"^hardware:.*(?:\n(?:[ \t#].*)?)*", text.replace("\r\n", "\n"), re.MULTILINE)
-    return found[0] if found else ""
 
 
 def _readable(model: type[Entry], entries: Mapping[str, object]) -> dict[str, Entry]:

@@ -12,6 +12,7 @@ from lightopt.config._source import Keys
 from lightopt.config._strict_yaml import INVALID, Document, Problem, is_number
 
 _LONGEST = 60
+_EXPECTED = ("expected", "literal_error")  # kinds of errors that name what is expected
 
 # names of units, by the end of the keys that carry them
 _UNITS = {
@@ -51,7 +52,7 @@ def model_problems(model: type[BaseModel], errors: Sequence[ErrorDetails], docum
             keys = keys[:-1]
         if error["input"] is INVALID:
             continue
-        if kind == "expected" and any(path[: len(keys)] == keys for path in document.invalid):
+        if kind in _EXPECTED and any(path[: len(keys)] == keys for path in document.invalid):
             continue  # a list with an invalid value in it
         if kind == "too_short" and error["input"]:
             continue  # pydantic does not count entries that are wrong themselves; those are reported
@@ -62,15 +63,11 @@ def model_problems(model: type[BaseModel], errors: Sequence[ErrorDetails], docum
             keys in document.incomplete or any((*keys, w) in covered for w in wanted)
         ):
             continue  # the key that was dropped or misspelt is reported
-        problems.append(Problem(_line(document, keys, error), keys, _message(model, error, meant)))
+        place = tuple(error["loc"]) if kind == "extra_forbidden" else keys
+        while place and place not in document.lines:
+            place = place[:-1]
+        problems.append(Problem(document.lines.get(place, 1), keys, _message(model, error, meant)))
     return problems
-
-
-def _line(document: Document, keys: Keys, error: ErrorDetails) -> int:
-    place = tuple(error["loc"]) if error["type"] == "extra_forbidden" else keys
-    while place and place not in document.lines:
-        place = place[:-1]
-    return document.lines.get(place, 1)
 
 
 def _message(model: type[BaseModel], error: ErrorDetails, meant: Mapping[Keys, str]) -> str:
@@ -78,10 +75,11 @@ def _message(model: type[BaseModel], error: ErrorDetails, meant: Mapping[Keys, s
     found = f"found {describe(error['input'])}"
     if kind in ("complaint", "absent"):
         return str(context["reason"])
-    if kind == "expected":
-        if context["expected"].startswith(("a name", "text")) and isinstance(error["input"], (int, float)):
+    if kind in _EXPECTED:
+        expected = context["expected"].replace("'", "")  # pydantic puts each word of a Literal in quotes
+        if expected.startswith(("a name", "text")) and isinstance(error["input"], (int, float)):
             found += "; put it in quotes to make it text"
-        return f"expected {context['expected']}, {found}{_meant_word(model, error)}"
+        return f"expected {expected}, {found}{_meant_word(model, error)}"
     if kind == "missing":
         parent = _model_at(model, loc[:-1])
         field = parent.model_fields[str(loc[-1])] if parent else None

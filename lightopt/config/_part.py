@@ -1,19 +1,17 @@
 """A part file: mesh, placement, postures, reflectance and defects."""
 
+import contextlib
 import os.path
-from collections.abc import Iterator
 from difflib import get_close_matches
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
+from pydantic import Field, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
 
 from lightopt.config import _fields as fields
-from lightopt.config._defects import CatalogueEntryConfig, DefectConfig, same_names
-from lightopt.config._source import Source
+from lightopt.config._defects import CatalogueEntryConfig, DefectConfig
 from lightopt.core.units import step_units_mm, unit_name
 
-_Unit = Annotated[Literal["um", "mm", "cm", "m", "inch", "ft"], fields.expecting("um, mm, cm, m, inch or ft")]
 _ChordTolerance = Annotated[float, Field(ge=1e-4, le=10), fields.expecting("a number from 0.0001 to 10 (mm)")]
 _Catalogue = Annotated[tuple[CatalogueEntryConfig, ...], Field(strict=False, min_length=1, max_length=100)]
 _Share = Annotated[float, Field(ge=0, le=1), fields.expecting("a number from 0 to 1")]
@@ -51,13 +49,13 @@ class MeshConfig(fields.Frozen):
     file: fields.Text = Field(
         description="Mesh or CAD file, relative to this file: .stl, .ply, .obj, .glb, .step or .stp."
     )
-    units: _Unit | None = Field(
+    units: Literal["um", "mm", "cm", "m", "inch", "ft"] | None = Field(
         default=None,
         description="Length unit of the mesh file: um, mm, cm, m, inch or ft. Mandatory for .stl, .ply and "
         ".obj, which carry none; for .glb (metres) and STEP only what the file itself says.",
         validate_default=True,
     )
-    normals: Annotated[Literal["smooth", "facet"], fields.expecting("smooth or facet")] = Field(
+    normals: Literal["smooth", "facet"] = Field(
         default="smooth",
         description="smooth: normals vary over the facets, except across edges sharper than the crease "
         "angle; facet: each facet is flat.",
@@ -105,7 +103,9 @@ class MeshConfig(fields.Frozen):
         if suffix == ".glb" and units not in (None, "m"):
             raise fields.complaint(f"expected m or nothing (.glb is in metres by its specification), found {units}")
         if suffix in _STEP and units is not None and info.context is not None:
-            declared = _declared_units(info.context["folder"] / file)
+            declared: set[str] = set()
+            with contextlib.suppress(OSError):
+                declared = set(map(unit_name, step_units_mm((info.context["folder"] / file).read_bytes())))
             if units not in declared:
                 unit = f"the file is in {' and '.join(sorted(declared))}" if declared else "no unit is found in it"
                 raise fields.complaint(f"found {units}, but {unit}; STEP carries its own unit, remove this key")
@@ -123,9 +123,7 @@ class MeshConfig(fields.Frozen):
 class PlacementConfig(fields.Frozen):
     """How the part lies in the world at posture (0, 0): turned, then anchored, then shifted."""
 
-    anchor: Annotated[
-        Literal["as_modelled", "rest_on_table", "centred"], fields.expecting("as_modelled, rest_on_table or centred")
-    ] = Field(
+    anchor: Literal["as_modelled", "rest_on_table", "centred"] = Field(
         default="rest_on_table",
         description="as_modelled: the mesh's own origin; rest_on_table: bounding box centred in X and Y, "
         "lowest point at Z = 0; centred: bounding box centred at the origin.",
@@ -155,12 +153,10 @@ class ReflectanceConfig(fields.Frozen):
     )
 
 
-class PartConfig(fields.Frozen):
+class PartConfig(fields.FileConfig):
     """A part to inspect: its shape, how it lies, the postures it is seen in, and its surface."""
 
-    format: Annotated[Literal["lightopt-part/1"], fields.expecting("lightopt-part/1")] = Field(
-        description="Kind and version of this file: lightopt-part/1."
-    )
+    format: Literal["lightopt-part/1"] = Field(description="Kind and version of this file: lightopt-part/1.")
     name: fields.Text = Field(description="Name of the part, for people.")
     mesh: MeshConfig = Field(description="The part's shape.")
     placement: PlacementConfig = Field(
@@ -181,42 +177,25 @@ class PartConfig(fields.Frozen):
         default=InspectionConfig(),
         description="Limits by which inspections judge OK or NG; no defects allowed if absent.",
     )
-    _source: Source = PrivateAttr(default=Source(Path("<built in code>"), ""))
-
-    @property
-    def source(self) -> Source:
-        """The file this part was read from."""
-        return self._source
 
     @field_validator("postures", mode="wrap")
     @classmethod
     def _differ(cls, value: object, handler: ValidatorFunctionWrapHandler) -> Any:
-        if not isinstance(value, (list, tuple)):
-            return handler(value)
-        return fields.with_complaints(value, handler, _same_postures(value))
+        postures = fields.entries(value)
+        angles = [tuple(fields.value_of(p, key) for key in ("elevation_deg", "rotation_deg")) for p in postures]
+        valid = [pair if all(type(angle) in (int, float) for angle in pair) else None for pair in angles]
+        complaints = (
+            ((i,), postures[i], fields.complaint(f"the same posture as postures[{first}]"))
+            for i, first in fields.repeated(valid)
+        )
+        return fields.with_complaints(value, handler, complaints)
 
     @field_validator("defects", "defect_catalogue", mode="wrap")
     @classmethod
     def _have_names_of_their_own(
         cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo
     ) -> Any:
-        if not isinstance(value, (list, tuple)):
-            return handler(value)
-        return fields.with_complaints(value, handler, same_names(value, str(info.field_name)))
-
-
-def _same_postures(postures: list[object] | tuple[object, ...]) -> Iterator[fields.Complaint]:
-    angles = [tuple(fields.value_of(p, key) for key in ("elevation_deg", "rotation_deg")) for p in postures]
-    valid = [pair if all(type(angle) in (int, float) for angle in pair) else None for pair in angles]
-    for i, first in fields.repeated(valid):
-        yield (i,), postures[i], fields.complaint(f"the same posture as postures[{first}]")
-
-
-def _declared_units(path: Path) -> frozenset[str]:
-    try:
-        return frozenset(map(unit_name, step_units_mm(path.read_bytes())))
-    except OSError:
-        return frozenset()
+        return fields.with_complaints(value, handler, fields.same_names(fields.entries(value), str(info.field_name)))
 
 
 def _require(folder: Path, file: str) -> None:

@@ -1,18 +1,16 @@
 """A rig file: camera, lights, stage and hardware."""
 
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
+from pydantic import Field, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
 
 from lightopt.config import _fields as fields
 from lightopt.config._camera import CameraConfig
 from lightopt.config._hardware import HardwareConfig, misfits
-from lightopt.config._source import Source
 
-_Normalisation = Annotated[Literal["mean", "sum"], fields.expecting("mean or sum")]
-_Falloff = Annotated[Literal["none", "inverse_square"], fields.expecting("none or inverse_square")]
+_Normalisation = Literal["mean", "sum"]
+_Falloff = Literal["none", "inverse_square"]
 _Exponent = Annotated[float, Field(ge=0, le=1000), fields.expecting("a number from 0 to 1000")]
 _AUTO_SUM = "sum cannot be used with points: auto, which stands for infinitely many; use mean"
 
@@ -106,12 +104,10 @@ class StageConfig(fields.Frozen):
     )
 
 
-class RigConfig(fields.Frozen):
+class RigConfig(fields.FileConfig):
     """A rig: one camera, the lights around the table, and the stage that holds the part."""
 
-    format: Annotated[Literal["lightopt-rig/1"], fields.expecting("lightopt-rig/1")] = Field(
-        description="Kind and version of this file: lightopt-rig/1."
-    )
+    format: Literal["lightopt-rig/1"] = Field(description="Kind and version of this file: lightopt-rig/1.")
     name: fields.Text = Field(description="Name of the rig, for people.")
     camera: CameraConfig = Field(description="The camera.")
     light_source: LightSourceConfig = Field(description="The panel that all lights share.")
@@ -122,20 +118,13 @@ class RigConfig(fields.Frozen):
     hardware: HardwareConfig | None = Field(
         default=None, description="The devices behind camera, lights and stage; absent is the virtual bench."
     )
-    _source: Source = PrivateAttr(default=Source(Path("<built in code>"), ""))
-
-    @property
-    def source(self) -> Source:
-        """The file this rig was read from."""
-        return self._source
 
     @field_validator("lights", mode="wrap")
     @classmethod
     def _fit_together(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
-        if not isinstance(value, (list, tuple)):
-            return handler(value)
-        shared = info.data.get("light_source")
-        return fields.with_complaints(value, handler, [*_same_names(value), *_auto_sums(value, shared)])
+        lights, shared = fields.entries(value), info.data.get("light_source")
+        complaints = [*fields.same_names(lights, "lights", str.lower), *_auto_sums(lights, shared)]
+        return fields.with_complaints(value, handler, complaints)
 
     @field_validator("hardware", mode="wrap")
     @classmethod
@@ -145,16 +134,7 @@ class RigConfig(fields.Frozen):
         return fields.with_complaints(value, handler, misfits(value, names, info.data.get("camera")))
 
 
-def _same_names(lights: list[object] | tuple[object, ...]) -> Iterator[fields.Complaint]:
-    """Complaints about lights that have the name of a previous one, upper and lower case alike."""
-    for i, name, first, other in fields.repeated_names(lights, str.lower):
-        why = "" if other == name else " (upper and lower case are not told apart)"
-        yield (i, "name"), name, fields.complaint(f'the name "{name}" is already that of lights[{first}]{why}')
-
-
-def _auto_sums(
-    lights: list[object] | tuple[object, ...], shared: LightSourceConfig | None
-) -> Iterator[fields.Complaint]:
+def _auto_sums(lights: Sequence[object], shared: LightSourceConfig | None) -> Iterator[fields.Complaint]:
     """Complaints about lights whose points and normalisation, their own or the shared ones, exclude each other."""
     for i, light in enumerate(lights):
         own = {key: fields.value_of(light, key) for key in ("points", "normalisation")}

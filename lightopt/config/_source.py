@@ -41,16 +41,13 @@ class Source:
     lines: Mapping[Keys, int] = field(default_factory=dict[Keys, int], repr=False, compare=False)
     text: str = field(default="", repr=False, compare=False)
 
-    def line(self, *keys: str | int) -> int | None:
-        """Line of a key, or of the nearest mapping around it that is in the file; None without a file."""
-        for end in range(len(keys), -1, -1):
-            if keys[:end] in self.lines:
-                return self.lines[keys[:end]]
-        return None
-
     def at(self, *keys: str | int) -> str:
-        """Beginning of an error message about a key: ``rig.yaml:12: lights[2].elevation_deg``."""
-        line = self.line(*keys)
+        """Beginning of an error message about a key: ``rig.yaml:12: lights[2].elevation_deg``.
+
+        The line is that of the key, or of the nearest mapping around it that is in the file.
+        """
+        around = (keys[:end] for end in range(len(keys), -1, -1))
+        line = next((self.lines[path] for path in around if path in self.lines), None)
         place = str(self.path) if line is None else f"{self.path}:{line}"
         return f"{place}: {dotted(keys)}" if keys else place
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -25,12 +25,12 @@ _READ_DIFFERENTLY = re.compile(r"[\t!?\ufeff]|[|>]\S*#")
 of them that the one in Python refuses."""
 
 _SURROGATE = re.compile("[\ud800-\udfff]")
-_NULL = frozenset({"", "~", "null", "Null", "NULL"})
-_TRUE = frozenset({"true", "True", "TRUE"})
-_FALSE = frozenset({"false", "False", "FALSE"})
-_INT = re.compile(r"[-+]?[0-9]+")
-_OCTAL = re.compile(r"0o[0-7]+")
-_HEX = re.compile(r"0x[0-9a-fA-F]+")
+_CONSTANTS: Mapping[str, bool | None] = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL")),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+}
+_INTEGERS = {10: re.compile(r"[-+]?[0-9]+"), 8: re.compile(r"0o[0-7]+"), 16: re.compile(r"0x[0-9a-fA-F]+")}
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _NON_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 _LONGEST_INT = 300  # digits; beyond, an integer is not a double any more
@@ -244,18 +244,16 @@ def _explain(error: yaml.MarkedYAMLError) -> tuple[int, str]:
 
 def is_number(text: str) -> bool:
     """Whether the text, unquoted, would be a number."""
-    return any(p.fullmatch(text) for p in (_INT, _OCTAL, _HEX, _FLOAT))
+    return any(pattern.fullmatch(text) for pattern in (*_INTEGERS.values(), _FLOAT))
 
 
 def _plain_scalar(text: str) -> str | int | float | bool | None:
     """Value of an unquoted scalar; a ValueError for NaN, infinities and numbers beyond a double."""
-    if text in _NULL:
-        return None
-    if text in _TRUE or text in _FALSE:
-        return text in _TRUE
+    if text in _CONSTANTS:
+        return _CONSTANTS[text]
     if _NON_FINITE.fullmatch(text):
         raise ValueError(f"expected a finite number, found {text}")
-    for pattern, base in ((_INT, 10), (_OCTAL, 8), (_HEX, 16)):
+    for base, pattern in _INTEGERS.items():
         if pattern.fullmatch(text):
             if len(text) > _LONGEST_INT:
                 raise ValueError(f"expected a finite number, found one of {len(text)} digits")

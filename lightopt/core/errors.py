@@ -94,8 +94,7 @@ class HardwareError(LightoptError):
 class Interrupted(KeyboardInterrupt):
     """Ctrl-C or a signal ended the work, in a known state. Exit status 130.
 
-    *messages: For the user: what state things are in and how to go on; each is shown on a line of its
-        own
+    *messages: For the user: what state things are in and how to go on; each is shown on a line of its own
     """
 
     def __init__(self, *messages: str) -> None:

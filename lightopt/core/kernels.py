@@ -3,10 +3,8 @@
 A compiled kernel is kept in a file named by its fingerprint and the types of its arguments. The fingerprint is that of
 the kernel's bytecode, of the kernels that it calls and of the constants that it uses, wherever they are defined: an
 edit recompiles the kernels that it changes and no others. Of several processes that need the same kernel one compiles,
-and the others wait for its file. Files that no process has used for months are removed when a new one is written.
-
-numba's own cache is not used: it keys a kernel by the one file that it stands in, but compiles into it what it calls
-from other files, and two processes that write to the same index may exchange each other's kernels.
+and the others wait for its file. Files that no process has used for months are removed when a new one is written. Why
+numba's own cache is not used is in docs/decisions/0001-numba-kernels.md.
 """
 
 import contextlib
@@ -42,6 +40,7 @@ from numba.np import linalg
 
 _log = logging.getLogger("lightopt.core")
 
+_NO_SETTINGS = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_THREADING_LAYER")  # which change no machine code
 _UNUSED_S = 90 * 86400.0  # files of kernels that were not used for so long are removed [s]
 LOGGED_SECONDS = 0.1  # compiling a kernel takes longer than this, loading it less
 
@@ -253,7 +252,9 @@ class _DiskCache(NullCache):
     def _path(self, arguments: tuple[Any, ...]) -> Path:
         codegen = self._compiled.targetctx.codegen()
         options = sorted((name, repr(value)) for name, value in self._compiled.targetoptions.items())
-        key = f"{fingerprint(self._compiled)} {_type_names(arguments)} {codegen.magic_tuple()} {options} {_settings()}"
+        # settings of the compiler, such as to check bounds
+        settings = sorted((n, v) for n, v in os.environ.items() if n.startswith("NUMBA_") and n not in _NO_SETTINGS)
+        key = f"{fingerprint(self._compiled)} {_type_names(arguments)} {codegen.magic_tuple()} {options} {settings}"
         name = re.sub(r"\W", "", self._compiled.py_func.__name__)
         return cache_folder() / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:32]}.kernel"
 
@@ -266,14 +267,6 @@ def _remove_unused(folder: Path) -> None:
         with contextlib.suppress(OSError):  # open in another process on Windows, or removed by it
             if path.stat().st_mtime < oldest:
                 path.unlink()
-
-
-def _settings() -> list[tuple[str, str]]:
-    """Settings of numba's compiler in the environment, such as to check bounds."""
-    other = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_THREADING_LAYER")
-    return sorted(
-        (name, value) for name, value in os.environ.items() if name.startswith("NUMBA_") and name not in other
-    )
 
 
 def _type_names(arguments: tuple[Any, ...]) -> str:

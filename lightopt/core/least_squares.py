@@ -217,7 +217,8 @@ class _Solver:
         before = start
         converged = False
         for _ in range(MOST_ROUNDS):
-            spread = self._spread_of(here.residual)
+            own = here.residual[self._rows & ~self._problem.correlated]
+            spread = max(1.4826 * float(np.median(np.abs(own))), self._least_spread) if len(own) else self._spread
             done = converged and abs(spread - self._spread) <= SAME_SPREAD * self._spread
             if not done:
                 self._spread = spread
@@ -260,7 +261,9 @@ class _Solver:
                     return here, predicted_decrease < STALLED_TOLERANCE
                 self._iterations += 1
                 change = basis @ (_damped(inner, outer, damping) / scale)
-                there = self._point(self._bounded(here.x, change))
+                change = np.where(np.isfinite(change), change, 0.0)
+                longest = float(np.max(np.abs(change) / self._limits.step))
+                there = self._point(self._clipped(here.x + change / max(longest, 1.0)))
                 if there.cost < here.cost:
                     here = there
                     damping = max(LEAST_DAMPING, 0.1 * damping)
@@ -281,10 +284,6 @@ class _Solver:
     def _units(self) -> Float64:
         # spread of each row
         return np.where(self._problem.correlated, 1.0, self._spread)
-
-    def _spread_of(self, residual: Float64) -> float:
-        own = residual[self._rows & ~self._problem.correlated]
-        return max(1.4826 * float(np.median(np.abs(own))), self._least_spread) if len(own) else self._spread
 
     def _slopes(self, x: Float64) -> Float64:
         if self._slopes_cache is not None and np.array_equal(self._slopes_cache[0], x):
@@ -378,11 +377,6 @@ class _Solver:
 
     def _clipped(self, x: Float64) -> Float64:
         return np.clip(x, self._limits.nominal - self._limits.reach, self._limits.nominal + self._limits.reach)
-
-    def _bounded(self, x: Float64, change: Float64) -> Float64:
-        change = np.where(np.isfinite(change), change, 0.0)
-        longest = float(np.max(np.abs(change) / self._limits.step))
-        return self._clipped(x + change / max(longest, 1.0))
 
     def _solution(self, before: _Point, here: _Point, converged: bool) -> Solution:
         reach = self._limits.reach

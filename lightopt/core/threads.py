@@ -84,7 +84,7 @@ class BackgroundTasks:
 
     def add(self, function: Callable[..., None], *arguments: Any) -> None:
         """Do a task after those that were given before."""
-        while self._pool.has_finished():
+        while not self._pool.finished.empty():
             self._pool.finish_one()
         self._pool.start(self._do, function, arguments)
 
@@ -145,7 +145,7 @@ class _Pool:
 
     def __init__(self, threads: int) -> None:
         self._threads = ThreadPoolExecutor(threads)
-        self._finished: SimpleQueue[BaseException | None] = SimpleQueue()
+        self.finished: SimpleQueue[BaseException | None] = SimpleQueue()
         self.running = 0
         self.stopped: Event | None = None
 
@@ -153,12 +153,9 @@ class _Pool:
         self._threads.submit(self._do, function, arguments)
         self.running += 1
 
-    def has_finished(self) -> bool:
-        return not self._finished.empty()
-
     def finish_one(self) -> None:
         # waits for a task, and raises what it raised
-        error = self._finished.get()
+        error = self.finished.get()
         self.running -= 1
         if error is not None:
             raise error
@@ -171,9 +168,9 @@ class _Pool:
         try:
             function(*arguments)
         except BaseException as error:  # noqa: BLE001  (raised where it is waited for)
-            self._finished.put(error)
+            self.finished.put(error)
         else:
-            self._finished.put(None)
+            self.finished.put(None)
 
 
 # pools whose work is done, by their number of threads, since starting threads takes longer than many a small piece of

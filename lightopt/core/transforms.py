@@ -49,14 +49,6 @@ def rotation_z(angle: float) -> Float64:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def posture_rotation(*, elevation: float, rotation: float) -> Float64:
-    """Rotation R = Rx(θ_j)·Rz(φ_j) of a posture, shape (3, 3): the tilt cradle carries the rotary axis.
-
-    elevation, rotation: The posture's tilt θ_j and rotation φ_j [rad]
-    """
-    return rotation_x(elevation) @ rotation_z(rotation)
-
-
 def rigid_transform(points: Float64, rotation: Float64, pivot: Float64) -> Float64:
     """Rotate points about a pivot: p' = pivot + R·(p − pivot).
 
@@ -68,10 +60,7 @@ def rigid_transform(points: Float64, rotation: Float64, pivot: Float64) -> Float
 
 @dataclass(frozen=True)
 class Posture:
-    """How the stage holds the part: tilt θ_j, then rotation φ_j, in degrees as files and people name them.
-
-    elevation_deg, rotation_deg: θ_j and φ_j [°]
-    """
+    """How the stage holds the part: tilt θ_j, then rotation φ_j, in degrees as files and people name them."""
 
     elevation_deg: float
     rotation_deg: float
@@ -81,8 +70,8 @@ class Posture:
 
     @property
     def matrix(self) -> Float64:
-        """R = Rx(θ_j)·Rz(φ_j), shape (3, 3)."""
-        return posture_rotation(elevation=math.radians(self.elevation_deg), rotation=math.radians(self.rotation_deg))
+        """Rotation R = Rx(θ_j)·Rz(φ_j), shape (3, 3): the tilt cradle carries the rotary axis."""
+        return rotation_x(math.radians(self.elevation_deg)) @ rotation_z(math.radians(self.rotation_deg))
 
     @staticmethod
     def from_dict(facts: Mapping[str, float]) -> Posture:

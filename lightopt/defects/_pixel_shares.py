@@ -1,18 +1,12 @@
 """What a pixel's mean keeps of a defect's walls: all of a wall that fills it, little of a defect that it swallows.
 
-Let D be what a wall of the steepest slope, leaning to some direction, does to a pixel that it fills, and M the mean of
-D over the directions that the defect's walls lean to: all around, or across a scratch the two. To first order in the
-slope a piece of wall changes the level by the component of its slope along the direction, and opposite walls cancel; M
-is what they have in common, of second order. So a pixel that the defect does not fill changes by
+A pixel that the defect does not fill changes by F · (D − M) + A · M (docs/how-to/planning.md, Narrow defects), with
 
-    F · (D − M) + A · M,    F = |mean of ∂h/∂y| / tan(slope),    A = mean of |∇h|² / tan²(slope),
+    F = |mean of ∂h/∂y| / tan(slope),    A = mean of |∇h|² / tan²(slope),
 
-the means over the pixel, h the profile, y across. A stain or a haze has no walls: F = A is its share of the pixel.
-
-Which pixel: of those that the defect touches, the two that may show it best, with the greatest F (most of one wall) and
-with the greatest A (most of it all). How a defect lies on the pixel grid is chance. The grid here is turned by 22.5°,
-midway between along and diagonal, and off the defect's middle by (−0.3, 0.3) pixels: for defects from a third of a
-pixel to six pixels wide it comes near the median of F and of A over all places and turns, which a test draws.
+the means over the pixel, h the profile, y across. A stain or a haze has no walls: F = A is its share of the pixel. The
+pixel grid is turned by 22.5°, midway between along and diagonal, and off the defect's middle by (−0.3, 0.3) pixels: for
+defects from a third of a pixel to six pixels wide F and A are near their medians over all places and turns.
 """
 
 import math

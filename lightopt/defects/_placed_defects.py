@@ -56,9 +56,7 @@ def tangent_direction(normal: Float64, angle: float, *, x_axis: Float64, y_axis:
     x_axis, y_axis: Unit vectors of the part's axes, in the frame of the normal, shape (3,)
     """
     reference = tangent_references(normal[None, :], x_axis=x_axis, y_axis=y_axis)[0]
-    (nx, ny, nz), (x, y, z) = normal.tolist(), reference.tolist()
-    across = np.array([ny * z - nz * y, nz * x - nx * z, nx * y - ny * x])
-    return math.cos(angle) * reference + math.sin(angle) * across
+    return math.cos(angle) * reference + math.sin(angle) * np.cross(normal, reference)
 
 
 def tangent_references(normals: Float64, *, x_axis: Float64, y_axis: Float64) -> Float64:

@@ -24,8 +24,6 @@ DefectKind = Literal["scratch", "dent", "bump", "pit", "blister", "stain", "haze
 SHAPE_KINDS: Final = ("scratch", "dent", "bump", "pit", "blister")
 """Kinds that turn the normal; a stain changes R_d, a haze σ."""
 
-DEFECT_KINDS: Final = (*SHAPE_KINDS, "stain", "haze")
-
 MAX_SLOPE: Final = math.radians(60.0)
 """Steeper walls would hide parts of themselves and cast shadows, which defects here do not [rad]."""
 
@@ -107,7 +105,8 @@ def height_gradient(shape: DefectShape, x: Float64, y: Float64) -> tuple[Float64
     rho = radial_place(shape, x, y)
     steepness = np.where(rho < 1.0, _relative_slope(shape, rho), 0.0)
     # the height falls off as ρ grows; d(ρ)/dx in units of 1 / (width/2)
-    fall = -_sign(shape) * math.tan(shape.slope) * steepness
+    outwards = 1.0 if shape.kind in ("bump", "blister") else -1.0
+    fall = -outwards * math.tan(shape.slope) * steepness
     if shape.kind == "scratch":
         across_x, across_y = x - _on_middle_line(shape, x), y
         scale = 1.0 / np.where(rho > 0.0, rho * 0.5 * shape.width, 1.0)
@@ -129,7 +128,3 @@ def _relative_slope(shape: DefectShape, rho: Float64) -> Float64:
 def _on_middle_line(shape: DefectShape, x: Float64) -> Float64:
     half = 0.5 * (shape.length - shape.width)
     return np.clip(x, -half, half)
-
-
-def _sign(shape: DefectShape) -> float:
-    return 1.0 if shape.kind in ("bump", "blister") else -1.0

@@ -1,7 +1,6 @@
 """Images on disk: EXR, PNG and the sets that rendering and capturing share. The one home of OpenImageIO."""
 
 from lightopt.images._atomic import make_folder, remove_file, write_bytes_atomic, write_npz_atomic, write_text_atomic
-from lightopt.images._existing_set import remove_image_set, resumable_manifest
 from lightopt.images._exr import read_exr, read_exr_metadata, write_exr
 from lightopt.images._file_names import MANIFEST_NAME, dark_name, png_name, posture_folder, sheet_name
 from lightopt.images._manifest import (
@@ -15,9 +14,9 @@ from lightopt.images._manifest import (
 )
 from lightopt.images._overlap import Overlap, find_overlaps, overlap_map_name, write_overlap_map, write_overlaps
 from lightopt.images._png import read_png, read_png_metadata, write_png
-from lightopt.images._reader import ImageSet, read_image_set
 from lightopt.images._result_folder import ResultFolder
-from lightopt.images._writer import ImageSetWriter
+from lightopt.images._set_reader import ImageSet, read_image_set
+from lightopt.images._set_writer import ImageSetWriter, remove_image_set, resumable_manifest
 
 __all__ = [
     "DARK_CHECKED_KEY",

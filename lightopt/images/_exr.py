@@ -1,20 +1,14 @@
 """OpenEXR images of float32 channels."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from lightopt.core.arrays import Float32
 from lightopt.core.errors import InputError
 from lightopt.images._oiio import open_input, openimageio, read_metadata, write_image
-
-if TYPE_CHECKING:
-    import OpenImageIO
-
 
 Channel = Float32
 
@@ -33,7 +27,18 @@ def write_exr(path: str | Path, channels: Mapping[str, Channel], *, metadata: Ma
     metadata: JSON-able values, kept in one attribute ``lightopt:json``.
     Raises InputError: The channels are not float32 of one shape (H, W), or the file cannot be written.
     """
-    height, width = _common_shape(path, channels)
+    if not channels:
+        raise InputError(f"{path}: an EXR image needs at least one channel")
+    for name, channel in channels.items():
+        if not name or channel.dtype != np.float32 or channel.ndim != 2 or not channel.size:
+            raise InputError(
+                f"{path}: channel {name!r}: expected a name and float32 of shape (H, W), "
+                f"found {channel.dtype} of shape {channel.shape}"
+            )
+    shapes = {channel.shape for channel in channels.values()}
+    if len(shapes) != 1:
+        raise InputError(f"{path}: channels of different shapes: {sorted(shapes)}")
+    height, width = shapes.pop()
     OpenImageIO = openimageio()
     spec = OpenImageIO.ImageSpec(width, height, len(channels), "float")
     spec.channelnames = tuple(channels)
@@ -61,22 +66,6 @@ def _is_complete(path: Path) -> bool:
     return not failed
 
 
-def _common_shape(path: str | Path, channels: Mapping[str, Channel]) -> tuple[int, int]:
-    if not channels:
-        raise InputError(f"{path}: an EXR image needs at least one channel")
-    shapes = {channel.shape for channel in channels.values()}
-    for name, channel in channels.items():
-        if not name or channel.dtype != np.float32 or channel.ndim != 2 or not channel.size:
-            raise InputError(
-                f"{path}: channel {name!r}: expected a name and float32 of shape (H, W), "
-                f"found {channel.dtype} of shape {channel.shape}"
-            )
-    if len(shapes) != 1:
-        raise InputError(f"{path}: channels of different shapes: {sorted(shapes)}")
-    height, width = shapes.pop()
-    return height, width
-
-
 def read_exr(path: str | Path) -> dict[str, Channel]:
     """Channels of an OpenEXR image as float32 (half is widened), sorted by name; shape (H, W), row 0 at the top.
 
@@ -86,7 +75,15 @@ def read_exr(path: str | Path) -> dict[str, Channel]:
     path = Path(path)
     with open_input(path, file_format="openexr") as source:
         spec = source.spec()
-        _check_plain(path, source, spec)
+        if spec.deep:
+            raise InputError(f"{path}: a deep EXR; expected a flat image")
+        if source.seek_subimage(1, 0):
+            raise InputError(f"{path}: an EXR of several parts; expected one")
+        source.seek_subimage(0, 0)
+        window = (spec.x, spec.y, spec.width, spec.height)
+        display = (spec.full_x, spec.full_y, spec.full_width, spec.full_height)
+        if window != display:
+            raise InputError(f"{path}: data window {window} (x, y, w, h) differs from the display window {display}")
         index = {name: i for i, name in enumerate(spec.channelnames)}
         for name, i in index.items():
             if str(spec.channelformat(i)) not in ("float", "half"):
@@ -96,18 +93,6 @@ def read_exr(path: str | Path) -> dict[str, Channel]:
             raise InputError(f"{path}: damaged: {source.geterror().strip()}; write the file anew")
     values = np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, -1)
     return {name: np.ascontiguousarray(values[..., index[name]]) for name in sorted(index)}
-
-
-def _check_plain(path: Path, source: OpenImageIO.ImageInput, spec: OpenImageIO.ImageSpec) -> None:
-    if spec.deep:
-        raise InputError(f"{path}: a deep EXR; expected a flat image")
-    if source.seek_subimage(1, 0):
-        raise InputError(f"{path}: an EXR of several parts; expected one")
-    source.seek_subimage(0, 0)
-    window = (spec.x, spec.y, spec.width, spec.height)
-    display = (spec.full_x, spec.full_y, spec.full_width, spec.full_height)
-    if window != display:
-        raise InputError(f"{path}: data window {window} (x, y, w, h) differs from the display window {display}")
 
 
 def read_exr_metadata(path: str | Path) -> dict[str, Any]:

@@ -77,20 +77,17 @@ class FileNames:
         Raises InputError: two images would share a file, or a light's name cannot be a file's name.
         """
         for light, posture, exposure in keys:
-            _require_file_name(light)
+            bad = not light or _FORBIDDEN.search(light) or _RESERVED.fullmatch(light)
+            if bad or light.startswith(".") or light.endswith((" ", ".")):
+                raise InputError(
+                    f'light {light!r}: cannot be part of a file name; expected a name without / \\ : * ? " < > |, '
+                    "without a leading dot, a trailing dot or blank, and none of Windows' device names (con, aux, "
+                    "nul, …)"
+                )
             where = posture_folder(posture)
             self.claim(geometry_name(posture), f"the geometry of {where}")
             self.claim(exr_name(light, posture), f"light {light!r} in {where}")
             self.claim(png_name(light, posture, exposure), f"light {light!r} at exposure {exposure:g} in {where}")
-
-
-def _require_file_name(light: str) -> None:
-    bad = not light or _FORBIDDEN.search(light) or _RESERVED.fullmatch(light)
-    if bad or light.startswith(".") or light.endswith((" ", ".")):
-        raise InputError(
-            f'light {light!r}: cannot be part of a file name; expected a name without / \\ : * ? " < > |, without a '
-            "leading dot, a trailing dot or blank, and none of Windows' device names (con, aux, nul, …)"
-        )
 
 
 def inside_problem(name: str) -> str | None:

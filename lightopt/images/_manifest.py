@@ -25,6 +25,8 @@ EVENTS_KEY = "events"
 DARK_CHECKED_KEY = "ended_dark"
 """Manifest key of a captured set: postures after whose images a frame showed that no light stayed on."""
 
+_RESULT_KEYS = ("images", "geometry", "patches", "files", "warnings", REPEATABILITY_KEY, EVENTS_KEY, DARK_CHECKED_KEY)
+
 
 @dataclass(frozen=True)
 class SourceFile:
@@ -182,6 +184,11 @@ class Manifest:
             **self.extra,
         }
 
+    @property
+    def run_facts(self) -> dict[str, Any]:
+        """Of the JSON form what says which run it is of: not what that made and found."""
+        return {key: value for key, value in self.as_dict().items() if key not in _RESULT_KEYS}
+
     def to_json(self) -> str:
         """Text of ``manifest.json``."""
         return json.dumps(self.as_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
@@ -236,15 +243,12 @@ class _Fields:
             self.problem("", "an object", data)
 
     def inner(self, key: str, value: object) -> _Fields:
-        """An object under a key."""
         return _Fields(self.path, value, self.place(key), self.problems)
 
     def place(self, key: str) -> str:
-        """Full name of a key in the file."""
         return ".".join(filter(None, (self.where, key)))
 
     def problem(self, key: str, expected: str, found: object) -> None:
-        """Note what is wrong with a key."""
         text = "nothing" if found is None else json.dumps(found, default=str)
         found_text = text if len(text) <= 60 else text[:60] + "…"
         place = self.place(key) or "manifest"
@@ -272,7 +276,6 @@ class _Fields:
         return value
 
     def optional_text(self, key: str) -> str | None:
-        """Read a text, or None when the key is absent or null."""
         return None if self.data.get(key) is None else self.text(key)
 
     def file(self, key: str) -> str | None:
@@ -283,7 +286,6 @@ class _Fields:
         return name
 
     def require_inside(self, key: str, name: str) -> None:
-        """Note a path that leaves the set's folder."""
         if problem := inside_problem(name):
             self.problems.append(f"{self.path}: {self.place(key)}: {problem}, found {name!r}")
 
@@ -293,7 +295,6 @@ class _Fields:
         return {name: inner.text(name) for name in inner.data}
 
     def items(self, key: str, *, required: bool = False) -> Iterator[_Fields]:
-        """Yield the objects of a list."""
         value = self.data.get(key, None if required else [])
         if not isinstance(value, list):
             self.problem(key, "a list", value)
@@ -321,10 +322,6 @@ def _manifest(top: _Fields) -> Manifest:
         if entry.key in seen:
             top.problem(f"images[{i}]", "each light, posture and exposure once", entry.light)
         seen.add(entry.key)
-    provenance = top.data.get("provenance") or {}
-    if not isinstance(provenance, dict):
-        top.problem("provenance", "an object", provenance)
-        provenance = {}
     warnings = top.data.get("warnings") or []
     if not isinstance(warnings, list) or not all(isinstance(line, str) for line in warnings):
         top.problem("warnings", "a list of texts", warnings)
@@ -332,20 +329,19 @@ def _manifest(top: _Fields) -> Manifest:
     files = top.texts("files")
     for name in files:
         top.require_inside("files", name)
-    full_scale = top.number("full_scale", 255.0, above=0)
     saturation = None
     if top.data.get("saturation_level") is not None:
         saturation = top.number("saturation_level", above=0, upto=max_level)
     return Manifest(
         kind=kind,
         bit_depth=int(bits),
-        full_scale=full_scale,
+        full_scale=top.number("full_scale", 255.0, above=0),
         saturation_level=saturation,
         black_level=top.number("black_level", 0.0, upto=max_level),
         lightopt=top.optional_text("lightopt"),
         rig=_source(top, "rig"),
         part=_source(top, "part"),
-        provenance=provenance,
+        provenance=top.inner("provenance", top.data.get("provenance") or {}).data,
         images=images,
         geometry=tuple(_geometry(item) for item in top.items("geometry")),
         patches=top.file("patches"),

@@ -84,16 +84,11 @@ def write_image(
         # The PNG writer reports success on a full disk; only its error text shows it.
         message = output.geterror()
         if not (done and closed) or message or not is_complete(path):
-            _raise_system_reason(path)
+            with path.open("ab") as file:  # appended, so that the system says why it refuses (no space left, quota, …)
+                file.write(bytes(_PROBE_BYTES))
             raise OSError(message.strip().split("\n")[0] or "the file came out incomplete")
 
     return write_atomically(path, encode, overwrite=overwrite)
-
-
-def _raise_system_reason(path: Path) -> None:
-    """Append to the broken file, so that the system says why it refuses (no space left, quota, …)."""
-    with path.open("ab") as file:
-        file.write(bytes(_PROBE_BYTES))
 
 
 @contextmanager

@@ -72,7 +72,14 @@ def read_png(path: str | Path, *, colour: bool = False) -> Levels:
     """
     path = Path(path)
     with open_input(path, file_format="png") as source:
-        _check_header(path, colour=colour)
+        with path.open("rb") as file:
+            header = file.read(26)
+        bits, kind = header[24], header[25]
+        # refused by the header, because the decoder expands 1, 2 and 4 bits and palettes, which changes the levels
+        if bits not in (8, 16) or kind not in ((0, 2) if colour else (0,)):
+            found = f"{bits}-bit {_COLOUR_TYPES.get(kind, 'unknown')}"
+            expected = "8- or 16-bit grey" + (" or RGB" if colour else "")
+            raise InputError(f"{path}: expected {expected}, found {found}; convert the image first")
         spec = source.spec()
         pixels = source.read_image(str(spec.format))
         if pixels is None or source.has_error:
@@ -83,17 +90,6 @@ def read_png(path: str | Path, *, colour: bool = False) -> Levels:
     if values.shape[2] == 3 and colour:
         return values
     raise InputError(f"{path}: has a transparent colour; expected plain {'grey or RGB' if colour else 'grey'}")
-
-
-def _check_header(path: Path, *, colour: bool) -> None:
-    """Refuse by PNG's header: the decoder expands 1, 2 and 4 bits and palettes, which changes the levels."""
-    with path.open("rb") as file:
-        header = file.read(26)
-    bits, kind = header[24], header[25]
-    if bits not in (8, 16) or kind not in ((0, 2) if colour else (0,)):
-        found = f"{bits}-bit {_COLOUR_TYPES.get(kind, 'unknown')}"
-        expected = "8- or 16-bit grey" + (" or RGB" if colour else "")
-        raise InputError(f"{path}: expected {expected}, found {found}; convert the image first")
 
 
 def read_png_metadata(path: str | Path) -> dict[str, Any]:

@@ -40,7 +40,8 @@ class ResultFolder:
         self._files: list[str] = []
         old = self._read_previous()
         there = [one for one in (name, *also) if (folder / one).exists()]
-        changed = differences(_provenance(old), self.made_from) if there and not force else ""
+        before = (old or {}).get("provenance")
+        changed = differences(before if isinstance(before, Mapping) else {}, self.made_from)
         if there and not force and (old is None or changed):
             raise InputError(
                 f"{folder} already has {', '.join(there)} of {what} of other inputs or with other options"
@@ -89,8 +90,3 @@ class ResultFolder:
                 path = (self.folder / name).resolve()
                 if path.is_relative_to(self.folder.resolve()):
                     path.unlink()
-
-
-def _provenance(document: Mapping[str, Any] | None) -> Mapping[str, Any]:
-    found = (document or {}).get("provenance")
-    return found if isinstance(found, Mapping) else {}

@@ -37,9 +37,7 @@ def saturated_region(levels: NDArray[Any], saturation_level: float) -> Saturated
 def _contour_length(values: Float64) -> float:
     # marching squares: straight segments of the line where values are 0 cross every 2 × 2 square of pixel centres
     corners = (values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1])
-    mixed = np.zeros(corners[0].shape, np.bool_)
-    for corner in corners[1:]:
-        mixed |= (corner >= 0.0) != (corners[0] >= 0.0)
+    mixed = np.any([(corner >= 0.0) != (corners[0] >= 0.0) for corner in corners[1:]], axis=0)
     a, b, c, d = (corner[mixed] for corner in corners)
     total = 0.0
     zero, one = np.zeros_like(a), np.ones_like(a)

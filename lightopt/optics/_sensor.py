@@ -111,12 +111,17 @@ def expose(
     if levels.ndim != 2:
         raise InputError(f"image to expose: expected shape (H, W), found {levels.shape}")
     small = sensor.bit_depth <= 8
-    empty = np.empty(levels.shape, np.uint8) if small else np.empty(levels.shape, np.uint16)
-    quantised: Quantised = empty
+    quantised: Quantised = np.empty(levels.shape, np.uint8) if small else np.empty(levels.shape, np.uint16)
     rows = max(1, _BLOCK_PIXELS // max(1, levels.shape[1]))
     for top in range(0, levels.shape[0], rows):
         block = levels[top : top + rows].astype(np.float64)
-        _check_finite(block, top=top)
+        finite = np.isfinite(block)
+        if not finite.all():
+            row, column = np.argwhere(~finite)[0]
+            raise InputError(
+                f"image to expose: {int((~finite).sum())} levels are not finite in rows {top} to "
+                f"{top + len(block) - 1}, the first at row {top + row}, column {column}: {block[row, column]}"
+            )
         block *= scale
         if rng is not None:
             _add_noise(block, sensor=sensor, rng=rng)
@@ -125,16 +130,6 @@ def expose(
         np.clip(block, 0, sensor.max_level, out=block)
         quantised[top : top + rows] = block
     return quantised
-
-
-def _check_finite(block: Float64, *, top: int) -> None:
-    finite = np.isfinite(block)
-    if not finite.all():
-        row, column = np.argwhere(~finite)[0]
-        raise InputError(
-            f"image to expose: {int((~finite).sum())} levels are not finite in rows {top} to "
-            f"{top + len(block) - 1}, the first at row {top + row}, column {column}: {block[row, column]}"
-        )
 
 
 def _add_noise(signal: Float64, *, sensor: Sensor, rng: np.random.Generator) -> None:

@@ -1,12 +1,19 @@
 """All checks, in the order of their findings."""
 
+import math
 from collections.abc import Callable, Iterable
 
+import numpy as np
+
 from lightopt.config import PartConfig, RigConfig
+from lightopt.core.transforms import Posture
+from lightopt.geometry import RayCaster
 from lightopt.preflight import _camera, _highlights, _lights, _part
-from lightopt.preflight._findings import CheckedRig, CheckedScene, CheckResult, Finding, sample_posture
-from lightopt.rendering import cast_rays_at
-from lightopt.scene import build_camera, build_lights, build_scene
+from lightopt.preflight._findings import CheckedRig, CheckedScene, CheckResult, Finding, PostureSamples
+from lightopt.rendering import cast_rays_at, trace_samples
+from lightopt.scene import Scene, build_camera, build_lights, build_scene, frame_part, screen_window, view_from_part
+
+SAMPLES = 60_000  # camera rays per posture at most: counts of pixels are estimates from these
 
 RIG_CHECKS: tuple[Callable[[CheckedRig], Iterable[Finding]], ...] = (
     _camera.check_lens,
@@ -37,7 +44,8 @@ SCENE_CHECKS: tuple[Callable[[CheckedScene], Iterable[Finding]], ...] = (
 
 def check_rig(rig: RigConfig) -> CheckResult:
     """Check a rig alone; InputError when the lens model folds the image over."""
-    return CheckResult(_run_rig(rig))
+    checked = CheckedRig(rig, build_camera(rig), build_lights(rig))
+    return CheckResult(tuple(finding for check in RIG_CHECKS for finding in check(checked)))
 
 
 def check_scene(rig: RigConfig, part: PartConfig) -> CheckResult:
@@ -47,11 +55,20 @@ def check_scene(rig: RigConfig, part: PartConfig) -> CheckResult:
     """
     scene = build_scene(rig, part)
     caster = cast_rays_at(scene)
-    samples = tuple(sample_posture(scene, posture, caster) for posture in scene.postures)
+    samples = tuple(_sample_posture(scene, posture, caster) for posture in scene.postures)
     checked = CheckedScene(rig, part, scene, caster, samples)
-    return CheckResult((*_run_rig(rig), *(finding for check in SCENE_CHECKS for finding in check(checked))))
+    findings = (finding for check in SCENE_CHECKS for finding in check(checked))
+    return CheckResult((*check_rig(rig).findings, *findings))
 
 
-def _run_rig(rig: RigConfig) -> tuple[Finding, ...]:
-    checked = CheckedRig(rig, build_camera(rig), build_lights(rig))
-    return tuple(finding for check in RIG_CHECKS for finding in check(checked))
+def _sample_posture(scene: Scene, posture: Posture, caster: RayCaster) -> PostureSamples:
+    # cast a grid of camera rays
+    view = view_from_part(scene, posture)
+    left, top, right, bottom = screen_window(view.camera, scene.mesh)
+    step = max(1, math.ceil(math.sqrt((right - left) * (bottom - top) / SAMPLES)))
+    columns, rows = np.meshgrid(
+        np.arange(left + step // 2, right, step, dtype=np.float64) + 0.5,
+        np.arange(top + step // 2, bottom, step, dtype=np.float64) + 0.5,
+    )
+    hits, surface = trace_samples(caster, scene.mesh, view.camera, columns.ravel(), rows.ravel())
+    return PostureSamples(posture, view, frame_part(view.camera, scene.mesh), step, hits, surface)

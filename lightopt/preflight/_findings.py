@@ -1,32 +1,18 @@
 """The rig and scene that are checked, with samples of what the camera sees, and the findings of the checks."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Literal, get_args
 
-import numpy as np
-
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.transforms import Posture
 from lightopt.geometry import Hits, RayCaster
-from lightopt.rendering import SurfacePoints, trace_samples
-from lightopt.scene import (
-    Framing,
-    PanelLight,
-    PartView,
-    PinholeCamera,
-    Scene,
-    frame_part,
-    screen_window,
-    view_from_part,
-)
+from lightopt.rendering import SurfacePoints
+from lightopt.scene import Framing, PanelLight, PartView, PinholeCamera, Scene
 
 # from best to worst: as it should be; good to know; will probably disappoint; impossible
 Level = Literal["ok", "note", "warning", "error"]
-
-SAMPLES = 60_000  # camera rays per posture at most: counts of pixels are estimates from these
 
 
 @dataclass(frozen=True)
@@ -113,16 +99,3 @@ class CheckedScene:
     def at_posture(self, index: int) -> str:
         """File, line and key of a posture of the part."""
         return self.part.source.at("postures", index)
-
-
-def sample_posture(scene: Scene, posture: Posture, caster: RayCaster) -> PostureSamples:
-    """Cast a grid of camera rays in a posture of a scene."""
-    view = view_from_part(scene, posture)
-    left, top, right, bottom = screen_window(view.camera, scene.mesh)
-    step = max(1, math.ceil(math.sqrt((right - left) * (bottom - top) / SAMPLES)))
-    columns, rows = np.meshgrid(
-        np.arange(left + step // 2, right, step, dtype=np.float64) + 0.5,
-        np.arange(top + step // 2, bottom, step, dtype=np.float64) + 0.5,
-    )
-    hits, surface = trace_samples(caster, scene.mesh, view.camera, columns.ravel(), rows.ravel())
-    return PostureSamples(posture, view, frame_part(view.camera, scene.mesh), step, hits, surface)

@@ -21,10 +21,9 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64
 from lightopt.geometry import TriangleMesh, face_normals, mesh_edges
-from lightopt.optics import Sensor
 from lightopt.preflight._findings import CheckedScene, Finding
 from lightopt.rendering import highlight_level
-from lightopt.scene import COARSE_SHARE, PanelLight, coarse_points, like_panels, point_spacing, points_advice
+from lightopt.scene import PanelLight, coarse_points, like_panels, point_spacing, points_advice
 
 NEGLIGIBLE_ERROR = 0.015
 
@@ -69,7 +68,6 @@ def _points(light: PanelLight, sigma: float, where: str) -> Finding:
     )
     if abs(found.area_error) <= NEGLIGIBLE_ERROR:
         return Finding("ok", "points", text, where, values)
-    assert abs(found.area_error) <= COARSE_SHARE
     return Finding("note", "points", f"{text}. {points_advice(light, found.enough)}", where, values)
 
 
@@ -92,24 +90,21 @@ def check_levels(checked: CheckedScene) -> Iterator[Finding]:
         "full_scale": reflectance.full_scale,
     }
     shown = f"{peak:.3g}" if peak < 100.0 else f"{peak:,.0f}"
+    # why light saturates at another level than the sensor's saturation level
+    black = f" less its black level of {sensor.black_level:g}" if sensor.black_level else ""
+    same_scale = sensor.max_level == reflectance.full_scale
+    scale = "" if same_scale else f", in levels of full_scale {reflectance.full_scale:g}"
+    why = f" (the sensor's {sensor.saturated_from:g}{black}{scale})" if black or scale else ""
     text = (
         f"at exposure 1 a surface that faces {brightest.name} shows {level:.3g} levels of diffuse light, and one that "
         f"mirrors the whole panel of {mirrored} {shown} of specular light; saturation is at {saturation:.4g}"
-        f"{_scale_text(sensor, reflectance.full_scale)}"
+        f"{why}"
     )
-    if level >= saturation:
+    saturates = level >= saturation
+    if saturates:
         exposure = 0.5 * saturation / level
         text += f": it saturates without any highlight. Check R_d, gain, normalisation, or expose by {exposure:.2g}"
-        yield Finding("warning", "levels", text, where, values)
-    else:
-        yield Finding("ok", "levels", text, where, values)
-
-
-def _scale_text(sensor: Sensor, full_scale: float) -> str:
-    # why light saturates at another level than the sensor's saturation level
-    black = f" less its black level of {sensor.black_level:g}" if sensor.black_level else ""
-    scale = f", in levels of full_scale {full_scale:g}" if sensor.max_level != full_scale else ""
-    return f" (the sensor's {sensor.saturated_from:g}{black}{scale})" if black or scale else ""
+    yield Finding("warning" if saturates else "ok", "levels", text, where, values)
 
 
 @dataclass(frozen=True)
@@ -204,11 +199,9 @@ def _summary(error: Float64, angle: Float64, length: Float64, counts: Bool) -> N
     if not counts.any():
         return None
     error, angle, length = error[counts], angle[counts], length[counts]
-    parts = ((error, 0.5), (error, 0.9), (angle, 0.5), (length, 0.5))
-    return NormalErrors(*(_percentile(values, length, share) for values, share in parts))
-
-
-def _percentile(values: Float64, weights: Float64, share: float) -> float:
-    order = np.argsort(values, kind="stable")
-    total = np.cumsum(weights[order])
-    return float(values[order[np.searchsorted(total, share * total[-1])]])
+    found: list[float] = []
+    for values, share in ((error, 0.5), (error, 0.9), (angle, 0.5), (length, 0.5)):
+        order = np.argsort(values, kind="stable")
+        total = np.cumsum(length[order])
+        found.append(float(values[order[np.searchsorted(total, share * total[-1])]]))
+    return NormalErrors(*found)

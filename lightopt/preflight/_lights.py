@@ -70,7 +70,10 @@ def check_collisions(checked: CheckedRig) -> Iterator[Finding]:
             continue
         meeting = next(((p, q) for p in moved[i] for q in moved[j] if rectangles_meet(p, q)), None)
         if meeting is not None:
-            places = " and ".join(f"{p.name} at {_angles(p)}" for p in meeting)
+            places = " and ".join(
+                f"{p.name} at elevation {math.degrees(p.elevation):.3g}°, azimuth {math.degrees(p.azimuth):.3g}°"
+                for p in meeting
+            )
             text = f"within their ranges {a.name} and {b.name} ({sizes}) can cross each other: {places}"
             yield Finding("note", "panels collide", text, checked.at("lights", j), {"lights": [a.name, b.name]})
 
@@ -129,10 +132,6 @@ def _at_range(checked: CheckedRig, index: int, topic: str, moved: list[PanelLigh
 def _span(angles: list[float]) -> str:
     low, high = min(angles), max(angles)
     return f"{low:.3g}°" if math.isclose(low, high) else f"{low:.3g}° to {high:.3g}°"
-
-
-def _angles(light: PanelLight) -> str:
-    return f"elevation {math.degrees(light.elevation):.3g}°, azimuth {math.degrees(light.azimuth):.3g}°"
 
 
 def check_hidden_part(checked: CheckedScene) -> Iterator[Finding]:

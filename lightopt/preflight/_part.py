@@ -5,18 +5,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from lightopt import geometry
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import counted
-from lightopt.geometry import (
-    Patches,
-    TriangleMesh,
-    estimate_patch_count,
-    face_areas,
-    face_normals,
-    merge_rows,
-    mesh_edges,
-    refine,
-)
 from lightopt.preflight._findings import CheckedScene, Finding, Level, percent
 from lightopt.rendering import BACK_FACE_SHARE, visible_points
 from lightopt.scene import guess_unit, is_absurd, view_size
@@ -41,12 +32,10 @@ def check_size(checked: CheckedScene) -> Iterator[Finding]:
     guess = guess_unit(checked.part, longest, view)
     if guess is not None:
         values = {**values, "unit": guess.unit, "likely_units": list(guess.likely)}
-        yield Finding("warning", "size", f"{text}: {guess.text}", where, values)
+        text += f": {guess.text}"
     elif absurd:
-        kind = "small" if longest < view else "large"
-        yield Finding("warning", "size", f"{text}: very {kind} for this camera", where, values)
-    else:
-        yield Finding("ok", "size", text, where, values)
+        text += f": very {'small' if longest < view else 'large'} for this camera"
+    yield Finding("warning" if absurd else "ok", "size", text, where, values)
 
 
 def check_mesh(checked: CheckedScene) -> Iterator[Finding]:
@@ -58,7 +47,7 @@ def check_mesh(checked: CheckedScene) -> Iterator[Finding]:
         if not text.startswith(framing):
             yield Finding("warning", "mesh", text, where)
     mesh = checked.scene.mesh
-    found = mesh_edges(merge_rows(mesh.vertices)[1][mesh.faces])
+    found = geometry.mesh_edges(geometry.merge_rows(mesh.vertices)[1][mesh.faces])
     open_edges = int(np.count_nonzero(found.uses == 1))
     tangled = int(np.count_nonzero(found.uses > 2))
     values = {"triangles": len(mesh.faces), "open_edges": open_edges, "nonmanifold_edges": tangled}
@@ -105,7 +94,7 @@ def check_unseen_surface(checked: CheckedScene) -> Iterator[Finding]:
     """Area of the surface that the camera sees in no posture, of the upper side and of all, and where it is."""
     mesh = checked.scene.mesh
     patches = _patches(mesh)
-    normals = face_normals(mesh)[patches.face]
+    normals = geometry.face_normals(mesh)[patches.face]
     seen = np.zeros(len(patches), np.bool_)
     for sample in checked.samples:
         seen |= visible_points(patches.centroids, normals, sample.view, checked.caster)
@@ -166,10 +155,10 @@ def facing(mean: Float64) -> str:
     return f"facing {' and '.join(words)}" if words else "facing several ways"
 
 
-def _patches(mesh: TriangleMesh) -> Patches:
+def _patches(mesh: geometry.TriangleMesh) -> geometry.Patches:
     # equilateral patches of this edge would be half of the budget; bisection makes up to twice as many
-    edge = math.sqrt(4.0 / math.sqrt(3.0) * 2.0 * float(face_areas(mesh).sum()) / BUDGET)
+    edge = math.sqrt(4.0 / math.sqrt(3.0) * 2.0 * float(geometry.face_areas(mesh).sum()) / BUDGET)
     most = max(BUDGET, len(mesh.faces))
-    while estimate_patch_count(mesh, edge, limit=most + 1) > most:
+    while geometry.estimate_patch_count(mesh, edge, limit=most + 1) > most:
         edge *= 1.3
-    return refine(mesh, max_edge_mm=edge, max_patches=most)
+    return geometry.refine(mesh, max_edge_mm=edge, max_patches=most)

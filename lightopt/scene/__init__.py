@@ -33,19 +33,11 @@ from lightopt.scene._panel_light import (
     segments_blocked,
 )
 from lightopt.scene._part_size import guess_unit, is_absurd, view_size
-from lightopt.scene._point_spacing import (
-    COARSE_SHARE,
-    coarse_points,
-    coarse_warnings,
-    like_panels,
-    point_spacing,
-    points_advice,
-)
+from lightopt.scene._point_spacing import coarse_points, coarse_warnings, like_panels, point_spacing, points_advice
 from lightopt.scene._scene import PartView, Placement, Scene, move_part, view_from_part
 from lightopt.scene._stage_travel import VIRTUAL_DEG_PER_S, pace_text, travel_order, travel_s
 
 __all__ = [
-    "COARSE_SHARE",
     "VIRTUAL_DEG_PER_S",
     "Framing",
     "PanelLight",

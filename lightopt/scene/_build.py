@@ -8,17 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from lightopt.config import (
-    CameraConfig,
-    LightConfig,
-    LightSourceConfig,
-    PartConfig,
-    PlacementConfig,
-    RigConfig,
-    load_part,
-    load_rig,
-    points_problem,
-)
+from lightopt.config import CameraConfig, PartConfig, RigConfig, load_part, load_rig, points_problem
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture, rotation_x, rotation_y, rotation_z
 from lightopt.core.units import MM_PER_UNIT
@@ -108,12 +98,10 @@ def build_camera(rig: RigConfig) -> PinholeCamera:
         height=c.resolution_px[1],
         pixel_size=c.pixel_size_um * 1e-3,
         image_distance=image_distance,
-        distortion=Distortion(**c.distortion.model_dump()) if c.distortion else Distortion(),
+        distortion=Distortion(**c.distortion.model_dump()),
     )
-    columns = np.linspace(0.0, camera.width, 33)
-    rows = np.linspace(0.0, camera.height, 33)
-    grid = np.meshgrid(columns, rows)
-    if not np.isfinite(pixel_directions(camera, grid[0].ravel(), grid[1].ravel())).all():
+    columns, rows = np.meshgrid(np.linspace(0.0, camera.width, 33), np.linspace(0.0, camera.height, 33))
+    if not np.isfinite(pixel_directions(camera, columns.ravel(), rows.ravel())).all():
         raise InputError(
             f"{rig.source.at('camera', 'distortion')}: this lens model folds the image over inside the frame, so that "
             "some pixels look nowhere; expected coefficients of a calibration that covered the whole image"
@@ -163,34 +151,35 @@ def build_lights(
     unknown = [name for name in names or () if name not in known]
     if unknown:
         raise InputError(*(f'no light "{name}" in {rig.source.path}; it has {", ".join(known)}' for name in unknown))
-    return tuple(
-        _light(light, rig.light_source, points) for light in rig.lights if names is None or light.name in names
-    )
-
-
-def _light(light: LightConfig, shared: LightSourceConfig, points: int | Literal["auto"] | None) -> PanelLight:
-    own = {key: getattr(light, key) for key in type(shared).model_fields if getattr(light, key) is not None}
-    source = shared.model_copy(update=own)
-    if points is not None and (problem := points_problem(points)):
-        raise InputError(f"points of {light.name}: {problem}")
-    return place_light(
-        name=light.name,
-        distance=light.distance_mm,
-        elevation=math.radians(light.elevation_deg),
-        azimuth=math.radians(light.azimuth_deg),
-        size=source.size_mm,
-        points=source.points if points is None else points,
-        normalisation=source.normalisation,
-        gain=light.gain,
-        inverse_square=source.falloff == "inverse_square",
-        emission_exponent=source.emission_exponent,
-    )
+    lights: list[PanelLight] = []
+    for light in (light for light in rig.lights if names is None or light.name in names):
+        if points is not None and (problem := points_problem(points)):
+            raise InputError(f"points of {light.name}: {problem}")
+        shared = rig.light_source
+        own = {key: getattr(light, key) for key in type(shared).model_fields if getattr(light, key) is not None}
+        source = shared.model_copy(update=own)
+        panel = place_light(
+            name=light.name,
+            distance=light.distance_mm,
+            elevation=math.radians(light.elevation_deg),
+            azimuth=math.radians(light.azimuth_deg),
+            size=source.size_mm,
+            points=source.points if points is None else points,
+            normalisation=source.normalisation,
+            gain=light.gain,
+            inverse_square=source.falloff == "inverse_square",
+            emission_exponent=source.emission_exponent,
+        )
+        lights.append(panel)
+    return tuple(lights)
 
 
 def _mesh(part: PartConfig, footprint: float) -> tuple[TriangleMesh, Placement, tuple[str, ...]]:
     m = part.mesh
     path = part.source.resolve(m.file)
     tolerance = chord_tolerance(part, footprint)
+    # the sagitta of a chord goes with the square of its angle: both limits coarsen alike
+    angular_tolerance = ANGULAR_TOLERANCE * max(1.0, math.sqrt(tolerance / CHORD_TOLERANCE_MM))
     loaded = load_mesh(
         path,
         # formats that carry their unit are checked against `units` when the file is read
@@ -198,10 +187,21 @@ def _mesh(part: PartConfig, footprint: float) -> tuple[TriangleMesh, Placement, 
         normals=m.normals,
         crease_angle=math.radians(m.crease_angle_deg),
         chord_tolerance_mm=tolerance,
-        angular_tolerance=_angular_tolerance(tolerance),
+        angular_tolerance=min(MOST_ANGULAR_TOLERANCE, angular_tolerance),
         max_triangles=m.max_triangles,
     )
-    return *_place(loaded.mesh, part.placement), loaded.warnings
+    rx, ry, rz = (math.radians(angle) for angle in part.placement.rotate_deg)
+    rotation = rotation_z(rz) @ rotation_y(ry) @ rotation_x(rx)
+    turned = transformed(loaded.mesh, rotation, np.zeros(3))
+    low, high = turned.bounds
+    shift = np.zeros(3)
+    if part.placement.anchor == "rest_on_table":
+        shift = -np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
+    elif part.placement.anchor == "centred":
+        shift = -0.5 * (low + high)
+    shift = shift + np.array(part.placement.translate_mm, dtype=np.float64)
+    placed = transformed(turned, np.eye(3), shift)
+    return placed, Placement(rotation=rotation, translation=shift), loaded.warnings
 
 
 def chord_tolerance(part: PartConfig, footprint: float) -> float:
@@ -212,25 +212,6 @@ def chord_tolerance(part: PartConfig, footprint: float) -> float:
     if part.mesh.chord_tolerance_mm is not None:
         return part.mesh.chord_tolerance_mm
     return min(CHORD_TOLERANCE_MM, CHORD_TOLERANCE_FOOTPRINTS * footprint)
-
-
-def _angular_tolerance(chord: float) -> float:
-    # the sagitta of a chord goes with the square of its angle: both limits coarsen alike
-    return min(MOST_ANGULAR_TOLERANCE, ANGULAR_TOLERANCE * max(1.0, math.sqrt(chord / CHORD_TOLERANCE_MM)))
-
-
-def _place(mesh: TriangleMesh, placement: PlacementConfig) -> tuple[TriangleMesh, Placement]:
-    rx, ry, rz = (math.radians(angle) for angle in placement.rotate_deg)
-    rotation = rotation_z(rz) @ rotation_y(ry) @ rotation_x(rx)
-    turned = transformed(mesh, rotation, np.zeros(3))
-    low, high = turned.bounds
-    shift = np.zeros(3)
-    if placement.anchor == "rest_on_table":
-        shift = -np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
-    elif placement.anchor == "centred":
-        shift = -0.5 * (low + high)
-    shift = shift + np.array(placement.translate_mm, dtype=np.float64)
-    return transformed(turned, np.eye(3), shift), Placement(rotation=rotation, translation=shift)
 
 
 def unit_hint(part: PartConfig, scene: Scene) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -62,33 +63,17 @@ class PinholeCamera:
         )
 
 
-def place_camera(
-    *,
-    distance: float,
-    elevation: float,
-    azimuth: float,
-    roll: float,
-    width: int,
-    height: int,
-    pixel_size: float,
-    image_distance: float,
-    distortion: Distortion = Distortion(),
-) -> PinholeCamera:
-    """Camera at ``distance·d(elevation, azimuth)``, looking at the origin; lengths [mm], angles [rad], world frame."""
+def place_camera(*, distance: float, elevation: float, azimuth: float, roll: float, **image: Any) -> PinholeCamera:
+    """Camera at ``distance·d(elevation, azimuth)``, looking at the origin; lengths [mm], angles [rad], world frame.
+
+    image: The fields of the camera that say what it images: width, height, pixel_size, image_distance, distortion
+    """
     d = direction(elevation=elevation, azimuth=azimuth)
     e_phi = azimuth_tangent(azimuth=azimuth)
     e_theta = elevation_tangent(elevation=elevation, azimuth=azimuth)
     c, s = np.cos(roll), np.sin(roll)
     return PinholeCamera(
-        position=distance * d,
-        right=c * e_phi + s * e_theta,
-        up=-s * e_phi + c * e_theta,
-        forward=-d,
-        width=width,
-        height=height,
-        pixel_size=pixel_size,
-        image_distance=image_distance,
-        distortion=distortion,
+        position=distance * d, right=c * e_phi + s * e_theta, up=-s * e_phi + c * e_theta, forward=-d, **image
     )
 
 

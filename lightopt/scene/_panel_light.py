@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -30,7 +30,6 @@ class PanelLight:
     outward: Unit vector from the origin to the panel, d, shape (3,); the panel shines along −d
     size: Sides along `across` and `along` [mm]
     points: Number of point lights k², or ``"auto"`` for the converged panel
-    total_weight: Sum of the points' weights: gain, times m where the normalisation is ``sum``
     inverse_square: Whether light falls off with (distance of the panel centre / r)²
     emission_exponent: n of the emission cosⁿ(angle to the panel's axis); 0 is the paper's point light
     """
@@ -68,23 +67,13 @@ class PanelLight:
         )
 
 
-def place_light(
-    *,
-    name: str,
-    distance: float,
-    elevation: float,
-    azimuth: float,
-    size: tuple[float, float],
-    points: int | Literal["auto"],
-    normalisation: Literal["mean", "sum"] = "mean",
-    gain: float = 1.0,
-    inverse_square: bool = False,
-    emission_exponent: float = 0.0,
-) -> PanelLight:
-    """Panel centred at ``distance·d(elevation, azimuth)``, facing the origin; [mm], [rad], world frame."""
+def place_light(*, distance: float, elevation: float, azimuth: float, **panel: Any) -> PanelLight:
+    """Panel centred at ``distance·d(elevation, azimuth)``, facing the origin; [mm], [rad], world frame.
+
+    panel: The fields of the light that do not depend on where it stands: name, size, points, …
+    """
     d = direction(elevation=elevation, azimuth=azimuth)
     return PanelLight(
-        name=name,
         elevation=elevation,
         azimuth=azimuth,
         distance=distance,
@@ -92,12 +81,7 @@ def place_light(
         across=azimuth_tangent(azimuth=azimuth),
         along=elevation_tangent(elevation=elevation, azimuth=azimuth),
         outward=d,
-        size=size,
-        points=points,
-        normalisation=normalisation,
-        gain=gain,
-        inverse_square=inverse_square,
-        emission_exponent=emission_exponent,
+        **panel,
     )
 
 

@@ -60,26 +60,16 @@ def guess_unit(part: PartConfig, longest: float, view: float) -> UnitGuess | Non
     longest: Its longest side as it is read now [mm]
     view: The view's shorter side [mm]
     """
-    unit = _unit(part)
+    # formats that carry their unit: GLB is in metres, STEP is converted to millimetres as it is read
+    unit = part.mesh.units or ("m" if part.mesh.file.lower().endswith(".glb") else "mm")
     likely = likely_units(longest, view, unit)
     if not likely:
         return None
+    ratios = {name: MM_PER_UNIT[name] / MM_PER_UNIT[unit] for name in likely}
+    factors = {name: f"{ratio:.4g}" if ratio >= 1.0 else f"1/{1.0 / ratio:.4g}" for name, ratio in ratios.items()}
     likely_text = " or ".join(
-        f"{name} ({longest * MM_PER_UNIT[name] / MM_PER_UNIT[unit]:.4g} mm, a factor of "
-        f"{_factor(MM_PER_UNIT[name] / MM_PER_UNIT[unit])})"
-        for name in likely
+        f"{name} ({longest * ratios[name]:.4g} mm, a factor of {factors[name]})" for name in likely
     )
     read = f"Read as {unit}, the part's longest side is {longest:.4g} mm"
     text = f"a wrong unit? {read}; it would be about as large as the view if the file were in {likely_text}"
     return UnitGuess(unit, likely, text)
-
-
-def _unit(part: PartConfig) -> str:
-    if part.mesh.units is not None:
-        return part.mesh.units
-    # formats that carry their unit: GLB is in metres, STEP is converted to millimetres as it is read
-    return "m" if part.mesh.file.lower().endswith(".glb") else "mm"
-
-
-def _factor(ratio: float) -> str:
-    return f"{ratio:.4g}" if ratio >= 1.0 else f"1/{1.0 / ratio:.4g}"

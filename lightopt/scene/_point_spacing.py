@@ -61,11 +61,21 @@ def point_spacing(light: PanelLight, sigma: float) -> PointSpacing | None:
     k = math.isqrt(light.points)
     lobe = 2.0 * light.distance * sigma
     rule = max(1, math.ceil(2.0 * max(light.size) / lobe))
+    # gaps beyond this leave nothing of the area, whatever they are exactly
+    unit = max(lobe, max(light.size) / k / _LARGEST_GAP)
+    axes = [_profiles(side / unit, k) for side in light.size]
+    threshold = SATURATION_SHARE * axes[0][1][0] * axes[1][1][0]
+    areas: list[float] = []
+    for across, along in zip(*axes, strict=True):  # of the grid and of the whole panel
+        # number of cells (i, j) with across[i]·along[j] ≥ threshold
+        ascending = np.sort(along)
+        needed = threshold / np.maximum(across, 1e-300)
+        areas.append(float((len(ascending) - np.searchsorted(ascending, needed)).sum()))
     return PointSpacing(
         points=light.points,
         spacing=max(light.size) / k,
         lobe=lobe,
-        area_error=_area_ratio(light.size, k, lobe) - 1.0,
+        area_error=areas[0] / areas[1] - 1.0,
         enough=rule * rule,
     )
 
@@ -110,15 +120,6 @@ def points_advice(light: PanelLight, enough: int) -> str:
     return auto if enough > MOST_POINTS else f"{auto}, or points: {enough} for an error of about 1 %"
 
 
-def _area_ratio(size: tuple[float, float], k: int, lobe: float) -> float:
-    # gaps beyond this leave nothing of the area, whatever they are exactly
-    s = max(lobe, max(size) / k / _LARGEST_GAP)
-    axes = [_profiles(side / s, k) for side in size]
-    threshold = SATURATION_SHARE * axes[0][1][0] * axes[1][1][0]
-    grid, whole = (_area(axes[0][i], axes[1][i], threshold) for i in range(2))
-    return grid / whole
-
-
 def _profiles(side: float, k: int) -> tuple[Float64, Float64]:
     # mean of the lobe over k points and over the whole side, from the panel's middle outwards; lengths in lobes
     half = 0.5 * side
@@ -131,10 +132,3 @@ def _profiles(side: float, k: int) -> tuple[Float64, Float64]:
     root = math.sqrt(0.5)
     whole = np.array([math.erf((e + half) * root) - math.erf((e - half) * root) for e in x])
     return grid / k, whole * math.sqrt(0.5 * math.pi) / side
-
-
-def _area(across: Float64, along: Float64, threshold: float) -> float:
-    # number of cells (i, j) with across[i]·along[j] ≥ threshold
-    ascending = np.sort(along)
-    needed = threshold / np.maximum(across, 1e-300)
-    return float((len(ascending) - np.searchsorted(ascending, needed)).sum())

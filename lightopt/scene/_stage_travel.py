@@ -23,7 +23,12 @@ def travel_order(postures: Sequence[Posture], *, start: Posture, time: Time) -> 
     if len(postures) <= _EXACT_UP_TO:
         # ties go to the first permutation, the one nearest to the order given; rounding must not break them
         return min(permutations(postures), key=lambda order: round(_total(order, start, time), 6))
-    return _improved(_nearest_next(postures, start, time), start, time)
+    left, order, here = list(postures), [], start
+    while left:
+        here = min(left, key=lambda posture: time(here, posture))
+        left.remove(here)
+        order.append(here)
+    return _improved(order, start, time)
 
 
 def travel_s(stage: StageDeviceConfig | None, start: Posture, end: Posture) -> float:
@@ -56,15 +61,6 @@ def pace_text(rig: RigConfig) -> str:
 
 def _total(order: Sequence[Posture], start: Posture, time: Time) -> float:
     return sum(time(a, b) for a, b in zip((start, *order), order, strict=False))
-
-
-def _nearest_next(postures: Sequence[Posture], start: Posture, time: Time) -> list[Posture]:
-    left, order, here = list(postures), [], start
-    while left:
-        here = min(left, key=lambda posture: time(here, posture))
-        left.remove(here)
-        order.append(here)
-    return order
 
 
 def _improved(order: list[Posture], start: Posture, time: Time) -> tuple[Posture, ...]:

@@ -195,7 +195,7 @@ WORDS = {
         "name: LIGHT1",
         13,
         "lights[1].name",
-        "upper and lower case are not told apart",
+        "upper and lower case are not distinguished",
     ),
     "duplicate postures": (
         PART,

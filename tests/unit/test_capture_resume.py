@@ -227,11 +227,11 @@ def test_few_linear_images_wait(take, monkeypatch):
 
 @pytest.mark.skipif(os.name == "nt", reason="os.kill ends a Windows process at once")
 def test_a_disk_that_hangs_is_waited_for_and_the_folder_stays_locked(take, world, bench, monkeypatch):
-    from lightopt.images import _writer
+    from lightopt.images import _set_writer
     from lightopt.rig.capture import _session
 
     monkeypatch.setattr(_session, "DISK_WARNING_S", 0.05)
-    inside, gate, said, plain = threading.Event(), threading.Event(), [], _writer.write_png
+    inside, gate, said, plain = threading.Event(), threading.Event(), [], _set_writer.write_png
 
     def hang(*arguments, **options):
         inside.set()
@@ -251,7 +251,7 @@ def test_a_disk_that_hangs_is_waited_for_and_the_folder_stays_locked(take, world
         gate.set()
 
     seen = []
-    monkeypatch.setattr(_writer, "write_png", hang)
+    monkeypatch.setattr(_set_writer, "write_png", hang)
     at_the_keys = threading.Thread(target=person)
     at_the_keys.start()
     with pytest.raises(Interrupted, match="all lights are off; 1 of 4 images are on disk; go on with option 'resume'"):
@@ -261,7 +261,7 @@ def test_a_disk_that_hangs_is_waited_for_and_the_folder_stays_locked(take, world
     assert seen == [set(), True]
     assert not (bench.out / LOCK_NAME).exists()
     assert not [t.name for t in threading.enumerate() if t.name.startswith(("disk", "linear"))]
-    monkeypatch.setattr(_writer, "write_png", plain)
+    monkeypatch.setattr(_set_writer, "write_png", plain)
     assert take(resume=True).images == len(read_image_set(bench.out).images) == 4
 
 
@@ -295,9 +295,9 @@ def test_ctrl_c_at_the_very_end_says_that_the_set_is_complete(take, world, bench
 
 
 def test_a_light_that_is_lit_anew_settles_anew(take, world, monkeypatch):
-    from lightopt.images import _writer
+    from lightopt.images import _set_writer
 
-    plain, lit, waited, grabs = _writer.write_png, [], [], AcquisitionEngine.light_on
+    plain, lit, waited, grabs = _set_writer.write_png, [], [], AcquisitionEngine.light_on
 
     def slow(*arguments, **options):
         time.sleep(0.1)
@@ -313,7 +313,7 @@ def test_a_light_that_is_lit_anew_settles_anew(take, world, monkeypatch):
             waited.append(time.monotonic() >= lit[-1])
 
     monkeypatch.setattr(CapturePlan, "relighting_s", 0.01)
-    monkeypatch.setattr(_writer, "write_png", slow)
+    monkeypatch.setattr(_set_writer, "write_png", slow)
     monkeypatch.setattr(AcquisitionEngine, "light_on", light_on)
     world.trouble = watch
     take(exposures=(1.0, 1 / 16), postures=HERE)

@@ -170,10 +170,10 @@ def burning_after(monkeypatch, world, module, name, *, seconds=0.15):
 
 
 def test_no_light_burns_for_a_slow_disk(take, world, bench, monkeypatch):
-    from lightopt.images import _writer
+    from lightopt.images import _set_writer
 
     monkeypatch.setattr(CapturePlan, "relighting_s", 0.02)
-    burning = burning_after(monkeypatch, world, _writer, "write_png")
+    burning = burning_after(monkeypatch, world, _set_writer, "write_png")
     assert take(exposures=(1.0, 1 / 16)).taken == 8
     assert burning == [set()] * 8
     assert [len(e.sha256) for e in read_image_set(bench.out).images] == [2] * 8  # PNG and EXR
@@ -339,12 +339,12 @@ def test_a_channel_that_cannot_be_switched_off_at_the_start_ends_the_run(take, w
 
 
 def test_a_disk_that_refuses_ends_with_lights_off(take, world, monkeypatch):
-    from lightopt.images import _writer
+    from lightopt.images import _set_writer
 
     def full(*arguments, **options):
         raise InputError("disk full")
 
-    monkeypatch.setattr(_writer, "write_png", full)
+    monkeypatch.setattr(_set_writer, "write_png", full)
     with pytest.raises(HardwareError, match="while checking and writing the image before: disk full") as raised:
         take()
     assert "all lights are off" in str(raised.value)

@@ -6,6 +6,7 @@ import json
 import math
 import re
 from pathlib import Path
+from typing import get_args
 
 import jsonschema
 import pytest
@@ -13,8 +14,7 @@ from test_config_models import KNOWN_ERRORS, PROBES, error_kinds, paths, with_va
 
 from lightopt.config import PartConfig, json_schema, load_part, with_list
 from lightopt.core.errors import InputError
-from lightopt.defects import BUILT_IN_CATALOGUE, depth_of_slope
-from lightopt.defects._shape import DEFECT_KINDS
+from lightopt.defects import BUILT_IN_CATALOGUE, DefectKind, depth_of_slope
 
 GOOD = [
     {"name": "a", "kind": "scratch", "at_mm": [1, 2, 3], "size_mm": [5, 0.2], "slope_deg": 4, "direction_deg": 30},
@@ -106,7 +106,7 @@ CASES = [
     (changed(3, sigma_factor=1), "expected another number than 1, which makes no haze"),
     (changed(3, direction_deg=400), "expected a number from -360 to 360 (degrees), found 400"),
     (changed(3, colour=1), 'unknown key "colour"'),
-    ([GOOD[0], GOOD[0]], 'defects[1].name: the name of defects[0], too: "a"'),
+    ([GOOD[0], GOOD[0]], 'defects[1].name: the name "a" is already that of defects[0]'),
 ]
 
 
@@ -176,4 +176,4 @@ def test_what_the_documentation_shows_is_read(bench):
 
 
 def test_kinds_are_told_in_words():
-    assert all(kind in json.dumps(json_schema("part")) for kind in DEFECT_KINDS)
+    assert all(kind in json.dumps(json_schema("part")) for kind in get_args(DefectKind))

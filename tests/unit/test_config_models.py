@@ -23,8 +23,8 @@ from lightopt.core.units import MM_PER_UNIT
 CONFIGS = Path(__file__).parents[2] / "configs"
 # the kinds of error that the models can raise, each with its own message; any other gets a general one
 KNOWN_ERRORS = frozenset(
-    {"absent", "complaint", "expected", "extra_forbidden", "missing", "model_type", "too_long", "too_short"}
-    | {"tuple_type"}
+    {"absent", "complaint", "expected", "extra_forbidden", "literal_error", "missing", "model_type", "too_long"}
+    | {"too_short", "tuple_type"}
 )
 SAMPLES = [("rig", p) for p in sorted((CONFIGS / "rigs").glob("*.yaml"))]
 SAMPLES += [("part", p) for p in sorted((CONFIGS / "parts").glob("*.yaml"))]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from lightopt.config._defects import DefectConfig
 from lightopt.defects import (
     BUILT_IN_CATALOGUE,
     SHAPE_KINDS,
+    DefectKind,
     DefectShape,
     PlacedDefect,
     depth_of_slope,
@@ -20,7 +22,7 @@ from lightopt.defects import (
     slope_of_depth,
     tangent_direction,
 )
-from lightopt.defects._shape import BLEND, BLISTER_TOP, DEFECT_KINDS, height_gradient
+from lightopt.defects._shape import BLEND, BLISTER_TOP, height_gradient
 
 X, Y, Z = np.eye(3)
 
@@ -81,7 +83,7 @@ def test_the_steepest_slope_and_the_depth_are_those_stated(kind):
     assert slope_of_depth(kind, 1.5, depth_of_slope(kind, 1.5, 0.3)) == pytest.approx(0.3)
 
 
-@pytest.mark.parametrize("kind", DEFECT_KINDS)
+@pytest.mark.parametrize("kind", get_args(DefectKind))
 def test_the_outline_has_the_area_stated_and_nothing_is_beyond_it(kind):
     some = shape(kind, (3.0, 1.2))
     x, y = grid()
@@ -176,7 +178,7 @@ def test_directions_count_from_x_or_from_y_counterclockwise_from_outside(normal,
 
 
 def test_the_built_in_catalogue_has_every_kind_and_is_what_files_may_say():
-    assert [entry.shape.kind for entry in BUILT_IN_CATALOGUE] == list(DEFECT_KINDS)
+    assert [entry.shape.kind for entry in BUILT_IN_CATALOGUE] == list(get_args(DefectKind))
     for entry in BUILT_IN_CATALOGUE:
         s = entry.shape
         data = {"name": entry.name, "kind": s.kind, "size_mm": [s.length, s.width], "at_mm": [0, 0, 0]}

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Bool, Float64
+from lightopt.core.arrays import Bool
 from lightopt.core.errors import InputError
 
 # percentiles of |a − b| that are reported, by their key in reports
@@ -127,16 +127,25 @@ def compare_arrays(
         reasons.append(f"{name}: {fresh} values are NaN or infinite where the golden's are finite")
     masks: dict[str, Any] = {}
     if saturation is not None:
-        masks = _compare_masks(a >= saturation[0], b >= saturation[1])
-        if min_iou is not None and masks["iou"] < min_iou:
-            reasons.append(
-                f"{name}: saturated areas overlap by {masks['iou']:.4f} (IoU); at least {min_iou:g} expected"
-            )
+        full_a, full_b = a >= saturation[0], b >= saturation[1]
+        union = int((full_a | full_b).sum())
+        iou = int((full_a & full_b).sum()) / union if union else 1.0
+        masks = {"saturated_a": int(full_a.sum()), "saturated_b": int(full_b.sum()), "iou": iou}
+        if min_iou is not None and iou < min_iou:
+            reasons.append(f"{name}: saturated areas overlap by {iou:.4f} (IoU); at least {min_iou:g} expected")
+    statistics: dict[str, Any] = {"max": None, "rms": None, "percentiles": None}
+    if distance.size:
+        values = np.percentile(distance, list(PERCENTILES.values()))
+        statistics = {
+            "max": float(distance.max()),
+            "rms": float(np.sqrt(np.mean(distance**2))),
+            "percentiles": dict(zip(PERCENTILES, values.tolist(), strict=True)),
+        }
     return ChannelDifference(
         name=name,
         pixels=int(a.size),
         compared=int(golden.size),
-        **_statistics(distance),
+        **statistics,
         differing=differing,
         share=share,
         not_finite_a=int((~finite_a).sum()),
@@ -144,20 +153,3 @@ def compare_arrays(
         **masks,
         reasons=tuple(reasons),
     )
-
-
-def _statistics(distance: Float64) -> dict[str, Any]:
-    if not distance.size:
-        return {"max": None, "rms": None, "percentiles": None}
-    values = np.percentile(distance, list(PERCENTILES.values()))
-    return {
-        "max": float(distance.max()),
-        "rms": float(np.sqrt(np.mean(distance**2))),
-        "percentiles": dict(zip(PERCENTILES, values.tolist(), strict=True)),
-    }
-
-
-def _compare_masks(a: Bool, b: Bool) -> dict[str, Any]:
-    union = int((a | b).sum())
-    iou = int((a & b).sum()) / union if union else 1.0
-    return {"saturated_a": int(a.sum()), "saturated_b": int(b.sum()), "iou": iou}

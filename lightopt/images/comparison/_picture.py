@@ -8,7 +8,7 @@ import numpy as np
 from lightopt.core.arrays import Float64, UInt8
 from lightopt.core.errors import InputError
 from lightopt.images import write_png
-from lightopt.images.comparison._files import LEVELS, LoadedFile, load_file
+from lightopt.images.comparison._files import LEVELS, load_file
 
 _LOWER = (33, 102, 172)
 _EQUAL = (247, 247, 247)
@@ -46,13 +46,19 @@ def difference_picture(
         raise InputError(
             f"{a} and {b}: no difference to show between {golden.kind} of {golden.shape} and {new.kind} of {new.shape}"
         )
-    name = _choose(golden, new, channel)
+    common = sorted(golden.channels.keys() & new.channels.keys())
+    preferred = [name for name in ("Y", LEVELS) if name in common] + common
+    name = channel if channel is not None else preferred[0] if preferred else ""
+    if name not in common:
+        raise InputError(f"no channel {name!r} in both images; they share {', '.join(common) or 'none'}")
     old, now = golden.channels[name].astype(np.float64), new.channels[name].astype(np.float64)
     finite = np.isfinite(old) & np.isfinite(now)
     signed = np.zeros(old.shape)
     np.subtract(now, old, out=signed, where=finite)
     if scale is None:
-        scale = _automatic_scale(signed)
+        scale = _LEAST_SCALE
+        if signed.any():
+            scale = max(float(np.percentile(np.abs(signed[signed != 0]), _SCALE_PERCENTILE)), _LEAST_SCALE)
     elif not (scale > 0 and np.isfinite(scale)):
         raise InputError(f"scale of the difference picture: expected a number above 0, found {scale}")
     pixels = _diverging(signed / scale)
@@ -69,27 +75,17 @@ def difference_picture(
         "beyond_scale": int((np.abs(signed) > scale).sum()),
         "only_golden": int(only_golden.sum()),
         "only_new": int(only_new.sum()),
-        "colours": _legend(scale),
+        "colours": {
+            f"{-scale:g} (new − golden) and below": _LOWER,
+            "0": _EQUAL,
+            f"{scale:g} and above": _HIGHER,
+            "saturated only in golden": _ONLY_GOLDEN,
+            "saturated only in new": _ONLY_NEW,
+            "not finite": _NOT_FINITE,
+        },
     }
     write_png(path, pixels, metadata=metadata, overwrite=overwrite)
     return scale
-
-
-def _choose(golden: LoadedFile, new: LoadedFile, channel: str | None) -> str:
-    common = sorted(golden.channels.keys() & new.channels.keys())
-    if channel is None:
-        preferred = [name for name in ("Y", LEVELS) if name in common]
-        channel = (preferred + common)[0] if common else ""
-    if channel not in common:
-        raise InputError(f"no channel {channel!r} in both images; they share {', '.join(common) or 'none'}")
-    return channel
-
-
-def _automatic_scale(signed: Float64) -> float:
-    distance = np.abs(signed[signed != 0])
-    if not distance.size:
-        return _LEAST_SCALE
-    return max(float(np.percentile(distance, _SCALE_PERCENTILE)), _LEAST_SCALE)
 
 
 def _diverging(relative: Float64) -> UInt8:
@@ -99,14 +95,3 @@ def _diverging(relative: Float64) -> UInt8:
         for low, middle, high in zip(_LOWER, _EQUAL, _HIGHER, strict=True)
     ]
     return np.floor(np.stack(channels, axis=-1) + 0.5).astype(np.uint8)
-
-
-def _legend(scale: float) -> dict[str, Any]:
-    return {
-        f"{-scale:g} (new − golden) and below": _LOWER,
-        "0": _EQUAL,
-        f"{scale:g} and above": _HIGHER,
-        "saturated only in golden": _ONLY_GOLDEN,
-        "saturated only in new": _ONLY_NEW,
-        "not finite": _NOT_FINITE,
-    }

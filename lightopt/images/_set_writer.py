@@ -1,7 +1,8 @@
-"""Writing an image set file by file, so that a killed run leaves a valid set and can be resumed."""
+"""Writing an image set file by file, so that a killed run leaves a valid set; resuming and removing such sets."""
 
+import contextlib
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,21 +12,12 @@ from numpy.typing import NDArray
 
 from lightopt.core.arrays import Float32, UInt8
 from lightopt.core.errors import InputError
-from lightopt.core.provenance import file_sha256
+from lightopt.core.provenance import differences, file_sha256
 from lightopt.core.transforms import Posture
+from lightopt.images import _file_names as file_names
 from lightopt.images._atomic import make_folder, remove_file, write_bytes_atomic, write_npz_atomic, write_text_atomic
-from lightopt.images._existing_set import remove_set, resumable_manifest
 from lightopt.images._exr import write_exr
-from lightopt.images._file_names import (
-    MANIFEST_NAME,
-    FileNames,
-    ImageKey,
-    exr_name,
-    geometry_name,
-    inside_problem,
-    png_name,
-)
-from lightopt.images._manifest import GeometryEntry, ImageEntry, Manifest
+from lightopt.images._manifest import GeometryEntry, ImageEntry, Manifest, read_manifest
 from lightopt.images._png import write_png
 
 _PATCHES_NAME = "patches.npz"
@@ -54,11 +46,11 @@ class ImageSetWriter:
     """
 
     def __init__(
-        self, folder: str | Path, header: Manifest, *, force: bool = False, plan: Iterable[ImageKey] = ()
+        self, folder: str | Path, header: Manifest, *, force: bool = False, plan: Iterable[file_names.ImageKey] = ()
     ) -> None:
         self.folder = Path(folder)
         self._lock = threading.Lock()
-        self._names = FileNames()
+        self._names = file_names.FileNames()
         self._verified: dict[str, str] = {}
         plan = tuple(plan)
         self._names.claim_images(plan)
@@ -66,9 +58,10 @@ class ImageSetWriter:
         self.replaced = remove_set(self.folder, header) if force else 0
         self.resumed = existing is not None
         self._may_overwrite = force or self.resumed
-        if not self._may_overwrite:
-            for name in dict.fromkeys(name for key in plan for name in _file_names(key)):
-                self._refuse_unlisted(name)
+        for light, posture, exposure in plan:
+            self._writable(file_names.png_name(light, posture, exposure))
+            self._writable(file_names.exr_name(light, posture))
+            self._writable(file_names.geometry_name(posture))
         self.manifest = existing or replace(header, images=(), geometry=(), patches=None, files={})
         self._names.claim_images(entry.key for entry in self.manifest.images)
         make_folder(self.folder)
@@ -115,16 +108,21 @@ class ImageSetWriter:
         files: dict[str, str | None] = {}
         hashes: dict[str, str] = {}
         if png is not None:
-            self._check_levels(entry, png)
-            name = files["png"] = png_name(*entry.key)
-            hashes["png"] = write_png(self._place(name), png, metadata=self._metadata(entry, linear=False))
+            wanted, top = np.dtype(np.uint8 if self.manifest.bit_depth <= 8 else np.uint16), self.manifest.max_level
+            if png.dtype != wanted or int(png.max()) > top:
+                raise InputError(
+                    f"light {entry.light!r}: expected {wanted} levels up to {top} ({self.manifest.bit_depth} bits), "
+                    f"found {png.dtype} up to {png.max()}"
+                )
+            name = files["png"] = file_names.png_name(*entry.key)
+            facts = self._metadata(entry, linear=False)
+            hashes["png"] = self._write(name, lambda path: write_png(path, png, metadata=facts))
         if exr is not None:
             files["exr"], hashes["exr"] = self._write_linear(entry, exr)
         elif shared is not None:
             files["exr"] = shared.exr
             hashes |= {kind: digest for kind, digest in shared.sha256.items() if kind == "exr"}
         listed = replace(entry, png=files.get("png"), exr=files.get("exr"), sha256=dict(sorted(hashes.items())))
-        self._verified.update({name: digest for name, digest in listed.files if digest is not None})
         with self._lock:
             images = self.manifest.images if exr is None else self._images_sharing(entry, hashes["exr"])
             self._save(images=tuple({**{e.key: e for e in images}, listed.key: listed}.values()))
@@ -138,8 +136,7 @@ class ImageSetWriter:
         first = next((e for e in self.manifest.images if e.key[:2] == (light, posture)), None)
         if first is None:
             raise InputError(f"light {light!r} at {posture}: a linear image needs an image that is listed")
-        name, digest = self._write_linear(first, channels)
-        self._verified[name] = digest
+        _, digest = self._write_linear(first, channels)
         with self._lock:
             self._save(images=self._images_sharing(first, digest))
 
@@ -148,12 +145,12 @@ class ImageSetWriter:
         return next((e for e in self.manifest.images if e.key[:2] == (light, posture) and e.exr), None)
 
     def _write_linear(self, entry: ImageEntry, channels: Mapping[str, Float32]) -> tuple[str, str]:
-        name = exr_name(entry.light, entry.posture)
-        return name, write_exr(self._place(name), channels, metadata=self._metadata(entry, linear=True))
+        name, facts = file_names.exr_name(entry.light, entry.posture), self._metadata(entry, linear=True)
+        return name, self._write(name, lambda path: write_exr(path, channels, metadata=facts))
 
     def _images_sharing(self, entry: ImageEntry, digest: str) -> tuple[ImageEntry, ...]:
         # the listed images; those of the entry's light and posture with the linear image that was written for it
-        exr = exr_name(entry.light, entry.posture)
+        exr = file_names.exr_name(entry.light, entry.posture)
         return tuple(
             replace(e, exr=exr, sha256=dict(sorted({**e.sha256, "exr": digest}.items())))
             if e.key[:2] == entry.key[:2]
@@ -163,9 +160,8 @@ class ImageSetWriter:
 
     def add_levels(self, name: str, levels: UInt8 | NDArray[np.uint16], *, metadata: Mapping[str, Any]) -> None:
         """Write camera levels (H, W) that are no image of a light (a dark frame) as a further file, then list it."""
-        path = self._further_file(name)
         facts = {**self._origin(), "bit_depth": self.manifest.bit_depth, **metadata}
-        self._list_file(name, write_png(path, levels, metadata=facts))
+        self._add_further(name, lambda path: write_png(path, levels, metadata=facts))
 
     def add_geometry(
         self, posture: Posture, channels: Mapping[str, Float32], *, metadata: Mapping[str, Any] | None = None
@@ -175,11 +171,10 @@ class ImageSetWriter:
         Channels, float32 (H, W): ``P.X P.Y P.Z`` [mm] and ``N.X N.Y N.Z`` in the world frame, ``Z`` [mm along the ray],
         ``patch`` and, for parts with defects, ``defect``.
         """
-        name = geometry_name(posture)
+        name = file_names.geometry_name(posture)
         self._names.claim(name, f"the geometry of {name.partition('/')[0]}")
         facts = {**self._origin(), "posture": posture.as_dict(), **(metadata or {})}
-        digest = write_exr(self._place(name), channels, metadata=facts)
-        self._verified[name] = digest
+        digest = self._write(name, lambda path: write_exr(path, channels, metadata=facts))
         listed = GeometryEntry(posture=posture, exr=name, sha256={"exr": digest})
         with self._lock:
             entries = {e.posture: e for e in self.manifest.geometry}
@@ -188,14 +183,12 @@ class ImageSetWriter:
 
     def add_patches(self, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Write the patch table as ``patches.npz``, then list it."""
-        self._names.claim(_PATCHES_NAME, "the patch table")
-        digest = write_npz_atomic(self._place(_PATCHES_NAME), arrays)
-        self._list_file(_PATCHES_NAME, digest, patches=_PATCHES_NAME)
+        self._add_further(_PATCHES_NAME, lambda path: write_npz_atomic(path, arrays), patches=_PATCHES_NAME)
 
     def add_file(self, name: str, data: bytes | str) -> None:
         """Write a further file of the set (a report, a contact sheet; text as UTF-8), then list it."""
-        path = self._further_file(name)
-        self._list_file(name, write_bytes_atomic(path, data.encode("utf-8") if isinstance(data, str) else data))
+        content = data.encode("utf-8") if isinstance(data, str) else data
+        self._add_further(name, lambda path: write_bytes_atomic(path, content))
 
     def drop(
         self,
@@ -238,31 +231,30 @@ class ImageSetWriter:
         with self._lock:
             self._save(extra={**self.manifest.extra, key: value})
 
-    def _further_file(self, name: str) -> Path:
-        if problem := inside_problem(name):
+    def _add_further(self, name: str, write: Callable[[Path], str], **changes: Any) -> None:
+        # write a file that is no image and list it, with other changes of the manifest
+        if problem := file_names.inside_problem(name):
             raise InputError(f"{name!r}: {problem}")
         self._names.claim(name, f"the file {name}")
-        return self._place(name)
-
-    def _list_file(self, name: str, digest: str, **changes: Any) -> None:
-        self._verified[name] = digest
+        digest = self._write(name, write)
         with self._lock:
             self._save(files={**self.manifest.files, name: digest}, **changes)
 
-    def _refuse_unlisted(self, name: str) -> None:
+    def _write(self, name: str, write: Callable[[Path], str]) -> str:
+        # write a file, its folder made; its SHA-256
+        path = self._writable(name)
+        make_folder(path.parent)
+        digest = self._verified[name] = write(path)
+        return digest
+
+    def _writable(self, name: str) -> Path:
+        # path of a file, refused where one that this run has not written may not be overwritten
         path = self.folder / name
-        if path.exists():
+        if not self._may_overwrite and name not in self._verified and path.exists():
             raise InputError(
                 f"{path}: exists but belongs to no image set; "
                 "use option 'force' to overwrite it, or choose another output folder"
             )
-
-    def _place(self, name: str) -> Path:
-        """Path to write a file to, its folder made."""
-        if not self._may_overwrite and name not in self._verified:
-            self._refuse_unlisted(name)
-        path = self.folder / name
-        make_folder(path.parent)
         return path
 
     def _intact(self, name: str, digest: str | None) -> bool:
@@ -274,14 +266,6 @@ class ImageSetWriter:
             except OSError:
                 return False
         return self._verified[name] == digest
-
-    def _check_levels(self, entry: ImageEntry, png: NDArray[Any]) -> None:
-        wanted = np.uint8 if self.manifest.bit_depth <= 8 else np.uint16
-        if png.dtype != wanted or int(png.max()) > self.manifest.max_level:
-            raise InputError(
-                f"light {entry.light!r}: expected {np.dtype(wanted)} levels up to {self.manifest.max_level} "
-                f"({self.manifest.bit_depth} bits), found {png.dtype} up to {png.max()}"
-            )
 
     def _origin(self) -> dict[str, Any]:
         return {"lightopt": self.manifest.lightopt, "kind": self.manifest.kind}
@@ -300,10 +284,69 @@ class ImageSetWriter:
 
     def _save(self, **changes: Any) -> None:
         manifest = replace(self.manifest, **changes)
-        write_text_atomic(self.folder / MANIFEST_NAME, manifest.to_json())
+        write_text_atomic(self.folder / file_names.MANIFEST_NAME, manifest.to_json())
         self.manifest = manifest
 
 
-def _file_names(key: ImageKey) -> tuple[str, ...]:
-    light, posture, _ = key
-    return png_name(*key), exr_name(light, posture), geometry_name(posture)
+def resumable_manifest(folder: Path, header: Manifest) -> Manifest | None:
+    """Manifest to continue, the header's warnings added; None where the folder holds no set.
+
+    Raises InputError: the folder holds the set of another run, or a damaged one.
+    """
+    path = folder / file_names.MANIFEST_NAME
+    if not path.exists():
+        return None
+    advice = "use option 'force' to replace it, or choose another output folder"
+    try:
+        existing = read_manifest(path)
+    except InputError as error:
+        raise InputError(*error.messages, f"{folder}: holds a damaged image set; {advice}") from error
+    if changed := differences(existing.run_facts, header.run_facts):
+        raise InputError(f"{folder}: holds the image set of another run ({changed}); {advice}")
+    return replace(existing, warnings=tuple(dict.fromkeys((*existing.warnings, *header.warnings))))
+
+
+def remove_set(folder: Path, header: Manifest) -> int:
+    """Remove the files that a folder's manifest lists, and the subfolders that this leaves empty; returns their number.
+
+    Files that the manifest does not list stay, as does everything where there is no manifest or a damaged one.
+
+    Raises InputError: the folder holds captured images and the header is of others, or a file cannot be removed.
+    """
+    manifest = _readable_manifest(folder)
+    if manifest is None:
+        return 0
+    if manifest.kind == "captured" and header.kind != "captured":
+        raise InputError(
+            f"{folder}: holds captured images, which {header.kind} ones never replace; choose another output folder"
+        )
+    return _remove_files(folder, manifest)
+
+
+def remove_image_set(folder: Path) -> int:
+    """Remove a simulated image set, that is its listed files and the manifest; returns the number of files.
+
+    A folder without a manifest, with a damaged one or with one of captured images stays as it is.
+
+    Raises InputError: a file cannot be removed.
+    """
+    manifest = _readable_manifest(folder)
+    if manifest is None or manifest.kind != "simulated":
+        return 0
+    return _remove_files(folder, manifest) + remove_file(folder / file_names.MANIFEST_NAME)
+
+
+def _readable_manifest(folder: Path) -> Manifest | None:
+    try:
+        return read_manifest(folder / file_names.MANIFEST_NAME)
+    except InputError:
+        return None
+
+
+def _remove_files(folder: Path, manifest: Manifest) -> int:
+    paths = [folder / name for name in dict.fromkeys(name for name, _ in manifest.listed_files)]
+    removed = sum(map(remove_file, paths))
+    for parent in {path.parent for path in paths if path.parent != folder}:
+        with contextlib.suppress(OSError):  # something else is in it
+            parent.rmdir()
+    return removed

@@ -124,23 +124,19 @@ def read_image_set(path: str | Path, *, verify: bool = True) -> ImageSet:
     path = Path(path)
     manifest_path = path / MANIFEST_NAME if path.is_dir() else path
     if path.is_dir() and not manifest_path.exists():
-        raise InputError(_no_manifest(path))
+        patterns = (f"*/{MANIFEST_NAME}", f"*/*/{MANIFEST_NAME}")
+        if below := sorted(found.parent for pattern in patterns for found in path.glob(pattern)):
+            raise InputError(f"{path}: no image set, but these folders in it are: {', '.join(map(str, below[:5]))}")
+        raise InputError(
+            f"{path}: no {MANIFEST_NAME}, which says what each picture shows; docs/reference/conventions.md, Image "
+            "sets, says how to write one for pictures that another program took"
+        )
     image_set = ImageSet(folder=manifest_path.parent, manifest=read_manifest(manifest_path))
     if verify:
         listed = image_set.manifest.listed_files
         if problems := [text for name, digest in listed if (text := _file_problem(image_set.path(name), digest))]:
             raise InputError(*problems)
     return image_set
-
-
-def _no_manifest(folder: Path) -> str:
-    patterns = (f"*/{MANIFEST_NAME}", f"*/*/{MANIFEST_NAME}")
-    if below := sorted(found.parent for pattern in patterns for found in folder.glob(pattern)):
-        return f"{folder}: no image set, but these folders in it are: {', '.join(map(str, below[:5]))}"
-    return (
-        f"{folder}: no {MANIFEST_NAME}, which says what each picture shows; docs/reference/conventions.md, Image sets, "
-        "says how to write one for pictures that another program took"
-    )
 
 
 def _file_problem(path: Path, digest: str | None) -> str | None:
