@@ -19,7 +19,7 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
-from lightopt.geometry._topology import merge_rows, sort_by_keys
+from lightopt.geometry._topology import join, merge_rows, sort_by_keys
 
 _log = logging.getLogger("lightopt.geometry")
 
@@ -323,30 +323,14 @@ def _add_folds(faces: Int32, folded: Bool, doubtful: Bool) -> None:
 def _bodies(welded: Int32, faces: Int32) -> Int32:
     parent = np.arange(len(welded)).astype(np.int32)
     for f in range(len(faces)):
-        a = welded[faces[f, 0]]
-        while parent[a] != a:
-            parent[a] = parent[parent[a]]
-            a = parent[a]
-        for k in range(1, 3):
-            b = welded[faces[f, k]]
-            while parent[b] != b:
-                parent[b] = parent[parent[b]]
-                b = parent[b]
-            if a != b:
-                parent[max(a, b)] = min(a, b)
-                a = min(a, b)
-    number = np.full(len(welded), -1, np.int32)
-    body = np.empty(len(faces), np.int32)
-    count = 0
-    for f in range(len(faces)):
-        a = welded[faces[f, 0]]
-        while parent[a] != a:
-            a = parent[a]
-        if number[a] < 0:
-            number[a] = count
-            count += 1
-        body[f] = number[a]
-    return body
+        join(parent, welded[faces[f, 0]], welded[faces[f, 1]])
+        join(parent, welded[faces[f, 0]], welded[faces[f, 2]])
+    for i in range(len(parent)):
+        parent[i] = parent[parent[i]]
+    root = parent[welded[faces[:, 0]]]
+    is_root = np.zeros(len(parent), np.int32)
+    is_root[root] = 1
+    return (np.cumsum(is_root)[root] - 1).astype(np.int32)
 
 
 @kernel

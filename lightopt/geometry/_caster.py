@@ -76,11 +76,6 @@ class RayCaster:
         """Number of rays cast so far."""
         return self._rays_cast
 
-    @property
-    def has_blocker_maps(self) -> bool:
-        """Whether rays can be proven free: the mesh is closed and consistently oriented."""
-        return self._maps.check()
-
     def is_outside(self, point: Float64) -> bool:
         """Whether a point lies outside the mesh's bounding sphere; [mm], shape (3,)."""
         return bool(np.linalg.norm(point - self.centre) > self.radius)
@@ -193,12 +188,8 @@ def _primary_rays(origin: Float64, directions: Float64, centre: Float64, radius:
         start = 0.0
         if outside:
             start = max(0.0, -(ox * dx + oy * dy + oz * dz) - 1.1)
-        origins32[i, 0] = ox + start * dx
-        origins32[i, 1] = oy + start * dy
-        origins32[i, 2] = oz + start * dz
-        directions32[i, 0] = dx
-        directions32[i, 1] = dy
-        directions32[i, 2] = dz
+        origins32[i, 0], origins32[i, 1], origins32[i, 2] = ox + start * dx, oy + start * dy, oz + start * dz
+        directions32[i, 0], directions32[i, 1], directions32[i, 2] = dx, dy, dz
     return origins32, directions32
 
 
@@ -262,16 +253,9 @@ def resolve_hits(face: Int32, origin: Float64, directions: Float64, vertices: Fl
 def _resolve(
     face: Int32, origin: Float64, directions: Float64, vertices: Float64, faces: Int32
 ) -> tuple[Int32, Int32, Float64, Float64, Float64, Float64]:
-    count = 0
-    for i in range(len(face)):
-        if face[i] >= 0:
-            count += 1
-    ray = np.empty(count, np.int32)
-    hit = np.empty(count, np.int32)
-    u = np.empty(count)
-    v = np.empty(count)
-    points = np.empty((count, 3))
-    distance = np.empty(count)
+    count = np.count_nonzero(face >= 0)
+    ray, hit = np.empty(count, np.int32), np.empty(count, np.int32)
+    u, v, distance, points = np.empty(count), np.empty(count), np.empty(count), np.empty((count, 3))
     k = 0
     for i in range(len(face)):
         f = face[i]
@@ -297,13 +281,8 @@ def _resolve(
         x = ax + bu * e1x + bv * e2x
         y = ay + bu * e1y + bv * e2y
         z = az + bu * e1z + bv * e2z
-        ray[k] = i
-        hit[k] = f
-        u[k] = bu
-        v[k] = bv
-        points[k, 0] = x
-        points[k, 1] = y
-        points[k, 2] = z
+        ray[k], hit[k], u[k], v[k] = i, f, bu, bv
+        points[k, 0], points[k, 1], points[k, 2] = x, y, z
         distance[k] = np.sqrt((x - origin[0]) ** 2 + (y - origin[1]) ** 2 + (z - origin[2]) ** 2)
         k += 1
     return ray, hit, u, v, points, distance

@@ -8,14 +8,14 @@ from typing import Literal
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float64, Int32
+from lightopt.core.arrays import Float64, Int32
 from lightopt.core.errors import InputError, counted
-from lightopt.core.kernels import kernel
 from lightopt.geometry._mesh_formats import RawMesh, check_budget, read_glb, read_obj, read_ply, read_stl
 from lightopt.geometry._normals import carried_normals, smooth_normals
+from lightopt.geometry._patches import longest_edges
 from lightopt.geometry._step import read_step
 from lightopt.geometry._topology import merge_rows
-from lightopt.geometry._triangle_mesh import TriangleMesh
+from lightopt.geometry._triangle_mesh import TriangleMesh, face_crosses
 from lightopt.geometry._winding import repair_winding
 
 _log = logging.getLogger("lightopt.geometry")
@@ -113,7 +113,8 @@ def _finish(name: str, raw: RawMesh, unit_mm: float, crease_angle: float | None)
     placed = raw.vertices * unit_mm
     first, number = merge_rows(placed)
     vertices, faces = placed[first], number[raw.faces]
-    keep = _have_area(vertices, faces)
+    cross, longest = face_crosses(vertices, faces), longest_edges(vertices, faces, np.ones(len(faces), np.bool_))
+    keep = np.sqrt(np.einsum("ij,ij->i", cross, cross)) > _FLAT * longest
     if not keep.any():
         raise InputError(f"{name}: none of the {len(faces)} triangles of the {raw.format} file has an area")
     # a tessellator closes poles with empty triangles: true of every dome in STEP, and nothing to act on
@@ -172,21 +173,6 @@ def _check_triangles(name: str, raw: RawMesh, unit_mm: float) -> None:
             f"{name}: coordinates up to {farthest:g} units of {unit_mm:g} mm, at most {_FARTHEST_MM:g} mm "
             "are accepted; the file is damaged or its unit is wrong"
         )
-
-
-@kernel
-def _have_area(vertices: Float64, faces: Int32) -> Bool:
-    # which faces have an area, and so a direction, shape (m,)
-    found = np.empty(len(faces), np.bool_)
-    for f in range(len(faces)):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
-        vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
-        wx, wy, wz = vertices[c, 0] - vertices[b, 0], vertices[c, 1] - vertices[b, 1], vertices[c, 2] - vertices[b, 2]
-        cx, cy, cz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        longest = max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz)
-        found[f] = math.sqrt(cx * cx + cy * cy + cz * cz) > _FLAT * longest
-    return found
 
 
 def _vertex_warnings(raw: RawMesh, merged: int) -> list[str]:

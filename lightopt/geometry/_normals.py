@@ -6,7 +6,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64, Int32
 from lightopt.core.kernels import kernel
-from lightopt.geometry._topology import EdgePairs, merge_rows
+from lightopt.geometry._topology import EdgePairs, join, merge_rows
 from lightopt.geometry._triangle_mesh import TriangleMesh, face_cross
 
 # Facet normals of coordinates in float64 are good to about this [rad].
@@ -160,22 +160,11 @@ def _join_corners(corner_count: int, pairs: Int32) -> Int32:
     for e in range(len(pairs)):
         c, d = pairs[e, 0], pairs[e, 1]
         # the faces run along the edge in opposite directions: the start in one is the end in the other
-        _join(parent, c, d - d % 3 + (d + 1) % 3)
-        _join(parent, d, c - c % 3 + (c + 1) % 3)
+        join(parent, c, d - d % 3 + (d + 1) % 3)
+        join(parent, d, c - c % 3 + (c + 1) % 3)
     for x in range(corner_count):
         parent[x] = parent[parent[x]]
     return parent
-
-
-@kernel
-def _join(parent: Int32, x: int, y: int) -> None:
-    while parent[x] != x:
-        parent[x] = parent[parent[x]]
-        x = parent[x]
-    while parent[y] != y:
-        parent[y] = parent[parent[y]]
-        y = parent[y]
-    parent[max(x, y)] = min(x, y)
 
 
 @kernel

@@ -143,6 +143,18 @@ def sort_by_keys(keys: Int32, values: Int32) -> None:
 
 
 @kernel
+def join(parent: Int32, x: int, y: int) -> None:
+    """Make two elements of a union-find structure one set, whose root is the lower one; halves paths."""
+    while parent[x] != x:
+        parent[x] = parent[parent[x]]
+        x = parent[x]
+    while parent[y] != y:
+        parent[y] = parent[parent[y]]
+        y = parent[y]
+    parent[max(x, y)] = min(x, y)
+
+
+@kernel
 def _merge_bits(bits: UInt64) -> tuple[Int32, Int32]:
     n, k = bits.shape
     size = 16

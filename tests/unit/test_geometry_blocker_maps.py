@@ -141,7 +141,7 @@ def test_a_mesh_that_bounds_no_solid_keeps_all_rays(damage):
     plain, mapped, every, cast = cast_with_and_without(caster, arrays, facing)
     np.testing.assert_array_equal(mapped, plain)
     assert cast == every
-    assert not caster.has_blocker_maps
+    assert not caster._maps.check()
 
 
 def test_targets_that_are_too_near_keep_all_rays():
@@ -152,7 +152,7 @@ def test_targets_that_are_too_near_keep_all_rays():
 
 def test_few_rays_make_no_map():
     caster, arrays, facing = shadow_rays(BALL, 3, rays=30)
-    assert caster.has_blocker_maps
+    assert caster._maps.check()
     before = caster.rays_cast
     caster.visible(*arrays, candidates=facing, outside=True)
     assert caster.rays_cast - before == np.count_nonzero(facing)
@@ -160,7 +160,7 @@ def test_few_rays_make_no_map():
 
 def test_vertices_that_are_split_at_creases_count_as_one():
     split = trimesh.Trimesh(np.asarray(BOX.triangles).reshape(-1, 3), np.arange(36).reshape(-1, 3), process=False)
-    assert RayCaster(np.asarray(split.vertices), np.asarray(split.faces, np.int32)).has_blocker_maps
+    assert RayCaster(np.asarray(split.vertices), np.asarray(split.faces, np.int32))._maps.check()
 
 
 def test_more_maps_than_fit_take_the_place_of_the_first(monkeypatch):

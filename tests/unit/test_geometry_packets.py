@@ -36,7 +36,7 @@ def test_packets_answer_as_single_rays(monkeypatch, mesh, count, rays):
     first = packets.first_hit(eye, directions)
     assert first.dtype == np.int32
     np.testing.assert_array_equal(first, single.first_hit(eye, directions))
-    assert packets.has_blocker_maps == mesh.is_watertight  # from then on, first hits are found in packets, too
+    assert packets._maps.check() == mesh.is_watertight  # from then on, first hits are found in packets, too
     np.testing.assert_array_equal(first, packets.first_hit(eye, directions, neighbours=True))
     points = mesh.triangles_center[rng.integers(0, len(mesh.faces), count)]
     normals = rng.normal(size=(count, 3))
@@ -102,7 +102,7 @@ TIES = {
 @pytest.mark.parametrize("mesh", TIES.values(), ids=TIES.keys())
 def test_of_triangles_at_the_same_distance_it_is_the_one_that_a_ray_alone_meets(monkeypatch, mesh):
     packets, single = both(mesh, monkeypatch)
-    assert packets.has_blocker_maps
+    assert packets._maps.check()
     rng = np.random.default_rng(3)
     ends = np.vstack([mesh.vertices, mesh.vertices[mesh.edges].mean(axis=1), mesh.triangles_center])
     across = np.array([[x, y, 10.0] for x in np.arange(-10.0, 10.5, 0.5) for y in np.arange(-10.0, 10.5, 0.5)])
