@@ -101,26 +101,17 @@ def _explain(objectives: Sequence[Objective]) -> None:
 
 
 def _cells(answer: ObjectiveResult, result: SetResult, found: DesignResult) -> list[str]:
-    from lightopt.design import (
-        angles_of,
-        combinations_counted_text,
-        gap_text,
-        left_out_text,
-        near_text,
-        score_text,
-        ties_text,
-    )
+    from lightopt.design import angles_of
 
-    best = answer.found
-    counted_text = combinations_counted_text(answer)
+    best, counted_text = answer.found, answer.combinations_text
     if answer.nothing is not None:
         blank = ["-"] * (len(found.candidates.names) + len(result.answers))
-        return [*blank, left_out_text(result), "-", "all 0", "all 0", counted_text]
+        return [*blank, result.left_out_text, "-", "all 0", "all 0", counted_text]
     angles = [f"{elevation:g}°, {azimuth:g}°" for elevation, azimuth in angles_of(found.candidates, best.best)]
     objectives = {other.objective.name: other.objective for other in result.answers}
-    scores = [score_text(value, objectives[name], result) for name, value in answer.scores.items()]
-    counts = [gap_text(answer, result), ties_text(answer), near_text(answer), counted_text]
-    return [*angles, *scores, left_out_text(result), *counts]
+    scores = [result.score_text(value, objectives[name]) for name, value in answer.scores.items()]
+    counts = [result.gap_text(answer), answer.ties_text, answer.near_text, counted_text]
+    return [*angles, *scores, result.left_out_text, *counts]
 
 
 def _summarise_blind_spots(blind: BlindSpotSummary) -> None:

@@ -19,7 +19,6 @@ from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOpti
 from lightopt.design._previous_result import refuse_other_result
 from lightopt.design._problem import Problem, candidates_of, detection_model_of
 from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult, ToleranceResult, angles_of
-from lightopt.design._texts import combinations_text
 from lightopt.design._tolerances import ObjectiveAssessment, PairAssessment, Setup, Tolerances, analyse_tolerances
 from lightopt.design.blind_spots._summary import BlindSpotSummary, PostureVisibility, planned_visibility
 from lightopt.design.objectives._detectability import DetectabilityObjective
@@ -173,7 +172,7 @@ def _search(problem: Problem, matrices: PostureMatrices, run: RunContext) -> _Fo
     objectives, options = problem.objectives, problem.options
     free = candidates_of_others(matrices)
     if free is not None or options.places is None:
-        run.inform(combinations_text(free or problem.candidates))
+        run.inform((free or problem.candidates).message)
     first = objectives if free is None else objectives[:1]
     results, visibility = search_objectives(matrices, first)
     if free is not None:

@@ -12,7 +12,7 @@ from lightopt.design._options import PlanOptions
 from lightopt.design._problem import Problem
 from lightopt.design._tolerances import ToleranceAnalysis
 from lightopt.design.blind_spots._summary import BlindSpotSummary
-from lightopt.design.objectives._objective import Objective
+from lightopt.design.objectives._objective import Objective, share_text
 from lightopt.design.postures._choice import PostureChoice
 from lightopt.design.postures._exposures import Brackets
 from lightopt.design.postures._posture_grid import ExcludedPosture
@@ -22,6 +22,14 @@ from lightopt.design.search._combinations import Ranked
 from lightopt.design.search._curves import Curve
 from lightopt.design.search._exact_search import SearchResult
 from lightopt.rendering import GRAZING_DEG, PatchTable
+
+LEFT_OUT_MEANING = (
+    f"left out: of the surface that the camera sees, what it sees at more than {GRAZING_DEG:g}° to the normal; it "
+    "counts neither as covered nor as uncovered"
+)
+"""What the share that is left out is."""
+
+NOT_COUNTED = "not counted"  # runner-up and ties where no other combination was scored
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +50,25 @@ class ObjectiveResult:
     details: Mapping[str, Any] = field(default_factory=dict[str, Any])
     nothing: str | None = None
     proven_of: str | None = None
+
+    @property
+    def ties_text(self) -> str:
+        """How many other combinations share the optimum's score; not counted for a set that was chosen before."""
+        return NOT_COUNTED if self.proven_of else f"{'' if self.found.complete else '≥ '}{self.found.ties:,}"
+
+    @property
+    def near_text(self) -> str:
+        """How many other combinations score nearly as much; not counted for a set that was chosen before."""
+        return NOT_COUNTED if self.proven_of else f"{'' if self.found.near_exact else '≥ '}{self.found.near:,}"
+
+    @property
+    def combinations_text(self) -> str:
+        """How many combinations were scored, excluded by a bound, and left; not of a set that was chosen before."""
+        if self.proven_of is not None:
+            return NOT_COUNTED
+        found = self.found
+        text = f"{found.scored:,}" + (f" + {found.excluded:,} by bound" if found.excluded else "")
+        return text + (f", {found.left:,} left" if found.left else "")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +99,34 @@ class SetResult:
     def left_out(self) -> float:
         """Of the surface that the camera sees, the share that it sees at a grazing angle."""
         return self.grazing_area / max(1, self.area + self.grazing_area)
+
+    @property
+    def left_out_text(self) -> str:
+        """The same to the digits that the patches support; see :data:`LEFT_OUT_MEANING`."""
+        return share_text(self.left_out, self.grain)
+
+    def format_score(self, value: int, objective: Objective) -> str:
+        """A score of this result with its unit, to the digits that its patches support."""
+        return objective.format_score(value, self.grain * self.area)
+
+    def score_text(self, value: int, objective: Objective) -> str:
+        """The same, and as a share of the inspectable area where it is one."""
+        share = objective.share_of_whole(value, self.area)
+        text = self.format_score(value, objective)
+        return text + ("" if share is None else f" ({share_text(share, self.grain)})")
+
+    def gap_text(self, answer: ObjectiveResult) -> str:
+        """By how much the runner-up scores less; of the combinations scored (≥) where some are left."""
+        found = answer.found
+        if answer.proven_of is not None:
+            return NOT_COUNTED
+        if found.gap is None:
+            return "-"
+        gap = self.format_score(found.gap, answer.objective)
+        if not found.gap:
+            return "equal"
+        # a gap below the patches' grain is that small whatever is left
+        return gap if gap.startswith("<") else f"{'' if found.complete else '≥ '}−{gap}"
 
 
 def angles_of(candidates: Candidates, ranked: Ranked) -> tuple[tuple[float, float], ...]:

@@ -18,7 +18,7 @@ from lightopt.design._result import (
     ToleranceResult,
     angles_of,
 )
-from lightopt.design.objectives._objective import NEAR_PER_MILLE, share_of_whole
+from lightopt.design.objectives._objective import NEAR_PER_MILLE
 from lightopt.design.postures._exposures import Brackets
 from lightopt.design.search._combinations import Ranked
 from lightopt.images import Overlap
@@ -86,7 +86,7 @@ def _answer_dict(answer: ObjectiveResult, result: SetResult, candidates: Candida
     facts: dict[str, Any] = {"objective": answer.objective.name, "unit": answer.objective.unit}
     if answer.nothing is not None:
         return {**facts, "lights": None, "score": 0, "reason": answer.nothing, "combinations": combinations}
-    share = share_of_whole(answer.objective, found.best.score, result.area)
+    share = answer.objective.share_of_whole(found.best.score, result.area)
     return {
         **facts,
         "lights": _lights(candidates, found.best),

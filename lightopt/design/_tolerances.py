@@ -29,7 +29,7 @@ from lightopt.design.objectives._objective import Objective
 from lightopt.design.postures._light_positions import combination_sums
 from lightopt.design.responses._image_evaluator import ImageEvaluator, scattered_flags
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
-from lightopt.design.responses._packed_bits import counts_of_images, sum_counts
+from lightopt.design.responses._packed_bits import counts_of_images
 from lightopt.geometry import face_normals
 from lightopt.rendering import PatchTable, camera_visibility
 from lightopt.scene import PanelLight, view_from_part
@@ -357,7 +357,7 @@ class PairAssessment(_Assessment):
             images = (
                 [self.images[i, pose, light, offset] for i in range(len(self.setup.postures))] for offset in offsets
             )
-            totals.append(np.stack([sum_counts(some, self._weights, self._seen_in) for some in images]))
+            totals.append(np.stack([self._weights.sum_counts(some, self._seen_in) for some in images]))
         return combination_sums(totals, self._weights, threads=self.evaluator.threads)[0]
 
 

@@ -81,7 +81,7 @@ def test_counts_and_weights_are_those_of_the_flags():
     for least in (1, 2, 3):
         chosen = (2, 0, 3)
         counts = sum(layer[k].astype(int) for layer, k in zip(flags, chosen, strict=True))
-        seen = some.seen(chosen, least)
+        seen = some.rows([np.array([k]) for k in chosen]).reachable(least)
         np.testing.assert_array_equal(seen, pack(counts >= least))
         np.testing.assert_array_equal(some.weights(seen), (counts >= least) @ weights)
         union = sum(layer.any(axis=0).astype(int) for layer in flags)

@@ -99,7 +99,7 @@ class CoverageObjective(Objective):
             can_use = np.zeros(end - start, np.int64)
             must_saturate = np.zeros(end - start, np.int64)
             for layer in matrix.levels:
-                usable, _, least = level_range(layer, thresholds, start, end)
+                usable, _, least = level_range(layer, thresholds.shade, thresholds.saturation, start, end)
                 can_use += usable >= 0
                 must_saturate += least >= thresholds.saturation
             could = (can_use >= LEAST_USABLE) & (must_saturate <= MOST_SATURATED)

@@ -21,16 +21,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share
 from lightopt.core.transforms import Posture
 from lightopt.design.responses._image_evaluator import ImageEvaluator, scattered_flags
-from lightopt.design.responses._packed_bits import (
-    Counts,
-    PairWeights,
-    Words,
-    add_counts,
-    counts_of_images,
-    covered_weight,
-    sum_counts,
-    total_benefit,
-)
+from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, add_counts, counts_of_images
 from lightopt.scene import PanelLight
 
 DEFAULT_EXPOSURE_GAIN = 1.0
@@ -186,9 +177,10 @@ class _PlannedImages:
             if at not in others:
                 others = {at: self._without({at})}
             now = add_counts(others[at], self._counts(self._images[at] | candidate.images))
-            more = covered_weight(now, self._weights) - self.covered
+            covered, benefit = self._weights.merit(now)
+            more = covered - self.covered
             # the benefit of a pair grows by one at least where it is now seen often enough, or only once more
-            gains.append((more, total_benefit(now, self._weights) - self._benefit - more))
+            gains.append((more, benefit - self._benefit - more))
         return gains
 
     def best_pair(
@@ -228,15 +220,14 @@ class _PlannedImages:
                 if candidate.posture == posture:
                     images = images | candidate.images
             total = add_counts(total, self._counts(images))
-        return covered_weight(total, self._weights) - self.covered
+        return self._weights.covered(total) - self.covered
 
     def _update(self) -> None:
-        total = self._without(set())
-        self.covered, self._benefit = covered_weight(total, self._weights), total_benefit(total, self._weights)
+        self.covered, self._benefit = self._weights.merit(self._without(set()))
 
     def _without(self, postures: set[int]) -> Counts:
         rest = (own for i, own in enumerate(self._own) if i not in postures)
-        return sum_counts(rest, self._weights, self._seen_in)
+        return self._weights.sum_counts(rest, self._seen_in)
 
     def _counts(self, images: Images) -> Counts:
         return counts_of_images(list(images), self._seen_in)

@@ -151,7 +151,7 @@ class _JointPlanner:
         own = {i: self._counts(choice, postures[i], plan.brackets.of(postures[i])) for i in sorted(indices)}
         cover = replace(
             free,
-            steps=cover_steps([(i, own[i]) for i in greedy_order(own, weights)], weights),
+            steps=cover_steps([(i, own[i]) for i in greedy_order(own, weights, self.request.min_images)], weights),
             # where fewer postures show everything, more cannot add to it
             bounds=(*free.bounds, *([free.all_benefit] * (len(indices) - len(free.steps)))),
         )

@@ -26,15 +26,7 @@ from lightopt.design._candidates import Candidates
 from lightopt.design.objectives._scores_by_image_counts import at_least, count_run_sums, up_to
 from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import select_rows
-from lightopt.design.responses._packed_bits import (
-    Counts,
-    PairWeights,
-    Words,
-    add_counts,
-    counts_of_images,
-    word_weight,
-    zero_counts,
-)
+from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, add_counts, counts_of_images, word_weight
 from lightopt.design.search._combinations import CombinationSpace, allowed_mask, digits
 from lightopt.design.search._exact_search import DEFAULT_LIMIT, TABLE_CELLS
 
@@ -75,7 +67,7 @@ def _added_up(
     def of_first(first: int, start: int, end: int) -> None:
         own = weights.of(slice(start, end))
         some = [positions[:, :, start:end] for positions in (lights[0][first : first + 1], *lights[1:])]
-        _through(some, 0, zero_counts(own, k), 0, own, covers[first], benefits[first])
+        _through(some, 0, own.zero_counts(k), 0, own, covers[first], benefits[first])
 
     for start in range(0, patches, step):
         # a row of the tables is written by one task at a time
@@ -95,9 +87,9 @@ def _through(
 ) -> int:
     # sums of the combinations of the lights from `light` on, written from `start` on; where the next ones go
     if light == len(lights) - 1:
-        end = start + len(lights[light])
-        _last(so_far, lights[light], *weights.arrays, covered[start:end], benefit[start:end])
-        return end
+        own = slice(start, start + len(lights[light]))
+        _last(so_far, lights[light], weights.areas, weights.masks, weights.factors, covered[own], benefit[own])
+        return own.stop
     for positions in lights[light]:
         start = _through(lights, light + 1, add_counts(so_far, positions), start, weights, covered, benefit)
     return start
@@ -290,7 +282,7 @@ def position_counts(
 
     Each posture comes with the exposures that an image of it may be taken with; k is `min_images`.
     """
-    empty = zero_counts(evaluator.weights, min_images)
+    empty = evaluator.weights.zero_counts(min_images)
     totals = [np.repeat(empty[None], len(some), axis=0) for some in candidates.panels]
     for done, (posture, exposures) in enumerate(postures, start=1):
         images = replace(evaluator, exposures=exposures).flags(posture, candidates.panels)

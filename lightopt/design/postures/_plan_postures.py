@@ -31,7 +31,7 @@ from lightopt.design.postures._light_positions import position_counts, position_
 from lightopt.design.postures._posture_grid import posture_grid, usable_postures
 from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
-from lightopt.design.responses._packed_bits import covered_weight, sum_counts, unpack_flags
+from lightopt.design.responses._packed_bits import unpack_flags
 from lightopt.design.search._combinations import Ranked
 from lightopt.design.search._curves import Curve, score_curves
 from lightopt.rendering import build_patches, cast_rays_at
@@ -90,7 +90,7 @@ def planned_answers(
 
 
 def _curves(best: Ranked, chosen: ChosenPostures, free: Candidates, progress: Share | None) -> tuple[Curve, ...]:
-    evaluator = chosen.evaluator
+    evaluator, weights = chosen.evaluator, chosen.evaluator.weights
     postures = [(posture, chosen.exposures_of(posture)) for posture in chosen.way.order]
     lights = chosen.choice.position_counts or position_counts(
         evaluator, postures, free, min_images=chosen.least, progress=progress
@@ -98,7 +98,7 @@ def _curves(best: Ranked, chosen: ChosenPostures, free: Candidates, progress: Sh
 
     def score(combination: tuple[int, ...]) -> int:
         shown = (places[k] for places, k in zip(lights, combination, strict=True))
-        return covered_weight(sum_counts(shown, evaluator.weights, chosen.least), evaluator.weights)
+        return weights.covered(weights.sum_counts(shown, chosen.least))
 
     return score_curves(free, best, score)
 
@@ -116,8 +116,8 @@ def _planned(
         replace(evaluator, exposures=chosen.exposures_of(posture)).counts(posture, panels, min_images=chosen.least)
         for posture in chosen.way.order
     )
-    counts = sum_counts(images, evaluator.weights, chosen.least)
-    score = covered_weight(counts, evaluator.weights)
+    counts = evaluator.weights.sum_counts(images, chosen.least)
+    score = evaluator.weights.covered(counts)
     scores = {**answer.scores, goal.name: score}
     if answer.objective.name != goal.name:
         searched = free is None or any(len(some) > 1 for some in candidates.angles)

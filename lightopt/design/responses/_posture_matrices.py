@@ -25,7 +25,7 @@ from lightopt.design.responses._image_evaluator import MOST_BYTES, ImageEvaluato
 from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Visibility
 from lightopt.images import make_folder, posture_folder, write_npz_atomic
 from lightopt.rendering import PatchTable, build_patches, patches_for_edge
-from lightopt.scene import PanelLight, chord_tolerance, pixel_footprint
+from lightopt.scene import chord_tolerance, pixel_footprint
 
 
 def write_matrix(
@@ -194,10 +194,6 @@ class PostureMatrices:
     def levels(self, posture: Posture, candidates: Candidates) -> LuminanceMatrix:
         """The levels of a posture under other candidates; check :meth:`fits_memory` first."""
         return self.evaluator(None).matrices(posture, candidates.panels, progress=self._stage(posture))[0]
-
-    def at_positions(self, posture: Posture, panels: Sequence[PanelLight]) -> LuminanceMatrix:
-        """The matrix of a posture with each light in one position."""
-        return self.evaluator(self.detection).matrices(posture, [[panel] for panel in panels])[0]
 
     def _stage(self, posture: Posture) -> Share | None:
         return self.run.stage(f"casting rays, {posture}")

@@ -21,7 +21,7 @@ from lightopt.core.arrays import Int64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share, part_of
 from lightopt.core.threads import available_processors
-from lightopt.design.objectives._objective import Objective, near_margin
+from lightopt.design.objectives._objective import Objective
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, area_units, usable_sums
 from lightopt.design.search._combinations import CombinationSpace, NearBest, Ranked, Ranking, Rows, allowed_mask, rank
 
@@ -122,7 +122,7 @@ def search(
 
     keep = max(2, keep)
     ranking = Ranking()
-    near = NearBest(lambda best: near_margin(objective, best, scorer.area))
+    near = NearBest(lambda best: objective.near_margin(best, scorer.area))
     excluded = clashing = 0
     excluded_bound = -1
     boxes = _Boxes(scorer, space.groups, max(1, min(table_cells, limit)))
