@@ -14,7 +14,14 @@ from lightopt.design._options import OptimizeOptions, PlanOptions
 from lightopt.design._result import LEFT_OUT_MEANING, DesignResult, ObjectiveResult, PlanResult, SetResult, angles_of
 from lightopt.design._result_json import plan_document
 from lightopt.design._tolerances import PairAssessment, Setup, Tolerances, analyse_tolerances
-from lightopt.design.blind_spots._blind_spots import BlindReason, BlindSpots, blind_text
+from lightopt.design.blind_spots._blind_spots import (
+    BLIND_LIGHTS,
+    BLIND_SHARES_OF,
+    BlindReason,
+    BlindSpots,
+    BlindSpotSummary,
+    blind_text,
+)
 from lightopt.design.blind_spots._files import (
     BLIND_CLASSES,
     LegendRow,
@@ -23,7 +30,6 @@ from lightopt.design.blind_spots._files import (
     blind_colours,
     blind_legend,
 )
-from lightopt.design.blind_spots._summary import BLIND_LIGHTS, BLIND_SHARES_OF, BlindSpotSummary
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective, area_text, near_meaning, share_text, shares_of
 from lightopt.design.objectives._registry import OBJECTIVES

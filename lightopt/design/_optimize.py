@@ -5,27 +5,41 @@ exposures, tolerances, blind spots.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, counted
 from lightopt.core.run_context import RunContext
 from lightopt.design._candidates import Candidates, can_move, find_candidates
-from lightopt.design._checks import check_request
-from lightopt.design._commands import command_text, plan_commands
-from lightopt.design._files import check_editable
-from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, known_provenance, run_provenance
+from lightopt.design._commands import HOME, command_text, plan_commands
+from lightopt.design._files import check_editable, planned_part_text
+from lightopt.design._options import (
+    DEFECT_OBJECTIVE,
+    OptimizeOptions,
+    PlanOptions,
+    check_options,
+    known_provenance,
+    run_provenance,
+)
 from lightopt.design._previous_result import refuse_other_result
 from lightopt.design._problem import Problem, candidates_of, detection_model_of
 from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult, ToleranceResult, angles_of
-from lightopt.design._tolerances import ObjectiveAssessment, PairAssessment, Setup, Tolerances, analyse_tolerances
-from lightopt.design.blind_spots._summary import BlindSpotSummary, PostureVisibility, planned_visibility
+from lightopt.design._tolerances import (
+    ObjectiveAssessment,
+    PairAssessment,
+    Setup,
+    Tolerances,
+    analyse_tolerances,
+    check_light_count,
+)
+from lightopt.design.blind_spots._blind_spots import BlindSpotSummary, PostureVisibility, planned_visibility
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
-from lightopt.design.objectives._registry import objectives_named
+from lightopt.design.objectives._registry import OBJECTIVES, objectives_named
 from lightopt.design.postures._exposures import plan_exposures
 from lightopt.design.postures._plan_postures import plan_postures, planned_answers, with_chosen
+from lightopt.design.postures._posture_grid import posture_grid
 from lightopt.design.responses._defect_hypotheses import defect_hypotheses
 from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
@@ -57,7 +71,7 @@ def optimize(
     part = part if isinstance(part, PartConfig) else load_part(part)
     options, plan, run = options or OptimizeOptions(), plan or PlanOptions(), run or RunContext()
     folder = Path(folder)
-    check_request(rig, part, options, plan, folder)
+    _check_request(rig, part, options, plan, folder)
     command = command_text(rig.source.path, part.source.path, options, plan)
 
     chosen = None
@@ -70,29 +84,84 @@ def optimize(
     problem = _state_problem(rig, part, options, plan, None if force else folder, run)
     table = None if chosen is None else chosen.evaluator.table_of(chosen.way.order)
     matrices = PostureMatrices(problem, folder, run, table)
-    found = _search(problem, matrices, run)
+    results, candidates, visibility = _search(problem, matrices, run)
     if chosen is not None:
         # one set of lights for all postures is one result: the same positions, scored by all planned images together
         free, progress = candidates_of(rig, options), run.stage("the score along each angle")
-        result = planned_answers(found.results[0], chosen, found.candidates, free, progress)
-        found = replace(found, results=(result,))
+        results = (planned_answers(results[0], chosen, candidates, free, progress),)
 
-    planned, visibility = _complete(problem, matrices, found, plan, chosen, run)
+    planned, seen = _complete(problem, matrices, results, candidates, plan, chosen, run)
     blind = None
     if problem.defects is not None:
         areas = matrices.patches().patches.areas
-        blind = BlindSpotSummary.of(visibility, areas, problem.defects, found.candidates.names)
+        blind = BlindSpotSummary.of(seen or visibility, areas, problem.defects, candidates.names)
     return DesignResult(
-        **vars(replace(problem, candidates=found.candidates)),
+        **vars(replace(problem, candidates=candidates)),
         folder=folder,
         command=command,
         patches=matrices.table,
-        results=found.results,
+        results=results,
         plan=planned,
         blind=blind,
         reused=matrices.reused,
         warnings=run.warnings,
     )
+
+
+def _check_request(rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, folder: Path) -> None:
+    """Refuse options that are out of range, contradict each other, or do not go with the rig and the part."""
+    check_options(options, plan)
+    _check_image_count(rig, part, options, plan)
+    if plan.tolerances is not None:
+        check_light_count(len(rig.lights))
+    if plan.chooses or plan.exposures:
+        planned_part_text(part, [HOME], folder=folder, comment="")
+    if plan.chooses:
+        _check_choice_of_postures(rig, options, plan)
+
+
+def _check_image_count(rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions) -> None:
+    # no defect can be seen in more images than there are
+    if plan.chooses:
+        available = len(posture_grid(rig, part, step_deg=plan.posture_step_deg))
+        most = min(available, plan.choose_postures or available)
+        images = len(rig.lights) * most
+        what = f"images of the plan: {counted(len(rig.lights), 'light')} × {counted(most, 'posture')} at most"
+    elif plan.exposures:
+        postures = options.postures or part.postures
+        images = len(rig.lights) * len(postures)
+        of = f"{counted(len(rig.lights), 'light')} × {counted(len(postures), 'posture')}"
+        what = f"images of the plan: {of}, further exposures of the same light not being others"
+    else:
+        return
+    if options.min_images > images:
+        raise InputError(
+            f"option 'min_images': expected at most {images}, the number of {what}; found {options.min_images}; "
+            "lower it"
+        )
+
+
+def _check_choice_of_postures(rig: RigConfig, options: OptimizeOptions, plan: PlanOptions) -> None:
+    refusals = [OBJECTIVES[name].refusal(len(rig.lights)) for name in options.objectives if name in OBJECTIVES]
+    problems = [text for text in refusals if text is not None]
+    if options.postures is not None:
+        given = " and ".join(
+            name
+            for name, value in (("option 'choose_postures'", plan.choose_postures), ("option 'target'", plan.target))
+            if value is not None
+        )
+        problems.append(
+            f"option 'postures': given together with {given}, by which postures are chosen from the stage's range; "
+            f"leave option 'postures' out, or {given}"
+        )
+    if options.objectives and options.objectives[0] != DEFECT_OBJECTIVE:
+        problems.append(
+            "option 'objectives': postures are chosen by what they show of the defects: expected "
+            f"{DEFECT_OBJECTIVE} first, "
+            f'found "{options.objectives[0]}"'
+        )
+    if problems:
+        raise InputError(*problems)
 
 
 def _state_problem(
@@ -158,17 +227,10 @@ def _objectives(rig: RigConfig, part: PartConfig, options: OptimizeOptions, run:
     return possible
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Found:
-    """Best positions, the candidates that they are indices into, and what the best images show of defects."""
-
-    results: tuple[SetResult, ...]
-    candidates: Candidates
-    visibility: Sequence[PostureVisibility]
-
-
-def _search(problem: Problem, matrices: PostureMatrices, run: RunContext) -> _Found:
-    """The best positions for every objective, exactly."""
+def _search(
+    problem: Problem, matrices: PostureMatrices, run: RunContext
+) -> tuple[tuple[SetResult, ...], Candidates, Sequence[PostureVisibility]]:
+    """Best positions for every objective, the candidates that they are indices into, and what their images show."""
     objectives, options = problem.objectives, problem.options
     free = candidates_of_others(matrices)
     if free is not None or options.places is None:
@@ -181,26 +243,27 @@ def _search(problem: Problem, matrices: PostureMatrices, run: RunContext) -> _Fo
         matrices.patches()
     if matrices.coarse_warning is not None:
         run.warn(matrices.coarse_warning)
-    return _Found(results=results, candidates=free or problem.candidates, visibility=visibility)
+    return results, free or problem.candidates, visibility
 
 
 def _complete(
     problem: Problem,
     matrices: PostureMatrices,
-    found: _Found,
+    results: Sequence[SetResult],
+    candidates: Candidates,
     plan: PlanOptions,
     chosen: ChosenPostures | None,
     run: RunContext,
 ) -> tuple[PlanResult, Sequence[PostureVisibility]]:
-    """Exposures and tolerances of the best positions, and what all images of the plan show of defects."""
+    """Exposures and tolerances of the best positions; and what the planned images show of defects, if that is more."""
     requested = chosen is not None or plan.exposures or plan.tolerances is not None
-    if not requested or any(result.answers[0].nothing is not None for result in found.results):
-        return PlanResult(chosen=chosen), found.visibility
+    if not requested or any(result.answers[0].nothing is not None for result in results):
+        return PlanResult(chosen=chosen), ()
     options = problem.options
     # the lights where they are best for the first objective in each posture, at exposure 1
     angles = {
-        posture: angles_of(found.candidates, result.answers[0].found.best)
-        for result in found.results
+        posture: angles_of(candidates, result.answers[0].found.best)
+        for result in results
         for posture in result.postures
     }
     lights = Setup(
@@ -228,19 +291,18 @@ def _complete(
     if brackets is not None:
         lights = replace(lights, exposures=tuple(map(brackets.of, lights.postures)))
     if plan.tolerances is not None:
-        objective = found.results[0].answers[0].objective
+        objective = results[0].answers[0].objective
         tolerances = _placed_tolerances(lights, shares_on, plan.tolerances, objective, problem, run)
     if chosen is None and brackets is None:
-        return PlanResult(tolerances=tolerances), found.visibility
+        return PlanResult(tolerances=tolerances), ()
     commands = plan_commands(lights, options)
     planned = PlanResult(chosen=chosen, brackets=brackets, tolerances=tolerances, commands=commands)
     if problem.defects is None:
-        return planned, found.visibility
-    candidates = found.candidates if chosen is None else candidates_of(problem.rig, options)
+        return planned, ()
     visibility = planned_visibility(
         evaluator,
         lights,
-        candidates,
+        candidates if chosen is None else candidates_of(problem.rig, options),
         all_exposures=plan.all_exposures,
         thresholds=problem.thresholds,
         least=options.min_images,

@@ -11,7 +11,7 @@ from lightopt.design._commands import Command, Way
 from lightopt.design._options import PlanOptions
 from lightopt.design._problem import Problem
 from lightopt.design._tolerances import ToleranceAnalysis
-from lightopt.design.blind_spots._summary import BlindSpotSummary
+from lightopt.design.blind_spots._blind_spots import BlindSpotSummary
 from lightopt.design.objectives._objective import Objective, share_text
 from lightopt.design.postures._choice import PostureChoice
 from lightopt.design.postures._exposures import Brackets

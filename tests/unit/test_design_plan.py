@@ -33,7 +33,7 @@ from lightopt.design import (
     luminance_matrix,
 )
 from lightopt.design._tolerances import ObjectiveAssessment
-from lightopt.design.blind_spots._summary import planned_visibility
+from lightopt.design.blind_spots._blind_spots import planned_visibility
 from lightopt.design.postures import _light_positions as placing
 from lightopt.design.postures import _posture_search as turning
 from lightopt.design.postures._exposures import plan_exposures

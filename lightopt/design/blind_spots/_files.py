@@ -11,8 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from lightopt.core.arrays import UInt8
-from lightopt.design.blind_spots._blind_spots import BlindReason, BlindSpots, blind_text
-from lightopt.design.blind_spots._summary import BLIND_LIGHTS, BlindSpotSummary, reason_names
+from lightopt.design.blind_spots._blind_spots import (
+    BLIND_LIGHTS,
+    BlindReason,
+    BlindSpots,
+    BlindSpotSummary,
+    blind_text,
+    reason_names,
+)
 from lightopt.design.objectives._objective import share_text
 from lightopt.geometry import Patches
 from lightopt.scene import Placement

@@ -10,8 +10,7 @@ from lightopt.core.threads import blocks
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates, can_move
 from lightopt.design._result import ObjectiveResult, SetResult
-from lightopt.design.blind_spots._blind_spots import by_light, defect_visibility
-from lightopt.design.blind_spots._summary import PostureVisibility
+from lightopt.design.blind_spots._blind_spots import PostureVisibility, by_light, defect_visibility
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.responses._luminance_matrix import AREA_UNIT_MM2, LevelThresholds, LuminanceMatrix, area_units
