@@ -273,7 +273,7 @@ def _complete(
         exposures=((1.0,),) * len(angles),
         points=options.points,
     )
-    brackets, tolerances = None if chosen is None else chosen.brackets, ()
+    brackets, tolerances = None if chosen is None else chosen.choice.brackets, ()
     # all shares are of the surface that the postures were chosen on
     evaluator = matrices.evaluator(detection_model_of(problem.scene, problem.part, options))
     shares_on = evaluator if chosen is None else chosen.evaluator

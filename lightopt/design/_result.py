@@ -161,7 +161,6 @@ class ChosenPostures:
     pace: How fast the stage goes, and who says so.
     least: Images that must show a pair.
     plan: What was requested.
-    brackets: Which exposures are planned; None where there were no others to choose from.
     """
 
     choice: PostureChoice
@@ -172,11 +171,6 @@ class ChosenPostures:
     pace: str
     least: int
     plan: PlanOptions
-    brackets: Brackets | None
-
-    def exposures_of(self, posture: Posture) -> tuple[float, ...]:
-        """Planned exposures of a posture, the longest first."""
-        return (1.0,) if self.brackets is None else self.brackets.of(posture)
 
     @property
     def proven(self) -> bool:

@@ -20,7 +20,6 @@ from lightopt.design._result import (
 )
 from lightopt.design.objectives._objective import NEAR_PER_MILLE
 from lightopt.design.postures._exposures import Brackets
-from lightopt.design.search._combinations import Ranked
 from lightopt.images import Overlap
 
 # what the share of the initial light positions is of
@@ -86,20 +85,28 @@ def _answer_dict(answer: ObjectiveResult, result: SetResult, candidates: Candida
     facts: dict[str, Any] = {"objective": answer.objective.name, "unit": answer.objective.unit}
     if answer.nothing is not None:
         return {**facts, "lights": None, "score": 0, "reason": answer.nothing, "combinations": combinations}
+    near = None
+    if answer.proven_of is None:
+        near = {
+            "combinations": found.near,
+            "at_least": not found.near_exact,
+            "within": NEAR_PER_MILLE / 1000,
+            "of": "the best score" if answer.objective.share_of is None else "the inspectable area",
+        }
     share = answer.objective.share_of_whole(found.best.score, result.area)
     return {
         **facts,
-        "lights": _lights(candidates, found.best),
+        "lights": _lights(candidates.names, angles_of(candidates, found.best)),
         "score": found.best.score,
         "share_of_inspectable_area": None if share is None else round(share, 6),
         "share_of": answer.objective.share_of,
         "usable_sum": found.best.usable,
         "runner_up": None
         if runner_up is None
-        else {"lights": _lights(candidates, runner_up), "score": runner_up.score},
+        else {"lights": _lights(candidates.names, angles_of(candidates, runner_up)), "score": runner_up.score},
         "gap": found.gap,
         "ties": found.ties if answer.proven_of is None else None,
-        "near_best": None if answer.proven_of is not None else _near_dict(answer),
+        "near_best": near,
         "combinations": combinations if answer.proven_of is None else None,
         "bound": found.bound,
         "proven": found.proven,
@@ -109,21 +116,10 @@ def _answer_dict(answer: ObjectiveResult, result: SetResult, candidates: Candida
     }
 
 
-def _near_dict(answer: ObjectiveResult) -> dict[str, Any]:
-    found = answer.found
-    points = answer.objective.share_of is not None
-    return {
-        "combinations": found.near,
-        "at_least": not found.near_exact,
-        "within": NEAR_PER_MILLE / 1000,
-        "of": "the inspectable area" if points else "the best score",
-    }
-
-
-def _lights(candidates: Candidates, ranked: Ranked) -> list[dict[str, Any]]:
+def _lights(names: Sequence[str], angles: Sequence[tuple[float, float]]) -> list[dict[str, Any]]:
     return [
         {"light": name, "elevation_deg": elevation, "azimuth_deg": azimuth}
-        for name, (elevation, azimuth) in zip(candidates.names, angles_of(candidates, ranked), strict=True)
+        for name, (elevation, azimuth) in zip(names, angles, strict=True)
     ]
 
 
@@ -177,7 +173,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
         "postures": [
             {
                 **posture.as_dict(),
-                "exposures": list(chosen.exposures_of(posture)),
+                "exposures": list(chosen.choice.exposures_of(posture)),
                 "gain": round(step.gain / (cover.k * total), 6),
                 "share": round(step.covered / total, 6),
             }
@@ -241,10 +237,7 @@ def _tolerance_dict(one: ToleranceResult) -> dict[str, Any]:
         "worst_corner": {
             "share_of_score": share(robustness.worst),
             "part": dict(zip(("tilt_deg", "rotation_deg"), robustness.worst_pose, strict=True)),
-            "lights": [
-                {"light": name, "elevation_deg": elevation, "azimuth_deg": azimuth}
-                for name, (elevation, azimuth) in zip(robustness.lights, robustness.worst_lights, strict=True)
-            ],
+            "lights": _lights(robustness.lights, robustness.worst_lights),
         },
         "quantile_5_percent": share(robustness.quantile),
         "least_drawn": share(robustness.least_drawn),

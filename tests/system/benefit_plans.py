@@ -58,7 +58,7 @@ def _plan(
     what: str,
 ) -> Row:
     survey = looked.survey
-    choice, brackets = choose_with_exposures(
+    choice = choose_with_exposures(
         survey,
         replace(survey, table=drawn_patches(survey.table, DRAWN_PATCHES)),
         among,
@@ -69,6 +69,7 @@ def _plan(
         gain_points=DEFAULT_EXPOSURE_GAIN,
         run=RunContext(),
     )
+    brackets = choice.brackets
     exposures = [(1.0,) if brackets is None else brackets.of(posture) for posture in choice.postures]
     said, found = looked.seen(choice.postures, choice.panels, exposures)
     return Row(

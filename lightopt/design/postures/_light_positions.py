@@ -164,16 +164,15 @@ def place_lights(
     """
     exact = sum(math.prod(len(rows) for rows in group) for group in space.groups) <= limit
     boxes = [box for group in space.groups for box in (_boxes(group, table_cells) if exact else [group])]
-    best: LightPositions | None = None
+    found: list[LightPositions | None] = []
     for done, box in enumerate(boxes):
         report = part_of(progress, done / len(boxes), (done + 1) / len(boxes))
-        found = (
+        found.append(
             _best_of(lights, weights, space, box, threads, report)
             if exact
             else _one_at_a_time(lights, weights, space, box, threads)
         )
-        if found is not None and (best is None or (found.covered, found.benefit) > (best.covered, best.benefit)):
-            best = found
+    best = max(filter(None, found), key=lambda one: (one.covered, one.benefit), default=None)
     if best is None:
         raise InputError(
             "no combination of the lights' positions is left: in each, panels collide; widen their ranges or take "

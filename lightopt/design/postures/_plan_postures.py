@@ -91,7 +91,7 @@ def planned_answers(
 
 def _curves(best: Ranked, chosen: ChosenPostures, free: Candidates, progress: Share | None) -> tuple[Curve, ...]:
     evaluator, weights = chosen.evaluator, chosen.evaluator.weights
-    postures = [(posture, chosen.exposures_of(posture)) for posture in chosen.way.order]
+    postures = [(posture, chosen.choice.exposures_of(posture)) for posture in chosen.way.order]
     lights = chosen.choice.position_counts or position_counts(
         evaluator, postures, free, min_images=chosen.least, progress=progress
     )
@@ -110,10 +110,10 @@ def _planned(
     candidates: Candidates,
     free: Candidates | None,
 ) -> ObjectiveResult:
-    best, evaluator = answer.found.best, chosen.evaluator
+    best, choice, evaluator = answer.found.best, chosen.choice, chosen.evaluator
     panels = candidates.panels_at(best.candidates)
     images = (
-        replace(evaluator, exposures=chosen.exposures_of(posture)).counts(posture, panels, min_images=chosen.least)
+        replace(evaluator, exposures=choice.exposures_of(posture)).counts(posture, panels, min_images=chosen.least)
         for posture in chosen.way.order
     )
     counts = evaluator.weights.sum_counts(images, chosen.least)
@@ -123,7 +123,7 @@ def _planned(
         searched = free is None or any(len(some) > 1 for some in candidates.angles)
         return replace(answer, scores=scores, proven_of=None if searched else PROVEN_OF_ONE)
     # where no other positions show more in these postures; else no bound is known but all there is to see
-    best_there = chosen.choice.exact and chosen.choice.converged
+    best_there = choice.exact and choice.converged
     bound = score if best_there else evaluator.weights.total
     seen = evaluator.weights.areas @ unpack_flags(counts[-1], len(goal.hypotheses))
     return replace(
@@ -195,6 +195,10 @@ def _text(target: float, choice: PostureChoice, evaluator: ImageEvaluator, least
             "Raise option 'choose_postures' or leave it out"
         )
     lost = _lost(choice, evaluator, least)
+    # more light helps where there is too little of it
+    dim = lost.get(BlindReason.CONTRAST, 0.0) + lost.get(BlindReason.SHADOWED, 0.0)
+    longer = max(evaluator.exposures) <= 1.0 and dim > 0.5 * sum(lost.values())
+    hint = "Longer exposures may show some of it: add them, such as option 'exposures' 1,4,16. " * longer
     lights = "the best lights found (others may show more)" if choice.iterations else "the lights as they stand"
     near = next(
         (i for i, step in enumerate(cover.steps, 1) if step.covered >= (most - NEAR_SHARE) * cover.total),
@@ -204,16 +208,8 @@ def _text(target: float, choice: PostureChoice, evaluator: ImageEvaluator, least
         f"option 'target': {required} of the surface × defects is not reached: with {lights}, all {available} "
         f"postures together show {text(most)}, and {counted(near, 'posture')} come within "
         f"{100 * NEAR_SHARE:g} point of that. Of what stays unseen, {_reasons(lost, choice)}. "
-        f"{_hint(lost, evaluator)}Ask for less, use option 'choose_postures', or change what stands in the way"
+        f"{hint}Ask for less, use option 'choose_postures', or change what stands in the way"
     )
-
-
-def _hint(lost: Mapping[int, float], evaluator: ImageEvaluator) -> str:
-    # more light helps where there is too little of it
-    dim = lost.get(BlindReason.CONTRAST, 0.0) + lost.get(BlindReason.SHADOWED, 0.0)
-    if max(evaluator.exposures) > 1.0 or dim <= 0.5 * sum(lost.values()):
-        return ""
-    return "Longer exposures may show some of it: add them, such as option 'exposures' 1,4,16. "
 
 
 def _lost(choice: PostureChoice, evaluator: ImageEvaluator, least: int) -> dict[int, float]:
@@ -270,7 +266,7 @@ def plan_postures(
         threads=run.threads,
     )
     drawn = replace(whole, table=drawn_patches(table, DRAWN_PATCHES))
-    choice, brackets = choose_with_exposures(
+    choice = choose_with_exposures(
         whole,
         drawn,
         postures,
@@ -301,7 +297,6 @@ def plan_postures(
         pace=pace_text(rig),
         least=options.min_images,
         plan=plan,
-        brackets=brackets,
     )
 
 

@@ -14,10 +14,6 @@ from lightopt.core.arrays import Bool, Int64
 Rows = tuple[Int64, ...]  # candidates of each light, ascending: all their combinations are meant
 
 
-def _no_clashes() -> Mapping[tuple[int, int], Bool]:
-    return {}
-
-
 @dataclass(frozen=True, kw_only=True)
 class CombinationSpace:
     """The combinations to search.
@@ -29,7 +25,7 @@ class CombinationSpace:
 
     sizes: tuple[int, ...]
     groups: tuple[Rows, ...]
-    clashes: Mapping[tuple[int, int], Bool] = field(default_factory=_no_clashes)
+    clashes: Mapping[tuple[int, int], Bool] = field(default_factory=dict[tuple[int, int], Bool])
 
     @staticmethod
     def of(sizes: Sequence[int]) -> CombinationSpace:
