@@ -11,7 +11,7 @@ from pathlib import Path
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
 from lightopt.core.errors import InputError, counted
 from lightopt.core.run_context import RunContext
-from lightopt.design._candidates import Candidates, can_move, find_candidates
+from lightopt.design._candidates import Candidates, can_move
 from lightopt.design._commands import HOME, command_text, plan_commands
 from lightopt.design._files import check_editable, planned_part_text
 from lightopt.design._options import (
@@ -23,7 +23,7 @@ from lightopt.design._options import (
     run_provenance,
 )
 from lightopt.design._previous_result import refuse_other_result
-from lightopt.design._problem import Problem, candidates_of, detection_model_of
+from lightopt.design._problem import Problem, candidates_in, candidates_of, detection_model_of
 from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult, ToleranceResult, angles_of
 from lightopt.design._tolerances import (
     ObjectiveAssessment,
@@ -46,7 +46,7 @@ from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.design.responses._posture_matrices import PostureMatrices
 from lightopt.design.search._best_positions import candidates_of_others, search_objectives, search_other_objectives
 from lightopt.rendering import cast_rays_at, refuse_unusable_scene
-from lightopt.scene import Scene, build_catalogue, build_scene, coarse_warnings
+from lightopt.scene import build_catalogue, build_scene, coarse_warnings
 
 
 def optimize(
@@ -168,18 +168,7 @@ def _state_problem(
     rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, folder: Path | None, run: RunContext
 ) -> Problem:
     """Build the scene and the candidates; `folder` must hold no other result, None where it may."""
-
-    def candidates_in(scene: Scene | None, places: Sequence[tuple[float, float]] | None) -> Candidates:
-        return find_candidates(
-            rig,
-            step_deg=options.step_deg,
-            common_elevation=options.common_elevation,
-            points=options.points,
-            places=places,
-            scene=scene,
-        )
-
-    candidates_in(None, options.places)  # errors in the rig alone come before the part is loaded
+    candidates_in(None, rig, options, options.places)  # errors in the rig alone come before the part is loaded
     check_editable(rig)
     objectives = _objectives(rig, part, options, run)
     scene = build_scene(rig, part, postures=options.postures, points=options.points, defects=False)
@@ -191,9 +180,9 @@ def _state_problem(
     # a light that moves may find its way out of the part: only its candidates count
     fixed = tuple(panel for panel, light in zip(scene.lights, rig.lights, strict=True) if not can_move(light))
     refuse_unusable_scene(replace(scene, lights=fixed), rig, part, caster)
-    candidates = all_candidates = candidates_in(scene, options.places)
+    candidates = all_candidates = candidates_in(scene, rig, options, options.places)
     if options.places is not None and any(map(can_move, rig.lights)):
-        all_candidates = candidates_in(scene, None)
+        all_candidates = candidates_in(scene, rig, options)
     run.warn(*scene.warnings, *coarse_warnings(scene.lights, scene.reflectance.sigma))
     return Problem(
         rig=rig,

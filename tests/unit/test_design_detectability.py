@@ -77,7 +77,7 @@ def plain(flags, matrix, trials, min_images):
 
 
 def as_tuples(found):
-    return [(r.negative_score, r.negative_usable, r.candidates) for r in found.ranking]
+    return [r.sort_key for r in found.ranking]
 
 
 @given(data=st.data())

@@ -191,7 +191,7 @@ def best_set(
     Returns chosen, covered, sets: The best set that was found, the weight that it covers, and the number of all sets
         of that size; None where it is not proven that none covers more.
     """
-    search = _Search(candidates, weights, chosen, most_work, threads)
+    search = _Search(candidates, weights, tuple(chosen), most_work, threads)
     try:
         search.visit(weights.zero_counts(search.k), (), 0, 0, list(range(len(candidates))), None, size)
     except _WorkLimitReached:
@@ -203,21 +203,19 @@ class _WorkLimitReached(Exception):  # noqa: N818  (ends the search, and no erro
     """The search ends without a proof."""
 
 
+@dataclass(eq=False)
 class _Search:
-    def __init__(
-        self,
-        candidates: Sequence[Counts],
-        weights: PairWeights,
-        chosen: Sequence[int],
-        most_work: int,
-        threads: int | None,
-    ) -> None:
-        self.candidates, self.weights, self.threads = candidates, weights, threads
-        self.k = len(candidates[0])
-        self.best = tuple(chosen)
-        self.best_covered = weights.covered(weights.sum_counts((candidates[i] for i in chosen), self.k))
-        self._each = max(1, candidates[0].size)
-        self._left = most_work
+    candidates: Sequence[Counts]
+    weights: PairWeights
+    best: tuple[int, ...]
+    left: int
+    threads: int | None
+
+    def __post_init__(self) -> None:
+        self.k = len(self.candidates[0])
+        self.best_covered = self.weights.covered(
+            self.weights.sum_counts((self.candidates[i] for i in self.best), self.k)
+        )
 
     def visit(
         self,
@@ -249,19 +247,12 @@ class _Search:
         for at in range(len(rest) - more + 1):
             if self._cannot_improve(benefit + sum(benefits[at : at + more])):
                 return
-            one = (*some, rest[at])
+            one, merit = (*some, rest[at]), (covered + covers[at], benefit + benefits[at])
             if more == 1:
-                self._update_best(one, covered + covers[at])
+                self._update_best(one, merit[0])
                 continue
-            self.visit(
-                add_counts(now, self.candidates[rest[at]]),
-                one,
-                covered + covers[at],
-                benefit + benefits[at],
-                rest[at + 1 :],
-                benefits[at + 1 :],
-                more - 1,
-            )
+            after = add_counts(now, self.candidates[rest[at]])
+            self.visit(after, one, *merit, rest[at + 1 :], benefits[at + 1 :], more - 1)
 
     def _cannot_improve(self, benefit: int) -> bool:
         # [count ≥ k] ≤ min(k, count) / k
@@ -272,7 +263,7 @@ class _Search:
             self.best, self.best_covered = some, value
 
     def _gains(self, now: Counts, some: Sequence[int]) -> list[Merit]:
-        self._left -= self._each * len(some)
-        if self._left < 0:
+        self.left -= max(1, self.candidates[0].size) * len(some)
+        if self.left < 0:
             raise _WorkLimitReached
         return self.weights.all_gains(now, [self.candidates[i] for i in some], threads=self.threads)

@@ -129,7 +129,7 @@ def _planned(
     return replace(
         answer,
         objective=goal,
-        found=replace(answer.found, ranking=(replace(best, negative_score=-score),), bound=bound),
+        found=replace(answer.found, ranking=(replace(best, score=score),), bound=bound),
         scores=scores,
         details=goal.facts(seen, goal.area),
         nothing=None,
