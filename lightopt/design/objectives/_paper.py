@@ -33,13 +33,7 @@ from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import Task, blocks, run_all
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.objectives._scores_by_extreme_levels import extreme_tasks, minimum_tasks
-from lightopt.design.responses._luminance_matrix import (
-    Levels,
-    LevelThresholds,
-    LuminanceMatrix,
-    level_range,
-    usable_sums,
-)
+from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, level_range, usable_sums
 
 BLOCK_LEVELS = 1 << 24  # levels that are capped at once: the only copies of levels that are made
 LEAST_PATCHES = 512  # of a block, however many candidates there are
@@ -103,11 +97,13 @@ class PaperObjective(Objective):
         work = WorkCounter((by_sets or cells) * patches, progress)
         lock = Lock()
         result = np.zeros(cells, np.int64)
-        top = min(thresholds.saturation - thresholds.black - 1, int(np.iinfo(levels[0].dtype).max))
+        most, black = int(np.iinfo(levels[0].dtype).max), levels[0].dtype.type(thresholds.black)
+        top, cap = min(thresholds.saturation - thresholds.black - 1, most), min(thresholds.saturation, most)
 
         def tasks() -> Iterator[Task]:
             for start, end in blocks(patches, max(LEAST_PATCHES, BLOCK_LEVELS // sum(sizes))):
-                capped = [_capped(layer[:, start:end], thresholds) for layer in levels]
+                here = (layer[:, start:end] for layer in levels)
+                capped = [(np.minimum(some, cap) - black) * (some >= thresholds.shade) for some in here]
                 greatest = [layer.max(axis=0) for layer in capped] if tables else []
                 for chosen, _, table in tables:
                     layers, reach = ([some[i] for i in chosen] for some in (capped, greatest))
@@ -163,12 +159,6 @@ def _coefficients(lights: int) -> list[int]:
     # c_1 … c_n of the module's text
     counts = [int(1 <= k <= lights - 2) for k in range(lights)]
     return [sum((-1) ** (m - k) * math.comb(m, k) * counts[k] for k in range(m + 1)) for m in range(lights)]
-
-
-def _capped(layer: Levels, thresholds: LevelThresholds) -> Levels:
-    zero, black = layer.dtype.type(0), layer.dtype.type(thresholds.black)
-    cap = layer.dtype.type(min(thresholds.saturation, np.iinfo(layer.dtype).max))
-    return np.where(layer >= thresholds.shade, np.minimum(layer, cap) - black, zero)
 
 
 PAPER = PaperObjective()

@@ -67,32 +67,25 @@ def _added_up(
     def of_first(first: int, start: int, end: int) -> None:
         own = weights.of(slice(start, end))
         some = [positions[:, :, start:end] for positions in (lights[0][first : first + 1], *lights[1:])]
-        _through(some, 0, own.zero_counts(k), 0, own, covers[first], benefits[first])
+
+        def add(light: int, so_far: Counts, at: int) -> int:
+            # sums of the combinations of the lights from `light` on, written from `at` on; where the next ones go
+            if light < len(some) - 1:
+                for positions in some[light]:
+                    at = add(light + 1, add_counts(so_far, positions), at)
+                return at
+            here = slice(at, at + len(some[light]))
+            sums = covers[first, here], benefits[first, here]
+            _last(so_far, some[light], own.areas, own.masks, own.factors, *sums)
+            return here.stop
+
+        add(0, own.zero_counts(k), 0)
 
     for start in range(0, patches, step):
         # a row of the tables is written by one task at a time
         tasks = ((of_first, (first, start, min(start + step, patches))) for first in range(sizes[0]))
         run_all(tasks, threads=threads, done=None if progress is None else lambda: progress(1.0))
     return covers.ravel(), benefits.ravel()
-
-
-def _through(
-    lights: Sequence[PositionCounts],
-    light: int,
-    so_far: Counts,
-    start: int,
-    weights: PairWeights,
-    covered: Int64,
-    benefit: Int64,
-) -> int:
-    # sums of the combinations of the lights from `light` on, written from `start` on; where the next ones go
-    if light == len(lights) - 1:
-        own = slice(start, start + len(lights[light]))
-        _last(so_far, lights[light], weights.areas, weights.masks, weights.factors, covered[own], benefit[own])
-        return own.stop
-    for positions in lights[light]:
-        start = _through(lights, light + 1, add_counts(so_far, positions), start, weights, covered, benefit)
-    return start
 
 
 @kernel
