@@ -118,7 +118,7 @@ def _summarise_blind_spots(blind: BlindSpotSummary) -> None:
     """What the chosen lights show of the defects over all postures, in one line."""
     from lightopt.design import BLIND_SHARES_OF, blind_text, share_text
 
-    _, chosen, _ = blind.parts()[0]
+    _, chosen, _ = blind.parts[0]
     reasons = "; ".join(
         f"{blind_text(code, blind.lights)} {share_text(share, chosen.grain)}"
         for code, share in sorted(chosen.by_reason().items())

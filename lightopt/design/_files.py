@@ -1,8 +1,7 @@
 """The files of a design: result.json, ranking.csv, rigs with the new angles, images, overlap maps, blind spots.
 
-Rig and part files are the user's own text with new angles and postures, comments kept. :func:`write_design` writes all
-but the report, which shows what is written, and result.json, which says that all is there; :func:`finish_design` writes
-these.
+Rig and part files are the user's own text with new angles and postures, comments kept. The report shows what is
+written, and result.json says that all is there: :func:`finish_design` writes these two.
 """
 
 import json
@@ -115,7 +114,6 @@ class DesignOutput:
 
     document: What result.json will say.
     overlaps: Saturated regions of the images, in the order of the postures.
-    warnings: Of the design and of the rendering.
     paths: result.json, ranking.csv, further files, rigs, report: those to come, too.
     force: Whether files that are there and differ are replaced.
     replace_report: Whether a report that is there is replaced.

@@ -84,13 +84,13 @@ def optimize(
     problem = _state_problem(rig, part, options, plan, None if force else folder, run)
     table = None if chosen is None else chosen.evaluator.table_of(chosen.way.order)
     matrices = PostureMatrices(problem, folder, run, table)
-    results, candidates, visibility = _search(problem, matrices, run)
+    results, candidates, visibility = _search(matrices)
     if chosen is not None:
         # one set of lights for all postures is one result: the same positions, scored by all planned images together
         free, progress = candidates_of(rig, options), run.stage("the score along each angle")
         results = (planned_answers(results[0], chosen, candidates, free, progress),)
 
-    planned, seen = _complete(problem, matrices, results, candidates, plan, chosen, run)
+    planned, seen = _complete(matrices, results, candidates, plan, chosen)
     blind = None
     if problem.defects is not None:
         areas = matrices.patches().patches.areas
@@ -216,19 +216,17 @@ def _objectives(rig: RigConfig, part: PartConfig, options: OptimizeOptions, run:
     return possible
 
 
-def _search(
-    problem: Problem, matrices: PostureMatrices, run: RunContext
-) -> tuple[tuple[SetResult, ...], Candidates, Sequence[PostureVisibility]]:
+def _search(matrices: PostureMatrices) -> tuple[tuple[SetResult, ...], Candidates, Sequence[PostureVisibility]]:
     """Best positions for every objective, the candidates that they are indices into, and what their images show."""
-    objectives, options = problem.objectives, problem.options
+    problem, run = matrices.problem, matrices.run
     free = candidates_of_others(matrices)
-    if free is not None or options.places is None:
+    if free is not None or problem.options.places is None:
         run.inform((free or problem.candidates).message)
-    first = objectives if free is None else objectives[:1]
+    first = problem.objectives if free is None else problem.objectives[:1]
     results, visibility = search_objectives(matrices, first)
     if free is not None:
         results = search_other_objectives(matrices, free, results)
-    if options.report:
+    if problem.options.report:
         matrices.patches()
     if matrices.coarse_warning is not None:
         run.warn(matrices.coarse_warning)
@@ -236,19 +234,17 @@ def _search(
 
 
 def _complete(
-    problem: Problem,
     matrices: PostureMatrices,
     results: Sequence[SetResult],
     candidates: Candidates,
     plan: PlanOptions,
     chosen: ChosenPostures | None,
-    run: RunContext,
 ) -> tuple[PlanResult, Sequence[PostureVisibility]]:
     """Exposures and tolerances of the best positions; and what the planned images show of defects, if that is more."""
+    problem, options, run = matrices.problem, matrices.problem.options, matrices.run
     requested = chosen is not None or plan.exposures or plan.tolerances is not None
     if not requested or any(result.answers[0].nothing is not None for result in results):
         return PlanResult(chosen=chosen), ()
-    options = problem.options
     # the lights where they are best for the first objective in each posture, at exposure 1
     angles = {
         posture: angles_of(candidates, result.answers[0].found.best)

@@ -134,16 +134,10 @@ def angles_of(candidates: Candidates, ranked: Ranked) -> tuple[tuple[float, floa
     return tuple(angles[k] for angles, k in zip(candidates.angles, ranked.candidates, strict=True))
 
 
-# what the shares of a plan are shares of
-SHARES_OF = (
-    f"the surface that the camera sees in any posture to choose from at up to {GRAZING_DEG:g}° to its normal × "
-    "defects by weight"
-)
-
-# the same of exposures for a part's own postures
-OWN_SHARES_OF = (
-    f"the surface that the camera sees in any of the postures at up to {GRAZING_DEG:g}° to its normal × defects by "
-    "weight"
+# what the shares of a plan are shares of, and those of exposures for a part's own postures
+SHARES_OF, OWN_SHARES_OF = (
+    f"the surface that the camera sees in any {which} at up to {GRAZING_DEG:g}° to its normal × defects by weight"
+    for which in ("posture to choose from", "of the postures")
 )
 
 NEGLIGIBLE_SHARE = 0.001  # of the pairs: what further postures add together that is too little for an image
@@ -153,14 +147,12 @@ NEGLIGIBLE_SHARE = 0.001  # of the pairs: what further postures add together tha
 class ChosenPostures:
     """The postures of a plan, and what there was to choose from.
 
-    choice: Postures and lights.
     evaluator: All postures to choose from, and the patches for the last iterations and all figures.
     drawn: Number of patches for the first iterations.
     left_out: Postures that the stage reaches and that are of no use.
     way: Through the chosen ones, were all captured in one round.
     pace: How fast the stage goes, and who says so.
     least: Images that must show a pair.
-    plan: What was requested.
     """
 
     choice: PostureChoice
@@ -229,11 +221,9 @@ class PlanResult:
 class DesignResult(Problem):
     """Best light positions for a part, and what was planned beside them; `candidates` are those of `results`.
 
-    folder: Output folder.
     command: The command line that asks for this result.
     patches: None where all matrices came from the cache and there is no report.
     results: One per posture, or one for all of them.
-    plan: Postures, exposures, tolerances, commands.
     blind: Blind spots, where images are tested for defects.
     reused: Number of luminance matrices read from the cache.
     warnings: What was repaired or is partly wrong.

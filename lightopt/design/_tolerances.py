@@ -69,8 +69,6 @@ class Tolerances:
     light_deg: Elevation and azimuth of each light [°].
     pose_deg: Tilt and rotation of the part [°].
     tolerance_target: Share of the score that the widest tolerances keep.
-    draws: Number of random draws.
-    seed: Random seed.
     """
 
     light_deg: float = 0.0
@@ -143,7 +141,6 @@ class WidestTolerance:
 class ToleranceAnalysis:
     """Scores under misalignment.
 
-    lights: Names, in the rig's order.
     score: Where all angles are exact.
     worst: The least over all corners.
     worst_pose, worst_lights: The corner: offsets of the part and of each light [°].

@@ -225,24 +225,22 @@ class PostureVisibility:
     possible: DefectVisibility
 
 
+# a posture, None for all of them; blind spots of the chosen lights, and of all that the lights can do
+BlindPart = tuple[Posture | None, BlindSpots, BlindSpots]
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BlindSpotSummary:
     """Blind spots of the whole surface.
 
     objective: Whose defects they are.
     lights: Names, in the rig's order.
-    chosen, possible: Over all postures, by all their images together: of the chosen lights, and of all that the
-        lights can do.
-    chosen_in, possible_in: The same of the images of each posture alone.
+    parts: Of all postures by all their images together, then of the images of each posture alone.
     """
 
     objective: DetectabilityObjective
     lights: tuple[str, ...]
-    postures: tuple[Posture, ...]
-    chosen: BlindSpots
-    possible: BlindSpots
-    chosen_in: tuple[BlindSpots, ...]
-    possible_in: tuple[BlindSpots, ...]
+    parts: tuple[BlindPart, ...]
 
     @staticmethod
     def of(
@@ -252,40 +250,32 @@ class BlindSpotSummary:
         lights: Sequence[str],
     ) -> BlindSpotSummary:
         """Combine postures; `areas` are those of all patches of the run [mm²], shape (n,)."""
-        chosen = [one.chosen for one in visibility]
-        possible = [one.possible for one in visibility]
-        return BlindSpotSummary(
-            objective=objective,
-            lights=tuple(lights),
-            postures=tuple(one.posture for one in visibility),
-            chosen=blind_spots(areas, chosen),
-            possible=blind_spots(areas, possible),
-            chosen_in=tuple(blind_spots(areas, [one]) for one in chosen),
-            possible_in=tuple(blind_spots(areas, [one]) for one in possible),
-        )
 
-    def parts(self) -> list[tuple[Posture | None, BlindSpots, BlindSpots]]:
-        """All postures together (None), then each: with the chosen lights, and with all that they can do."""
-        own = zip(self.postures, self.chosen_in, self.possible_in, strict=True)
-        return [(None, self.chosen, self.possible), *own]
+        def part(posture: Posture | None, some: Sequence[PostureVisibility]) -> BlindPart:
+            chosen, possible = [one.chosen for one in some], [one.possible for one in some]
+            return posture, blind_spots(areas, chosen), blind_spots(areas, possible)
+
+        parts = part(None, visibility), *(part(one.posture, [one]) for one in visibility)
+        return BlindSpotSummary(objective=objective, lights=tuple(lights), parts=parts)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
+        _, whole, _ = self.parts[0]
+        both = [
+            {"chosen": self._facts(chosen), "any_position": self._facts(possible)} for _, chosen, possible in self.parts
+        ]
         return {
             "min_images": self.objective.min_images,
             "shares_of": BLIND_SHARES_OF,
-            "surface_mm2": round(float(self.chosen.areas.sum()), 6),
-            "grain": round(self.chosen.grain, 6),
-            **self._both(self.chosen, self.possible),
+            "surface_mm2": round(float(whole.areas.sum()), 6),
+            "grain": round(whole.grain, 6),
+            **both[0],
             "postures": [
-                {"posture": posture.as_dict(), **self._both(chosen, possible)}
-                for posture, chosen, possible in self.parts()
+                {"posture": posture.as_dict(), **facts}
+                for (posture, *_), facts in zip(self.parts, both, strict=True)
                 if posture is not None
             ],
         }
-
-    def _both(self, chosen: BlindSpots, possible: BlindSpots) -> dict[str, Any]:
-        return {"chosen": self._facts(chosen), "any_position": self._facts(possible)}
 
     def _facts(self, spots: BlindSpots) -> dict[str, Any]:
         reasons = [

@@ -128,9 +128,9 @@ def _csv(summary: BlindSpotSummary) -> str:
     table = csv.writer(text, lineterminator="\n")
     table.writerow(["postures", "lights", "what", "share", "share_of", "area_mm2", "colour"])
     names = dict(reason_names(summary.lights))
-    surface = float(summary.chosen.areas.sum())
+    surface = float(summary.parts[0][1].areas.sum())
     counted, whole = "surface x defects without what is left out", "surface"
-    for posture, chosen, possible in summary.parts():
+    for posture, chosen, possible in summary.parts:
         where = "all" if posture is None else f"{posture.elevation_deg:g},{posture.rotation_deg:g}"
         for lights, spots in zip(BLIND_LIGHTS, (chosen, possible), strict=True):
             rows = [
@@ -146,6 +146,7 @@ def _csv(summary: BlindSpotSummary) -> str:
 
 
 def _ply(summary: BlindSpotSummary, patches: Patches, placement: Placement) -> bytes:
+    _, chosen, possible = summary.parts[0]
     # corners in the coordinates of the mesh file: x_file = Rᵀ·(x − t)
     vertices = (patches.vertices - placement.translation) @ placement.rotation
     header = [
@@ -177,10 +178,10 @@ def _ply(summary: BlindSpotSummary, patches: Patches, placement: Placement) -> b
     )
     faces["count"] = 3
     faces["corners"] = patches.triangles
-    faces["colour"] = blind_colours(summary.chosen)
-    faces["seen"], faces["code"] = summary.chosen.share, np.minimum(summary.chosen.codes, 255)
-    faces["reachable"] = summary.possible.share
-    faces["reachable_code"] = np.minimum(summary.possible.codes, 255)
+    faces["colour"] = blind_colours(chosen)
+    faces["seen"], faces["code"] = chosen.share, np.minimum(chosen.codes, 255)
+    faces["reachable"] = possible.share
+    faces["reachable_code"] = np.minimum(possible.codes, 255)
     # a header is ASCII without control characters, whatever lights are called
     lines = ("".join(c if c.isascii() and c.isprintable() else "?" for c in line) for line in header)
     text = "".join(f"{line}\n" for line in lines)

@@ -2,10 +2,6 @@
 
 Levels are *capped*: 0 where they are shaded, else what is above black, at most the saturation level above black. The
 usable part of a capped level is the level itself, or 0 where it is at the cap.
-
-Two ways: tables of minima for every set of lights (:func:`minimum_tasks`); or, for many lights with few candidates,
-combination by combination in order, where the lights before the one that changes are not compared again
-(:func:`extreme_tasks`).
 """
 
 import itertools
@@ -132,8 +128,9 @@ def _usable_minima(left: Levels, right: Levels, top: int) -> np.int64:
 def extreme_tasks(layers: Sequence[Levels], top: int, table: Int64, lock: Lock, work: WorkCounter) -> Iterator[Task]:
     """Tasks that add Σ over patches of usable(min) + usable(max) of the levels under all lights, for each combination.
 
-    `layers` are capped levels, shape (candidates, p), all of one type; `table` has one number per combination, the last
-    light's candidates varying fastest. The others are as for :func:`minimum_tasks`.
+    The lights before the one that changes are not compared again. `layers` are capped levels, shape (candidates, p),
+    all of one type; `table` has one number per combination, the last light's candidates varying fastest. The others are
+    as for :func:`minimum_tasks`.
     """
     patches, dtype = layers[0].shape[1], layers[0].dtype
     low = np.full(patches, np.iinfo(dtype).max, dtype)

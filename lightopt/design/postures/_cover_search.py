@@ -7,9 +7,6 @@ benefit than benefit(S') + the sum of the N largest g; and N greedy steps reach 
 1 − 1/e of the best (Nemhauser, Wolsey, Fisher 1978, doi:10.1007/BF01588971). The least of the first is used; it is
 never looser than the second.
 
-A greedy choice is never revised. :func:`improve_by_exchange` then tries each chosen candidate against every other one
-and makes the best exchange, until no single exchange covers more; the set is not proven to be the best of its size.
-
 :func:`best_set` finds the best set of a number of candidates by branch and bound: no set that extends S by r of the
 remaining candidates has more benefit than benefit(S) + the r largest gains left, and none covers more than a k-th of
 that. Sets are visited in descending order of gain; a branch whose bound is no more than what the best known set covers
@@ -148,7 +145,7 @@ class _Greedy:
 def improve_by_exchange(
     candidates: Sequence[Counts], weights: PairWeights, chosen: Sequence[int], *, threads: int | None = None
 ) -> tuple[int, ...]:
-    """As many candidates that cover as much or more, and that no single exchange improves.
+    """As many candidates that cover as much or more, and that no single exchange improves; no proof of the best.
 
     The best exchange is made first; of equals the one that replaces the earliest chosen by the first candidate.
     """

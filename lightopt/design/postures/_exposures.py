@@ -107,14 +107,11 @@ def select_exposures(
     least_gain: float,
     target: float | None = None,
 ) -> Brackets:
-    """Take the exposure that adds most to what is seen, the first of equals, as long as it adds enough and anything.
-
-    Where none does, the two that add most together, as long as that is twice as much and anything. Below `target`, a
-    share of the pairs, whatever adds anything is taken.
+    """Plan exposures as the module's text says, the first of equals, as long as they add anything.
 
     now: What the images of each posture show at exposure 1, from :func:`images_of`.
     min_images: Images that must show a pair.
-    least_gain: Share of the pairs.
+    least_gain, target: Shares of the pairs; below the target, whatever adds anything is planned.
     """
     total = max(1, weights.total)
     planned = _PlannedImages(now, weights, min_images)

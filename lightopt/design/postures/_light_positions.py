@@ -4,10 +4,9 @@ Every combination is tried, a table of so many after the other; where there are 
 time until that gains nothing.
 
 The postures' images of a position are counted before (see :mod:`lightopt.design.responses._packed_bits`), so that a
-combination adds up one count per light, whatever the number of postures. Along the positions of a light these counts
-change a few times, and the sums come from the changes (:mod:`lightopt.design.objectives._scores_by_image_counts`).
-Patches whose counts change nearly everywhere are added up combination by combination, light after light; the last
-light's positions share the sum of the others.
+combination adds up one count per light, whatever the number of postures. The sums come from the places where counts
+change (:mod:`lightopt.design.objectives._scores_by_image_counts`). Patches where they change nearly everywhere are
+added up combination by combination; the last light's positions share the sum of the others.
 """
 
 import math
@@ -157,14 +156,11 @@ def place_lights(
     """
     exact = sum(math.prod(len(rows) for rows in group) for group in space.groups) <= limit
     boxes = [box for group in space.groups for box in (_boxes(group, table_cells) if exact else [group])]
+    search = _Search(lights, weights, space, threads)
     found: list[LightPositions | None] = []
     for done, box in enumerate(boxes):
         report = part_of(progress, done / len(boxes), (done + 1) / len(boxes))
-        found.append(
-            _best_of(lights, weights, space, box, threads, report)
-            if exact
-            else _one_at_a_time(lights, weights, space, box, threads)
-        )
+        found.append(search.best_of(box, report) if exact else search.one_at_a_time(box))
     best = max(filter(None, found), key=lambda one: (one.covered, one.benefit), default=None)
     if best is None:
         raise InputError(
@@ -187,49 +183,41 @@ def _boxes(rows: Rows, most: int) -> Iterator[Rows]:
                 yield first, *rest
 
 
-def _best_of(
-    lights: Sequence[PositionCounts],
-    weights: PairWeights,
-    space: CombinationSpace,
-    rows: Rows,
-    threads: int | None,
-    progress: Share | None,
-) -> LightPositions | None:
-    allowed = allowed_mask(space, tuple(rows))
-    if allowed is not None and not allowed.any():
-        return None
-    covered, benefit = combination_sums(
-        [select_rows(positions, some) for positions, some in zip(lights, rows, strict=True)],
-        weights,
-        threads=threads,
-        progress=progress,
-    )
-    if allowed is not None:
-        covered, benefit = np.where(allowed, covered, -1), np.where(allowed, benefit, -1)
-    most = int(covered.max())
-    at = int(np.argmax(np.where(covered == most, benefit, -1)))
-    chosen = tuple(int(some[i]) for some, i in zip(rows, digits(at, rows), strict=True))
-    return LightPositions(candidates=chosen, covered=most, benefit=int(benefit[at]), exact=True)
+@dataclass(frozen=True, eq=False)
+class _Search:
+    lights: Sequence[PositionCounts]
+    weights: PairWeights
+    space: CombinationSpace
+    threads: int | None
 
+    def best_of(self, rows: Rows, progress: Share | None = None) -> LightPositions | None:
+        allowed = allowed_mask(self.space, tuple(rows))
+        if allowed is not None and not allowed.any():
+            return None
+        some = [select_rows(positions, own) for positions, own in zip(self.lights, rows, strict=True)]
+        covered, benefit = combination_sums(some, self.weights, threads=self.threads, progress=progress)
+        if allowed is not None:
+            covered, benefit = np.where(allowed, covered, -1), np.where(allowed, benefit, -1)
+        most = int(covered.max())
+        at = int(np.argmax(np.where(covered == most, benefit, -1)))
+        chosen = tuple(int(own[i]) for own, i in zip(rows, digits(at, rows), strict=True))
+        return LightPositions(candidates=chosen, covered=most, benefit=int(benefit[at]), exact=True)
 
-def _one_at_a_time(
-    lights: Sequence[PositionCounts], weights: PairWeights, space: CombinationSpace, rows: Rows, threads: int | None
-) -> LightPositions | None:
-    now = first_allowed(space, rows)
-    if now is None:
-        return None
-    best: LightPositions | None = None
-    moved = True
-    while moved:
-        moved = False
-        for i in range(len(lights)):
-            some = [rows[j] if j == i else np.array([now[j]]) for j in range(len(lights))]
-            found = _best_of(lights, weights, space, some, threads, None)
-            assert found is not None
-            if best is None or (found.covered, found.benefit) > (best.covered, best.benefit):
-                best = replace(found, exact=False)
-                now, moved = list(found.candidates), True
-    return best
+    def one_at_a_time(self, rows: Rows) -> LightPositions | None:
+        now = first_allowed(self.space, rows)
+        if now is None:
+            return None
+        best: LightPositions | None = None
+        moved = True
+        while moved:
+            moved = False
+            for i in range(len(rows)):
+                found = self.best_of([own if j == i else np.array([now[j]]) for j, own in enumerate(rows)])
+                assert found is not None
+                if best is None or (found.covered, found.benefit) > (best.covered, best.benefit):
+                    best = replace(found, exact=False)
+                    now, moved = list(found.candidates), True
+        return best
 
 
 def first_allowed(space: CombinationSpace, rows: Rows) -> list[int] | None:

@@ -76,21 +76,19 @@ def planned_answers(
     evaluator = chosen.evaluator
     goal = PlannedDetectability(first.hypotheses, first.min_images, area=int(evaluator.weights.areas.sum()))
     answers = tuple(_planned(answer, goal, chosen, candidates, free) for answer in result.answers)
-    best = answers[0].found.best
-    at = angles_of(candidates, best)
-    curves: tuple[Curve, ...] = ()
+    return replace(result, answers=answers, curves=_curves(answers[0].found.best, chosen, candidates, free, progress))
+
+
+def _curves(
+    best: Ranked, chosen: ChosenPostures, candidates: Candidates, free: Candidates | None, progress: Share | None
+) -> tuple[Curve, ...]:
+    at, evaluator, weights = angles_of(candidates, best), chosen.evaluator, chosen.evaluator.weights
     if (
-        free is not None
-        and all(angles in some for angles, some in zip(at, free.angles, strict=True))
-        and position_counts_fit(evaluator, free, min_images=chosen.least)
+        free is None
+        or not all(angles in some for angles, some in zip(at, free.angles, strict=True))
+        or not position_counts_fit(evaluator, free, min_images=chosen.least)
     ):
-        here = tuple(some.index(angles) for angles, some in zip(at, free.angles, strict=True))
-        curves = _curves(replace(best, candidates=here), chosen, free, progress)
-    return replace(result, answers=answers, curves=curves)
-
-
-def _curves(best: Ranked, chosen: ChosenPostures, free: Candidates, progress: Share | None) -> tuple[Curve, ...]:
-    evaluator, weights = chosen.evaluator, chosen.evaluator.weights
+        return ()
     postures = [(posture, chosen.choice.exposures_of(posture)) for posture in chosen.way.order]
     lights = chosen.choice.position_counts or position_counts(
         evaluator, postures, free, min_images=chosen.least, progress=progress
@@ -100,7 +98,8 @@ def _curves(best: Ranked, chosen: ChosenPostures, free: Candidates, progress: Sh
         shown = (places[k] for places, k in zip(lights, combination, strict=True))
         return weights.covered(weights.sum_counts(shown, chosen.least))
 
-    return score_curves(free, best, score)
+    here = tuple(some.index(angles) for angles, some in zip(at, free.angles, strict=True))
+    return score_curves(free, replace(best, candidates=here), score)
 
 
 def _planned(

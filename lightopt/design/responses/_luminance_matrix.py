@@ -183,21 +183,16 @@ class LuminanceMatrix:
 
     def rows(self, rows: Sequence[Int64]) -> LuminanceMatrix:
         """Some candidates of each light, given by ascending indices."""
-        return LuminanceMatrix(
-            levels=tuple(select_rows(layer, some) for layer, some in zip(self.levels, rows, strict=True)),
-            areas=self.areas,
-            visibility=None if self.visibility is None else self.visibility.rows(rows),
-            grazing_mm2=self.grazing_mm2,
-        )
+        levels = tuple(select_rows(layer, some) for layer, some in zip(self.levels, rows, strict=True))
+        return replace(self, levels=levels, visibility=self.visibility and self.visibility.rows(rows))
 
     def combination(self, candidates: Sequence[int]) -> LuminanceMatrix:
         return self.rows([np.array([index]) for index in candidates])
 
     def patches(self, start: int, end: int) -> LuminanceMatrix:
-        return LuminanceMatrix(
-            levels=tuple(layer[:, start:end] for layer in self.levels),
-            areas=self.areas[start:end],
-            visibility=None if self.visibility is None else self.visibility.patches(start, end),
+        levels, areas = tuple(layer[:, start:end] for layer in self.levels), self.areas[start:end]
+        return replace(
+            self, levels=levels, areas=areas, visibility=self.visibility and self.visibility.patches(start, end)
         )
 
 

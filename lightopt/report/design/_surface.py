@@ -223,7 +223,8 @@ def blind_pictures(result: DesignResult) -> dict[Posture, UInt8]:
         return {}
     patches, scene = result.patches.patches, result.scene
     pictures: dict[Posture, UInt8] = {}
-    for posture, spots in zip(result.blind.postures, result.blind.chosen_in, strict=True):
+    for posture, spots, _ in result.blind.parts[1:]:
+        assert posture is not None
         camera = view_from_part(scene, posture).camera
         colours = blind_colours(spots).astype(np.float64)
         picture = np.full((camera.height, camera.width, 3), BACKGROUND, np.uint8)
@@ -246,8 +247,8 @@ def blind_pictures(result: DesignResult) -> dict[Posture, UInt8]:
 
 def blind_layers(summary: BlindSpotSummary) -> list[SurfaceLayer]:
     """How many defects are seen, and why the others are not: all postures together, wherever the lights stand, each."""
-    layers = [share_layer("all postures, how many defects are seen", summary.chosen)]
-    for posture, chosen, possible in summary.parts() if len(summary.postures) > 1 else summary.parts()[:1]:
+    layers = [share_layer("all postures, how many defects are seen", summary.parts[0][1])]
+    for posture, chosen, possible in summary.parts if len(summary.parts) > 2 else summary.parts[:1]:
         where = "all postures" if posture is None else f"posture {posture}"
         layers.append(blind_layer(f"{where}, why not", chosen))
         if posture is None:

@@ -22,8 +22,7 @@ def inspection_report(
 ) -> str:
     """The report of an inspection as HTML.
 
-    result, verdict: Of one set of images.
-    part, rig: Their names.
+    part, rig: Names.
     provenance: From :func:`lightopt.inspection.inspection_provenance`.
     truth: From :func:`lightopt.inspection.summarise`; None where nothing is known of the part.
     """
@@ -103,8 +102,7 @@ def batch_report(
 ) -> str:
     """The report of several parts as HTML: a row each, in the order of the sets.
 
-    part, rig: Their names.
-    version: Of lightopt.
+    part, rig: Names.
     truth: As :func:`inspection_report` takes it, over all sets.
     """
     good = sum(row.verdict is not None and row.verdict.good for row in rows)
