@@ -211,11 +211,6 @@ class PlanResult:
         """Planned exposures of a posture, the longest first."""
         return (1.0,) if self.brackets is None else self.brackets.of(posture)
 
-    @property
-    def shares_of(self) -> str:
-        """What the shares of exposures and postures are shares of."""
-        return OWN_SHARES_OF if self.chosen is None else SHARES_OF
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DesignResult(Problem):

@@ -9,6 +9,7 @@ from lightopt.core.arrays import Bool
 from lightopt.design._candidates import Candidates
 from lightopt.design._commands import Way
 from lightopt.design._result import (
+    OWN_SHARES_OF,
     SHARES_OF,
     ChosenPostures,
     DesignResult,
@@ -129,7 +130,7 @@ def plan_document(result: PlanResult) -> dict[str, Any]:
     if result.chosen is not None:
         sections["chosen_postures"] = _chosen_dict(result.chosen)
     if result.brackets is not None:
-        sections["exposures"] = _brackets_dict(result.brackets, result.shares_of)
+        sections["exposures"] = _brackets_dict(result.brackets, SHARES_OF if result.chosen else OWN_SHARES_OF)
     if result.tolerances:
         sections["tolerances"] = [_tolerance_dict(one) for one in result.tolerances]
     if result.commands:

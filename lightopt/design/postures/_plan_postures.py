@@ -171,14 +171,12 @@ def target_not_reached(
 
     `evaluator` is of all candidate postures; `least` images must show a pair.
     """
-    cover = choice.cover
+    cover, grain = choice.cover, evaluator.table.grain
     steps = tuple(
         PostureCountStep(posture=posture, share=step.covered / max(1, cover.total), bound=cover.bound_of(number))
         for number, (posture, step) in enumerate(zip(choice.postures, cover.steps, strict=True), start=1)
     )
-    return TargetNotReached(
-        _text(target, choice, evaluator, least), target=target, steps=steps, grain=evaluator.table.grain
-    )
+    return TargetNotReached(_text(target, choice, evaluator, least), target=target, steps=steps, grain=grain)
 
 
 def _text(target: float, choice: PostureChoice, evaluator: ImageEvaluator, least: int) -> str:

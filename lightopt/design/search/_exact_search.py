@@ -224,15 +224,10 @@ class _BoxScorer:
         self.threads = threads
         self.weights = [objective.weights(matrix.areas) for matrix in matrices]
         self.area = sum(int(area_units(matrix.areas).sum()) for matrix in matrices)
+        weighted = list(zip(matrices, self.weights, strict=True))
         self.usable = [
-            sum(
-                (
-                    usable_sums(matrix.levels[light], weights, thresholds)
-                    for matrix, weights in zip(matrices, self.weights, strict=True)
-                ),
-                start=np.zeros(size, np.int64),
-            )
-            for light, size in enumerate(matrices[0].shape)
+            np.sum([usable_sums(matrix.levels[light], weights, thresholds) for matrix, weights in weighted], axis=0)
+            for light in range(len(matrices[0].levels))
         ]
 
     def scores(self, rows: Rows, progress: Share) -> Int64:

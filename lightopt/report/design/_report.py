@@ -245,39 +245,29 @@ def _search(output: DesignOutput) -> list[tuple[str, str]]:
     positions = " × ".join(str(len(angles)) for angles in output.result.all_candidates.angles)
     common = ", all lights at one elevation" * options["common_elevation"]
     common += ", the same for all postures" * options["common_lights"]
-    return [
+    facts = [
         ("positions", f"{positions}, step {options['step_deg']:g}°{common}"),
         ("objectives", ", ".join(options["objectives"])),
         ("defects", "none on the part: scores are of a good part"),
-        *_defects(output, options),
-        *_tolerances(options),
     ]
-
-
-def _defects(output: DesignOutput, options: Mapping[str, Any]) -> list[tuple[str, str]]:
-    if "threshold" not in options:
-        return []
-    entries = build_catalogue(output.result.part)
-    trials = counted(len(defect_hypotheses(entries)), "trial")
-    images = counted(options["min_images"], "image")
-    visible = f"where the level changes by {options['threshold']:g} times the noise or more, in {images} or more"
-    return [
-        ("defects looked for", f"{', '.join(entry.name for entry in entries)}: {trials}"),
-        ("directions of walls", f"{DIRECTIONS}, evenly around"),
-        ("a defect is seen", visible),
-    ]
-
-
-def _tolerances(options: Mapping[str, Any]) -> list[tuple[str, str]]:
-    tolerances = options.get("tolerances")
-    if tolerances is None:
-        return []
-    text = (
-        f"lights {tolerances['light_deg']:g}°, part {tolerances['pose_deg']:g}°; "
-        f"{counted(tolerances['draws'], 'draw')} of seed {tolerances['seed']}; the widest keep "
-        f"{100.0 * tolerances['target']:g} % of the score"
-    )
-    return [("tolerances", text)]
+    if "threshold" in options:
+        entries = build_catalogue(output.result.part)
+        trials = counted(len(defect_hypotheses(entries)), "trial")
+        images = counted(options["min_images"], "image")
+        visible = f"where the level changes by {options['threshold']:g} times the noise or more, in {images} or more"
+        facts += [
+            ("defects looked for", f"{', '.join(entry.name for entry in entries)}: {trials}"),
+            ("directions of walls", f"{DIRECTIONS}, evenly around"),
+            ("a defect is seen", visible),
+        ]
+    if (tolerances := options.get("tolerances")) is not None:
+        text = (
+            f"lights {tolerances['light_deg']:g}°, part {tolerances['pose_deg']:g}°; "
+            f"{counted(tolerances['draws'], 'draw')} of seed {tolerances['seed']}; the widest keep "
+            f"{100.0 * tolerances['target']:g} % of the score"
+        )
+        facts.append(("tolerances", text))
+    return facts
 
 
 def _provenance(output: DesignOutput) -> list[tuple[str, str]]:
