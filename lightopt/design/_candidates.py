@@ -114,8 +114,6 @@ class Candidates:
     names: Of the lights, in the rig's order.
     angles: Per light: (elevation, azimuth) [°], ascending.
     panels: Per light: the panels at these positions, world frame.
-    left_out: Positions within the ranges that are not possible.
-    space: Which combinations are allowed.
     """
 
     names: tuple[str, ...]

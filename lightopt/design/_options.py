@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from lightopt.config import PartConfig, RigConfig, input_hashes, points_problem
@@ -103,13 +103,8 @@ class PlanOptions:
             facts["exposures"] = list(self.exposures)
             facts["exposure_gain"] = self.exposure_gain
         if self.tolerances is not None:
-            facts["tolerances"] = {
-                "light_deg": self.tolerances.light_deg,
-                "pose_deg": self.tolerances.pose_deg,
-                "target": self.tolerances.tolerance_target,
-                "draws": self.tolerances.draws,
-                "seed": self.tolerances.seed,
-            }
+            values = asdict(self.tolerances)
+            facts["tolerances"] = {name.removeprefix("tolerance_"): value for name, value in values.items()}
         return facts
 
 

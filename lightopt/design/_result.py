@@ -36,7 +36,6 @@ NOT_COUNTED = "not counted"  # runner-up and ties where no other combination was
 class ObjectiveResult:
     """The best set of light positions for an objective.
 
-    found: By the search.
     scores: Of the best set under every objective, by name.
     details: What else the objective says of the best set, as JSON.
     nothing: Why there is no best set: no combination scores at all. None where there is one.

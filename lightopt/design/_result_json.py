@@ -45,7 +45,19 @@ def result_document(
             for name, angles in zip(choice.names, choice.angles, strict=True)
         ],
         "left_out": [vars(out) for out in choice.left_out],
-        "results": _set_dicts(result.results, result.candidates),
+        "results": [
+            {
+                "postures": [posture.as_dict() for posture in one.postures],
+                "inspectable_patches": one.patches,
+                "inspectable_area_um2": one.area,
+                "grazing_area_um2": one.grazing_area,
+                "left_out_of_visible_area": round(one.left_out, 6),
+                "grain": round(one.grain, 6),
+                "objectives": [_answer_dict(answer, one, result.candidates) for answer in one.answers],
+                "curves": [curve.as_dict() for curve in one.curves],
+            }
+            for one in result.results
+        ],
         **({} if result.blind is None else {"blind_spots": result.blind.as_dict()}),
         **plan_document(result.plan),
         "rigs": listed["rigs"],
@@ -55,22 +67,6 @@ def result_document(
             {**where, **overlap.as_dict()} for where, overlap in zip(listed["overlaps"], overlaps, strict=True)
         ],
     }
-
-
-def _set_dicts(results: tuple[SetResult, ...], candidates: Candidates) -> list[dict[str, Any]]:
-    return [
-        {
-            "postures": [posture.as_dict() for posture in result.postures],
-            "inspectable_patches": result.patches,
-            "inspectable_area_um2": result.area,
-            "grazing_area_um2": result.grazing_area,
-            "left_out_of_visible_area": round(result.left_out, 6),
-            "grain": round(result.grain, 6),
-            "objectives": [_answer_dict(answer, result, candidates) for answer in result.answers],
-            "curves": [curve.as_dict() for curve in result.curves],
-        }
-        for result in results
-    ]
 
 
 def _answer_dict(answer: ObjectiveResult, result: SetResult, candidates: Candidates) -> dict[str, Any]:

@@ -146,7 +146,6 @@ class ToleranceAnalysis:
     worst_pose, worst_lights: The corner: offsets of the part and of each light [°].
     quantile: 5 % of the draws score this or less.
     least_drawn: The least of the draws.
-    widest: Angle by angle.
     """
 
     lights: tuple[str, ...]

@@ -145,8 +145,6 @@ class LevelThresholds:
 class LuminanceMatrix:
     """Delivered levels of the inspectable patches in one posture (paper, section 5.2, steps 1 and 2).
 
-    Inspectable are those that the camera sees, not at a grazing angle (:data:`lightopt.rendering.GRAZING_DEG`).
-
     levels: One array per light, in the rig's order: quantised levels at exposure 1, shape (candidates of the light,
         p).
     areas: Of the patches [mm²], shape (p,).

@@ -56,23 +56,15 @@ def read_matrix(
             # reading an array leaves the check of its sum out where it stops before the end of its file
             if str(arrays["key"]) != key or arrays.zip.testzip() is not None:
                 return None
-            seen = (
-                None
-                if hypotheses is None
-                else Visibility(
-                    hypotheses=tuple(hypotheses),
-                    words=tuple(arrays[f"defects_{i}"] for i in range(lights)),
-                    areas=arrays["areas_mm2"],
-                    patch=arrays["patch"],
-                    grazing=arrays["grazing"],
+            levels, areas = tuple(arrays[f"light_{i}"] for i in range(lights)), arrays["areas_mm2"]
+            seen = None
+            if hypotheses is not None:
+                words, patch = tuple(arrays[f"defects_{i}"] for i in range(lights)), arrays["patch"]
+                seen = Visibility(
+                    hypotheses=tuple(hypotheses), words=words, areas=areas, patch=patch, grazing=arrays["grazing"]
                 )
-            )
-            return LuminanceMatrix(
-                levels=tuple(arrays[f"light_{i}"] for i in range(lights)),
-                areas=arrays["areas_mm2"],
-                visibility=seen,
-                grazing_mm2=float(arrays["grazing_mm2"]),
-            )
+            grazing_mm2 = float(arrays["grazing_mm2"])
+            return LuminanceMatrix(levels=levels, areas=areas, visibility=seen, grazing_mm2=grazing_mm2)
     except Exception:  # noqa: BLE001 - zip, zlib, NumPy's header and tokenizer each have errors of their own
         return None
 

@@ -81,6 +81,10 @@ def answer_set(
         answers.append(answer)
     first = answers[0]
     best, areas = first.found.best, [matrix.areas for matrix in matrices]
+
+    def score(combination: tuple[int, ...]) -> int:
+        return _score([matrix.combination(combination) for matrix in matrices], first.objective, thresholds)
+
     return SetResult(
         postures=tuple(postures),
         patches=sum(map(len, areas)),
@@ -89,15 +93,7 @@ def answer_set(
         grain=sum(grain_of(own) * float(own.sum()) for own in areas) / sum(float(own.sum()) for own in areas),
         answers=tuple(answers),
         levels=tuple(np.concatenate(matrix.combination(best.candidates).levels) for matrix in matrices),
-        curves=()
-        if first.nothing is not None
-        else score_curves(
-            candidates,
-            best,
-            lambda combination: _score(
-                [matrix.combination(combination) for matrix in matrices], first.objective, thresholds
-            ),
-        ),
+        curves=() if first.nothing is not None else score_curves(candidates, best, score),
     )
 
 
@@ -123,8 +119,7 @@ def search_other_objectives(
 ) -> tuple[SetResult, ...]:
     """The results with the best positions of the other objectives added to those of the first.
 
-    results: Of the first objective, with one position of each light, which was chosen before.
-    candidates: All positions.
+    `candidates` are all positions; `results` have one position of each light, which was chosen before.
     """
     objectives, thresholds, places = source.problem.objectives, source.problem.thresholds, source.problem.options.places
     assert places is not None

@@ -145,7 +145,6 @@ def rank(table: Int64, rows: Rows, usable: Sequence[Int64], *, allowed: Bool | N
     table: Scores, one per combination of `rows`, the last light's varying fastest.
     usable: Sum of usable levels of each candidate of each light, whatever the table's rows.
     allowed: Of the same combinations; None for all.
-    limit: How many to keep.
     """
     scores = table if allowed is None else table[allowed]
     if not len(scores):

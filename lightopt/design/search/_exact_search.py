@@ -39,8 +39,7 @@ class SearchResult:
 
     ranking: The best combinations in order, the first being the optimum; of those evaluated where some are left.
     ties: Number of other combinations with the optimum's score; of those evaluated where some are left.
-    near: Number of other combinations whose score is near the optimum's, ties among them; see
-        :data:`lightopt.design.NEAR_PER_MILLE`.
+    near: Number of other combinations whose score is near the optimum's, ties among them.
     near_exact: Whether `near` is complete: none was left, excluded by a bound, or dropped for memory.
     scored: Combinations that were enumerated.
     excluded: Combinations that a bound shows to be worse than all of the ranking.
