@@ -34,7 +34,6 @@ from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective, area_text, near_meaning, share_text, shares_of
 from lightopt.design.objectives._registry import OBJECTIVES
 from lightopt.design.postures._choice import PostureChoice, PostureRequest
-from lightopt.design.postures._exposures import DEFAULT_EXPOSURE_GAIN
 from lightopt.design.postures._light_positions import place_lights
 from lightopt.design.postures._plan_postures import TargetNotReached
 from lightopt.design.postures._posture_search import choose_postures
@@ -50,7 +49,6 @@ __all__ = [
     "BLIND_CLASSES",
     "BLIND_LIGHTS",
     "BLIND_SHARES_OF",
-    "DEFAULT_EXPOSURE_GAIN",
     "DIRECTIONS",
     "DRAWN_PATCHES",
     "LEFT_OUT_MEANING",

@@ -37,8 +37,7 @@ class OptimizeOptions:
     postures, points: Instead of the part's own; point lights per panel, instead of the rig's.
     patch_budget: About how many patches may be visible.
     images, report: Whether images of the best set and an HTML report are part of the results.
-    rows: Combinations in the ranking, for each posture and objective.
-    limit: Most combinations to score.
+    rows, limit: Combinations in the ranking, for each posture and objective, and most combinations to score.
     places: Elevation and azimuth of each light [°], where they were chosen before for the first objective: then only
         the others are searched.
     """

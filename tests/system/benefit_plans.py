@@ -15,8 +15,9 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import counted as counted_text
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
-from lightopt.design import DEFAULT_EXPOSURE_GAIN, DRAWN_PATCHES, PostureRequest, drawn_patches, find_candidates
+from lightopt.design import DRAWN_PATCHES, PostureRequest, drawn_patches, find_candidates
 from lightopt.design._candidates import Candidates
+from lightopt.design.postures._exposures import DEFAULT_EXPOSURE_GAIN
 from lightopt.design.postures._joint_choice import choose_with_exposures
 from lightopt.design.postures._posture_grid import posture_grid, usable_postures
 from lightopt.scene import PanelLight, build_lights

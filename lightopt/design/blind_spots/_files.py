@@ -41,13 +41,12 @@ class BlindClass:
 
 @dataclass(frozen=True, kw_only=True)
 class LegendRow:
-    """A line of a legend: label, share, the share in words, and the colours that stand for it.
+    """A line of a legend: label, share in words, and the colours that stand for it.
 
     Shares are of the part's surface × defects; what is left out is a share of the whole surface.
     """
 
     label: str
-    share: float
     amount: str
     colours: tuple[Colour, ...]
 
@@ -103,16 +102,15 @@ def blind_legend(spots: BlindSpots) -> tuple[LegendRow, ...]:
     shares[BlindReason.SEEN], shares[BlindReason.GRAZING] = spots.seen, spots.left_out
     for code, share in spots.by_reason().items():
         shares[BlindReason(min(code, BlindReason.SATURATED))] += share
-    rows = [
+    return tuple(
         LegendRow(
             label=blind_class(code).label,
-            share=shares[code],
             amount=share_text(shares[code], spots.grain),
             colours=tuple(one.colour for one in BLIND_CLASSES if one.code == code),
         )
         for code in _COLOURS
-    ]
-    return tuple(row for row in rows if row.share > 0.0 or row is rows[0])
+        if shares[code] > 0.0 or code == BlindReason.SEEN
+    )
 
 
 BLIND_CSV, BLIND_PLY, BLIND_PNG = BLIND_NAMES = "blind.csv", "blind.ply", "blind.png"

@@ -100,9 +100,8 @@ class PostureMatrices:
     reused: int = 0
 
     def __post_init__(self) -> None:
-        problem, self.detection = self.problem, None
-        if problem.defects is not None:
-            self.detection = detection_model_of(problem.scene, problem.part, problem.options)
+        problem, wanted = self.problem, self.problem.defects is not None
+        self.detection = detection_model_of(problem.scene, problem.part, problem.options) if wanted else None
         self._facts = _matrix_facts(problem, self.detection)
         if self.table is not None:
             self._facts["patches"] = hashlib.sha256(self.table.patches.centroids.tobytes()).hexdigest()
