@@ -41,7 +41,7 @@ def show_design(output: design.DesignOutput, *, verbose: bool) -> None:
         if output.overlaps:
             show_overlaps(output.overlaps)
     elif result.blind is not None:
-        _, chosen, _ = result.blind.parts()[0]
+        _, chosen, _ = result.blind.parts[0]
         reasons = "; ".join(
             f"{design.blind_text(code, result.blind.lights)} {design.share_text(share, chosen.grain)}"
             for code, share in sorted(chosen.by_reason().items())
@@ -89,16 +89,15 @@ def _show_best(found: design.DesignResult, *, verbose: bool) -> None:
 def _cells(answer: design.ObjectiveResult, result: design.SetResult, found: design.DesignResult) -> list[str]:
     from lightopt import design
 
-    best = answer.found
-    counted_text = design.combinations_counted_text(answer)
+    best, counted_text = answer.found, answer.combinations_text
     if answer.nothing is not None:
         blank = ["-"] * (len(found.candidates.names) + len(result.answers))
-        return [*blank, design.left_out_text(result), "-", "all 0", "all 0", counted_text]
+        return [*blank, result.left_out_text, "-", "all 0", "all 0", counted_text]
     angles = [f"{elevation:g}°, {azimuth:g}°" for elevation, azimuth in design.angles_of(found.candidates, best.best)]
     objectives = {other.objective.name: other.objective for other in result.answers}
-    scores = [design.score_text(value, objectives[name], result) for name, value in answer.scores.items()]
-    counts = [design.gap_text(answer, result), design.ties_text(answer), design.near_text(answer), counted_text]
-    return [*angles, *scores, design.left_out_text(result), *counts]
+    scores = [result.score_text(value, objectives[name]) for name, value in answer.scores.items()]
+    counts = [result.gap_text(answer), answer.ties_text, answer.near_text, counted_text]
+    return [*angles, *scores, result.left_out_text, *counts]
 
 
 def show_overlaps(overlaps: Sequence[Overlap]) -> None:

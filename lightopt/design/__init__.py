@@ -11,22 +11,17 @@ from lightopt.design._candidates import find_candidates
 from lightopt.design._files import DesignOutput, finish_design, write_design
 from lightopt.design._optimize import optimize
 from lightopt.design._options import OptimizeOptions, PlanOptions
-from lightopt.design._result import DesignResult, ObjectiveResult, PlanResult, SetResult, angles_of
+from lightopt.design._result import LEFT_OUT_MEANING, DesignResult, ObjectiveResult, PlanResult, SetResult, angles_of
 from lightopt.design._result_json import plan_document
-from lightopt.design._texts import (
-    LEFT_OUT_MEANING,
-    combinations_counted_text,
-    gap_text,
-    left_out_text,
-    near_meaning,
-    near_text,
-    score_text,
-    shares_of,
-    shown_text,
-    ties_text,
-)
 from lightopt.design._tolerances import PairAssessment, Setup, Tolerances, analyse_tolerances
-from lightopt.design.blind_spots._blind_spots import BlindReason, BlindSpots, blind_text
+from lightopt.design.blind_spots._blind_spots import (
+    BLIND_LIGHTS,
+    BLIND_SHARES_OF,
+    BlindReason,
+    BlindSpots,
+    BlindSpotSummary,
+    blind_text,
+)
 from lightopt.design.blind_spots._files import (
     BLIND_CLASSES,
     LegendRow,
@@ -35,12 +30,10 @@ from lightopt.design.blind_spots._files import (
     blind_colours,
     blind_legend,
 )
-from lightopt.design.blind_spots._summary import BLIND_LIGHTS, BLIND_SHARES_OF, BlindSpotSummary
 from lightopt.design.objectives._detectability import DetectabilityObjective
-from lightopt.design.objectives._objective import Objective, area_text, share_of_whole, share_text
+from lightopt.design.objectives._objective import Objective, area_text, near_meaning, share_text, shares_of
 from lightopt.design.objectives._registry import OBJECTIVES
 from lightopt.design.postures._choice import PostureChoice, PostureRequest
-from lightopt.design.postures._exposures import DEFAULT_EXPOSURE_GAIN
 from lightopt.design.postures._light_positions import place_lights
 from lightopt.design.postures._plan_postures import TargetNotReached
 from lightopt.design.postures._posture_search import choose_postures
@@ -56,7 +49,6 @@ __all__ = [
     "BLIND_CLASSES",
     "BLIND_LIGHTS",
     "BLIND_SHARES_OF",
-    "DEFAULT_EXPOSURE_GAIN",
     "DIRECTIONS",
     "DRAWN_PATCHES",
     "LEFT_OUT_MEANING",
@@ -99,27 +91,19 @@ __all__ = [
     "blind_legend",
     "blind_text",
     "choose_postures",
-    "combinations_counted_text",
     "counts_of_images",
     "defect_hypotheses",
     "drawn_patches",
     "find_candidates",
     "finish_design",
-    "gap_text",
-    "left_out_text",
     "luminance_matrix",
     "near_meaning",
-    "near_text",
     "optimize",
     "place_lights",
     "plan_document",
-    "score_text",
     "search",
-    "share_of_whole",
     "share_text",
     "shares_of",
-    "shown_text",
-    "ties_text",
     "unpack_flags",
     "write_design",
 ]

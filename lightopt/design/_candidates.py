@@ -66,23 +66,17 @@ def common_elevations(rig: RigConfig, *, step_deg: float) -> list[float] | None:
 
     Raises InputError: Ranges that do not overlap.
     """
-    movable = [light for light in rig.lights if light.elevation_range_deg is not None]
+    movable = [(light.elevation_range_deg, light.name) for light in rig.lights if light.elevation_range_deg is not None]
     if not movable:
         return None
-    highest_low = max(movable, key=lambda light: _ends(light)[0])
-    lowest_high = min(movable, key=lambda light: _ends(light)[1])
-    low, high = _ends(highest_low)[0], _ends(lowest_high)[1]
+    (low, _), highest = max(movable, key=lambda light: light[0][0])
+    (_, high), lowest = min(movable, key=lambda light: light[0][1])
     if low > high:
         raise InputError(
-            f"{rig.source.at('lights')}: option 'common_elevation': {highest_low.name} stays at {low:g}° or above and "
-            f"{lowest_high.name} at {high:g}° or below, so that there is no elevation for both; widen a range"
+            f"{rig.source.at('lights')}: option 'common_elevation': {highest} stays at {low:g}° or above and {lowest} "
+            f"at {high:g}° or below, so that there is no elevation for both; widen a range"
         )
     return _steps((low, high), low, step_deg)
-
-
-def _ends(light: LightConfig) -> tuple[float, float]:
-    assert light.elevation_range_deg is not None
-    return light.elevation_range_deg
 
 
 def _steps(ends: tuple[float, float] | None, now: float, step: float) -> list[float]:
@@ -120,8 +114,6 @@ class Candidates:
     names: Of the lights, in the rig's order.
     angles: Per light: (elevation, azimuth) [°], ascending.
     panels: Per light: the panels at these positions, world frame.
-    left_out: Positions within the ranges that are not possible.
-    space: Which combinations are allowed.
     """
 
     names: tuple[str, ...]
@@ -129,6 +121,13 @@ class Candidates:
     panels: tuple[tuple[PanelLight, ...], ...]
     left_out: tuple[ExcludedPosition, ...]
     space: CombinationSpace
+
+    @property
+    def message(self) -> str:
+        """How many positions and combinations there are to choose from."""
+        sizes = self.space.sizes
+        count = counted(math.prod(sizes), "combination")
+        return f"{' × '.join(map(str, sizes))} positions of {', '.join(self.names)}: {count} at most"
 
     def panels_at(self, combination: Sequence[int]) -> tuple[PanelLight, ...]:
         """The panels for one position index per light."""

@@ -1,8 +1,7 @@
 """The files of a design: result.json, ranking.csv, rigs with the new angles, images, overlap maps, blind spots.
 
-Rig and part files are the user's own text with new angles and postures, comments kept. :func:`write_design` writes all
-but the report, which shows what is written, and result.json, which says that all is there; :func:`finish_design` writes
-these.
+Rig and part files are the user's own text with new angles and postures, comments kept. The report shows what is
+written, and result.json says that all is there: :func:`finish_design` writes these two.
 """
 
 import json
@@ -95,8 +94,7 @@ def _edited(config: RigConfig | PartConfig, kind: str, what: str, edit: Callable
 def planned_part_text(part: PartConfig, postures: Sequence[Posture], *, folder: Path, comment: str) -> str:
     """Text of a part file with other postures, below a comment; the mesh is named relative to `folder`.
 
-    Raises InputError: The part was not read from a file, or its file is written so that its postures cannot be
-        replaced.
+    Raises InputError: The part was not read from a file, or its postures cannot be replaced in it.
     """
     entries = [
         f"{{elevation_deg: {degrees_text(p.elevation_deg)}, rotation_deg: {degrees_text(p.rotation_deg)}}}"
@@ -115,7 +113,6 @@ class DesignOutput:
 
     document: What result.json will say.
     overlaps: Saturated regions of the images, in the order of the postures.
-    warnings: Of the design and of the rendering.
     paths: result.json, ranking.csv, further files, rigs, report: those to come, too.
     force: Whether files that are there and differ are replaced.
     replace_report: Whether a report that is there is replaced.
@@ -164,9 +161,7 @@ def write_design(
         _write(folder / name, content, force)
     overlaps: list[Overlap] = []
     for images in sets:
-        _render(images, result, force, run)
-        if listed["overlaps"]:
-            overlaps += _write_overlaps(folder / images.folder, images, force)
+        overlaps += _render(images, result, force, run)
     return DesignOutput(
         result=result,
         document=result_document(result, listed, overlaps),
@@ -259,12 +254,13 @@ def _listed(rigs: Sequence[RigFile], sets: Sequence[_Images], *, overlaps: bool)
     }
 
 
-def _render(images: _Images, result: DesignResult, force: bool, run: RunContext) -> None:
-    options = result.options
+def _render(images: _Images, result: DesignResult, force: bool, run: RunContext) -> list[Overlap]:
+    # returns overlaps in the order in which they are listed; of one light there are none
+    options, folder = result.options, result.folder / images.folder
     render_image_set(
         load_rig(result.folder / images.rig),
         result.part,
-        result.folder / images.folder,
+        folder,
         options=RenderOptions(
             postures=images.postures,
             exposures=images.exposures,
@@ -276,10 +272,8 @@ def _render(images: _Images, result: DesignResult, force: bool, run: RunContext)
         force=force,
         run=RunContext(threads=run.threads, warn=run.warn),
     )
-
-
-def _write_overlaps(folder: Path, images: _Images, force: bool) -> list[Overlap]:
-    # in the order in which they are listed
+    if len(result.candidates.names) == 1:
+        return []
     found = {(overlap.posture, overlap.exposure): overlap for overlap in find_overlaps(read_image_set(folder))}
     overlaps = [found[posture, exposure] for posture in images.postures for exposure in images.exposures]
     for overlap in overlaps:

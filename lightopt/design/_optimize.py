@@ -5,35 +5,48 @@ exposures, tolerances, blind spots.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from lightopt.config import PartConfig, RigConfig, load_part, load_rig
-from lightopt.core.errors import InputError
+from lightopt.core.errors import InputError, counted
 from lightopt.core.run_context import RunContext
-from lightopt.design._candidates import Candidates, can_move, find_candidates
-from lightopt.design._checks import check_request
-from lightopt.design._commands import command_text, plan_commands
-from lightopt.design._files import check_editable
-from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, known_provenance, run_provenance
+from lightopt.design._candidates import Candidates, can_move
+from lightopt.design._commands import HOME, command_text, plan_commands
+from lightopt.design._files import check_editable, planned_part_text
+from lightopt.design._options import (
+    DEFECT_OBJECTIVE,
+    OptimizeOptions,
+    PlanOptions,
+    check_options,
+    known_provenance,
+    run_provenance,
+)
 from lightopt.design._previous_result import refuse_other_result
-from lightopt.design._problem import Problem, candidates_of, detection_model_of
+from lightopt.design._problem import Problem, candidates_in, candidates_of, detection_model_of
 from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult, ToleranceResult, angles_of
-from lightopt.design._texts import combinations_text
-from lightopt.design._tolerances import ObjectiveAssessment, PairAssessment, Setup, Tolerances, analyse_tolerances
-from lightopt.design.blind_spots._summary import BlindSpotSummary, PostureVisibility, planned_visibility
+from lightopt.design._tolerances import (
+    ObjectiveAssessment,
+    PairAssessment,
+    Setup,
+    Tolerances,
+    analyse_tolerances,
+    check_light_count,
+)
+from lightopt.design.blind_spots._blind_spots import BlindSpotSummary, PostureVisibility, planned_visibility
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
-from lightopt.design.objectives._registry import objectives_named
+from lightopt.design.objectives._registry import OBJECTIVES, objectives_named
 from lightopt.design.postures._exposures import plan_exposures
 from lightopt.design.postures._plan_postures import plan_postures, planned_answers, with_chosen
+from lightopt.design.postures._posture_grid import posture_grid
 from lightopt.design.responses._defect_hypotheses import defect_hypotheses
 from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.design.responses._posture_matrices import PostureMatrices
 from lightopt.design.search._best_positions import candidates_of_others, search_objectives, search_other_objectives
 from lightopt.rendering import cast_rays_at, refuse_unusable_scene
-from lightopt.scene import Scene, build_catalogue, build_scene, coarse_warnings
+from lightopt.scene import build_catalogue, build_scene, coarse_warnings
 
 
 def optimize(
@@ -58,7 +71,7 @@ def optimize(
     part = part if isinstance(part, PartConfig) else load_part(part)
     options, plan, run = options or OptimizeOptions(), plan or PlanOptions(), run or RunContext()
     folder = Path(folder)
-    check_request(rig, part, options, plan, folder)
+    _check_request(rig, part, options, plan, folder)
     command = command_text(rig.source.path, part.source.path, options, plan)
 
     chosen = None
@@ -71,24 +84,23 @@ def optimize(
     problem = _state_problem(rig, part, options, plan, None if force else folder, run)
     table = None if chosen is None else chosen.evaluator.table_of(chosen.way.order)
     matrices = PostureMatrices(problem, folder, run, table)
-    found = _search(problem, matrices, run)
+    results, candidates, visibility = _search(matrices)
     if chosen is not None:
         # one set of lights for all postures is one result: the same positions, scored by all planned images together
         free, progress = candidates_of(rig, options), run.stage("the score along each angle")
-        result = planned_answers(found.results[0], chosen, found.candidates, free, progress)
-        found = replace(found, results=(result,))
+        results = (planned_answers(results[0], chosen, candidates, free, progress),)
 
-    planned, visibility = _complete(problem, matrices, found, plan, chosen, run)
+    planned, seen = _complete(matrices, results, candidates, plan, chosen)
     blind = None
     if problem.defects is not None:
         areas = matrices.patches().patches.areas
-        blind = BlindSpotSummary.of(visibility, areas, problem.defects, found.candidates.names)
+        blind = BlindSpotSummary.of(seen or visibility, areas, problem.defects, candidates.names)
     return DesignResult(
-        **vars(replace(problem, candidates=found.candidates)),
+        **vars(replace(problem, candidates=candidates)),
         folder=folder,
         command=command,
         patches=matrices.table,
-        results=found.results,
+        results=results,
         plan=planned,
         blind=blind,
         reused=matrices.reused,
@@ -96,22 +108,67 @@ def optimize(
     )
 
 
+def _check_request(rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, folder: Path) -> None:
+    """Refuse options that are out of range, contradict each other, or do not go with the rig and the part."""
+    check_options(options, plan)
+    _check_image_count(rig, part, options, plan)
+    if plan.tolerances is not None:
+        check_light_count(len(rig.lights))
+    if plan.chooses or plan.exposures:
+        planned_part_text(part, [HOME], folder=folder, comment="")
+    if plan.chooses:
+        _check_choice_of_postures(rig, options, plan)
+
+
+def _check_image_count(rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions) -> None:
+    # no defect can be seen in more images than there are
+    if plan.chooses:
+        available = len(posture_grid(rig, part, step_deg=plan.posture_step_deg))
+        most = min(available, plan.choose_postures or available)
+        images = len(rig.lights) * most
+        what = f"images of the plan: {counted(len(rig.lights), 'light')} × {counted(most, 'posture')} at most"
+    elif plan.exposures:
+        postures = options.postures or part.postures
+        images = len(rig.lights) * len(postures)
+        of = f"{counted(len(rig.lights), 'light')} × {counted(len(postures), 'posture')}"
+        what = f"images of the plan: {of}, further exposures of the same light not being others"
+    else:
+        return
+    if options.min_images > images:
+        raise InputError(
+            f"option 'min_images': expected at most {images}, the number of {what}; found {options.min_images}; "
+            "lower it"
+        )
+
+
+def _check_choice_of_postures(rig: RigConfig, options: OptimizeOptions, plan: PlanOptions) -> None:
+    refusals = [OBJECTIVES[name].refusal(len(rig.lights)) for name in options.objectives if name in OBJECTIVES]
+    problems = [text for text in refusals if text is not None]
+    if options.postures is not None:
+        given = " and ".join(
+            name
+            for name, value in (("option 'choose_postures'", plan.choose_postures), ("option 'target'", plan.target))
+            if value is not None
+        )
+        problems.append(
+            f"option 'postures': given together with {given}, by which postures are chosen from the stage's range; "
+            f"leave option 'postures' out, or {given}"
+        )
+    if options.objectives and options.objectives[0] != DEFECT_OBJECTIVE:
+        problems.append(
+            "option 'objectives': postures are chosen by what they show of the defects: expected "
+            f"{DEFECT_OBJECTIVE} first, "
+            f'found "{options.objectives[0]}"'
+        )
+    if problems:
+        raise InputError(*problems)
+
+
 def _state_problem(
     rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, folder: Path | None, run: RunContext
 ) -> Problem:
     """Build the scene and the candidates; `folder` must hold no other result, None where it may."""
-
-    def candidates_in(scene: Scene | None, places: Sequence[tuple[float, float]] | None) -> Candidates:
-        return find_candidates(
-            rig,
-            step_deg=options.step_deg,
-            common_elevation=options.common_elevation,
-            points=options.points,
-            places=places,
-            scene=scene,
-        )
-
-    candidates_in(None, options.places)  # errors in the rig alone come before the part is loaded
+    candidates_in(None, rig, options, options.places)  # errors in the rig alone come before the part is loaded
     check_editable(rig)
     objectives = _objectives(rig, part, options, run)
     scene = build_scene(rig, part, postures=options.postures, points=options.points, defects=False)
@@ -123,9 +180,9 @@ def _state_problem(
     # a light that moves may find its way out of the part: only its candidates count
     fixed = tuple(panel for panel, light in zip(scene.lights, rig.lights, strict=True) if not can_move(light))
     refuse_unusable_scene(replace(scene, lights=fixed), rig, part, caster)
-    candidates = all_candidates = candidates_in(scene, options.places)
+    candidates = all_candidates = candidates_in(scene, rig, options, options.places)
     if options.places is not None and any(map(can_move, rig.lights)):
-        all_candidates = candidates_in(scene, None)
+        all_candidates = candidates_in(scene, rig, options)
     run.warn(*scene.warnings, *coarse_warnings(scene.lights, scene.reflectance.sigma))
     return Problem(
         rig=rig,
@@ -159,49 +216,39 @@ def _objectives(rig: RigConfig, part: PartConfig, options: OptimizeOptions, run:
     return possible
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Found:
-    """Best positions, the candidates that they are indices into, and what the best images show of defects."""
-
-    results: tuple[SetResult, ...]
-    candidates: Candidates
-    visibility: Sequence[PostureVisibility]
-
-
-def _search(problem: Problem, matrices: PostureMatrices, run: RunContext) -> _Found:
-    """The best positions for every objective, exactly."""
-    objectives, options = problem.objectives, problem.options
+def _search(matrices: PostureMatrices) -> tuple[tuple[SetResult, ...], Candidates, Sequence[PostureVisibility]]:
+    """Best positions for every objective, the candidates that they are indices into, and what their images show."""
+    problem, run = matrices.problem, matrices.run
     free = candidates_of_others(matrices)
-    if free is not None or options.places is None:
-        run.inform(combinations_text(free or problem.candidates))
-    first = objectives if free is None else objectives[:1]
+    if free is not None or problem.options.places is None:
+        run.inform((free or problem.candidates).message)
+    first = problem.objectives if free is None else problem.objectives[:1]
     results, visibility = search_objectives(matrices, first)
     if free is not None:
         results = search_other_objectives(matrices, free, results)
-    if options.report:
+    if problem.options.report:
         matrices.patches()
     if matrices.coarse_warning is not None:
         run.warn(matrices.coarse_warning)
-    return _Found(results=results, candidates=free or problem.candidates, visibility=visibility)
+    return results, free or problem.candidates, visibility
 
 
 def _complete(
-    problem: Problem,
     matrices: PostureMatrices,
-    found: _Found,
+    results: Sequence[SetResult],
+    candidates: Candidates,
     plan: PlanOptions,
     chosen: ChosenPostures | None,
-    run: RunContext,
 ) -> tuple[PlanResult, Sequence[PostureVisibility]]:
-    """Exposures and tolerances of the best positions, and what all images of the plan show of defects."""
+    """Exposures and tolerances of the best positions; and what the planned images show of defects, if that is more."""
+    problem, options, run = matrices.problem, matrices.problem.options, matrices.run
     requested = chosen is not None or plan.exposures or plan.tolerances is not None
-    if not requested or any(result.answers[0].nothing is not None for result in found.results):
-        return PlanResult(chosen=chosen), found.visibility
-    options = problem.options
+    if not requested or any(result.answers[0].nothing is not None for result in results):
+        return PlanResult(chosen=chosen), ()
     # the lights where they are best for the first objective in each posture, at exposure 1
     angles = {
-        posture: angles_of(found.candidates, result.answers[0].found.best)
-        for result in found.results
+        posture: angles_of(candidates, result.answers[0].found.best)
+        for result in results
         for posture in result.postures
     }
     lights = Setup(
@@ -211,7 +258,7 @@ def _complete(
         exposures=((1.0,),) * len(angles),
         points=options.points,
     )
-    brackets, tolerances = None if chosen is None else chosen.brackets, ()
+    brackets, tolerances = None if chosen is None else chosen.choice.brackets, ()
     # all shares are of the surface that the postures were chosen on
     evaluator = matrices.evaluator(detection_model_of(problem.scene, problem.part, options))
     shares_on = evaluator if chosen is None else chosen.evaluator
@@ -229,19 +276,18 @@ def _complete(
     if brackets is not None:
         lights = replace(lights, exposures=tuple(map(brackets.of, lights.postures)))
     if plan.tolerances is not None:
-        objective = found.results[0].answers[0].objective
+        objective = results[0].answers[0].objective
         tolerances = _placed_tolerances(lights, shares_on, plan.tolerances, objective, problem, run)
     if chosen is None and brackets is None:
-        return PlanResult(tolerances=tolerances), found.visibility
+        return PlanResult(tolerances=tolerances), ()
     commands = plan_commands(lights, options)
     planned = PlanResult(chosen=chosen, brackets=brackets, tolerances=tolerances, commands=commands)
     if problem.defects is None:
-        return planned, found.visibility
-    candidates = found.candidates if chosen is None else candidates_of(problem.rig, options)
+        return planned, ()
     visibility = planned_visibility(
         evaluator,
         lights,
-        candidates,
+        candidates if chosen is None else candidates_of(problem.rig, options),
         all_exposures=plan.all_exposures,
         thresholds=problem.thresholds,
         least=options.min_images,

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from lightopt.config import PartConfig, RigConfig, input_hashes, points_problem
@@ -37,8 +37,7 @@ class OptimizeOptions:
     postures, points: Instead of the part's own; point lights per panel, instead of the rig's.
     patch_budget: About how many patches may be visible.
     images, report: Whether images of the best set and an HTML report are part of the results.
-    rows: Combinations in the ranking, for each posture and objective.
-    limit: Most combinations to score.
+    rows, limit: Combinations in the ranking, for each posture and objective, and most combinations to score.
     places: Elevation and azimuth of each light [°], where they were chosen before for the first objective: then only
         the others are searched.
     """
@@ -103,13 +102,8 @@ class PlanOptions:
             facts["exposures"] = list(self.exposures)
             facts["exposure_gain"] = self.exposure_gain
         if self.tolerances is not None:
-            facts["tolerances"] = {
-                "light_deg": self.tolerances.light_deg,
-                "pose_deg": self.tolerances.pose_deg,
-                "target": self.tolerances.tolerance_target,
-                "draws": self.tolerances.draws,
-                "seed": self.tolerances.seed,
-            }
+            values = asdict(self.tolerances)
+            facts["tolerances"] = {name.removeprefix("tolerance_"): value for name, value in values.items()}
         return facts
 
 

@@ -1,11 +1,11 @@
 """What a design is searched for: a rig and a part as a scene, objectives, and candidate positions of the lights."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.design._candidates import Candidates, can_move, find_candidates
+from lightopt.design._candidates import Angles, Candidates, can_move, find_candidates
 from lightopt.design._options import OptimizeOptions
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
@@ -55,8 +55,18 @@ def detection_model_of(scene: Scene, part: PartConfig, options: OptimizeOptions)
 
 def candidates_of(rig: RigConfig, options: OptimizeOptions) -> Candidates | None:
     """The positions that the lights are chosen from; None where no light moves."""
-    if not any(map(can_move, rig.lights)):
-        return None
+    return candidates_in(None, rig, options) if any(map(can_move, rig.lights)) else None
+
+
+def candidates_in(
+    scene: Scene | None, rig: RigConfig, options: OptimizeOptions, places: Sequence[Angles] | None = None
+) -> Candidates:
+    """The same, without positions inside the scene's part; or `places`, one position of each light."""
     return find_candidates(
-        rig, step_deg=options.step_deg, common_elevation=options.common_elevation, points=options.points
+        rig,
+        step_deg=options.step_deg,
+        common_elevation=options.common_elevation,
+        points=options.points,
+        places=places,
+        scene=scene,
     )

@@ -11,8 +11,8 @@ from lightopt.design._commands import Command, Way
 from lightopt.design._options import PlanOptions
 from lightopt.design._problem import Problem
 from lightopt.design._tolerances import ToleranceAnalysis
-from lightopt.design.blind_spots._summary import BlindSpotSummary
-from lightopt.design.objectives._objective import Objective
+from lightopt.design.blind_spots._blind_spots import BlindSpotSummary
+from lightopt.design.objectives._objective import Objective, share_text
 from lightopt.design.postures._choice import PostureChoice
 from lightopt.design.postures._exposures import Brackets
 from lightopt.design.postures._posture_grid import ExcludedPosture
@@ -23,12 +23,19 @@ from lightopt.design.search._curves import Curve
 from lightopt.design.search._exact_search import SearchResult
 from lightopt.rendering import GRAZING_DEG, PatchTable
 
+LEFT_OUT_MEANING = (
+    f"left out: of the surface that the camera sees, what it sees at more than {GRAZING_DEG:g}° to the normal; it "
+    "counts neither as covered nor as uncovered"
+)
+"""What the share that is left out is."""
+
+NOT_COUNTED = "not counted"  # runner-up and ties where no other combination was scored
+
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectiveResult:
     """The best set of light positions for an objective.
 
-    found: By the search.
     scores: Of the best set under every objective, by name.
     details: What else the objective says of the best set, as JSON.
     nothing: Why there is no best set: no combination scores at all. None where there is one.
@@ -42,6 +49,25 @@ class ObjectiveResult:
     details: Mapping[str, Any] = field(default_factory=dict[str, Any])
     nothing: str | None = None
     proven_of: str | None = None
+
+    @property
+    def ties_text(self) -> str:
+        """How many other combinations share the optimum's score; not counted for a set that was chosen before."""
+        return NOT_COUNTED if self.proven_of else f"{'' if self.found.complete else '≥ '}{self.found.ties:,}"
+
+    @property
+    def near_text(self) -> str:
+        """How many other combinations score nearly as much; not counted for a set that was chosen before."""
+        return NOT_COUNTED if self.proven_of else f"{'' if self.found.near_exact else '≥ '}{self.found.near:,}"
+
+    @property
+    def combinations_text(self) -> str:
+        """How many combinations were scored, excluded by a bound, and left; not of a set that was chosen before."""
+        if self.proven_of is not None:
+            return NOT_COUNTED
+        found = self.found
+        text = f"{found.scored:,}" + (f" + {found.excluded:,} by bound" if found.excluded else "")
+        return text + (f", {found.left:,} left" if found.left else "")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,22 +99,44 @@ class SetResult:
         """Of the surface that the camera sees, the share that it sees at a grazing angle."""
         return self.grazing_area / max(1, self.area + self.grazing_area)
 
+    @property
+    def left_out_text(self) -> str:
+        """The same to the digits that the patches support; see :data:`LEFT_OUT_MEANING`."""
+        return share_text(self.left_out, self.grain)
+
+    def format_score(self, value: int, objective: Objective) -> str:
+        """A score of this result with its unit, to the digits that its patches support."""
+        return objective.format_score(value, self.grain * self.area)
+
+    def score_text(self, value: int, objective: Objective) -> str:
+        """The same, and as a share of the inspectable area where it is one."""
+        share = objective.share_of_whole(value, self.area)
+        text = self.format_score(value, objective)
+        return text + ("" if share is None else f" ({share_text(share, self.grain)})")
+
+    def gap_text(self, answer: ObjectiveResult) -> str:
+        """By how much the runner-up scores less; of the combinations scored (≥) where some are left."""
+        found = answer.found
+        if answer.proven_of is not None:
+            return NOT_COUNTED
+        if found.gap is None:
+            return "-"
+        gap = self.format_score(found.gap, answer.objective)
+        if not found.gap:
+            return "equal"
+        # a gap below the patches' grain is that small whatever is left
+        return gap if gap.startswith("<") else f"{'' if found.complete else '≥ '}−{gap}"
+
 
 def angles_of(candidates: Candidates, ranked: Ranked) -> tuple[tuple[float, float], ...]:
     """Elevation and azimuth of each light in a combination [°]."""
     return tuple(angles[k] for angles, k in zip(candidates.angles, ranked.candidates, strict=True))
 
 
-# what the shares of a plan are shares of
-SHARES_OF = (
-    f"the surface that the camera sees in any posture to choose from at up to {GRAZING_DEG:g}° to its normal × "
-    "defects by weight"
-)
-
-# the same of exposures for a part's own postures
-OWN_SHARES_OF = (
-    f"the surface that the camera sees in any of the postures at up to {GRAZING_DEG:g}° to its normal × defects by "
-    "weight"
+# what the shares of a plan are shares of, and those of exposures for a part's own postures
+SHARES_OF, OWN_SHARES_OF = (
+    f"the surface that the camera sees in any {which} at up to {GRAZING_DEG:g}° to its normal × defects by weight"
+    for which in ("posture to choose from", "of the postures")
 )
 
 NEGLIGIBLE_SHARE = 0.001  # of the pairs: what further postures add together that is too little for an image
@@ -98,15 +146,12 @@ NEGLIGIBLE_SHARE = 0.001  # of the pairs: what further postures add together tha
 class ChosenPostures:
     """The postures of a plan, and what there was to choose from.
 
-    choice: Postures and lights.
     evaluator: All postures to choose from, and the patches for the last iterations and all figures.
     drawn: Number of patches for the first iterations.
     left_out: Postures that the stage reaches and that are of no use.
     way: Through the chosen ones, were all captured in one round.
     pace: How fast the stage goes, and who says so.
     least: Images that must show a pair.
-    plan: What was requested.
-    brackets: Which exposures are planned; None where there were no others to choose from.
     """
 
     choice: PostureChoice
@@ -117,11 +162,6 @@ class ChosenPostures:
     pace: str
     least: int
     plan: PlanOptions
-    brackets: Brackets | None
-
-    def exposures_of(self, posture: Posture) -> tuple[float, ...]:
-        """Planned exposures of a posture, the longest first."""
-        return (1.0,) if self.brackets is None else self.brackets.of(posture)
 
     @property
     def proven(self) -> bool:
@@ -170,21 +210,14 @@ class PlanResult:
         """Planned exposures of a posture, the longest first."""
         return (1.0,) if self.brackets is None else self.brackets.of(posture)
 
-    @property
-    def shares_of(self) -> str:
-        """What the shares of exposures and postures are shares of."""
-        return OWN_SHARES_OF if self.chosen is None else SHARES_OF
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DesignResult(Problem):
     """Best light positions for a part, and what was planned beside them; `candidates` are those of `results`.
 
-    folder: Output folder.
     command: The command line that asks for this result.
     patches: None where all matrices came from the cache and there is no report.
     results: One per posture, or one for all of them.
-    plan: Postures, exposures, tolerances, commands.
     blind: Blind spots, where images are tested for defects.
     reused: Number of luminance matrices read from the cache.
     warnings: What was repaired or is partly wrong.

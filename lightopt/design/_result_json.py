@@ -9,6 +9,7 @@ from lightopt.core.arrays import Bool
 from lightopt.design._candidates import Candidates
 from lightopt.design._commands import Way
 from lightopt.design._result import (
+    OWN_SHARES_OF,
     SHARES_OF,
     ChosenPostures,
     DesignResult,
@@ -18,9 +19,8 @@ from lightopt.design._result import (
     ToleranceResult,
     angles_of,
 )
-from lightopt.design.objectives._objective import NEAR_PER_MILLE, share_of_whole
+from lightopt.design.objectives._objective import NEAR_PER_MILLE
 from lightopt.design.postures._exposures import Brackets
-from lightopt.design.search._combinations import Ranked
 from lightopt.images import Overlap
 
 # what the share of the initial light positions is of
@@ -45,7 +45,19 @@ def result_document(
             for name, angles in zip(choice.names, choice.angles, strict=True)
         ],
         "left_out": [vars(out) for out in choice.left_out],
-        "results": _set_dicts(result.results, result.candidates),
+        "results": [
+            {
+                "postures": [posture.as_dict() for posture in one.postures],
+                "inspectable_patches": one.patches,
+                "inspectable_area_um2": one.area,
+                "grazing_area_um2": one.grazing_area,
+                "left_out_of_visible_area": round(one.left_out, 6),
+                "grain": round(one.grain, 6),
+                "objectives": [_answer_dict(answer, one, result.candidates) for answer in one.answers],
+                "curves": [curve.as_dict() for curve in one.curves],
+            }
+            for one in result.results
+        ],
         **({} if result.blind is None else {"blind_spots": result.blind.as_dict()}),
         **plan_document(result.plan),
         "rigs": listed["rigs"],
@@ -55,22 +67,6 @@ def result_document(
             {**where, **overlap.as_dict()} for where, overlap in zip(listed["overlaps"], overlaps, strict=True)
         ],
     }
-
-
-def _set_dicts(results: tuple[SetResult, ...], candidates: Candidates) -> list[dict[str, Any]]:
-    return [
-        {
-            "postures": [posture.as_dict() for posture in result.postures],
-            "inspectable_patches": result.patches,
-            "inspectable_area_um2": result.area,
-            "grazing_area_um2": result.grazing_area,
-            "left_out_of_visible_area": round(result.left_out, 6),
-            "grain": round(result.grain, 6),
-            "objectives": [_answer_dict(answer, result, candidates) for answer in result.answers],
-            "curves": [curve.as_dict() for curve in result.curves],
-        }
-        for result in results
-    ]
 
 
 def _answer_dict(answer: ObjectiveResult, result: SetResult, candidates: Candidates) -> dict[str, Any]:
@@ -86,20 +82,28 @@ def _answer_dict(answer: ObjectiveResult, result: SetResult, candidates: Candida
     facts: dict[str, Any] = {"objective": answer.objective.name, "unit": answer.objective.unit}
     if answer.nothing is not None:
         return {**facts, "lights": None, "score": 0, "reason": answer.nothing, "combinations": combinations}
-    share = share_of_whole(answer.objective, found.best.score, result.area)
+    near = None
+    if answer.proven_of is None:
+        near = {
+            "combinations": found.near,
+            "at_least": not found.near_exact,
+            "within": NEAR_PER_MILLE / 1000,
+            "of": "the best score" if answer.objective.share_of is None else "the inspectable area",
+        }
+    share = answer.objective.share_of_whole(found.best.score, result.area)
     return {
         **facts,
-        "lights": _lights(candidates, found.best),
+        "lights": _lights(candidates.names, angles_of(candidates, found.best)),
         "score": found.best.score,
         "share_of_inspectable_area": None if share is None else round(share, 6),
         "share_of": answer.objective.share_of,
         "usable_sum": found.best.usable,
         "runner_up": None
         if runner_up is None
-        else {"lights": _lights(candidates, runner_up), "score": runner_up.score},
+        else {"lights": _lights(candidates.names, angles_of(candidates, runner_up)), "score": runner_up.score},
         "gap": found.gap,
         "ties": found.ties if answer.proven_of is None else None,
-        "near_best": None if answer.proven_of is not None else _near_dict(answer),
+        "near_best": near,
         "combinations": combinations if answer.proven_of is None else None,
         "bound": found.bound,
         "proven": found.proven,
@@ -109,21 +113,10 @@ def _answer_dict(answer: ObjectiveResult, result: SetResult, candidates: Candida
     }
 
 
-def _near_dict(answer: ObjectiveResult) -> dict[str, Any]:
-    found = answer.found
-    points = answer.objective.share_of is not None
-    return {
-        "combinations": found.near,
-        "at_least": not found.near_exact,
-        "within": NEAR_PER_MILLE / 1000,
-        "of": "the inspectable area" if points else "the best score",
-    }
-
-
-def _lights(candidates: Candidates, ranked: Ranked) -> list[dict[str, Any]]:
+def _lights(names: Sequence[str], angles: Sequence[tuple[float, float]]) -> list[dict[str, Any]]:
     return [
         {"light": name, "elevation_deg": elevation, "azimuth_deg": azimuth}
-        for name, (elevation, azimuth) in zip(candidates.names, angles_of(candidates, ranked), strict=True)
+        for name, (elevation, azimuth) in zip(names, angles, strict=True)
     ]
 
 
@@ -133,7 +126,7 @@ def plan_document(result: PlanResult) -> dict[str, Any]:
     if result.chosen is not None:
         sections["chosen_postures"] = _chosen_dict(result.chosen)
     if result.brackets is not None:
-        sections["exposures"] = _brackets_dict(result.brackets, result.shares_of)
+        sections["exposures"] = _brackets_dict(result.brackets, SHARES_OF if result.chosen else OWN_SHARES_OF)
     if result.tolerances:
         sections["tolerances"] = [_tolerance_dict(one) for one in result.tolerances]
     if result.commands:
@@ -177,7 +170,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
         "postures": [
             {
                 **posture.as_dict(),
-                "exposures": list(chosen.exposures_of(posture)),
+                "exposures": list(chosen.choice.exposures_of(posture)),
                 "gain": round(step.gain / (cover.k * total), 6),
                 "share": round(step.covered / total, 6),
             }
@@ -241,10 +234,7 @@ def _tolerance_dict(one: ToleranceResult) -> dict[str, Any]:
         "worst_corner": {
             "share_of_score": share(robustness.worst),
             "part": dict(zip(("tilt_deg", "rotation_deg"), robustness.worst_pose, strict=True)),
-            "lights": [
-                {"light": name, "elevation_deg": elevation, "azimuth_deg": azimuth}
-                for name, (elevation, azimuth) in zip(robustness.lights, robustness.worst_lights, strict=True)
-            ],
+            "lights": _lights(robustness.lights, robustness.worst_lights),
         },
         "quantile_5_percent": share(robustness.quantile),
         "least_drawn": share(robustness.least_drawn),

@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any, Literal
+from operator import itemgetter
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -29,11 +30,12 @@ from lightopt.design.objectives._objective import Objective
 from lightopt.design.postures._light_positions import combination_sums
 from lightopt.design.responses._image_evaluator import ImageEvaluator, scattered_flags
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
-from lightopt.design.responses._packed_bits import counts_of_images, sum_counts
+from lightopt.design.responses._packed_bits import counts_of_images
 from lightopt.geometry import face_normals
 from lightopt.rendering import PatchTable, camera_visibility
 from lightopt.scene import PanelLight, view_from_part
 
+T = TypeVar("T")
 Offset = tuple[float, float]  # elevation and azimuth of a light, or tilt and rotation of the part, off by so much [°]
 
 # scores of all combinations of offsets, the last light's varying fastest, for an offset of the part, the same in all
@@ -67,8 +69,6 @@ class Tolerances:
     light_deg: Elevation and azimuth of each light [°].
     pose_deg: Tilt and rotation of the part [°].
     tolerance_target: Share of the score that the widest tolerances keep.
-    draws: Number of random draws.
-    seed: Random seed.
     """
 
     light_deg: float = 0.0
@@ -94,15 +94,14 @@ class Tolerances:
             raise InputError(*problems)
 
 
-def lights_problem(lights: int) -> str | None:
-    """What is wrong with a number of lights; None where nothing is."""
-    if lights <= MOST_LIGHTS:
-        return None
-    return (
-        f"option 'light_deg', option 'pose_deg': all corners of the lights' angles are tried, 4 per light: expected at "
-        f"most {MOST_LIGHTS} lights ({4**MOST_LIGHTS:,} corners), found {lights}; leave the tolerances out, or some "
-        "lights out of the rig"
-    )
+def check_light_count(lights: int) -> None:
+    """Refuse more lights than all corners can be tried of."""
+    if lights > MOST_LIGHTS:
+        raise InputError(
+            "option 'light_deg', option 'pose_deg': all corners of the lights' angles are tried, 4 per light: expected "
+            f"at most {MOST_LIGHTS} lights ({4**MOST_LIGHTS:,} corners), found {lights}; leave the tolerances out, or "
+            "some lights out of the rig"
+        )
 
 
 def corners(tolerance: float) -> Iterator[Offset]:
@@ -142,13 +141,11 @@ class WidestTolerance:
 class ToleranceAnalysis:
     """Scores under misalignment.
 
-    lights: Names, in the rig's order.
     score: Where all angles are exact.
     worst: The least over all corners.
     worst_pose, worst_lights: The corner: offsets of the part and of each light [°].
     quantile: 5 % of the draws score this or less.
     least_drawn: The least of the draws.
-    widest: Angle by angle.
     """
 
     lights: tuple[str, ...]
@@ -168,54 +165,40 @@ def analyse_tolerances(
 
     Raises InputError: More lights than all corners can be tried of.
     """
-    if problem := lights_problem(len(names)):
-        raise InputError(problem)
-    varied = list(_varied_angles(names))
-    pose_corners = list(corners(tolerances.pose_deg))
+    check_light_count(len(names))
+    varied: list[Angle] = [(name, axis, i) for i, name in enumerate(names) for axis in ("elevation", "azimuth")]
+    varied += [("all lights", "both angles at once", None), ("part", "tilt", None), ("part", "rotation", None)]
+    pose_corners, light_corners = list(corners(tolerances.pose_deg)), list(corners(tolerances.light_deg))
     work = WorkCounter(len(pose_corners) + tolerances.draws + len(varied), progress)
+
+    def reported(items: Iterable[T]) -> Iterator[T]:
+        for item in items:
+            yield item
+            work.add(1)
+            work.report()
+
+    def worst_at(pose: Offset) -> tuple[int, Offset, tuple[Offset, ...]]:
+        table = score(pose, [light_corners] * len(names))
+        at = np.unravel_index(table.argmin(), [len(light_corners)] * len(names))
+        return int(table.min()), pose, tuple(light_corners[int(i)] for i in at)
+
     exact: list[Sequence[Offset]] = [[EXACT]] * len(names)
     nominal = int(score(EXACT, exact)[0])
-    light_corners = list(corners(tolerances.light_deg))
-    worst: tuple[int, Offset, tuple[Offset, ...]] | None = None
-    for pose in pose_corners:
-        table = score(pose, [light_corners] * len(names))
-        least = int(table.argmin())
-        if worst is None or table[least] < worst[0]:
-            at = np.unravel_index(least, [len(light_corners)] * len(names))
-            worst = int(table[least]), pose, tuple(light_corners[int(i)] for i in at)
-        work.add(1)
-        work.report()
-    assert worst is not None
-    drawn: list[int] = []
-    for pose, lights in draws(len(names), tolerances):
-        drawn.append(int(score(pose, [[offset] for offset in lights])[0]))
-        work.add(1)
-        work.report()
-    widest: list[WidestTolerance] = []
-    for angle in varied:
-        widest.append(_widest_tolerance(score, exact, angle, tolerances.tolerance_target * nominal))
-        work.add(1)
-        work.report()
+    worst, worst_pose, worst_lights = min(map(worst_at, reported(pose_corners)), key=itemgetter(0))
+    drawn = [
+        int(score(pose, [[offset] for offset in lights])[0]) for pose, lights in reported(draws(len(names), tolerances))
+    ]
+    least = tolerances.tolerance_target * nominal
     return ToleranceAnalysis(
         lights=tuple(names),
         score=nominal,
-        worst=worst[0],
-        worst_pose=worst[1],
-        worst_lights=worst[2],
+        worst=worst,
+        worst_pose=worst_pose,
+        worst_lights=worst_lights,
         quantile=sorted(drawn)[max(0, math.ceil(QUANTILE * len(drawn)) - 1)],
         least_drawn=min(drawn),
-        widest=tuple(widest),
+        widest=tuple(_widest_tolerance(score, exact, angle, least) for angle in reported(varied)),
     )
-
-
-def _varied_angles(names: Sequence[str]) -> Iterator[Angle]:
-    """Every angle that may be off alone, and those of all lights at once."""
-    for light, name in enumerate(names):
-        yield name, "elevation", light
-        yield name, "azimuth", light
-    yield "all lights", "both angles at once", None
-    yield "part", "tilt", None
-    yield "part", "rotation", None
 
 
 def _widest_tolerance(
@@ -357,7 +340,7 @@ class PairAssessment(_Assessment):
             images = (
                 [self.images[i, pose, light, offset] for i in range(len(self.setup.postures))] for offset in offsets
             )
-            totals.append(np.stack([sum_counts(some, self._weights, self._seen_in) for some in images]))
+            totals.append(np.stack([self._weights.sum_counts(some, self._seen_in) for some in images]))
         return combination_sums(totals, self._weights, threads=self.evaluator.threads)[0]
 
 

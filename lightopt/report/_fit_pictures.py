@@ -34,7 +34,6 @@ _BELOW, _EQUAL, _ABOVE = (33, 102, 172), (247, 247, 247), (178, 24, 43)
 def fit_chart(result: FitResult, place: Callable[[], Path]) -> Path | None:
     """Draw how a fit came about: the ridge of R_s and σ, or the rounds of the paper's procedure.
 
-    result: The fit.
     place: Called for the path of the PNG where there is something to draw; None is returned where there is not.
     """
     from lightopt.estimate.reflectance import PaperDiffuse, PaperSpecular

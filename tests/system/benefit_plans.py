@@ -15,8 +15,9 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import counted as counted_text
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
-from lightopt.design import DEFAULT_EXPOSURE_GAIN, DRAWN_PATCHES, PostureRequest, drawn_patches, find_candidates
+from lightopt.design import DRAWN_PATCHES, PostureRequest, drawn_patches, find_candidates
 from lightopt.design._candidates import Candidates
+from lightopt.design.postures._exposures import DEFAULT_EXPOSURE_GAIN
 from lightopt.design.postures._joint_choice import choose_with_exposures
 from lightopt.design.postures._posture_grid import posture_grid, usable_postures
 from lightopt.scene import PanelLight, build_lights
@@ -58,7 +59,7 @@ def _plan(
     what: str,
 ) -> Row:
     survey = looked.survey
-    choice, brackets = choose_with_exposures(
+    choice = choose_with_exposures(
         survey,
         replace(survey, table=drawn_patches(survey.table, DRAWN_PATCHES)),
         among,
@@ -69,6 +70,7 @@ def _plan(
         gain_points=DEFAULT_EXPOSURE_GAIN,
         run=RunContext(),
     )
+    brackets = choice.brackets
     exposures = [(1.0,) if brackets is None else brackets.of(posture) for posture in choice.postures]
     said, found = looked.seen(choice.postures, choice.panels, exposures)
     return Row(

@@ -134,7 +134,7 @@ def test_plain_reading_on_sample_parts(tmp_path, part):
         ):
             expected = all_combinations(matrix.levels, value, 10, 255, weights)
             found = search([matrix], OBJECTIVES[name], THRESHOLDS, keep=25)
-            ranked = [(r.negative_score, r.negative_usable, r.candidates) for r in found.ranking]
+            ranked = [r.sort_key for r in found.ranking]
             assert ranked == expected[:25]
 
 

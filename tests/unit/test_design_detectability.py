@@ -19,7 +19,6 @@ from lightopt.design import (
     area_units,
     defect_hypotheses,
     search,
-    share_of_whole,
 )
 from lightopt.design.objectives import _detectability as bit_runs
 from lightopt.design.objectives import _scores_by_image_counts as count_runs
@@ -78,7 +77,7 @@ def plain(flags, matrix, trials, min_images):
 
 
 def as_tuples(found):
-    return [(r.negative_score, r.negative_usable, r.candidates) for r in found.ranking]
+    return [r.sort_key for r in found.ranking]
 
 
 @given(data=st.data())
@@ -175,7 +174,7 @@ def test_details_name_what_is_worst():
     assert facts["worst_direction_deg"] == 135.0
     assert facts["directions_deg"]["0"] == pytest.approx(0.85)
     score = objective.score(matrix, objective.weights(areas), THRESHOLDS)
-    share = share_of_whole(objective, score, 4_000_000)
+    share = objective.share_of_whole(score, 4_000_000)
     assert share == pytest.approx(np.mean(list(facts["defects"].values())))
     assert objective.format_score(score, 0.0) == f"{4 * share:.2f} mm²"
     assert objective.format_score(score, 200_000.0) == f"{4 * share:.1f} mm²"

@@ -43,7 +43,7 @@ def plain(matrix, objective, thresholds, allowed=None):
 
 
 def as_tuples(found):
-    return [(r.negative_score, r.negative_usable, r.candidates) for r in found.ranking]
+    return [r.sort_key for r in found.ranking]
 
 
 def agree(found, expected, keep):

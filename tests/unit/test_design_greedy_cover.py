@@ -15,14 +15,7 @@ from lightopt.core.transforms import Posture
 from lightopt.design import counts_of_images
 from lightopt.design.postures._cover_search import best_set, greedy_cover, improve_by_exchange
 from lightopt.design.postures._exposures import CandidateExposure, select_exposures
-from lightopt.design.responses._packed_bits import (
-    PairWeights,
-    add_counts,
-    covered_weight,
-    marginal_gains,
-    total_benefit,
-    zero_counts,
-)
+from lightopt.design.responses._packed_bits import PairWeights, add_counts
 
 
 def random_case(seed, *, postures=7, images=3, patches=9, trials=70, k=2):
@@ -60,14 +53,14 @@ def plain_reached(counts, heavy, k):
 def test_packed_counts_are_the_plain_ones(seed, k):
     plain, packed, weights, heavy = random_case(seed, k=k)
     assert weights.total == heavy.sum()
-    total, so_far = zero_counts(weights, k), np.zeros_like(plain[0])
+    total, so_far = weights.zero_counts(k), np.zeros_like(plain[0])
     for one, more in zip(plain, packed, strict=True):
-        assert total_benefit(more, weights) == plain_worth(one, heavy, k)
+        assert weights.benefit(more) == plain_worth(one, heavy, k)
         expected = plain_worth(so_far + one, heavy, k) - plain_worth(so_far, heavy, k)
-        assert marginal_gains(total, more, weights)[1] == expected
+        assert weights.gains(total, more)[1] == expected
         total, so_far = add_counts(total, more), so_far + one
-        assert total_benefit(total, weights) == plain_worth(so_far, heavy, k)
-        assert covered_weight(total, weights) == plain_reached(so_far, heavy, k)
+        assert weights.benefit(total) == plain_worth(so_far, heavy, k)
+        assert weights.covered(total) == plain_reached(so_far, heavy, k)
 
 
 def exact_worth(plain, heavy, k, count):

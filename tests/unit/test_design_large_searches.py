@@ -9,6 +9,7 @@ import sys
 import time
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -27,8 +28,7 @@ from lightopt.design import (
     search,
 )
 from lightopt.design._candidates import Candidates
-from lightopt.design._texts import cut_off
-from lightopt.design.search._best_positions import answer_set
+from lightopt.design.search._best_positions import answer_set, limit_warning
 from lightopt.design.search._combinations import CombinationSpace
 
 HERE = Path(__file__).resolve().parent
@@ -59,7 +59,7 @@ def test_many_lights_of_which_few_move_against_the_plain_definition(name, lights
     value = partial(value, shade=30, saturation=250)
     expected = all_combinations(matrix.levels, value, *T, weights, None, 12)
     found = search([matrix], OBJECTIVES[name], THRESHOLDS, keep=24)
-    assert [(r.negative_score, r.negative_usable, r.candidates) for r in found.ranking] == expected
+    assert [r.sort_key for r in found.ranking] == expected
     clash = np.zeros((3, 2), np.bool_)
     clash[1, 0] = True
     space = CombinationSpace(
@@ -67,7 +67,7 @@ def test_many_lights_of_which_few_move_against_the_plain_definition(name, lights
     )
     found = search([matrix], OBJECTIVES[name], THRESHOLDS, keep=24, space=space)
     allowed = [one for one in expected if (one[2][1], one[2][-2]) != (1, 0)]
-    assert [(r.negative_score, r.negative_usable, r.candidates) for r in found.ranking] == allowed
+    assert [r.sort_key for r in found.ranking] == allowed
 
 
 @pytest.mark.parametrize("sizes", [(2,) * 12, (2,) * 10 + (1,) * 14, (3, 1) * 6, (5,) * 5])
@@ -121,7 +121,7 @@ def test_proven_and_complete_are_two_things():
     assert not found.complete
     assert found.ties < 63
     answer = ObjectiveResult(objective=OBJECTIVES["coverage"], found=found, scores={"coverage": found.best.score})
-    said = cut_off(answer, [Posture(0.0, 0.0)])
+    said = limit_warning(answer, [Posture(0.0, 0.0)])
     assert f"with {found.left} left" in said
     assert "none scores more, but one of those left may score the same and win the tie" in said
     whole = search([matrix], OBJECTIVES["coverage"], THRESHOLDS, keep=2)
@@ -138,10 +138,14 @@ def test_a_limit_under_which_nothing_scores_names_no_optimum():
     candidates = Candidates(
         names=("a", "b", "c"), angles=places, panels=((),) * 3, left_out=(), space=CombinationSpace.of((3, 3, 3))
     )
+    problem = SimpleNamespace(
+        candidates=candidates,
+        thresholds=LevelThresholds(shade=10, saturation=255),
+        options=OptimizeOptions(rows=2, limit=1),
+    )
     result = answer_set(
-        *([matrix], [Posture(0.0, 0.0)], candidates, [OBJECTIVES["paper"]], LevelThresholds(shade=10, saturation=255)),
-        OptimizeOptions(rows=2, limit=1),
-        RunContext(threads=1),
+        *([matrix], [Posture(0.0, 0.0)], [OBJECTIVES["paper"]]),
+        SimpleNamespace(problem=problem, run=RunContext(threads=1)),
     )
     (answer,) = result.answers
     assert answer.found.bound > 0
@@ -224,6 +228,7 @@ def test_ctrl_c_ends_a_long_search_within_a_second(name):
 MEMORY = """
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 import numpy as np
 from lightopt.design.objectives._registry import OBJECTIVES
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix

@@ -33,7 +33,7 @@ from lightopt.design import (
     luminance_matrix,
 )
 from lightopt.design._tolerances import ObjectiveAssessment
-from lightopt.design.blind_spots._summary import planned_visibility
+from lightopt.design.blind_spots._blind_spots import planned_visibility
 from lightopt.design.postures import _light_positions as placing
 from lightopt.design.postures import _posture_search as turning
 from lightopt.design.postures._exposures import plan_exposures
@@ -434,9 +434,10 @@ def test_offering_exposures_never_makes_a_plan_worse(world, seed):
     lights, candidates = build_lights(rig), find_candidates(rig, step_deg=10.0)
     ask = (survey, drawn, POSTURES, lights, candidates)
     plain = choose_postures(*ask, PostureRequest(min_images=least, count=count))
-    choice, brackets = choose_with_exposures(
+    choice = choose_with_exposures(
         *ask, PostureRequest(min_images=least, count=count), exposures=offered, gain_points=points, run=RunContext()
     )
+    brackets = choice.brackets
     assert choice.cover.share >= plain.cover.share
     assert len(choice.postures) <= count
     # the share is what exactly the planned images show, and the lights serve these best where that is said
@@ -459,9 +460,10 @@ def test_offering_exposures_never_makes_a_plan_worse(world, seed):
     assert choice.cover.max_covered == best >= choice.cover.covered
     assert choice.cover.sets == math.comb(len(POSTURES), len(choice.postures))
     assert choice.cover.bound_share == best / choice.cover.total
-    none, nothing = choose_with_exposures(
+    none = choose_with_exposures(
         *ask, PostureRequest(min_images=least, count=count), exposures=(1.0,), gain_points=points, run=RunContext()
     )
+    nothing = none.brackets
     assert nothing is None
     assert none == plain
 
@@ -475,9 +477,10 @@ def test_offering_exposures_never_takes_more_postures_for_a_target(world, seed):
     ask = (survey, survey, POSTURES, lights, candidates)
     target = 0.9 * choose_postures(*ask, PostureRequest(count=3)).cover.share
     plain = choose_postures(*ask, PostureRequest(target=target))
-    choice, brackets = choose_with_exposures(
+    choice = choose_with_exposures(
         *ask, PostureRequest(target=target), exposures=(1.0, 0.25, 0.0625), gain_points=1.0, run=RunContext()
     )
+    brackets = choice.brackets
     assert choice.cover.share == pytest.approx(brackets.after)
     assert choice.cover.share >= target
     assert (-len(choice.postures), choice.cover.share) >= (-len(plain.postures), plain.cover.share)
@@ -486,7 +489,8 @@ def test_offering_exposures_never_takes_more_postures_for_a_target(world, seed):
 def test_a_target_that_nothing_offered_reaches_has_no_exposures(world):
     rig, survey = world
     ask = (survey, survey, POSTURES, build_lights(rig), None, PostureRequest(target=1.0))
-    choice, brackets = choose_with_exposures(*ask, exposures=(1.0, 0.25), gain_points=1.0, run=RunContext())
+    choice = choose_with_exposures(*ask, exposures=(1.0, 0.25), gain_points=1.0, run=RunContext())
+    brackets = choice.brackets
     assert brackets is None
     assert choice.cover.share < 1.0
 

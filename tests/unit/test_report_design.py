@@ -301,7 +301,8 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
         BlindReason.SHADOWED: "shadowed",
         BlindReason.CONTRAST: "contrast under noise",
     }
-    for layer, found in ((reasons, output.result.blind.chosen), (reachable, output.result.blind.possible)):
+    _, chosen, possible = output.result.blind.parts[0]
+    for layer, found in ((reasons, chosen), (reachable, possible)):
         expected = [
             names.get(code, "saturated by a light")
             + (", other defects seen" if code != BlindReason.SEEN and share > 0.0 else "")
@@ -317,7 +318,7 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
     # and the surface the colours of blind.ply
     colours = {one.label: "#{:02x}{:02x}{:02x}".format(*one.colour) for one in BLIND_CLASSES}
     assert {kind.label: kind.colour for kind in reasons.classes}.items() <= colours.items()
-    for k, share in zip(shares.of_face, output.result.blind.chosen.share, strict=True):
+    for k, share in zip(shares.of_face, chosen.share, strict=True):
         label = shares.classes[k].label
         low, high = {
             "none": (0.0, 0.0),

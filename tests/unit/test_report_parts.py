@@ -285,8 +285,8 @@ def test_ink_ignores_pale_areas() -> None:
 def test_a_legend_stands_below_the_picture_which_stays(height: int, width: int) -> None:
     picture = np.random.default_rng(1).integers(0, 255, (height, width, 3), dtype=np.uint8)
     rows = (
-        LegendRow(label="seen", share=0.25, amount="25.0 %", colours=((86, 180, 233),)),
-        LegendRow(label="contrast under noise", share=0.75, amount="75.0 %", colours=((240, 228, 66), (247, 241, 160))),
+        LegendRow(label="seen", amount="25.0 %", colours=((86, 180, 233),)),
+        LegendRow(label="contrast under noise", amount="75.0 %", colours=((240, 228, 66), (247, 241, 160))),
     )
     found = _with_legend(picture, "a title that is wider than a small picture", rows)
     np.testing.assert_array_equal(found[:height, :width], picture)

@@ -15,14 +15,23 @@ What is seen at a grazing angle only counts neither as seen nor as blind: shares
 share left out is given separately.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.arrays import Float64, Int32
+from lightopt.core.run_context import Share
+from lightopt.core.transforms import Posture
+from lightopt.design._candidates import Candidates
+from lightopt.design._tolerances import Setup
+from lightopt.design.objectives._detectability import DetectabilityObjective
+from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, Visibility
 from lightopt.design.responses._packed_bits import Words, add_counts, add_image
 from lightopt.rendering import grain_of
@@ -194,3 +203,129 @@ def blind_spots(areas: Float64, postures: Sequence[DefectVisibility]) -> BlindSp
     sums = first_posture.weights(counts[-1])
     codes[sums == first_posture.total_weight] = BlindReason.SEEN
     return BlindSpots(codes=codes, share=sums / first_posture.total_weight, areas=areas)
+
+
+BLIND_SHARES_OF = "the part's surface without that seen at grazing angles only, × defects by weight"
+"""What shares of blind spots are shares of."""
+
+BLIND_LIGHTS = ("chosen", "best for each defect")
+"""Light positions in the rows of the tables: the chosen ones; or for each defect any that show it, which no one set of
+positions need do for all."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PostureVisibility:
+    """What a posture's images show of defects.
+
+    `chosen` is with the chosen lights and exposures, `possible` with all that there were to choose from.
+    """
+
+    posture: Posture
+    chosen: DefectVisibility
+    possible: DefectVisibility
+
+
+# a posture, None for all of them; blind spots of the chosen lights, and of all that the lights can do
+BlindPart = tuple[Posture | None, BlindSpots, BlindSpots]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BlindSpotSummary:
+    """Blind spots of the whole surface.
+
+    objective: Whose defects they are.
+    lights: Names, in the rig's order.
+    parts: Of all postures by all their images together, then of the images of each posture alone.
+    """
+
+    objective: DetectabilityObjective
+    lights: tuple[str, ...]
+    parts: tuple[BlindPart, ...]
+
+    @staticmethod
+    def of(
+        visibility: Sequence[PostureVisibility],
+        areas: Float64,
+        objective: DetectabilityObjective,
+        lights: Sequence[str],
+    ) -> BlindSpotSummary:
+        """Combine postures; `areas` are those of all patches of the run [mm²], shape (n,)."""
+
+        def part(posture: Posture | None, some: Sequence[PostureVisibility]) -> BlindPart:
+            chosen, possible = [one.chosen for one in some], [one.possible for one in some]
+            return posture, blind_spots(areas, chosen), blind_spots(areas, possible)
+
+        parts = part(None, visibility), *(part(one.posture, [one]) for one in visibility)
+        return BlindSpotSummary(objective=objective, lights=tuple(lights), parts=parts)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form."""
+        _, whole, _ = self.parts[0]
+        both = [
+            {"chosen": self._facts(chosen), "any_position": self._facts(possible)} for _, chosen, possible in self.parts
+        ]
+        return {
+            "min_images": self.objective.min_images,
+            "shares_of": BLIND_SHARES_OF,
+            "surface_mm2": round(float(whole.areas.sum()), 6),
+            "grain": round(whole.grain, 6),
+            **both[0],
+            "postures": [
+                {"posture": posture.as_dict(), **facts}
+                for (posture, *_), facts in zip(self.parts, both, strict=True)
+                if posture is not None
+            ],
+        }
+
+    def _facts(self, spots: BlindSpots) -> dict[str, Any]:
+        reasons = [
+            {"reason": blind_text(code, self.lights), "share": round(share, 6)}
+            for code, share in spots.by_reason().items()
+        ]
+        return {"seen": round(spots.seen, 6), "blind": reasons, "left_out_of_surface": round(spots.left_out, 6)}
+
+
+def reason_names(lights: Sequence[str]) -> list[tuple[int, str]]:
+    """All codes and their names."""
+    codes = [*BlindReason, *(BlindReason.SATURATED + light for light in range(1, len(lights)))]
+    return [(int(code), blind_text(int(code), lights)) for code in codes]
+
+
+def planned_visibility(
+    evaluator: ImageEvaluator,
+    setup: Setup,
+    candidates: Candidates | None,
+    *,
+    all_exposures: tuple[float, ...],
+    thresholds: LevelThresholds,
+    least: int,
+    progress: Share | None = None,
+) -> tuple[PostureVisibility, ...]:
+    """Visibility of defects in each posture: `least` images must show one.
+
+    `setup` has the lights, postures and planned exposures; `candidates` (None where no light moves) and
+    `all_exposures` are those to choose from. The patches of `evaluator` are those of the blind spots.
+    """
+    found: list[PostureVisibility] = []
+    for index, posture in enumerate(setup.postures):
+        panels = [[panel] for panel in setup.panels(index)]
+        matrices = evaluator.matrices(posture, panels, exposures=setup.exposures[index])
+        # light by light, and of each as many positions as there is room for: all at all exposures would be much to hold
+        every = (
+            (
+                (matrix, 0)
+                for some in evaluator.in_batches(posture, positions, exposures=all_exposures)
+                for matrix in some
+            )
+            for positions in (panels if candidates is None else candidates.panels)
+        )
+        found.append(
+            PostureVisibility(
+                posture=posture,
+                chosen=defect_visibility(by_light(matrices), thresholds, least=least),
+                possible=defect_visibility(every, thresholds, least=least),
+            )
+        )
+        if progress is not None:
+            progress((index + 1) / len(setup.postures))
+    return tuple(found)

@@ -11,8 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from lightopt.core.arrays import UInt8
-from lightopt.design.blind_spots._blind_spots import BlindReason, BlindSpots, blind_text
-from lightopt.design.blind_spots._summary import BLIND_LIGHTS, BlindSpotSummary, reason_names
+from lightopt.design.blind_spots._blind_spots import (
+    BLIND_LIGHTS,
+    BlindReason,
+    BlindSpots,
+    BlindSpotSummary,
+    blind_text,
+    reason_names,
+)
 from lightopt.design.objectives._objective import share_text
 from lightopt.geometry import Patches
 from lightopt.scene import Placement
@@ -35,13 +41,12 @@ class BlindClass:
 
 @dataclass(frozen=True, kw_only=True)
 class LegendRow:
-    """A line of a legend: label, share, the share in words, and the colours that stand for it.
+    """A line of a legend: label, share in words, and the colours that stand for it.
 
     Shares are of the part's surface × defects; what is left out is a share of the whole surface.
     """
 
     label: str
-    share: float
     amount: str
     colours: tuple[Colour, ...]
 
@@ -97,16 +102,15 @@ def blind_legend(spots: BlindSpots) -> tuple[LegendRow, ...]:
     shares[BlindReason.SEEN], shares[BlindReason.GRAZING] = spots.seen, spots.left_out
     for code, share in spots.by_reason().items():
         shares[BlindReason(min(code, BlindReason.SATURATED))] += share
-    rows = [
+    return tuple(
         LegendRow(
             label=blind_class(code).label,
-            share=shares[code],
             amount=share_text(shares[code], spots.grain),
             colours=tuple(one.colour for one in BLIND_CLASSES if one.code == code),
         )
         for code in _COLOURS
-    ]
-    return tuple(row for row in rows if row.share > 0.0 or row is rows[0])
+        if shares[code] > 0.0 or code == BlindReason.SEEN
+    )
 
 
 BLIND_CSV, BLIND_PLY, BLIND_PNG = BLIND_NAMES = "blind.csv", "blind.ply", "blind.png"
@@ -122,9 +126,9 @@ def _csv(summary: BlindSpotSummary) -> str:
     table = csv.writer(text, lineterminator="\n")
     table.writerow(["postures", "lights", "what", "share", "share_of", "area_mm2", "colour"])
     names = dict(reason_names(summary.lights))
-    surface = float(summary.chosen.areas.sum())
+    surface = float(summary.parts[0][1].areas.sum())
     counted, whole = "surface x defects without what is left out", "surface"
-    for posture, chosen, possible in summary.parts():
+    for posture, chosen, possible in summary.parts:
         where = "all" if posture is None else f"{posture.elevation_deg:g},{posture.rotation_deg:g}"
         for lights, spots in zip(BLIND_LIGHTS, (chosen, possible), strict=True):
             rows = [
@@ -140,6 +144,7 @@ def _csv(summary: BlindSpotSummary) -> str:
 
 
 def _ply(summary: BlindSpotSummary, patches: Patches, placement: Placement) -> bytes:
+    _, chosen, possible = summary.parts[0]
     # corners in the coordinates of the mesh file: x_file = Rᵀ·(x − t)
     vertices = (patches.vertices - placement.translation) @ placement.rotation
     header = [
@@ -171,10 +176,10 @@ def _ply(summary: BlindSpotSummary, patches: Patches, placement: Placement) -> b
     )
     faces["count"] = 3
     faces["corners"] = patches.triangles
-    faces["colour"] = blind_colours(summary.chosen)
-    faces["seen"], faces["code"] = summary.chosen.share, np.minimum(summary.chosen.codes, 255)
-    faces["reachable"] = summary.possible.share
-    faces["reachable_code"] = np.minimum(summary.possible.codes, 255)
+    faces["colour"] = blind_colours(chosen)
+    faces["seen"], faces["code"] = chosen.share, np.minimum(chosen.codes, 255)
+    faces["reachable"] = possible.share
+    faces["reachable_code"] = np.minimum(possible.codes, 255)
     # a header is ASCII without control characters, whatever lights are called
     lines = ("".join(c if c.isascii() and c.isprintable() else "?" for c in line) for line in header)
     text = "".join(f"{line}\n" for line in lines)

@@ -42,6 +42,9 @@ CHUNK_PATCHES = 1 << 14  # most patches of one task of a thread
 CHUNK_LEVELS = 1 << 24  # most of their levels, which are copied
 CHUNK_BOXES = 1e6  # most of their boxes: less than 0.1 s, so that Ctrl-C is heard
 
+# of each light: first run of each patch, as :func:`_runs` has it, and their offset in what follows: places and classes
+_Runs = tuple[Int64, Int64, Int32, Int32]
+
 
 @dataclass(frozen=True)
 class CoverageObjective(Objective):
@@ -99,7 +102,7 @@ class CoverageObjective(Objective):
             can_use = np.zeros(end - start, np.int64)
             must_saturate = np.zeros(end - start, np.int64)
             for layer in matrix.levels:
-                usable, _, least = level_range(layer, thresholds, start, end)
+                usable, _, least = level_range(layer, thresholds.shade, thresholds.saturation, start, end)
                 can_use += usable >= 0
                 must_saturate += least >= thresholds.saturation
             could = (can_use >= LEAST_USABLE) & (must_saturate <= MOST_SATURATED)
@@ -150,7 +153,7 @@ def run_scores(
         kind = np.concatenate([kind for _, _, kind in runs])
         offset = np.cumsum([0, *(len(place) for _, place, _ in runs)])[:-1]
         with differences.borrowed() as (own,):
-            _scatter(own, differences.strides, first, offset, place, kind, weights[some], rule[0], rule[1], largest)
+            _scatter(own, differences.strides, (first, offset, place, kind), weights[some], rule, largest)
         work.add(float(products[start:end].sum()))
 
     pairs = itertools.pairwise(ends)
@@ -208,17 +211,9 @@ def _runs(layer: Levels, shade: int, saturation: int) -> tuple[Int64, Int32, Int
 
 @kernel
 def _scatter(
-    differences: Int64,
-    strides: Int64,
-    first: Int64,
-    offset: Int64,
-    place: Int32,
-    kind: Int32,
-    weights: Int64,
-    least_usable: int,
-    most_saturated: int,
-    largest: int,
+    differences: Int64, strides: Int64, all_runs: _Runs, weights: Int64, rule: tuple[int, int], largest: int
 ) -> None:
+    (first, offset, place, kind), (least_usable, most_saturated) = all_runs, rule
     lights = len(strides)
     at = np.empty(largest, np.int64)  # where in the table each box begins
     count = np.empty(largest, np.int64)  # its usable images + SATURATED · its saturated ones

@@ -25,18 +25,6 @@ INSPECTABLE_SURFACE = (
 NEAR_PER_MILLE = 5
 
 
-def share_of_whole(objective: Objective, score: int, area: int) -> float | None:
-    """A score as a share of the inspectable area [µm²]; None where it is no area."""
-    whole = objective.full_score(area)
-    return None if whole is None else score / max(1, whole)
-
-
-def near_margin(objective: Objective, best: int, area: int) -> int:
-    """How far a score may be below the best one and still be near it: see :data:`NEAR_PER_MILLE`."""
-    whole = objective.full_score(area)
-    return NEAR_PER_MILLE * (best if whole is None else whole) // 1000
-
-
 def area_text(area: float, grain: float) -> str:
     """An area [µm²] in mm², to the digit that its grain supports, hundredths at most.
 
@@ -96,6 +84,16 @@ class Objective(ABC):
         """The score of a fully covered inspectable area [µm²]; None where a score is no area."""
         return area
 
+    def share_of_whole(self, score: int, area: int) -> float | None:
+        """A score as a share of the inspectable area [µm²]; None where it is no area."""
+        whole = self.full_score(area)
+        return None if whole is None else score / max(1, whole)
+
+    def near_margin(self, best: int, area: int) -> int:
+        """How far a score may be below the best one and still be near it: see :data:`NEAR_PER_MILLE`."""
+        whole = self.full_score(area)
+        return NEAR_PER_MILLE * (best if whole is None else whole) // 1000
+
     def weights(self, areas: Float64) -> Int64:
         """How much each patch counts in the score and in its ties, shape (p,); areas in [mm²]."""
         return area_units(areas)
@@ -134,3 +132,25 @@ class Objective(ABC):
     @abstractmethod
     def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
         """A score that no combination exceeds."""
+
+
+def shares_of(objectives: Sequence[Objective]) -> dict[str, list[str]]:
+    """Names of the objectives whose scores are shares, by the surface that they are shares of."""
+    names: dict[str, list[str]] = {}
+    for objective in objectives:
+        if objective.share_of is not None:
+            names.setdefault(objective.share_of, []).append(objective.name)
+    return names
+
+
+def near_meaning(objectives: Sequence[Objective]) -> str:
+    """What is near the best, in words."""
+    within = f"{NEAR_PER_MILLE / 10:g}"
+    texts = [
+        f"within {within} points of the share of {' and '.join(names)}"
+        if points
+        else f"within {within} % of the best score of {' and '.join(names)}"
+        for points in (True, False)
+        if (names := [one.name for one in objectives if (one.share_of is not None) == points])
+    ]
+    return f"near best: other combinations {', '.join(texts)}, ties among them"

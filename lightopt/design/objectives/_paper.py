@@ -32,14 +32,8 @@ from lightopt.core.errors import counted
 from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import Task, blocks, run_all
 from lightopt.design.objectives._objective import Objective
-from lightopt.design.objectives._scores_by_extreme_levels import Capped, extreme_tasks, minimum_tasks
-from lightopt.design.responses._luminance_matrix import (
-    Levels,
-    LevelThresholds,
-    LuminanceMatrix,
-    level_range,
-    usable_sums,
-)
+from lightopt.design.objectives._scores_by_extreme_levels import extreme_tasks, minimum_tasks
+from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, level_range, usable_sums
 
 BLOCK_LEVELS = 1 << 24  # levels that are capped at once: the only copies of levels that are made
 LEAST_PATCHES = 512  # of a block, however many candidates there are
@@ -103,20 +97,26 @@ class PaperObjective(Objective):
         work = WorkCounter((by_sets or cells) * patches, progress)
         lock = Lock()
         result = np.zeros(cells, np.int64)
-        top = min(thresholds.saturation - thresholds.black - 1, int(np.iinfo(levels[0].dtype).max))
+        most, black = int(np.iinfo(levels[0].dtype).max), levels[0].dtype.type(thresholds.black)
+        top, cap = min(thresholds.saturation - thresholds.black - 1, most), min(thresholds.saturation, most)
 
         def tasks() -> Iterator[Task]:
             for start, end in blocks(patches, max(LEAST_PATCHES, BLOCK_LEVELS // sum(sizes))):
-                capped = [_capped(layer[:, start:end], thresholds) for layer in levels]
-                lights = [Capped.of(layer, top) for layer in capped] if tables else []
+                here = (layer[:, start:end] for layer in levels)
+                capped = [(np.minimum(some, cap) - black) * (some >= thresholds.shade) for some in here]
+                greatest = [layer.max(axis=0) for layer in capped] if tables else []
                 for chosen, _, table in tables:
-                    yield from minimum_tasks([lights[i] for i in chosen], top, table, lock, work)
+                    layers, reach = ([some[i] for i in chosen] for some in (capped, greatest))
+                    yield from minimum_tasks(layers, reach, top, table, lock, work)
                 if not tables:
                     yield from extreme_tasks(capped, top, result, lock, work)
 
         run_all(tasks(), threads=threads, done=work.report)
         if not tables:
-            return _all_usable(levels, weights, thresholds) - result
+            usable = np.zeros(1, np.int64)
+            for layer in levels:
+                usable = np.add.outer(usable, usable_sums(layer, weights, thresholds)).ravel()
+            return usable - result
         grid = result.reshape(sizes)
         for chosen, coefficient, table in tables:
             grid += coefficient * table[tuple(slice(None) if i in chosen else None for i in range(len(sizes)))]
@@ -130,7 +130,7 @@ class PaperObjective(Objective):
         del weights  # all 1
         levels, total, black = matrix.levels, 0, thresholds.black
         for start, end in blocks(levels[0].shape[1], max(1, BLOCK_LEVELS // len(levels))):
-            some = [level_range(layer, thresholds, start, end) for layer in levels]
+            some = [level_range(layer, thresholds.shade, thresholds.saturation, start, end) for layer in levels]
             usable = np.sort([np.maximum(most_usable - black, 0) for most_usable, _, _ in some], axis=0)[2:]
             greatest = np.sort([most for _, most, _ in some], axis=0)[1:-1]
             lit = np.minimum(greatest, thresholds.saturation - 1) - black
@@ -155,24 +155,10 @@ def _tables(sizes: Sequence[int]) -> list[tuple[tuple[int, ...], int, Int64]]:
     return [(chosen, c, np.zeros(tuple(sizes[i] for i in chosen), np.int64)) for chosen, c in sets]
 
 
-def _all_usable(levels: Sequence[Levels], weights: Int64, thresholds: LevelThresholds) -> Int64:
-    # sum over the lights of their usable levels, for all combinations
-    total = np.zeros(1, np.int64)
-    for layer in levels:
-        total = np.add.outer(total, usable_sums(layer, weights, thresholds)).ravel()
-    return total
-
-
 def _coefficients(lights: int) -> list[int]:
     # c_1 … c_n of the module's text
     counts = [int(1 <= k <= lights - 2) for k in range(lights)]
     return [sum((-1) ** (m - k) * math.comb(m, k) * counts[k] for k in range(m + 1)) for m in range(lights)]
-
-
-def _capped(layer: Levels, thresholds: LevelThresholds) -> Levels:
-    zero, black = layer.dtype.type(0), layer.dtype.type(thresholds.black)
-    cap = layer.dtype.type(min(thresholds.saturation, np.iinfo(layer.dtype).max))
-    return np.where(layer >= thresholds.shade, np.minimum(layer, cap) - black, zero)
 
 
 PAPER = PaperObjective()

@@ -1,7 +1,6 @@
 """The objectives by name: add an objective here."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
 
 from lightopt.core.errors import InputError
 from lightopt.design.objectives._coverage import COVERAGE
@@ -22,15 +21,12 @@ def objectives_named(
 
     Raises InputError: An unknown name, or one given twice.
     """
-    factories: dict[str, Callable[[], Objective]] = {name: partial(OBJECTIVES.__getitem__, name) for name in OBJECTIVES}
-    factories["detectability"] = detectability
+    known = (*OBJECTIVES, "detectability")
     problems = [
-        f"option 'objectives': expected {' or '.join(factories)}, found \"{name}\""
-        for name in names
-        if name not in factories
+        f"option 'objectives': expected {' or '.join(known)}, found \"{name}\"" for name in names if name not in known
     ]
     if len(set(names)) < len(names):
         problems.append("option 'objectives': the same objective was given twice")
     if problems:
         raise InputError(*problems)
-    return tuple(factories[name]() for name in names) or tuple(OBJECTIVES.values())
+    return tuple(OBJECTIVES.get(name) or detectability() for name in names) or tuple(OBJECTIVES.values())

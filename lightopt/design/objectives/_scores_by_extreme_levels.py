@@ -2,22 +2,15 @@
 
 Levels are *capped*: 0 where they are shaded, else what is above black, at most the saturation level above black. The
 usable part of a capped level is the level itself, or 0 where it is at the cap.
-
-Two ways: tables of minima for every set of lights (:func:`minimum_tasks`); or, for many lights with few candidates,
-combination by combination in order, where the lights before the one that changes are not compared again
-(:func:`extreme_tasks`).
 """
-
-from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from threading import Lock
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Int64
+from lightopt.core.arrays import Int64
 from lightopt.core.kernels import kernel
 from lightopt.core.run_context import WorkCounter
 from lightopt.core.threads import Task, blocks
@@ -34,42 +27,25 @@ TASK_LEVELS = 2_000_000_000
 WALK_LEVELS = 500_000_000
 
 
-@dataclass(frozen=True, kw_only=True)
-class Capped:
-    """A light's capped levels of a block of patches.
-
-    levels: Shape (candidates, p).
-    lit, capped: Which patches any candidate lights, and which any candidate brings to the cap; shape (p,).
-    """
-
-    levels: Levels
-    lit: Bool
-    capped: Bool
-
-    @staticmethod
-    def of(levels: Levels, top: int) -> Capped:
-        """Levels with `top` as the highest usable one."""
-        greatest = levels.max(axis=0)
-        return Capped(levels=levels, lit=greatest > 0, capped=greatest > top)
-
-
-def minimum_tasks(lights: Sequence[Capped], top: int, table: Int64, lock: Lock, work: WorkCounter) -> Iterator[Task]:
+def minimum_tasks(
+    layers: Sequence[Levels], greatest: Sequence[Levels], top: int, table: Int64, lock: Lock, work: WorkCounter
+) -> Iterator[Task]:
     """Tasks that add Σ over patches of usable(min(levels under k ≥ 2 lights)) to a table with one axis per light.
 
-    `top` is the highest usable capped level, `lock` is held while the table changes, `work` counts combinations times
-    patches.
+    layers, greatest: Capped levels of each light, shape (candidates, p), and the greatest over its candidates, shape
+        (p,).
+    top: The highest usable capped level.
+    lock: Held while the table changes.
+    work: Counts combinations times patches.
     """
     # a patch that one of the lights never reaches adds nothing; at the cap the least level is only where all can be
-    lit = np.logical_and.reduce([light.lit for light in lights])
-    capped = np.logical_and.reduce([light.capped for light in lights])
-    work.add(table.size * np.count_nonzero(~lit))
-    for chosen, cut in ((lit & ~capped, False), (capped, True)):
+    reach = np.minimum.reduce(greatest)
+    work.add(table.size * np.count_nonzero(reach == 0))
+    for chosen, cut in (((reach > 0) & (reach <= top), False), (reach > top, True)):
         count = int(np.count_nonzero(chosen))
         if count:
-            layers = [
-                light.levels if count == len(chosen) else light.levels.compress(chosen, axis=1) for light in lights
-            ]
-            yield from _tasks(layers, top, cut, table, lock, work)
+            some = [layer if count == len(chosen) else layer.compress(chosen, axis=1) for layer in layers]
+            yield from _tasks(some, top, cut, table, lock, work)
 
 
 def _tasks(
@@ -152,8 +128,9 @@ def _usable_minima(left: Levels, right: Levels, top: int) -> np.int64:
 def extreme_tasks(layers: Sequence[Levels], top: int, table: Int64, lock: Lock, work: WorkCounter) -> Iterator[Task]:
     """Tasks that add Σ over patches of usable(min) + usable(max) of the levels under all lights, for each combination.
 
-    `layers` are capped levels, shape (candidates, p), all of one type; `table` has one number per combination, the last
-    light's candidates varying fastest. The others are as for :func:`minimum_tasks`.
+    The lights before the one that changes are not compared again. `layers` are capped levels, shape (candidates, p),
+    all of one type; `table` has one number per combination, the last light's candidates varying fastest. The others are
+    as for :func:`minimum_tasks`.
     """
     patches, dtype = layers[0].shape[1], layers[0].dtype
     low = np.full(patches, np.iinfo(dtype).max, dtype)

@@ -33,6 +33,12 @@ MOST_NODES = 1 << 18
 
 LEAST_NODES = 1 << 10  # however few combinations there are
 
+# of all lights in turn: places, hypotheses, signs (rise or fall), levels; and where those of each light end
+_Changes = tuple[Int64, Words, Int64, Int64, Int64]
+
+# place in the table, hypotheses, sign, number of lights, sum of their levels
+_Products = tuple[Int64, Words, Int64, Int64, Int64]
+
 
 def at_least(least: int) -> Int64:
     """Values for :func:`count_run_sums`: 1 where `least` images or more show a pair."""
@@ -78,7 +84,11 @@ def count_run_sums(
     work = WorkCounter(patches, progress)
 
     def add(start: int, end: int) -> None:
-        images = [flags[start:end] for layer in fixed for flags in layer[0]]
+        # row j: hypotheses that the lights without a choice show exactly j times, in the last row as often or more
+        above = np.zeros((most_images, end - start, width), np.uint64)
+        for flags in (flags for layer in fixed for flags in layer[0]):
+            add_image(above, flags[start:end])
+        shown = np.concatenate([~above[:1], above[:-1] & ~above[1:], above[-1:]])
         # candidates of all moving lights one after the other, patches first: what a patch needs lies together
         rows = np.zeros((end - start, width, levels, sum(len(layer) for layer in moving)), np.uint64)
         first = np.cumsum([0, *(len(layer) for layer in moving)])
@@ -90,7 +100,7 @@ def count_run_sums(
                 strides,
                 first,
                 rows,
-                _shown_by_fixed(images, (end - start, width), most_images),
+                shown,
                 weights[start:end],
                 *planes,
                 coefficients,
@@ -130,14 +140,6 @@ def _matters(coefficients: Int64, lights: int, levels: int) -> Bool:
     return found
 
 
-def _shown_by_fixed(images: Sequence[Words], shape: tuple[int, int], most: int) -> Words:
-    # row j: hypotheses that the lights without a choice show exactly j times; the last row has those of `most` and more
-    above = np.zeros((most, *shape), np.uint64)
-    for image in images:
-        add_image(above, image)
-    return np.concatenate([~above[:1], above[:-1] & ~above[1:], above[-1:]])
-
-
 @kernel
 def _scatter(
     differences: Int64,
@@ -154,13 +156,12 @@ def _scatter(
     left: Bool,
 ) -> None:
     zero = np.uint64(0)
-    # products of changes: place in the table, hypotheses, sign, number of lights, sum of their levels
     at, hypotheses = np.empty(most, np.int64), np.empty(most, np.uint64)
     sign, order, total = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.int64)
-    # the changes of each light: where, which hypotheses, rising or falling, of which level
+    products = at, hypotheses, sign, order, total
     size = 2 * rows.shape[2] * rows.shape[3]
     places, signs, levels = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.int64)
-    changed, ends = np.empty(size, np.uint64), np.empty(len(strides) + 1, np.int64)
+    changes = places, np.empty(size, np.uint64), signs, levels, np.empty(len(strides) + 1, np.int64)
     for p in range(rows.shape[0]):
         starts = 0
         for w in range(rows.shape[1]):
@@ -170,14 +171,12 @@ def _scatter(
         passes = 1 if starts == 1 else 2
         for attempt in range(passes):
             for w in range(rows.shape[1]):
-                _changes(rows[p, w], strides, first, places, changed, signs, levels, ends)
+                _changes(rows[p, w], strides, first, changes)
                 for j in range(len(shown)):
                     if shown[j, p, w] == zero:
                         continue
                     at[0], hypotheses[0], sign[0], order[0], total[0] = 0, shown[j, p, w], 1, 0, 0
-                    number = _products(
-                        places, changed, signs, levels, ends, matters[j], at, hypotheses, sign, order, total
-                    )
+                    number = _products(changes, matters[j], products)
                     if number < 0:
                         left[p] = True
                         break
@@ -196,11 +195,10 @@ def _scatter(
 
 
 @kernel
-def _changes(
-    row: Words, strides: Int64, first: Int64, places: Int64, changed: Words, signs: Int64, levels: Int64, ends: Int64
-) -> None:
+def _changes(row: Words, strides: Int64, first: Int64, changes: _Changes) -> None:
     # where the flags of each light rise and fall along its candidates
     zero = np.uint64(0)
+    places, changed, signs, levels, ends = changes
     ends[0] = number = 0
     for light in range(len(strides)):
         for level in range(len(row)):
@@ -223,20 +221,10 @@ def _changes(
 
 
 @kernel
-def _products(
-    places: Int64,
-    changed: Words,
-    signs: Int64,
-    levels: Int64,
-    ends: Int64,
-    matters: Bool,
-    at: Int64,
-    hypotheses: Words,
-    sign: Int64,
-    order: Int64,
-    total: Int64,
-) -> int:
+def _products(changes: _Changes, matters: Bool, products: _Products) -> int:
     # products of changes of one light each that may count, the first of them given; −1 where there are too many
+    places, changed, signs, levels, ends = changes
+    at, hypotheses, sign, order, total = products
     lights = len(ends) - 1
     size = 1
     for light in range(lights):

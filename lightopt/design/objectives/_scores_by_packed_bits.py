@@ -39,72 +39,62 @@ def bit_scores(
     for start, end in blocks(len(chosen), max(LEAST_PATCHES, BLOCK_LEVELS // sum(sizes))):
         # heavy patches first, so that the planes of the high bits are short
         some = chosen[start:end][np.argsort(-weights[chosen[start:end]], kind="stable")]
-        block = _Block(levels, some, weights[some], thresholds, rule)
-        run_all(block.tasks(table, work), threads=threads, done=work.report)
+        tasks = _tasks(levels, some, weights[some], thresholds, rule, table, work)
+        run_all(tasks, threads=threads, done=work.report)
     return table
 
 
-class _Block:
-    """Some patches, packed."""
+def _tasks(
+    levels: Sequence[Levels],
+    some: Int64,
+    heavy: Int64,
+    thresholds: LevelThresholds,
+    rule: tuple[int, int],
+    table: Int64,
+    work: WorkCounter,
+) -> Iterator[Task]:
+    """Tasks that add the scores of some patches, of descending weights `heavy`, to a table."""
+    bits = max(1, int(heavy.max(initial=0)).bit_length())
+    planes = pack_flags(np.stack([(heavy >> k) & 1 == 1 for k in range(bits)]))
+    lengths = np.array([-(-int((heavy >= (1 << k)).sum()) // 64) for k in range(bits)], np.int64)
+    words = planes.shape[1]
+    # row k: usable, or saturated, in more than k images so far; first those under lights that stand still
+    used, spoilt = np.zeros((rule[0], words), np.uint64), np.zeros((rule[1] + 1, words), np.uint64)
+    # the last two of those that move are counted together; where fewer do, of those that stand still
+    moving = [i for i, layer in enumerate(levels) if len(layer) > 1]
+    last = (moving or [0])[-2:]
+    last = sorted({*last, *[i for i in range(len(levels)) if i not in last][: 2 - len(last)]})
+    outer: list[tuple[Words, Words]] = []
+    inner: list[tuple[Words, Words]] = []
+    for i, layer in enumerate(levels):
+        taken = layer.take(some, axis=1)
+        usable = pack_flags((taken >= thresholds.shade) & (taken < thresholds.saturation))
+        saturated = pack_flags(taken >= thresholds.saturation)
+        if i in last:
+            inner.append((usable, saturated))
+        elif len(layer) > 1:
+            outer.append((usable, saturated))
+        else:
+            count_flags(used, usable[0])
+            count_flags(spoilt, saturated[0])
+    (usable, saturated), final = inner
+    columns = len(final[0])
+    cells = table.reshape(-1, len(usable), columns)
 
-    def __init__(
-        self, levels: Sequence[Levels], some: Int64, heavy: Int64, thresholds: LevelThresholds, rule: tuple[int, int]
-    ) -> None:
-        self.patches = len(some)
-        bits = max(1, int(heavy.max(initial=0)).bit_length())
-        self.planes = pack_flags(np.stack([(heavy >> k) & 1 == 1 for k in range(bits)]))
-        self.lengths = np.array([-(-int((heavy >= (1 << k)).sum()) // 64) for k in range(bits)], np.int64)
-        self.words = self.planes.shape[1]
-        # row k: usable in more than k images so far; first those under lights that stand still
-        self.used = np.zeros((rule[0], self.words), np.uint64)
-        self.spoilt = np.zeros((rule[1] + 1, self.words), np.uint64)
-        # the last two of those that move are counted together; where fewer do, of those that stand still
-        moving = [i for i, layer in enumerate(levels) if len(layer) > 1]
-        inner = (moving or [0])[-2:]
-        inner = sorted({*inner, *[i for i in range(len(levels)) if i not in inner][: 2 - len(inner)]})
-        self.outer: list[tuple[Words, Words]] = []
-        self.inner: list[tuple[Words, Words]] = []
-        for i, layer in enumerate(levels):
-            taken = layer.take(some, axis=1)
-            usable = pack_flags((taken >= thresholds.shade) & (taken < thresholds.saturation))
-            saturated = pack_flags(taken >= thresholds.saturation)
-            if i in inner:
-                self.inner.append((usable, saturated))
-            elif len(layer) > 1:
-                self.outer.append((usable, saturated))
-            else:
-                count_flags(self.used, usable[0])
-                count_flags(self.spoilt, saturated[0])
+    def fill(index: int, prefix: tuple[int, ...], start: int, end: int) -> None:
+        use, spoil = used.copy(), spoilt.copy()
+        for (more_used, more_spoilt), candidate in zip(outer, prefix, strict=True):
+            count_flags(use, more_used[candidate])
+            count_flags(spoil, more_spoilt[candidate])
+        here = slice(start, end)
+        _last_two(use, spoil, usable[here], saturated[here], *final, planes, lengths, cells[index, here])
+        work.add((end - start) * columns * len(some))
 
-    def tasks(self, table: Int64, work: WorkCounter) -> Iterator[Task]:
-        """Tasks that add the block's scores to a table."""
-        (usable, saturated), (last_usable, last_saturated) = self.inner
-        columns = len(last_usable)
-        cells = table.reshape(-1, len(usable), columns)
-
-        def fill(index: int, prefix: tuple[int, ...], start: int, end: int) -> None:
-            used, spoilt = self.used.copy(), self.spoilt.copy()
-            for (use, spoil), candidate in zip(self.outer, prefix, strict=True):
-                count_flags(used, use[candidate])
-                count_flags(spoilt, spoil[candidate])
-            _last_two(
-                used,
-                spoilt,
-                usable[start:end],
-                saturated[start:end],
-                last_usable,
-                last_saturated,
-                self.planes,
-                self.lengths,
-                cells[index, start:end],
-            )
-            work.add((end - start) * columns * self.patches)
-
-        rows = max(1, TASK_WORDS // (columns * (self.words + int(self.lengths.sum()))))
-        prefixes = itertools.product(*(range(len(usable)) for usable, _ in self.outer))
-        for index, prefix in enumerate(prefixes):
-            for start, end in blocks(len(usable), rows):
-                yield fill, (index, prefix, start, end)
+    rows = max(1, TASK_WORDS // (columns * (words + int(lengths.sum()))))
+    prefixes = itertools.product(*(range(len(more)) for more, _ in outer))
+    for index, prefix in enumerate(prefixes):
+        for start, end in blocks(len(usable), rows):
+            yield fill, (index, prefix, start, end)
 
 
 @kernel

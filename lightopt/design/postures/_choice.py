@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lightopt.core.transforms import Posture
+from lightopt.design.postures._exposures import Brackets
 from lightopt.design.postures._light_positions import PositionCounts
 from lightopt.design.search._exact_search import DEFAULT_LIMIT
 from lightopt.scene import PanelLight
@@ -156,6 +157,7 @@ class PostureChoice(Solution):
     on_all_patches: Whether the last iterations used all patches; not where memory is too small for so many positions.
     position_counts: What each position of each light shows of all patches in these postures, each image with the
         evaluator's exposures; None where that is no longer known.
+    brackets: Which further exposures are planned; None where there were none to choose from.
     """
 
     postures: tuple[Posture, ...]
@@ -164,6 +166,11 @@ class PostureChoice(Solution):
     initial_panels: tuple[PanelLight, ...] = field(compare=False, repr=False)
     on_all_patches: bool
     position_counts: tuple[PositionCounts, ...] | None = field(default=None, compare=False, repr=False)
+    brackets: Brackets | None = None
+
+    def exposures_of(self, posture: Posture) -> tuple[float, ...]:
+        """Planned exposures of a posture, the longest first."""
+        return (1.0,) if self.brackets is None else self.brackets.of(posture)
 
     @property
     def initial_if_moved(self) -> Cover | None:

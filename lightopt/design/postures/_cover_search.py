@@ -7,9 +7,6 @@ benefit than benefit(S') + the sum of the N largest g; and N greedy steps reach 
 1 − 1/e of the best (Nemhauser, Wolsey, Fisher 1978, doi:10.1007/BF01588971). The least of the first is used; it is
 never looser than the second.
 
-A greedy choice is never revised. :func:`improve_by_exchange` then tries each chosen candidate against every other one
-and makes the best exchange, until no single exchange covers more; the set is not proven to be the best of its size.
-
 :func:`best_set` finds the best set of a number of candidates by branch and bound: no set that extends S by r of the
 remaining candidates has more benefit than benefit(S) + the r largest gains left, and none covers more than a k-th of
 that. Sets are visited in descending order of gain; a branch whose bound is no more than what the best known set covers
@@ -20,26 +17,15 @@ import heapq
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate
 
 from lightopt.design.postures._choice import Cover, CoverStep
-from lightopt.design.responses._packed_bits import (
-    Counts,
-    PairWeights,
-    add_counts,
-    all_marginal_gains,
-    covered_weight,
-    marginal_gains,
-    sum_counts,
-    total_benefit,
-    zero_counts,
-)
+from lightopt.design.responses._packed_bits import Counts, Merit, PairWeights, add_counts
 
 # of one search: words of flags that are read, 10,000 gains of 200,000 patches; some ten seconds of two processors
 MOST_WORK = 2_000_000_000
 
 BATCH = 16  # candidates whose gains are computed at once, whatever the number of threads
-
-Merit = tuple[int, int]  # covered weight, benefit: see `lightopt.design.responses._packed_bits`
 
 
 def greedy_cover(
@@ -69,41 +55,37 @@ def greedy_cover(
     )
     greedy.choose()
     everything = greedy.together(range(len(candidates)))
-    all_benefit = total_benefit(everything, weights)
+    all_benefit = weights.benefit(everything)
     return Cover(
         steps=cover_steps([(i, candidates[i]) for i in greedy.chosen], weights),
         k=greedy.k,
         total=weights.total,
         bounds=tuple(min(all_benefit, greedy.bound(size)) for size in range(len(greedy.chosen) + 1)),
         all_benefit=all_benefit,
-        all_covered=covered_weight(everything, weights),
+        all_covered=weights.covered(everything),
         target=target,
     )
 
 
-def greedy_order(candidates: Mapping[int, Counts], weights: PairWeights) -> tuple[int, ...]:
+def greedy_order(candidates: Mapping[int, Counts], weights: PairWeights, k: int) -> tuple[int, ...]:
     """All of some candidates, each time the one that adds most to those before it; the first of equals."""
-    left = dict(candidates)
+    left, now = dict(candidates), weights.zero_counts(k)
     ordered: list[int] = []
-    now: Counts | None = None
     while left:
-        before = zero_counts(weights, len(next(iter(left.values())))) if now is None else now
-        best = max(left, key=lambda i, before=before: marginal_gains(before, left[i], weights)[1])
-        now = add_counts(before, left.pop(best))
+        best = max(left, key=lambda i, now=now: weights.gains(now, left[i])[1])
+        now = add_counts(now, left.pop(best))
         ordered.append(best)
     return tuple(ordered)
 
 
 def cover_steps(ordered: Sequence[tuple[int, Counts]], weights: PairWeights) -> tuple[CoverStep, ...]:
     """What candidates add one after the other: index and counts of each."""
-    steps: list[CoverStep] = []
-    now: Counts | None = None
-    for one, counts in ordered:
-        now = counts if now is None else add_counts(now, counts)
-        benefit = total_benefit(now, weights)
-        gain = benefit - (steps[-1].benefit if steps else 0)
-        steps.append(CoverStep(candidate=one, gain=gain, benefit=benefit, covered=covered_weight(now, weights)))
-    return tuple(steps)
+    sums = accumulate((counts for _, counts in ordered), add_counts)
+    merits = [(0, 0), *map(weights.merit, sums)]
+    return tuple(
+        CoverStep(candidate=one, gain=benefit - before, benefit=benefit, covered=covered)
+        for (one, _), (_, before), (covered, benefit) in zip(ordered, merits, merits[1:], strict=False)
+    )
 
 
 @dataclass(eq=False)
@@ -131,12 +113,12 @@ class _Greedy:
         now = self.together(self.chosen)
         while True:
             gains = [
-                0 if i in self.chosen else marginal_gains(now, candidate, self.weights)[1]
+                0 if i in self.chosen else self.weights.gains(now, candidate)[1]
                 for i, candidate in enumerate(self.candidates)
             ]
-            self.states.append((total_benefit(now, self.weights), sorted(gains, reverse=True)))
+            self.states.append((self.weights.benefit(now), sorted(gains, reverse=True)))
             best = max(self.allowed, key=lambda i: gains[i], default=None)
-            met = covered_weight(now, self.weights) >= self.goal
+            met = self.weights.covered(now) >= self.goal
             if met or len(self.chosen) >= self.most or best is None or gains[best] == 0:
                 return
             self.chosen.append(best)
@@ -144,17 +126,17 @@ class _Greedy:
 
     def _redundant(self) -> int | None:
         # the one whose loss costs least, the latest of those: nothing at all, or what the target can spare
-        whole = total_benefit(self.together(self.chosen), self.weights)
+        whole = self.weights.benefit(self.together(self.chosen))
         spare: list[tuple[int, int, int]] = []
         for place, one in enumerate(self.chosen):
             rest = self.together([other for other in self.chosen if other != one])
-            loss = whole - total_benefit(rest, self.weights)
-            if loss == 0 or covered_weight(rest, self.weights) >= self.goal:
+            loss = whole - self.weights.benefit(rest)
+            if loss == 0 or self.weights.covered(rest) >= self.goal:
                 spare.append((loss, -place, one))
         return min(spare)[2] if spare else None
 
     def together(self, some: Sequence[int]) -> Counts:
-        return sum_counts((self.candidates[one] for one in some), self.weights, self.k)
+        return self.weights.sum_counts((self.candidates[one] for one in some), self.k)
 
     def bound(self, size: int) -> int:
         return min(here + sum(heapq.nlargest(size, gains)) for here, gains in self.states)
@@ -163,7 +145,7 @@ class _Greedy:
 def improve_by_exchange(
     candidates: Sequence[Counts], weights: PairWeights, chosen: Sequence[int], *, threads: int | None = None
 ) -> tuple[int, ...]:
-    """As many candidates that cover as much or more, and that no single exchange improves.
+    """As many candidates that cover as much or more, and that no single exchange improves; no proof of the best.
 
     The best exchange is made first; of equals the one that replaces the earliest chosen by the first candidate.
     """
@@ -171,14 +153,14 @@ def improve_by_exchange(
     if not now:
         return ()
     k = len(candidates[0])
-    merit = _merit(sum_counts((candidates[i] for i in now), weights, k), weights)
+    merit = weights.merit(weights.sum_counts((candidates[i] for i in now), k))
     while True:
         best: tuple[Merit, int, int] | None = None
         others = [i for i in range(len(candidates)) if i not in now]
         for place in range(len(now)):
-            rest = sum_counts((candidates[i] for i in [*now[:place], *now[place + 1 :]]), weights, k)
-            covered, benefit = _merit(rest, weights)
-            gains = all_marginal_gains(rest, [candidates[i] for i in others], weights, threads=threads)
+            rest = weights.sum_counts((candidates[i] for i in [*now[:place], *now[place + 1 :]]), k)
+            covered, benefit = weights.merit(rest)
+            gains = weights.all_gains(rest, [candidates[i] for i in others], threads=threads)
             for i, gain in zip(others, gains, strict=True):
                 other = covered + gain[0], benefit + gain[1]
                 if other > (merit if best is None else best[0]):
@@ -187,10 +169,6 @@ def improve_by_exchange(
             return tuple(now)
         merit, place, i = best
         now[place] = i
-
-
-def _merit(counts: Counts, weights: PairWeights) -> Merit:
-    return covered_weight(counts, weights), total_benefit(counts, weights)
 
 
 def best_set(
@@ -210,9 +188,9 @@ def best_set(
     Returns chosen, covered, sets: The best set that was found, the weight that it covers, and the number of all sets
         of that size; None where it is not proven that none covers more.
     """
-    search = _Search(candidates, weights, chosen, most_work, threads)
+    search = _Search(candidates, weights, tuple(chosen), most_work, threads)
     try:
-        search.visit(zero_counts(weights, search.k), (), 0, 0, list(range(len(candidates))), None, size)
+        search.visit(weights.zero_counts(search.k), (), 0, 0, list(range(len(candidates))), None, size)
     except _WorkLimitReached:
         return search.best, search.best_covered, None
     return search.best, search.best_covered, math.comb(len(candidates), size)
@@ -222,21 +200,19 @@ class _WorkLimitReached(Exception):  # noqa: N818  (ends the search, and no erro
     """The search ends without a proof."""
 
 
+@dataclass(eq=False)
 class _Search:
-    def __init__(
-        self,
-        candidates: Sequence[Counts],
-        weights: PairWeights,
-        chosen: Sequence[int],
-        most_work: int,
-        threads: int | None,
-    ) -> None:
-        self.candidates, self.weights, self.threads = candidates, weights, threads
-        self.k = len(candidates[0])
-        self.best = tuple(chosen)
-        self.best_covered = covered_weight(sum_counts((candidates[i] for i in chosen), weights, self.k), weights)
-        self._each = max(1, candidates[0].size)
-        self._left = most_work
+    candidates: Sequence[Counts]
+    weights: PairWeights
+    best: tuple[int, ...]
+    left: int
+    threads: int | None
+
+    def __post_init__(self) -> None:
+        self.k = len(self.candidates[0])
+        self.best_covered = self.weights.covered(
+            self.weights.sum_counts((self.candidates[i] for i in self.best), self.k)
+        )
 
     def visit(
         self,
@@ -268,19 +244,12 @@ class _Search:
         for at in range(len(rest) - more + 1):
             if self._cannot_improve(benefit + sum(benefits[at : at + more])):
                 return
-            one = (*some, rest[at])
+            one, merit = (*some, rest[at]), (covered + covers[at], benefit + benefits[at])
             if more == 1:
-                self._update_best(one, covered + covers[at])
+                self._update_best(one, merit[0])
                 continue
-            self.visit(
-                add_counts(now, self.candidates[rest[at]]),
-                one,
-                covered + covers[at],
-                benefit + benefits[at],
-                rest[at + 1 :],
-                benefits[at + 1 :],
-                more - 1,
-            )
+            after = add_counts(now, self.candidates[rest[at]])
+            self.visit(after, one, *merit, rest[at + 1 :], benefits[at + 1 :], more - 1)
 
     def _cannot_improve(self, benefit: int) -> bool:
         # [count ≥ k] ≤ min(k, count) / k
@@ -290,8 +259,8 @@ class _Search:
         if value > self.best_covered:
             self.best, self.best_covered = some, value
 
-    def _gains(self, now: Counts, some: Sequence[int]) -> list[tuple[int, int]]:
-        self._left -= self._each * len(some)
-        if self._left < 0:
+    def _gains(self, now: Counts, some: Sequence[int]) -> list[Merit]:
+        self.left -= max(1, self.candidates[0].size) * len(some)
+        if self.left < 0:
             raise _WorkLimitReached
-        return all_marginal_gains(now, [self.candidates[i] for i in some], self.weights, threads=self.threads)
+        return self.weights.all_gains(now, [self.candidates[i] for i in some], threads=self.threads)

@@ -21,16 +21,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share
 from lightopt.core.transforms import Posture
 from lightopt.design.responses._image_evaluator import ImageEvaluator, scattered_flags
-from lightopt.design.responses._packed_bits import (
-    Counts,
-    PairWeights,
-    Words,
-    add_counts,
-    counts_of_images,
-    covered_weight,
-    sum_counts,
-    total_benefit,
-)
+from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, add_counts, counts_of_images
 from lightopt.scene import PanelLight
 
 DEFAULT_EXPOSURE_GAIN = 1.0
@@ -116,14 +107,11 @@ def select_exposures(
     least_gain: float,
     target: float | None = None,
 ) -> Brackets:
-    """Take the exposure that adds most to what is seen, the first of equals, as long as it adds enough and anything.
-
-    Where none does, the two that add most together, as long as that is twice as much and anything. Below `target`, a
-    share of the pairs, whatever adds anything is taken.
+    """Plan exposures as the module's text says, the first of equals, as long as they add anything.
 
     now: What the images of each posture show at exposure 1, from :func:`images_of`.
     min_images: Images that must show a pair.
-    least_gain: Share of the pairs.
+    least_gain, target: Shares of the pairs; below the target, whatever adds anything is planned.
     """
     total = max(1, weights.total)
     planned = _PlannedImages(now, weights, min_images)
@@ -186,9 +174,10 @@ class _PlannedImages:
             if at not in others:
                 others = {at: self._without({at})}
             now = add_counts(others[at], self._counts(self._images[at] | candidate.images))
-            more = covered_weight(now, self._weights) - self.covered
+            covered, benefit = self._weights.merit(now)
+            more = covered - self.covered
             # the benefit of a pair grows by one at least where it is now seen often enough, or only once more
-            gains.append((more, total_benefit(now, self._weights) - self._benefit - more))
+            gains.append((more, benefit - self._benefit - more))
         return gains
 
     def best_pair(
@@ -228,15 +217,14 @@ class _PlannedImages:
                 if candidate.posture == posture:
                     images = images | candidate.images
             total = add_counts(total, self._counts(images))
-        return covered_weight(total, self._weights) - self.covered
+        return self._weights.covered(total) - self.covered
 
     def _update(self) -> None:
-        total = self._without(set())
-        self.covered, self._benefit = covered_weight(total, self._weights), total_benefit(total, self._weights)
+        self.covered, self._benefit = self._weights.merit(self._without(set()))
 
     def _without(self, postures: set[int]) -> Counts:
         rest = (own for i, own in enumerate(self._own) if i not in postures)
-        return sum_counts(rest, self._weights, self._seen_in)
+        return self._weights.sum_counts(rest, self._seen_in)
 
     def _counts(self, images: Images) -> Counts:
         return counts_of_images(list(images), self._seen_in)

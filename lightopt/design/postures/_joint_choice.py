@@ -15,7 +15,7 @@ from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
 from lightopt.design.postures._choice import Cover, PostureChoice, PostureRequest
 from lightopt.design.postures._cover_search import best_set, cover_steps, greedy_cover, greedy_order
-from lightopt.design.postures._exposures import Brackets, plan_exposures
+from lightopt.design.postures._exposures import plan_exposures
 from lightopt.design.postures._light_positions import best_positions, position_counts_fit
 from lightopt.design.postures._posture_search import choose_postures
 from lightopt.design.responses._image_evaluator import ImageEvaluator
@@ -36,22 +36,22 @@ def choose_with_exposures(
     exposures: Sequence[float],
     gain_points: float,
     run: RunContext,
-) -> tuple[PostureChoice, Brackets | None]:
+) -> PostureChoice:
     """Choose postures and lights, and which further exposures are planned; figures are of the planned images.
 
     whole, drawn, postures, start, candidates, request, run: As for :func:`lightopt.design.choose_postures`;
         evaluators of exposure 1.
     exposures: Exposures, 1 among them; with no other the choice is that of exposure 1, and there are no brackets.
     gain_points: What a further exposure has to add [hundredths of the pairs].
-    Returns choice, brackets: Of the planned images; bounds and all candidates' share hold for any of the exposures.
-        Where a target cannot be reached, what was chosen for all exposures, and no brackets.
+    Returns the choice of the planned images; bounds and all candidates' share hold for any of the exposures. Where a
+    target cannot be reached, what was chosen for all exposures, without brackets.
 
     Raises InputError: As :func:`lightopt.design.choose_postures` and
         :func:`lightopt.design.postures._exposures.plan_exposures`.
     """
     levels = tuple(dict.fromkeys((1.0, *exposures)))
     if len(levels) == 1:
-        return choose_postures(whole, drawn, postures, start, candidates, request, run=run), None
+        return choose_postures(whole, drawn, postures, start, candidates, request, run=run)
 
     def chosen_on(every: ImageEvaluator, some: ImageEvaluator, stage: str) -> PostureChoice:
         choice = choose_postures(every, some, postures, start, candidates, request, run=run.within(stage))
@@ -63,7 +63,7 @@ def choose_with_exposures(
     together = chosen_on(every, some, "all exposures")
     both = [one for one in (single, together) if request.target is None or one.cover.share >= request.target]
     if not any(one.postures for one in both):
-        return together, None
+        return together
     planner = _JointPlanner(
         whole=every, candidates=candidates, request=request, least_gain=gain_points / 100.0, run=run
     )
@@ -71,15 +71,7 @@ def choose_with_exposures(
     best = planner.place_lights(best)
     cover = planner.cover(best, postures)
     chosen = tuple(postures[step.candidate] for step in cover.steps)
-    return replace(best.choice, postures=chosen, cover=cover, initial=single.initial), best.brackets
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Plan:
-    """Postures and lights, and their exposures."""
-
-    choice: PostureChoice
-    brackets: Brackets
+    return replace(best, postures=chosen, cover=cover, initial=single.initial)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -92,7 +84,7 @@ class _JointPlanner:
     least_gain: float
     run: RunContext
 
-    def add_exposures(self, choice: PostureChoice) -> _Plan:
+    def add_exposures(self, choice: PostureChoice) -> PostureChoice:
         """A choice with the exposures that have enough gain."""
         brackets = plan_exposures(
             self.whole,
@@ -104,54 +96,54 @@ class _JointPlanner:
             target=self.request.target,
             progress=self.run.stage("exposures"),
         )
-        return _Plan(choice=choice, brackets=brackets)
+        return replace(choice, brackets=brackets)
 
-    def merit(self, plan: _Plan) -> tuple[float, ...]:
+    def merit(self, plan: PostureChoice) -> tuple[float, ...]:
         """Sort key of a plan; see the module's text."""
+        assert plan.brackets is not None
         further = sum(exposure.planned for exposure in plan.brackets.further)
-        count = 0 if self.request.target is None else -len(plan.choice.postures)
+        count = 0 if self.request.target is None else -len(plan.postures)
         return count, plan.brackets.after - self.least_gain * further, -further
 
-    def place_lights(self, plan: _Plan) -> _Plan:
+    def place_lights(self, plan: PostureChoice) -> PostureChoice:
         """The lights where they serve the planned images best, and the exposures with enough gain there."""
         if self.candidates is None:
             return plan
         if not position_counts_fit(self.whole, self.candidates, min_images=self.request.min_images):
-            return replace(plan, choice=replace(plan.choice, converged=False))
+            return replace(plan, converged=False)
         for _ in range(MOST_ITERATIONS):
-            choice = plan.choice
             positions, _ = best_positions(
                 self.whole,
-                [(posture, plan.brackets.of(posture)) for posture in choice.postures],
+                [(posture, plan.exposures_of(posture)) for posture in plan.postures],
                 self.candidates,
                 min_images=self.request.min_images,
                 limit=self.request.limit,
                 progress=self.run.stage("lights for the planned images"),
             )
-            choice = replace(
-                choice, converged=positions.covered <= self._covered(plan), exact=choice.exact and positions.exact
-            )
-            if choice.converged:
-                return replace(plan, choice=choice)
+            assert plan.brackets is not None
+            covered = round(plan.brackets.after * max(1, self.whole.weights.total))
+            plan = replace(plan, converged=positions.covered <= covered, exact=plan.exact and positions.exact)
+            if plan.converged:
+                return plan
             panels = self.candidates.panels_at(positions.candidates)
             better = self.add_exposures(
-                replace(choice, lights=positions.candidates, panels=panels, iterations=choice.iterations + 1)
+                replace(plan, lights=positions.candidates, panels=panels, iterations=plan.iterations + 1)
             )
             if self.merit(better) <= self.merit(plan):
-                return replace(plan, choice=choice)
+                return plan
             plan = better
         return plan
 
-    def cover(self, plan: _Plan, postures: Sequence[Posture]) -> Cover:
+    def cover(self, plan: PostureChoice, postures: Sequence[Posture]) -> Cover:
         """What the planned images show, posture by posture; bounds are of all postures at any of the exposures."""
-        choice, weights = plan.choice, self.whole.weights
-        indices = [postures.index(posture) for posture in choice.postures]
-        every = [self._counts(choice, posture, self.whole.exposures) for posture in postures]
+        weights = self.whole.weights
+        indices = [postures.index(posture) for posture in plan.postures]
+        every = [self._counts(plan, posture, self.whole.exposures) for posture in postures]
         free = greedy_cover(every, weights, count=len(indices))
-        own = {i: self._counts(choice, postures[i], plan.brackets.of(postures[i])) for i in sorted(indices)}
+        own = {i: self._counts(plan, postures[i], plan.exposures_of(postures[i])) for i in sorted(indices)}
         cover = replace(
             free,
-            steps=cover_steps([(i, own[i]) for i in greedy_order(own, weights)], weights),
+            steps=cover_steps([(i, own[i]) for i in greedy_order(own, weights, self.request.min_images)], weights),
             # where fewer postures show everything, more cannot add to it
             bounds=(*free.bounds, *([free.all_benefit] * (len(indices) - len(free.steps)))),
         )
@@ -160,9 +152,6 @@ class _JointPlanner:
         _, most, sets = best_set(every, weights, free.chosen, len(indices), threads=self.whole.threads)
         return cover.with_search(most, sets)
 
-    def _counts(self, choice: PostureChoice, posture: Posture, exposures: tuple[float, ...]) -> Counts:
+    def _counts(self, plan: PostureChoice, posture: Posture, exposures: tuple[float, ...]) -> Counts:
         evaluator = replace(self.whole, exposures=exposures)
-        return evaluator.counts(posture, choice.panels, min_images=self.request.min_images)
-
-    def _covered(self, plan: _Plan) -> int:
-        return round(plan.brackets.after * max(1, self.whole.weights.total))
+        return evaluator.counts(posture, plan.panels, min_images=self.request.min_images)

@@ -4,10 +4,9 @@ Every combination is tried, a table of so many after the other; where there are 
 time until that gains nothing.
 
 The postures' images of a position are counted before (see :mod:`lightopt.design.responses._packed_bits`), so that a
-combination adds up one count per light, whatever the number of postures. Along the positions of a light these counts
-change a few times, and the sums come from the changes (:mod:`lightopt.design.objectives._scores_by_image_counts`).
-Patches whose counts change nearly everywhere are added up combination by combination, light after light; the last
-light's positions share the sum of the others.
+combination adds up one count per light, whatever the number of postures. The sums come from the places where counts
+change (:mod:`lightopt.design.objectives._scores_by_image_counts`). Patches where they change nearly everywhere are
+added up combination by combination; the last light's positions share the sum of the others.
 """
 
 import math
@@ -26,15 +25,7 @@ from lightopt.design._candidates import Candidates
 from lightopt.design.objectives._scores_by_image_counts import at_least, count_run_sums, up_to
 from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import select_rows
-from lightopt.design.responses._packed_bits import (
-    Counts,
-    PairWeights,
-    Words,
-    add_counts,
-    counts_of_images,
-    word_weight,
-    zero_counts,
-)
+from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, add_counts, counts_of_images, word_weight
 from lightopt.design.search._combinations import CombinationSpace, allowed_mask, digits
 from lightopt.design.search._exact_search import DEFAULT_LIMIT, TABLE_CELLS
 
@@ -75,32 +66,25 @@ def _added_up(
     def of_first(first: int, start: int, end: int) -> None:
         own = weights.of(slice(start, end))
         some = [positions[:, :, start:end] for positions in (lights[0][first : first + 1], *lights[1:])]
-        _through(some, 0, zero_counts(own, k), 0, own, covers[first], benefits[first])
+
+        def add(light: int, so_far: Counts, at: int) -> int:
+            # sums of the combinations of the lights from `light` on, written from `at` on; where the next ones go
+            if light < len(some) - 1:
+                for positions in some[light]:
+                    at = add(light + 1, add_counts(so_far, positions), at)
+                return at
+            here = slice(at, at + len(some[light]))
+            sums = covers[first, here], benefits[first, here]
+            _last(so_far, some[light], own.areas, own.masks, own.factors, *sums)
+            return here.stop
+
+        add(0, own.zero_counts(k), 0)
 
     for start in range(0, patches, step):
         # a row of the tables is written by one task at a time
         tasks = ((of_first, (first, start, min(start + step, patches))) for first in range(sizes[0]))
         run_all(tasks, threads=threads, done=None if progress is None else lambda: progress(1.0))
     return covers.ravel(), benefits.ravel()
-
-
-def _through(
-    lights: Sequence[PositionCounts],
-    light: int,
-    so_far: Counts,
-    start: int,
-    weights: PairWeights,
-    covered: Int64,
-    benefit: Int64,
-) -> int:
-    # sums of the combinations of the lights from `light` on, written from `start` on; where the next ones go
-    if light == len(lights) - 1:
-        end = start + len(lights[light])
-        _last(so_far, lights[light], *weights.arrays, covered[start:end], benefit[start:end])
-        return end
-    for positions in lights[light]:
-        start = _through(lights, light + 1, add_counts(so_far, positions), start, weights, covered, benefit)
-    return start
 
 
 @kernel
@@ -172,16 +156,12 @@ def place_lights(
     """
     exact = sum(math.prod(len(rows) for rows in group) for group in space.groups) <= limit
     boxes = [box for group in space.groups for box in (_boxes(group, table_cells) if exact else [group])]
-    best: LightPositions | None = None
+    search = _Search(lights, weights, space, threads)
+    found: list[LightPositions | None] = []
     for done, box in enumerate(boxes):
         report = part_of(progress, done / len(boxes), (done + 1) / len(boxes))
-        found = (
-            _best_of(lights, weights, space, box, threads, report)
-            if exact
-            else _one_at_a_time(lights, weights, space, box, threads)
-        )
-        if found is not None and (best is None or (found.covered, found.benefit) > (best.covered, best.benefit)):
-            best = found
+        found.append(search.best_of(box, report) if exact else search.one_at_a_time(box))
+    best = max(filter(None, found), key=lambda one: (one.covered, one.benefit), default=None)
     if best is None:
         raise InputError(
             "no combination of the lights' positions is left: in each, panels collide; widen their ranges or take "
@@ -203,49 +183,41 @@ def _boxes(rows: Rows, most: int) -> Iterator[Rows]:
                 yield first, *rest
 
 
-def _best_of(
-    lights: Sequence[PositionCounts],
-    weights: PairWeights,
-    space: CombinationSpace,
-    rows: Rows,
-    threads: int | None,
-    progress: Share | None,
-) -> LightPositions | None:
-    allowed = allowed_mask(space, tuple(rows))
-    if allowed is not None and not allowed.any():
-        return None
-    covered, benefit = combination_sums(
-        [select_rows(positions, some) for positions, some in zip(lights, rows, strict=True)],
-        weights,
-        threads=threads,
-        progress=progress,
-    )
-    if allowed is not None:
-        covered, benefit = np.where(allowed, covered, -1), np.where(allowed, benefit, -1)
-    most = int(covered.max())
-    at = int(np.argmax(np.where(covered == most, benefit, -1)))
-    chosen = tuple(int(some[i]) for some, i in zip(rows, digits(at, rows), strict=True))
-    return LightPositions(candidates=chosen, covered=most, benefit=int(benefit[at]), exact=True)
+@dataclass(frozen=True, eq=False)
+class _Search:
+    lights: Sequence[PositionCounts]
+    weights: PairWeights
+    space: CombinationSpace
+    threads: int | None
 
+    def best_of(self, rows: Rows, progress: Share | None = None) -> LightPositions | None:
+        allowed = allowed_mask(self.space, tuple(rows))
+        if allowed is not None and not allowed.any():
+            return None
+        some = [select_rows(positions, own) for positions, own in zip(self.lights, rows, strict=True)]
+        covered, benefit = combination_sums(some, self.weights, threads=self.threads, progress=progress)
+        if allowed is not None:
+            covered, benefit = np.where(allowed, covered, -1), np.where(allowed, benefit, -1)
+        most = int(covered.max())
+        at = int(np.argmax(np.where(covered == most, benefit, -1)))
+        chosen = tuple(int(own[i]) for own, i in zip(rows, digits(at, rows), strict=True))
+        return LightPositions(candidates=chosen, covered=most, benefit=int(benefit[at]), exact=True)
 
-def _one_at_a_time(
-    lights: Sequence[PositionCounts], weights: PairWeights, space: CombinationSpace, rows: Rows, threads: int | None
-) -> LightPositions | None:
-    now = first_allowed(space, rows)
-    if now is None:
-        return None
-    best: LightPositions | None = None
-    moved = True
-    while moved:
-        moved = False
-        for i in range(len(lights)):
-            some = [rows[j] if j == i else np.array([now[j]]) for j in range(len(lights))]
-            found = _best_of(lights, weights, space, some, threads, None)
-            assert found is not None
-            if best is None or (found.covered, found.benefit) > (best.covered, best.benefit):
-                best = replace(found, exact=False)
-                now, moved = list(found.candidates), True
-    return best
+    def one_at_a_time(self, rows: Rows) -> LightPositions | None:
+        now = first_allowed(self.space, rows)
+        if now is None:
+            return None
+        best: LightPositions | None = None
+        moved = True
+        while moved:
+            moved = False
+            for i in range(len(rows)):
+                found = self.best_of([own if j == i else np.array([now[j]]) for j, own in enumerate(rows)])
+                assert found is not None
+                if best is None or (found.covered, found.benefit) > (best.covered, best.benefit):
+                    best = replace(found, exact=False)
+                    now, moved = list(found.candidates), True
+        return best
 
 
 def first_allowed(space: CombinationSpace, rows: Rows) -> list[int] | None:
@@ -290,7 +262,7 @@ def position_counts(
 
     Each posture comes with the exposures that an image of it may be taken with; k is `min_images`.
     """
-    empty = zero_counts(evaluator.weights, min_images)
+    empty = evaluator.weights.zero_counts(min_images)
     totals = [np.repeat(empty[None], len(some), axis=0) for some in candidates.panels]
     for done, (posture, exposures) in enumerate(postures, start=1):
         images = replace(evaluator, exposures=exposures).flags(posture, candidates.panels)

@@ -31,7 +31,7 @@ from lightopt.design.postures._light_positions import position_counts, position_
 from lightopt.design.postures._posture_grid import posture_grid, usable_postures
 from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
-from lightopt.design.responses._packed_bits import covered_weight, sum_counts, unpack_flags
+from lightopt.design.responses._packed_bits import unpack_flags
 from lightopt.design.search._combinations import Ranked
 from lightopt.design.search._curves import Curve, score_curves
 from lightopt.rendering import build_patches, cast_rays_at
@@ -76,31 +76,30 @@ def planned_answers(
     evaluator = chosen.evaluator
     goal = PlannedDetectability(first.hypotheses, first.min_images, area=int(evaluator.weights.areas.sum()))
     answers = tuple(_planned(answer, goal, chosen, candidates, free) for answer in result.answers)
-    best = answers[0].found.best
-    at = angles_of(candidates, best)
-    curves: tuple[Curve, ...] = ()
+    return replace(result, answers=answers, curves=_curves(answers[0].found.best, chosen, candidates, free, progress))
+
+
+def _curves(
+    best: Ranked, chosen: ChosenPostures, candidates: Candidates, free: Candidates | None, progress: Share | None
+) -> tuple[Curve, ...]:
+    at, evaluator, weights = angles_of(candidates, best), chosen.evaluator, chosen.evaluator.weights
     if (
-        free is not None
-        and all(angles in some for angles, some in zip(at, free.angles, strict=True))
-        and position_counts_fit(evaluator, free, min_images=chosen.least)
+        free is None
+        or not all(angles in some for angles, some in zip(at, free.angles, strict=True))
+        or not position_counts_fit(evaluator, free, min_images=chosen.least)
     ):
-        here = tuple(some.index(angles) for angles, some in zip(at, free.angles, strict=True))
-        curves = _curves(replace(best, candidates=here), chosen, free, progress)
-    return replace(result, answers=answers, curves=curves)
-
-
-def _curves(best: Ranked, chosen: ChosenPostures, free: Candidates, progress: Share | None) -> tuple[Curve, ...]:
-    evaluator = chosen.evaluator
-    postures = [(posture, chosen.exposures_of(posture)) for posture in chosen.way.order]
+        return ()
+    postures = [(posture, chosen.choice.exposures_of(posture)) for posture in chosen.way.order]
     lights = chosen.choice.position_counts or position_counts(
         evaluator, postures, free, min_images=chosen.least, progress=progress
     )
 
     def score(combination: tuple[int, ...]) -> int:
         shown = (places[k] for places, k in zip(lights, combination, strict=True))
-        return covered_weight(sum_counts(shown, evaluator.weights, chosen.least), evaluator.weights)
+        return weights.covered(weights.sum_counts(shown, chosen.least))
 
-    return score_curves(free, best, score)
+    here = tuple(some.index(angles) for angles, some in zip(at, free.angles, strict=True))
+    return score_curves(free, replace(best, candidates=here), score)
 
 
 def _planned(
@@ -110,26 +109,26 @@ def _planned(
     candidates: Candidates,
     free: Candidates | None,
 ) -> ObjectiveResult:
-    best, evaluator = answer.found.best, chosen.evaluator
+    best, choice, evaluator = answer.found.best, chosen.choice, chosen.evaluator
     panels = candidates.panels_at(best.candidates)
     images = (
-        replace(evaluator, exposures=chosen.exposures_of(posture)).counts(posture, panels, min_images=chosen.least)
+        replace(evaluator, exposures=choice.exposures_of(posture)).counts(posture, panels, min_images=chosen.least)
         for posture in chosen.way.order
     )
-    counts = sum_counts(images, evaluator.weights, chosen.least)
-    score = covered_weight(counts, evaluator.weights)
+    counts = evaluator.weights.sum_counts(images, chosen.least)
+    score = evaluator.weights.covered(counts)
     scores = {**answer.scores, goal.name: score}
     if answer.objective.name != goal.name:
         searched = free is None or any(len(some) > 1 for some in candidates.angles)
         return replace(answer, scores=scores, proven_of=None if searched else PROVEN_OF_ONE)
     # where no other positions show more in these postures; else no bound is known but all there is to see
-    best_there = chosen.choice.exact and chosen.choice.converged
+    best_there = choice.exact and choice.converged
     bound = score if best_there else evaluator.weights.total
     seen = evaluator.weights.areas @ unpack_flags(counts[-1], len(goal.hypotheses))
     return replace(
         answer,
         objective=goal,
-        found=replace(answer.found, ranking=(replace(best, negative_score=-score),), bound=bound),
+        found=replace(answer.found, ranking=(replace(best, score=score),), bound=bound),
         scores=scores,
         details=goal.facts(seen, goal.area),
         nothing=None,
@@ -172,14 +171,12 @@ def target_not_reached(
 
     `evaluator` is of all candidate postures; `least` images must show a pair.
     """
-    cover = choice.cover
+    cover, grain = choice.cover, evaluator.table.grain
     steps = tuple(
         PostureCountStep(posture=posture, share=step.covered / max(1, cover.total), bound=cover.bound_of(number))
         for number, (posture, step) in enumerate(zip(choice.postures, cover.steps, strict=True), start=1)
     )
-    return TargetNotReached(
-        _text(target, choice, evaluator, least), target=target, steps=steps, grain=evaluator.table.grain
-    )
+    return TargetNotReached(_text(target, choice, evaluator, least), target=target, steps=steps, grain=grain)
 
 
 def _text(target: float, choice: PostureChoice, evaluator: ImageEvaluator, least: int) -> str:
@@ -195,6 +192,10 @@ def _text(target: float, choice: PostureChoice, evaluator: ImageEvaluator, least
             "Raise option 'choose_postures' or leave it out"
         )
     lost = _lost(choice, evaluator, least)
+    # more light helps where there is too little of it
+    dim = lost.get(BlindReason.CONTRAST, 0.0) + lost.get(BlindReason.SHADOWED, 0.0)
+    longer = max(evaluator.exposures) <= 1.0 and dim > 0.5 * sum(lost.values())
+    hint = "Longer exposures may show some of it: add them, such as option 'exposures' 1,4,16. " * longer
     lights = "the best lights found (others may show more)" if choice.iterations else "the lights as they stand"
     near = next(
         (i for i, step in enumerate(cover.steps, 1) if step.covered >= (most - NEAR_SHARE) * cover.total),
@@ -204,16 +205,8 @@ def _text(target: float, choice: PostureChoice, evaluator: ImageEvaluator, least
         f"option 'target': {required} of the surface × defects is not reached: with {lights}, all {available} "
         f"postures together show {text(most)}, and {counted(near, 'posture')} come within "
         f"{100 * NEAR_SHARE:g} point of that. Of what stays unseen, {_reasons(lost, choice)}. "
-        f"{_hint(lost, evaluator)}Ask for less, use option 'choose_postures', or change what stands in the way"
+        f"{hint}Ask for less, use option 'choose_postures', or change what stands in the way"
     )
-
-
-def _hint(lost: Mapping[int, float], evaluator: ImageEvaluator) -> str:
-    # more light helps where there is too little of it
-    dim = lost.get(BlindReason.CONTRAST, 0.0) + lost.get(BlindReason.SHADOWED, 0.0)
-    if max(evaluator.exposures) > 1.0 or dim <= 0.5 * sum(lost.values()):
-        return ""
-    return "Longer exposures may show some of it: add them, such as option 'exposures' 1,4,16. "
 
 
 def _lost(choice: PostureChoice, evaluator: ImageEvaluator, least: int) -> dict[int, float]:
@@ -270,7 +263,7 @@ def plan_postures(
         threads=run.threads,
     )
     drawn = replace(whole, table=drawn_patches(table, DRAWN_PATCHES))
-    choice, brackets = choose_with_exposures(
+    choice = choose_with_exposures(
         whole,
         drawn,
         postures,
@@ -301,7 +294,6 @@ def plan_postures(
         pace=pace_text(rig),
         least=options.min_images,
         plan=plan,
-        brackets=brackets,
     )
 
 

@@ -43,7 +43,7 @@ def posture_grid(rig: RigConfig, part: PartConfig, *, step_deg: float) -> tuple[
     if not (math.isfinite(step_deg) and step_deg > 0.0):
         raise InputError(f"option 'posture_step_deg': expected degrees above 0, found {step_deg:g}")
     ranges = _reach(rig)
-    tilts, rotations = (_angles(_one_turn(ends), step_deg) for ends in ranges)
+    tilts, rotations = (_angles(ends, step_deg) for ends in ranges)
     if len(tilts) * len(rotations) > MOST_POSTURES:
         raise InputError(
             f"option 'posture_step_deg': at {step_deg:g}° the stage has {len(tilts):,} × {len(rotations):,} postures, "
@@ -66,7 +66,9 @@ def usable_postures(
     usable: list[Posture] = []
     left_out: list[ExcludedPosture] = []
     for posture in scene.postures:
-        found = _out_of_view(scene, posture, allow_outside_px) or _in_the_way(scene, posture, panels)
+        found = _out_of_view(scene, posture, allow_outside_px)
+        if found is None and (inside := panels_in_part(replace(scene, lights=tuple(panels), postures=(posture,)))):
+            found = f"a place of {inside[0].light} is inside the part", "part"
         if found is None:
             usable.append(posture)
         else:
@@ -92,17 +94,11 @@ def _reach(rig: RigConfig) -> tuple[tuple[float, float], tuple[float, float]]:
     )
 
 
-def _one_turn(ends: tuple[float, float]) -> tuple[float, float]:
-    # of what is more than a turn, the one from 0 on, or as near to it as there is
-    low, high = ends
-    if high - low <= 360.0:
-        return ends
-    start = max(low, min(0.0, high - 360.0))
-    return start, start + 360.0
-
-
 def _angles(ends: tuple[float, float], step: float) -> list[float]:
     low, high = ends
+    if high - low > 360.0:  # of what is more than a turn, the one from 0 on, or as near to it as there is
+        low = max(low, min(0.0, high - 360.0))
+        high = low + 360.0
     if (high - low) / step > MOST_POSTURES:
         return [low] * (MOST_POSTURES + 1)
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
@@ -127,9 +123,3 @@ def _out_of_view(scene: Scene, posture: Posture, allowed: float) -> tuple[str, s
 def _pixels(amount: float) -> str:
     # rounded up, so that what is more than what is allowed does not read as the same
     return f"{math.ceil(10.0 * amount) / 10.0:g} px"
-
-
-def _in_the_way(scene: Scene, posture: Posture, panels: Sequence[PanelLight]) -> tuple[str, str] | None:
-    alone = replace(scene, lights=tuple(panels), postures=(posture,))
-    inside = panels_in_part(alone)
-    return (f"a place of {inside[0].light} is inside the part", "part") if inside else None

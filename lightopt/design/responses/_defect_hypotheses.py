@@ -39,13 +39,6 @@ class DefectHypothesis:
     R_d_factor: float = 1.0
     sigma_factor: float = 1.0
 
-    @property
-    def label(self) -> str:
-        """Name, with slope and direction where it has them."""
-        if self.slope == 0.0:
-            return self.name
-        return f"{self.name} {math.degrees(self.slope):.3g}° to {math.degrees(self.direction):.3g}°"
-
 
 def defect_hypotheses(
     catalogue: Sequence[CatalogueEntry], *, directions: int = DIRECTIONS
@@ -67,30 +60,26 @@ def defect_hypotheses(
         for entry in catalogue
         if entry.shape.kind in SHAPE_KINDS and not 0.0 < entry.shape.slope <= MAX_SLOPE
     ]
-    count = sum(directions if entry.shape.kind in SHAPE_KINDS else 1 for entry in catalogue)
-    if count > MOST_TRIALS:
+    turns = [directions if entry.shape.kind in SHAPE_KINDS else 1 for entry in catalogue]
+    if sum(turns) > MOST_TRIALS:
         problems.append(
-            f"defect catalogue: {len(catalogue)} entries in {directions} directions are {count} trials, more than "
+            f"defect catalogue: {len(catalogue)} entries in {directions} directions are {sum(turns)} trials, more than "
             f"{MOST_TRIALS}; plan for fewer kinds"
         )
     if problems:
         raise InputError(*problems)
-    hypotheses: list[DefectHypothesis] = []
-    for entry in catalogue:
-        shape = entry.shape
-        leaning = shape.kind in SHAPE_KINDS
-        hypotheses += [
-            DefectHypothesis(
-                name=entry.name,
-                kind=shape.kind,
-                weight=1 if leaning else directions,
-                length=shape.length,
-                width=shape.width,
-                slope=shape.slope if leaning else 0.0,
-                direction=2.0 * math.pi * turn / directions,
-                R_d_factor=shape.R_d_factor,
-                sigma_factor=shape.sigma_factor,
-            )
-            for turn in range(directions if leaning else 1)
-        ]
-    return tuple(hypotheses)
+    return tuple(
+        DefectHypothesis(
+            name=entry.name,
+            kind=entry.shape.kind,
+            weight=directions // count,
+            length=entry.shape.length,
+            width=entry.shape.width,
+            slope=entry.shape.slope if count > 1 else 0.0,
+            direction=2.0 * math.pi * turn / directions,
+            R_d_factor=entry.shape.R_d_factor,
+            sigma_factor=entry.shape.sigma_factor,
+        )
+        for entry, count in zip(catalogue, turns, strict=True)
+        for turn in range(count)
+    )

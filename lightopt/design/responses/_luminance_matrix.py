@@ -85,23 +85,16 @@ class Visibility:
             patch=self.patch[start:end],
         )
 
-    def seen(self, candidates: Sequence[int], least: int) -> Words:
-        """What at least `least` images show with one position of each light, shape (p, ⌈t / 64⌉)."""
-        return self._at_least([layer[k] for layer, k in zip(self.words, candidates, strict=True)], least)
-
     def reachable(self, least: int) -> Words:
         """What at least `least` images show if each light takes, for each hypothesis, the position that shows it."""
-        return self._at_least([np.bitwise_or.reduce(layer, axis=0) for layer in self.words], least)
+        counters = np.zeros((least, *self.words[0].shape[1:]), np.uint64)
+        for layer in self.words:
+            add_image(counters, np.bitwise_or.reduce(layer, axis=0))
+        return counters[-1]
 
     def weights(self, seen: Words) -> Int64:
         """Sum of the weights of the hypotheses whose bits are set, shape (p,)."""
         return weighted_bits(seen, *self.planes)
-
-    def _at_least(self, images: Sequence[Words], least: int) -> Words:
-        counters = np.zeros((max(1, least), len(self.areas), images[0].shape[1]), np.uint64)
-        for image in images:
-            add_image(counters, image)
-        return counters[-1]
 
 
 def select_rows(layer: Any, some: Int64) -> Any:
@@ -152,8 +145,6 @@ class LevelThresholds:
 class LuminanceMatrix:
     """Delivered levels of the inspectable patches in one posture (paper, section 5.2, steps 1 and 2).
 
-    Inspectable are those that the camera sees, not at a grazing angle (:data:`lightopt.rendering.GRAZING_DEG`).
-
     levels: One array per light, in the rig's order: quantised levels at exposure 1, shape (candidates of the light,
         p).
     areas: Of the patches [mm²], shape (p,).
@@ -190,21 +181,16 @@ class LuminanceMatrix:
 
     def rows(self, rows: Sequence[Int64]) -> LuminanceMatrix:
         """Some candidates of each light, given by ascending indices."""
-        return LuminanceMatrix(
-            levels=tuple(select_rows(layer, some) for layer, some in zip(self.levels, rows, strict=True)),
-            areas=self.areas,
-            visibility=None if self.visibility is None else self.visibility.rows(rows),
-            grazing_mm2=self.grazing_mm2,
-        )
+        levels = tuple(select_rows(layer, some) for layer, some in zip(self.levels, rows, strict=True))
+        return replace(self, levels=levels, visibility=self.visibility and self.visibility.rows(rows))
 
     def combination(self, candidates: Sequence[int]) -> LuminanceMatrix:
         return self.rows([np.array([index]) for index in candidates])
 
     def patches(self, start: int, end: int) -> LuminanceMatrix:
-        return LuminanceMatrix(
-            levels=tuple(layer[:, start:end] for layer in self.levels),
-            areas=self.areas[start:end],
-            visibility=None if self.visibility is None else self.visibility.patches(start, end),
+        levels, areas = tuple(layer[:, start:end] for layer in self.levels), self.areas[start:end]
+        return replace(
+            self, levels=levels, areas=areas, visibility=self.visibility and self.visibility.patches(start, end)
         )
 
 
@@ -236,16 +222,12 @@ def _usable_sums(layer: Levels, weights: Int64, shade: int, saturation: int, bla
     return sums
 
 
-def level_range(layer: Levels, thresholds: LevelThresholds, start: int, end: int) -> tuple[Int64, Int64, Int64]:
+@kernel
+def level_range(layer: Levels, shade: int, saturation: int, start: int, end: int) -> tuple[Int64, Int64, Int64]:
     """Extremes of a light's levels over all its candidates, at the patches from `start` to `end`, each of shape (p,).
 
     Returns the greatest usable level (−1 where none is usable), the greatest and the least level.
     """
-    return _level_range(layer, thresholds.shade, thresholds.saturation, start, end)
-
-
-@kernel
-def _level_range(layer: Levels, shade: int, saturation: int, start: int, end: int) -> tuple[Int64, Int64, Int64]:
     usable = np.full(end - start, -1, np.int64)
     greatest = np.full(end - start, -1, np.int64)
     least = np.full(end - start, 1 << 16, np.int64)

@@ -11,24 +11,26 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 
 from lightopt.core.arrays import Bool, Int64, UInt8, UInt64, read_only
 from lightopt.core.kernels import kernel
-from lightopt.core.threads import available_processors, run_all
+from lightopt.core.threads import in_threads
 from lightopt.design.responses._defect_hypotheses import DefectHypothesis
 
 Words = UInt64
 Counts = UInt64  # shape (k, p, words): flag l says that a pair is seen in l + 1 images or more
+Merit = tuple[int, int]  # weight covered, and benefit
 
 
 def pack_flags(rows: Bool) -> Words:
     """Rows of flags, shape (n, p), as words of 64 flags, shape (n, ⌈p / 64⌉); unused bits are 0."""
-    octets = np.packbits(rows, axis=1)
+    octets = np.packbits(rows, axis=1, bitorder="little")
     padded = np.zeros((len(octets), -(-octets.shape[1] // 8) * 8), np.uint8)
     padded[:, : octets.shape[1]] = octets
-    return padded.view(np.uint64)
+    return padded.view("<u8").astype(np.uint64, copy=False)
 
 
 def unpack_flags(words: Words, count: int) -> UInt8:
@@ -106,17 +108,11 @@ def weight_planes(hypotheses: Sequence[DefectHypothesis]) -> tuple[Words, Int64]
     Returns masks, shape (planes, ⌈t / 64⌉), and factors, shape (planes,), powers of two; bits that no weight has are
     omitted.
     """
-    masks: list[Words] = []
-    factors: list[int] = []
-    for bit in range(max(hypothesis.weight for hypothesis in hypotheses).bit_length()):
-        mask = np.zeros(-(-len(hypotheses) // 64), np.uint64)
-        for index, hypothesis in enumerate(hypotheses):
-            if hypothesis.weight >> bit & 1:
-                mask[index // 64] |= np.uint64(1 << index % 64)
-        if mask.any():
-            masks.append(mask)
-            factors.append(1 << bit)
-    return np.stack(masks), np.array(factors, np.int64)
+    weights = np.array([hypothesis.weight for hypothesis in hypotheses], np.int64)
+    factors = 1 << np.arange(int(weights.max()).bit_length())
+    flags = (weights & factors[:, None]) > 0
+    some = flags.any(axis=1)
+    return pack_flags(flags[some]), factors[some]
 
 
 @kernel
@@ -147,11 +143,6 @@ class PairWeights:
         for name in ("areas", "masks", "factors"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
-    @property
-    def arrays(self) -> tuple[Int64, Words, Int64]:
-        """Areas, masks, factors."""
-        return self.areas, self.masks, self.factors
-
     def of(self, patches: slice | Bool) -> PairWeights:
         """Weights of some of the patches."""
         return replace(self, areas=self.areas[patches])
@@ -162,23 +153,35 @@ class PairWeights:
 
     @property
     def total(self) -> int:
-        hypotheses = sum(
-            int(factor) * sum(int(word).bit_count() for word in mask)
-            for factor, mask in zip(self.factors, self.masks, strict=True)
-        )
-        return int(self.areas.sum()) * hypotheses
+        hypotheses = weighted_bits(np.bitwise_or.reduce(self.masks)[None], self.masks, self.factors)
+        return int(self.areas.sum()) * int(hypotheses[0])
 
+    def zero_counts(self, k: int) -> Counts:
+        return np.zeros((k, len(self.areas), self.masks.shape[1]), np.uint64)
 
-def zero_counts(weights: PairWeights, k: int) -> Counts:
-    return np.zeros((k, len(weights.areas), weights.masks.shape[1]), np.uint64)
+    def sum_counts(self, some: Iterable[Counts], k: int) -> Counts:
+        """The sum of several counts, up to k, shape (k, p, words)."""
+        return reduce(add_counts, some, self.zero_counts(k))
 
+    def benefit(self, counts: Counts) -> int:
+        """Σ weight · min(k, count)."""
+        return sum(map(self.sum_of, counts))
 
-def sum_counts(some: Iterable[Counts], weights: PairWeights, k: int) -> Counts:
-    """The sum of several counts, up to k, shape (k, p, words)."""
-    now = zero_counts(weights, k)
-    for counts in some:
-        now = add_counts(now, counts)
-    return now
+    def covered(self, counts: Counts) -> int:
+        """Σ weight · [count ≥ k]."""
+        return self.sum_of(counts[-1])
+
+    def merit(self, counts: Counts) -> Merit:
+        return self.covered(counts), self.benefit(counts)
+
+    def gains(self, counts: Counts, more: Counts) -> Merit:
+        """By how much :meth:`covered` and :meth:`benefit` grow when `more` is added to `counts`."""
+        covered, benefit = _gains(counts, more, self.areas, self.masks, self.factors)
+        return int(covered), int(benefit)
+
+    def all_gains(self, counts: Counts, candidates: Sequence[Counts], *, threads: int | None) -> list[Merit]:
+        """:meth:`gains` of each of some candidates."""
+        return in_threads(lambda i: self.gains(counts, candidates[i]), range(len(candidates)), threads)
 
 
 def counts_of_images(images: Sequence[Words], k: int) -> Counts:
@@ -190,35 +193,6 @@ def counts_of_images(images: Sequence[Words], k: int) -> Counts:
     for flags in images:
         add_image(total, flags)
     return total
-
-
-def total_benefit(counts: Counts, weights: PairWeights) -> int:
-    """Σ weight · min(k, count)."""
-    return sum(weights.sum_of(flags) for flags in counts)
-
-
-def covered_weight(counts: Counts, weights: PairWeights) -> int:
-    """Σ weight · [count ≥ k]."""
-    return weights.sum_of(counts[-1])
-
-
-def marginal_gains(counts: Counts, more: Counts, weights: PairWeights) -> tuple[int, int]:
-    """By how much :func:`covered_weight` and :func:`total_benefit` grow when `more` is added to `counts`."""
-    covered, benefit = _gains(counts, more, *weights.arrays)
-    return int(covered), int(benefit)
-
-
-def all_marginal_gains(
-    counts: Counts, candidates: Sequence[Counts], weights: PairWeights, *, threads: int | None
-) -> list[tuple[int, int]]:
-    """:func:`marginal_gains` of each of some candidates."""
-    gains: list[tuple[int, int]] = [(0, 0)] * len(candidates)
-
-    def add(i: int) -> None:
-        gains[i] = marginal_gains(counts, candidates[i], weights)
-
-    run_all(((add, (i,)) for i in range(len(candidates))), threads=threads or available_processors())
-    return gains
 
 
 @kernel

@@ -25,7 +25,7 @@ from lightopt.design.responses._image_evaluator import MOST_BYTES, ImageEvaluato
 from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Visibility
 from lightopt.images import make_folder, posture_folder, write_npz_atomic
 from lightopt.rendering import PatchTable, build_patches, patches_for_edge
-from lightopt.scene import PanelLight, chord_tolerance, pixel_footprint
+from lightopt.scene import chord_tolerance, pixel_footprint
 
 
 def write_matrix(
@@ -56,23 +56,15 @@ def read_matrix(
             # reading an array leaves the check of its sum out where it stops before the end of its file
             if str(arrays["key"]) != key or arrays.zip.testzip() is not None:
                 return None
-            seen = (
-                None
-                if hypotheses is None
-                else Visibility(
-                    hypotheses=tuple(hypotheses),
-                    words=tuple(arrays[f"defects_{i}"] for i in range(lights)),
-                    areas=arrays["areas_mm2"],
-                    patch=arrays["patch"],
-                    grazing=arrays["grazing"],
+            levels, areas = tuple(arrays[f"light_{i}"] for i in range(lights)), arrays["areas_mm2"]
+            seen = None
+            if hypotheses is not None:
+                words, patch = tuple(arrays[f"defects_{i}"] for i in range(lights)), arrays["patch"]
+                seen = Visibility(
+                    hypotheses=tuple(hypotheses), words=words, areas=areas, patch=patch, grazing=arrays["grazing"]
                 )
-            )
-            return LuminanceMatrix(
-                levels=tuple(arrays[f"light_{i}"] for i in range(lights)),
-                areas=arrays["areas_mm2"],
-                visibility=seen,
-                grazing_mm2=float(arrays["grazing_mm2"]),
-            )
+            grazing_mm2 = float(arrays["grazing_mm2"])
+            return LuminanceMatrix(levels=levels, areas=areas, visibility=seen, grazing_mm2=grazing_mm2)
     except Exception:  # noqa: BLE001 - zip, zlib, NumPy's header and tokenizer each have errors of their own
         return None
 
@@ -108,9 +100,8 @@ class PostureMatrices:
     reused: int = 0
 
     def __post_init__(self) -> None:
-        problem, self.detection = self.problem, None
-        if problem.defects is not None:
-            self.detection = detection_model_of(problem.scene, problem.part, problem.options)
+        problem, wanted = self.problem, self.problem.defects is not None
+        self.detection = detection_model_of(problem.scene, problem.part, problem.options) if wanted else None
         self._facts = _matrix_facts(problem, self.detection)
         if self.table is not None:
             self._facts["patches"] = hashlib.sha256(self.table.patches.centroids.tobytes()).hexdigest()
@@ -194,10 +185,6 @@ class PostureMatrices:
     def levels(self, posture: Posture, candidates: Candidates) -> LuminanceMatrix:
         """The levels of a posture under other candidates; check :meth:`fits_memory` first."""
         return self.evaluator(None).matrices(posture, candidates.panels, progress=self._stage(posture))[0]
-
-    def at_positions(self, posture: Posture, panels: Sequence[PanelLight]) -> LuminanceMatrix:
-        """The matrix of a posture with each light in one position."""
-        return self.evaluator(self.detection).matrices(posture, [[panel] for panel in panels])[0]
 
     def _stage(self, posture: Posture) -> Share | None:
         return self.run.stage(f"casting rays, {posture}")

@@ -6,15 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from lightopt.core.errors import InputError, LightoptError
-from lightopt.core.run_context import RunContext
 from lightopt.core.threads import blocks
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates, can_move
-from lightopt.design._options import OptimizeOptions
 from lightopt.design._result import ObjectiveResult, SetResult
-from lightopt.design._texts import cut_off
-from lightopt.design.blind_spots._blind_spots import by_light, defect_visibility
-from lightopt.design.blind_spots._summary import PostureVisibility
+from lightopt.design.blind_spots._blind_spots import PostureVisibility, by_light, defect_visibility
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.responses._luminance_matrix import AREA_UNIT_MM2, LevelThresholds, LuminanceMatrix, area_units
@@ -31,14 +27,13 @@ def search_objectives(
 ) -> tuple[tuple[SetResult, ...], list[PostureVisibility]]:
     """The best sets of every posture, or of all together, and their blind spots where defects are wanted."""
     defects = next((one for one in objectives if isinstance(one, DetectabilityObjective)), None)
-    problem, thresholds = source.problem, source.problem.thresholds
-    options, postures_of_all = problem.options, problem.scene.postures
+    thresholds, all_postures = source.problem.thresholds, source.problem.scene.postures
     results: list[SetResult] = []
     blind_spots: list[PostureVisibility] = []
     # the matrices of postures that do not share their lights are never held together
-    for postures in [postures_of_all] if options.common_lights else [(one,) for one in postures_of_all]:
+    for postures in [all_postures] if source.problem.options.common_lights else [(one,) for one in all_postures]:
         matrices = [source.matrix(posture, held=len(postures)) for posture in postures]
-        result = answer_set(matrices, postures, problem.candidates, objectives, thresholds, options, source.run)
+        result = answer_set(matrices, postures, objectives, source)
         if defects is not None:
             best, least = result.answers[0].found.best.candidates, defects.min_images
             blind_spots += [
@@ -50,7 +45,7 @@ def search_objectives(
                 for matrix, posture in zip(matrices, postures, strict=True)
             ]
         del matrices
-        _warn_of_limit(result.answers, postures, source.run)
+        _warn_of_limit(result.answers, postures, source)
         results.append(result)
     return tuple(results), blind_spots
 
@@ -58,11 +53,8 @@ def search_objectives(
 def answer_set(
     matrices: Sequence[LuminanceMatrix],
     postures: Sequence[Posture],
-    candidates: Candidates,
     objectives: Sequence[Objective],
-    thresholds: LevelThresholds,
-    options: OptimizeOptions,
-    run: RunContext,
+    source: PostureMatrices,
 ) -> SetResult:
     """The best light positions for postures that share them: each objective is optimised, and scored under all.
 
@@ -75,9 +67,10 @@ def answer_set(
                 f"posture {posture}: {sight if matrix.grazing_mm2 else 'the camera sees no patch'}, so that no "
                 "position of the lights is better than another; check the part's placement and the posture"
             )
+    thresholds, candidates = source.problem.thresholds, source.problem.candidates
     answers: list[ObjectiveResult] = []
     for objective in objectives:
-        found = _search(matrices, postures, candidates, objective, thresholds, options, run)
+        found = _search(matrices, postures, candidates, objective, source)
         chosen = [matrix.combination(found.best.candidates) for matrix in matrices]
         answer = _answer(objective, found, chosen, matrices, objectives, thresholds)
         if answer.scores[objective.name] != found.best.score:
@@ -88,6 +81,10 @@ def answer_set(
         answers.append(answer)
     first = answers[0]
     best, areas = first.found.best, [matrix.areas for matrix in matrices]
+
+    def score(combination: tuple[int, ...]) -> int:
+        return _score([matrix.combination(combination) for matrix in matrices], first.objective, thresholds)
+
     return SetResult(
         postures=tuple(postures),
         patches=sum(map(len, areas)),
@@ -96,15 +93,7 @@ def answer_set(
         grain=sum(grain_of(own) * float(own.sum()) for own in areas) / sum(float(own.sum()) for own in areas),
         answers=tuple(answers),
         levels=tuple(np.concatenate(matrix.combination(best.candidates).levels) for matrix in matrices),
-        curves=()
-        if first.nothing is not None
-        else score_curves(
-            candidates,
-            best,
-            lambda combination: _score(
-                [matrix.combination(combination) for matrix in matrices], first.objective, thresholds
-            ),
-        ),
+        curves=() if first.nothing is not None else score_curves(candidates, best, score),
     )
 
 
@@ -130,12 +119,11 @@ def search_other_objectives(
 ) -> tuple[SetResult, ...]:
     """The results with the best positions of the other objectives added to those of the first.
 
-    results: Of the first objective, with one position of each light, which was chosen before.
-    candidates: All positions.
+    `candidates` are all positions; `results` have one position of each light, which was chosen before.
     """
-    options, objectives, thresholds = source.problem.options, source.problem.objectives, source.problem.thresholds
-    assert options.places is not None
-    at = tuple(some.index(place) for some, place in zip(candidates.angles, options.places, strict=True))
+    objectives, thresholds, places = source.problem.objectives, source.problem.thresholds, source.problem.options.places
+    assert places is not None
+    at = tuple(some.index(place) for some, place in zip(candidates.angles, places, strict=True))
     completed: list[SetResult] = []
     for result in results:
         levels = [source.levels(posture, candidates) for posture in result.postures]
@@ -145,12 +133,13 @@ def search_other_objectives(
                 chosen = result.answers[0].found
                 found = replace(chosen, ranking=(replace(chosen.best, candidates=at),))
             else:
-                found = _search(levels, result.postures, candidates, objective, thresholds, options, source.run)
+                found = _search(levels, result.postures, candidates, objective, source)
             panels = candidates.panels_at(found.best.candidates)
-            matrices = [source.at_positions(posture, panels) for posture in result.postures]
+            evaluator = source.evaluator(source.detection)
+            matrices = [evaluator.matrices(one, [[panel] for panel in panels])[0] for one in result.postures]
             answers.append(_answer(objective, found, matrices, levels, objectives, thresholds))
         completed.append(replace(result, answers=tuple(answers)))
-        _warn_of_limit(answers[1:], result.postures, source.run)
+        _warn_of_limit(answers[1:], result.postures, source)
     return tuple(completed)
 
 
@@ -159,19 +148,17 @@ def _search(
     postures: Sequence[Posture],
     candidates: Candidates,
     objective: Objective,
-    thresholds: LevelThresholds,
-    options: OptimizeOptions,
-    run: RunContext,
+    source: PostureMatrices,
 ) -> SearchResult:
     return search(
         matrices,
         objective,
-        thresholds,
+        source.problem.thresholds,
         space=candidates.space,
-        keep=options.rows,
-        limit=options.limit,
-        threads=run.threads,
-        progress=run.stage(f"{objective.name}, {', '.join(map(str, postures))}"),
+        keep=source.problem.options.rows,
+        limit=source.problem.options.limit,
+        threads=source.run.threads,
+        progress=source.run.stage(f"{objective.name}, {', '.join(map(str, postures))}"),
     )
 
 
@@ -193,8 +180,24 @@ def _answer(
     )
 
 
-def _warn_of_limit(answers: Sequence[ObjectiveResult], postures: Sequence[Posture], run: RunContext) -> None:
-    run.warn(*(cut_off(one, postures) for one in answers if not one.found.complete and one.nothing is None))
+def _warn_of_limit(answers: Sequence[ObjectiveResult], postures: Sequence[Posture], source: PostureMatrices) -> None:
+    some = [one for one in answers if not one.found.complete and one.nothing is None]
+    source.run.warn(*(limit_warning(one, postures) for one in some))
+
+
+def limit_warning(answer: ObjectiveResult, postures: Sequence[Posture]) -> str:
+    """The warning of a search that left combinations."""
+    found, name = answer.found, answer.objective.name
+    proof = (
+        "none scores more, but one of those left may score the same and win the tie"
+        if found.proven
+        else f"none scores more than {found.bound:,}"
+    )
+    return (
+        f"objective {name}, {', '.join(map(str, postures))}: the search stopped after {found.scored:,} combinations "
+        f"with {found.left:,} left; the best found scores {found.best.score:,}, {proof}. Ties and runner-up are of "
+        "what was looked at. Raise option 'limit' or option 'step_deg'"
+    )
 
 
 def _score(matrices: Sequence[LuminanceMatrix], objective: Objective, thresholds: LevelThresholds) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,6 @@ import numpy as np
 from lightopt.core.arrays import Bool, Int64
 
 Rows = tuple[Int64, ...]  # candidates of each light, ascending: all their combinations are meant
-
-
-def _no_clashes() -> Mapping[tuple[int, int], Bool]:
-    return {}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +26,7 @@ class CombinationSpace:
 
     sizes: tuple[int, ...]
     groups: tuple[Rows, ...]
-    clashes: Mapping[tuple[int, int], Bool] = field(default_factory=_no_clashes)
+    clashes: Mapping[tuple[int, int], Bool] = field(default_factory=dict[tuple[int, int], Bool])
 
     @staticmethod
     def of(sizes: Sequence[int]) -> CombinationSpace:
@@ -61,26 +58,22 @@ def allowed_mask(space: CombinationSpace, rows: Rows) -> Bool | None:
 MOST_NEAR = 1 << 24  # scores near the best that are held at a time: 128 MiB
 
 
-@dataclass(frozen=True, order=True)
+@dataclass(frozen=True)
 class Ranked:
-    """A combination with its sort key: smaller comes first.
+    """A combination with its score.
 
-    negative_score, negative_usable: Minus the score, minus the sum of usable levels.
+    usable: Sum of the usable levels of all images, each times its patch's weight.
     candidates: One per light, in the rig's order; candidates ascend by elevation, then azimuth.
     """
 
-    negative_score: int
-    negative_usable: int
+    score: int
+    usable: int
     candidates: tuple[int, ...]
 
     @property
-    def score(self) -> int:
-        return -self.negative_score
-
-    @property
-    def usable(self) -> int:
-        """Sum of the usable levels of all images, each times its patch's weight."""
-        return -self.negative_usable
+    def sort_key(self) -> tuple[int, int, tuple[int, ...]]:
+        """Smaller comes first."""
+        return -self.score, -self.usable, self.candidates
 
 
 @dataclass(frozen=True)
@@ -97,7 +90,7 @@ class Ranking:
     count: int = 0
 
     def merged(self, other: Ranking, limit: int) -> Ranking:
-        best = tuple(sorted((*self.best, *other.best))[:limit])
+        best = tuple(sorted((*self.best, *other.best), key=attrgetter("sort_key"))[:limit])
         score = best[0].score if best else 0
         ties = sum(r.ties for r in (self, other) if r.best and r.best[0].score == score)
         return Ranking(best, ties, self.count + other.count)
@@ -152,17 +145,13 @@ def rank(table: Int64, rows: Rows, usable: Sequence[Int64], *, allowed: Bool | N
     table: Scores, one per combination of `rows`, the last light's varying fastest.
     usable: Sum of usable levels of each candidate of each light, whatever the table's rows.
     allowed: Of the same combinations; None for all.
-    limit: How many to keep.
     """
-    places = None if allowed is None else np.flatnonzero(allowed)
-    scores = table if places is None else table[places]
+    scores = table if allowed is None else table[allowed]
     if not len(scores):
         return Ranking()
     keep = min(limit, len(scores))
     least = int(np.partition(scores, len(scores) - keep)[len(scores) - keep])
-    some = np.flatnonzero(scores >= least)
-    if places is not None:
-        some = places[some]
+    some = np.flatnonzero(table >= least if allowed is None else allowed & (table >= least))
     sums = sum(
         (own[row][i] for row, own, i in zip(rows, usable, digits(some, rows), strict=True)),
         start=np.zeros(len(some), np.int64),
@@ -177,10 +166,11 @@ def rank(table: Int64, rows: Rows, usable: Sequence[Int64], *, allowed: Bool | N
     chosen[last] = True
     columns = [row[i] for row, i in zip(rows, digits(some[chosen], rows), strict=True)]
     candidates = np.stack(columns, axis=1)
-    best = sorted(
-        Ranked(-int(score), -int(total), tuple(int(c) for c in combination))
+    ranked = [
+        Ranked(int(score), int(total), tuple(int(c) for c in combination))
         for score, total, combination in zip(table[some[chosen]], sums[chosen], candidates, strict=True)
-    )
+    ]
+    best = sorted(ranked, key=attrgetter("sort_key"))
     ties = int(np.count_nonzero(scores == best[0].score))
     return Ranking(tuple(best), ties, len(scores))
 

@@ -42,41 +42,30 @@ def score_curves(candidates: Candidates, best: Ranked, score: Callable[[tuple[in
     Combinations that are not allowed, and angles that a light cannot take, are omitted; so are curves of one point. The
     first curve may not contain the best set.
     """
-    curves: list[Curve] = []
-    lights = range(len(candidates.names))
-    moving = [k for k in lights if len({elevation for elevation, _ in candidates.angles[k]}) > 1]
-    if len(moving) > 1:
-        curves.append(_curve(candidates, best, TOGETHER, moving, 0, score))
-    for k in lights:
-        curves += [_curve(candidates, best, candidates.names[k], [k], axis, score) for axis in (0, 1)]
-    return tuple(curve for curve in curves if len(curve.angles_deg) > 1)
-
-
-def _curve(
-    candidates: Candidates,
-    best: Ranked,
-    name: str,
-    lights: list[int],
-    axis: int,
-    score: Callable[[tuple[int, ...]], int],
-) -> Curve:
     here = [angles[k] for angles, k in zip(candidates.angles, best.candidates, strict=True)]
-    # along the axis, the other angle as it is: angle to candidate, for each light
-    along = [
-        {angles[axis]: k for k, angles in enumerate(candidates.angles[i]) if angles[1 - axis] == here[i][1 - axis]}
-        for i in lights
-    ]
-    points: list[tuple[float, tuple[int, ...]]] = []
-    for angle in sorted(set(along[0]).intersection(*along[1:])):
-        places = dict(zip(lights, (way[angle] for way in along), strict=True))
-        combination = tuple(places.get(i, k) for i, k in enumerate(best.candidates))
-        if is_allowed(candidates.space, combination):
-            points.append((angle, combination))
-    stride = -(-len(points) // MOST_POINTS)
-    points = [p for k, p in enumerate(points) if k % max(1, stride) == 0 or p[1] == best.candidates]
-    return Curve(
-        name=name,
-        axis=("elevation", "azimuth")[axis],
-        angles_deg=tuple(angle for angle, _ in points),
-        scores=tuple(score(combination) for _, combination in points),
-    )
+
+    def curve(name: str, lights: list[int], axis: int) -> Curve:
+        # along the axis, the other angle as it is: angle to candidate, for each light
+        along = [
+            {angles[axis]: k for k, angles in enumerate(candidates.angles[i]) if angles[1 - axis] == here[i][1 - axis]}
+            for i in lights
+        ]
+        points: list[tuple[float, tuple[int, ...]]] = []
+        for angle in sorted(set(along[0]).intersection(*along[1:])):
+            places = dict(zip(lights, (way[angle] for way in along), strict=True))
+            combination = tuple(places.get(i, k) for i, k in enumerate(best.candidates))
+            if is_allowed(candidates.space, combination):
+                points.append((angle, combination))
+        stride = -(-len(points) // MOST_POINTS)
+        points = [p for k, p in enumerate(points) if k % max(1, stride) == 0 or p[1] == best.candidates]
+        return Curve(
+            name=name,
+            axis=("elevation", "azimuth")[axis],
+            angles_deg=tuple(angle for angle, _ in points),
+            scores=tuple(score(combination) for _, combination in points),
+        )
+
+    moving = [k for k, angles in enumerate(candidates.angles) if len({elevation for elevation, _ in angles}) > 1]
+    curves = [curve(TOGETHER, moving, 0)] if len(moving) > 1 else []
+    curves += [curve(name, [k], axis) for k, name in enumerate(candidates.names) for axis in (0, 1)]
+    return tuple(curve for curve in curves if len(curve.angles_deg) > 1)

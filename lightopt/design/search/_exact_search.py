@@ -21,7 +21,7 @@ from lightopt.core.arrays import Int64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share, part_of
 from lightopt.core.threads import available_processors
-from lightopt.design.objectives._objective import Objective, near_margin
+from lightopt.design.objectives._objective import Objective
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, area_units, usable_sums
 from lightopt.design.search._combinations import CombinationSpace, NearBest, Ranked, Ranking, Rows, allowed_mask, rank
 
@@ -39,8 +39,7 @@ class SearchResult:
 
     ranking: The best combinations in order, the first being the optimum; of those evaluated where some are left.
     ties: Number of other combinations with the optimum's score; of those evaluated where some are left.
-    near: Number of other combinations whose score is near the optimum's, ties among them; see
-        :data:`lightopt.design.NEAR_PER_MILLE`.
+    near: Number of other combinations whose score is near the optimum's, ties among them.
     near_exact: Whether `near` is complete: none was left, excluded by a bound, or dropped for memory.
     scored: Combinations that were enumerated.
     excluded: Combinations that a bound shows to be worse than all of the ranking.
@@ -122,7 +121,7 @@ def search(
 
     keep = max(2, keep)
     ranking = Ranking()
-    near = NearBest(lambda best: near_margin(objective, best, scorer.area))
+    near = NearBest(lambda best: objective.near_margin(best, scorer.area))
     excluded = clashing = 0
     excluded_bound = -1
     boxes = _Boxes(scorer, space.groups, max(1, min(table_cells, limit)))
@@ -224,15 +223,10 @@ class _BoxScorer:
         self.threads = threads
         self.weights = [objective.weights(matrix.areas) for matrix in matrices]
         self.area = sum(int(area_units(matrix.areas).sum()) for matrix in matrices)
+        weighted = list(zip(matrices, self.weights, strict=True))
         self.usable = [
-            sum(
-                (
-                    usable_sums(matrix.levels[light], weights, thresholds)
-                    for matrix, weights in zip(matrices, self.weights, strict=True)
-                ),
-                start=np.zeros(size, np.int64),
-            )
-            for light, size in enumerate(matrices[0].shape)
+            np.sum([usable_sums(matrix.levels[light], weights, thresholds) for matrix, weights in weighted], axis=0)
+            for light in range(len(matrices[0].levels))
         ]
 
     def scores(self, rows: Rows, progress: Share) -> Int64:

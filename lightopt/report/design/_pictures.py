@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from lightopt.design import Curve, DesignOutput, DetectabilityObjective, SetResult, share_of_whole
+from lightopt.design import Curve, DesignOutput, DetectabilityObjective, SetResult
 from lightopt.images import ImageSet, read_image_set, read_png
 from lightopt.report._charts import COLOURS, chart, name_lines
 from lightopt.report._contact_sheet import degrees, entry_thumbnail, light_position, saturation_text
@@ -137,5 +137,5 @@ def _chart(result: SetResult, axis: str, curves: list[Curve]) -> Picture:
 
 
 def _value(result: SetResult, score: int) -> float:
-    share = share_of_whole(result.answers[0].objective, score, result.area)
+    share = result.answers[0].objective.share_of_whole(score, result.area)
     return float(score) if share is None else 100.0 * share

@@ -13,18 +13,10 @@ from lightopt.design import (
     ObjectiveResult,
     SetResult,
     angles_of,
-    combinations_counted_text,
     defect_hypotheses,
-    gap_text,
-    left_out_text,
     near_meaning,
-    near_text,
-    score_text,
-    share_of_whole,
     share_text,
     shares_of,
-    shown_text,
-    ties_text,
 )
 from lightopt.rendering import GRAZING_DEG
 from lightopt.report._contact_sheet import degrees
@@ -86,7 +78,7 @@ def answer_blocks(output: DesignOutput) -> list[Block]:
         [
             postures_text(result.postures),
             *_angles(output, best),
-            score_text(best.found.best.score, best.objective, result),
+            result.score_text(best.found.best.score, best.objective),
         ]
         for result, best in found
     ]
@@ -126,15 +118,15 @@ def _answer(result: SetResult) -> Answer:
     where = postures_text(result.postures)
     if best.nothing is not None:
         return Answer(figure="No answer", text=f"{where}: {best.nothing}")
-    share = share_of_whole(best.objective, best.found.best.score, result.area)
-    score = shown_text(best.found.best.score, best.objective, result)
+    share = best.objective.share_of_whole(best.found.best.score, result.area)
+    score = result.format_score(best.found.best.score, best.objective)
     if share is None:
         return Answer(figure=score, text=f"by {best.objective.name}, {where}")
     surface = "surface × defects (by weight)" if isinstance(best.objective, DetectabilityObjective) else "surface"
     added = ", added up" * (len(result.postures) > 1)
     return Answer(
         figure=share_text(share, result.grain),
-        text=f"of the {surface} that the camera sees in {where}{added}, but for {left_out_text(result)} that it sees "
+        text=f"of the {surface} that the camera sees in {where}{added}, but for {result.left_out_text} that it sees "
         f"at more than {GRAZING_DEG:g}° to the normal: {score} by {best.objective.name}",
     )
 
@@ -172,13 +164,13 @@ def _proof(result: SetResult) -> str:
         text = f"none of {total} scores more, but one that was not looked at may score the same"
     else:
         text = f"not proven; {found.left:,} of {total} were left, and none scores more than "
-        text += shown_text(found.bound, objective, result)
+        text += result.format_score(found.bound, objective)
     runner_up = "there is no other"
     if found.gap is not None:
-        runner_up = f"the runner-up: {gap_text(best, result)}"
+        runner_up = f"the runner-up: {result.gap_text(best)}"
     if found.ties or not found.complete:
-        runner_up += f"; ties: {ties_text(best)}, decided by the sum of usable levels"
-    runner_up += f"; {near_text(best)} other combinations near the best"
+        runner_up += f"; ties: {best.ties_text}, decided by the sum of usable levels"
+    runner_up += f"; {best.near_text} other combinations near the best"
     return f"{postures_text(result.postures).capitalize()}: {text}; {runner_up}."
 
 
@@ -188,11 +180,11 @@ def _scores(output: DesignOutput, result: SetResult, answer: ObjectiveResult, na
         postures_text(result.postures),
         answer.objective.name,
         *_angles(output, answer),
-        *(_unbroken(score_text(answer.scores[name], objectives[name], result)) for name in names),
-        left_out_text(result),
-        _unbroken(gap_text(answer, result)),
-        ties_text(answer) if answer.proven_of is not None else f"{ties_text(answer)} / {near_text(answer)}",
-        combinations_counted_text(answer),
+        *(_unbroken(result.score_text(answer.scores[name], objectives[name])) for name in names),
+        result.left_out_text,
+        _unbroken(result.gap_text(answer)),
+        answer.ties_text if answer.proven_of is not None else f"{answer.ties_text} / {answer.near_text}",
+        answer.combinations_text,
     ]
 
 
@@ -253,39 +245,29 @@ def _search(output: DesignOutput) -> list[tuple[str, str]]:
     positions = " × ".join(str(len(angles)) for angles in output.result.all_candidates.angles)
     common = ", all lights at one elevation" * options["common_elevation"]
     common += ", the same for all postures" * options["common_lights"]
-    return [
+    facts = [
         ("positions", f"{positions}, step {options['step_deg']:g}°{common}"),
         ("objectives", ", ".join(options["objectives"])),
         ("defects", "none on the part: scores are of a good part"),
-        *_defects(output, options),
-        *_tolerances(options),
     ]
-
-
-def _defects(output: DesignOutput, options: Mapping[str, Any]) -> list[tuple[str, str]]:
-    if "threshold" not in options:
-        return []
-    entries = build_catalogue(output.result.part)
-    trials = counted(len(defect_hypotheses(entries)), "trial")
-    images = counted(options["min_images"], "image")
-    visible = f"where the level changes by {options['threshold']:g} times the noise or more, in {images} or more"
-    return [
-        ("defects looked for", f"{', '.join(entry.name for entry in entries)}: {trials}"),
-        ("directions of walls", f"{DIRECTIONS}, evenly around"),
-        ("a defect is seen", visible),
-    ]
-
-
-def _tolerances(options: Mapping[str, Any]) -> list[tuple[str, str]]:
-    tolerances = options.get("tolerances")
-    if tolerances is None:
-        return []
-    text = (
-        f"lights {tolerances['light_deg']:g}°, part {tolerances['pose_deg']:g}°; "
-        f"{counted(tolerances['draws'], 'draw')} of seed {tolerances['seed']}; the widest keep "
-        f"{100.0 * tolerances['target']:g} % of the score"
-    )
-    return [("tolerances", text)]
+    if "threshold" in options:
+        entries = build_catalogue(output.result.part)
+        trials = counted(len(defect_hypotheses(entries)), "trial")
+        images = counted(options["min_images"], "image")
+        visible = f"where the level changes by {options['threshold']:g} times the noise or more, in {images} or more"
+        facts += [
+            ("defects looked for", f"{', '.join(entry.name for entry in entries)}: {trials}"),
+            ("directions of walls", f"{DIRECTIONS}, evenly around"),
+            ("a defect is seen", visible),
+        ]
+    if (tolerances := options.get("tolerances")) is not None:
+        text = (
+            f"lights {tolerances['light_deg']:g}°, part {tolerances['pose_deg']:g}°; "
+            f"{counted(tolerances['draws'], 'draw')} of seed {tolerances['seed']}; the widest keep "
+            f"{100.0 * tolerances['target']:g} % of the score"
+        )
+        facts.append(("tolerances", text))
+    return facts
 
 
 def _provenance(output: DesignOutput) -> list[tuple[str, str]]:

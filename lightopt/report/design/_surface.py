@@ -95,8 +95,16 @@ def level_classes(levels: Levels, thresholds: LevelThresholds) -> UInt8:
 def surface_blocks(output: DesignOutput) -> list[Block]:
     """One view of the part with all its colourings; areas as a table."""
     shown = _postures(output)
-    levels = [_combined_layer(output, shown)] if len(shown) > 1 else []
-    levels += [_layer(one) for one in shown]
+    levels = [_layer(one) for one in shown]
+    summary: list[Block] = []
+    if shown:
+        # what one posture does not show another may
+        best = np.min([one.classes for one in shown], axis=0)
+        shares = _shares(output, best)
+        summary = [_table(shown), _combined_note(shares, len(shown))]
+        if len(shown) > 1:
+            classes = surface_classes(LEVEL_CLASSES, [*shares[:_LEFT_OUT], "", shares[_UNSEEN]])
+            levels.insert(0, SurfaceLayer(name="the best of all postures", classes=classes, of_face=best))
     defects: list[SurfaceLayer] = []
     if output.result.blind is not None:
         defects = [replace(layer, group="Defects") for layer in blind_layers(output.result.blind)]
@@ -117,7 +125,7 @@ def surface_blocks(output: DesignOutput) -> list[Block]:
         alt=f"{output.result.part.name}, coloured by what the images of the best set show of it",
         caption=" ".join(_captions(output)),
     )
-    return [view, *([_table(shown), _combined_note(output, shown)] if shown else [])]
+    return [view, *summary]
 
 
 def _captions(output: DesignOutput) -> list[str]:
@@ -166,18 +174,6 @@ def _layer(shown: PostureClasses) -> SurfaceLayer:
     return SurfaceLayer(name=f"posture {shown.posture}", classes=classes, of_face=shown.classes)
 
 
-def _best_classes(shown: list[PostureClasses]) -> UInt8:
-    # what one posture does not show another may
-    return np.min([one.classes for one in shown], axis=0)
-
-
-def _combined_layer(output: DesignOutput, shown: list[PostureClasses]) -> SurfaceLayer:
-    best = _best_classes(shown)
-    amounts = ["" if k == _LEFT_OUT else share for k, share in enumerate(_shares(output, best))]
-    classes = surface_classes(LEVEL_CLASSES, amounts)
-    return SurfaceLayer(name="the best of all postures", classes=classes, of_face=best)
-
-
 def _shares(output: DesignOutput, classes: UInt8) -> list[str]:
     # in words: of each class, of the part's surface without what is left out; the latter is of the whole surface
     own = output.patches.patches.areas
@@ -209,9 +205,8 @@ def _table(shown: list[PostureClasses]) -> Table:
     )
 
 
-def _combined_note(output: DesignOutput, shown: list[PostureClasses]) -> Note:
-    shares = _shares(output, _best_classes(shown))
-    which = "The posture shows" if len(shown) == 1 else f"The {len(shown)} postures together show"
+def _combined_note(shares: Sequence[str], postures: int) -> Note:
+    which = "The posture shows" if postures == 1 else f"The {postures} postures together show"
     return Note(
         text=f"{which} {shares[0]} of the part's surface in two usable images or more; "
         f"{shares[_UNSEEN]} the camera never sees. {shares[_LEFT_OUT]} of the whole surface, "
@@ -228,7 +223,8 @@ def blind_pictures(result: DesignResult) -> dict[Posture, UInt8]:
         return {}
     patches, scene = result.patches.patches, result.scene
     pictures: dict[Posture, UInt8] = {}
-    for posture, spots in zip(result.blind.postures, result.blind.chosen_in, strict=True):
+    for posture, spots, _ in result.blind.parts[1:]:
+        assert posture is not None
         camera = view_from_part(scene, posture).camera
         colours = blind_colours(spots).astype(np.float64)
         picture = np.full((camera.height, camera.width, 3), BACKGROUND, np.uint8)
@@ -251,8 +247,8 @@ def blind_pictures(result: DesignResult) -> dict[Posture, UInt8]:
 
 def blind_layers(summary: BlindSpotSummary) -> list[SurfaceLayer]:
     """How many defects are seen, and why the others are not: all postures together, wherever the lights stand, each."""
-    layers = [share_layer("all postures, how many defects are seen", summary.chosen)]
-    for posture, chosen, possible in summary.parts() if len(summary.postures) > 1 else summary.parts()[:1]:
+    layers = [share_layer("all postures, how many defects are seen", summary.parts[0][1])]
+    for posture, chosen, possible in summary.parts if len(summary.parts) > 2 else summary.parts[:1]:
         where = "all postures" if posture is None else f"posture {posture}"
         layers.append(blind_layer(f"{where}, why not", chosen))
         if posture is None:

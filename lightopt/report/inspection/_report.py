@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from lightopt.config import InspectionConfig
 from lightopt.core.errors import counted, percent
 from lightopt.inspection import REFERENCE_CONTRAST, REFERENCE_DEFECT, BatchRow, InspectionResult, Verdict
 from lightopt.report._page import Answer, Facts, Note, Page, Section, Table, Warnings, page_html
@@ -22,8 +21,7 @@ def inspection_report(
 ) -> str:
     """The report of an inspection as HTML.
 
-    result, verdict: Of one set of images.
-    part, rig: Their names.
+    part, rig: Names.
     provenance: From :func:`lightopt.inspection.inspection_provenance`.
     truth: From :func:`lightopt.inspection.summarise`; None where nothing is known of the part.
     """
@@ -65,14 +63,23 @@ def _facts(result: InspectionResult, verdict: Verdict, provenance: Mapping[str, 
     options: Mapping[str, Any] = provenance["options"]
     min_images: int = options["min_images"]
     fewer = any(len(p.view.lights) < min_images for p in result.postures)
+    rate, limits = options["false_alarms"], verdict.limits
+    alarms = (
+        f"in a posture, on a share of {rate:g} of good parts" if "calibration" in inputs else f"{rate:g} per posture"
+    )
+    counting = (
+        f"{counted(limits.most_defects, 'defect')} allowed; one counts from {limits.least_size_mm:g} mm and a contrast "
+        f"of {percent(limits.least_contrast)} on; {percent(limits.least_inspected)} of the visible surface or more to "
+        "be inspected"
+    )
     shows = f"a defect shows in {counted(min_images, 'image')}"
     rows = [
         ("rig", f"{inputs['rig']['file']}, sha256 {inputs['rig']['sha256'][:16]}"),
         ("part", f"{inputs['part']['file']}, sha256 {inputs['part']['sha256'][:16]}"),
         ("detector", f"{options['detector']}, {shows}{', or in all where there are fewer' if fewer else ''}"),
         ("image without highlights", options["fusion"] or "none"),
-        ("false alarms asked for", _rate(options["false_alarms"], calibrated="calibration" in inputs)),
-        ("limits", _limits(verdict.limits)),
+        ("false alarms asked for", alarms),
+        ("limits", counting),
         ("calibration", inputs.get("calibration", {}).get("file", "none: by the noise of the sensor")),
     ]
     if result.placement is not None:
@@ -86,25 +93,12 @@ def _facts(result: InspectionResult, verdict: Verdict, provenance: Mapping[str, 
     return Facts(rows=rows)
 
 
-def _limits(limits: InspectionConfig) -> str:
-    return (
-        f"{counted(limits.most_defects, 'defect')} allowed; one counts from {limits.least_size_mm:g} mm and a contrast "
-        f"of {percent(limits.least_contrast)} on; {percent(limits.least_inspected)} of the visible surface or more to "
-        "be inspected"
-    )
-
-
-def _rate(rate: float, *, calibrated: bool) -> str:
-    return f"in a posture, on a share of {rate:g} of good parts" if calibrated else f"{rate:g} per posture"
-
-
 def batch_report(
     rows: Sequence[BatchRow], *, part: str, rig: str, version: str, truth: Mapping[str, Any] | None
 ) -> str:
     """The report of several parts as HTML: a row each, in the order of the sets.
 
-    part, rig: Their names.
-    version: Of lightopt.
+    part, rig: Names.
     truth: As :func:`inspection_report` takes it, over all sets.
     """
     good = sum(row.verdict is not None and row.verdict.good for row in rows)
