@@ -4,8 +4,6 @@ The one place that turns errors into messages and exit statuses. Importing it mu
 they need when they run.
 """
 
-__all__ = ["main"]
-
 
 def main() -> None:
     """Run the command line and leave with its exit status."""

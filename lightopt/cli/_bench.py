@@ -155,8 +155,15 @@ def snap(
     force: common.Force = False,
 ) -> None:
     """Take one frame at the current stage position."""
-    from lightopt.rig.capture import check_exposure, check_level, check_on_time, connect_devices, snap_on_s, wiring_of
-    from lightopt.rig.capture import snap as take
+    from lightopt.rig.capture import (
+        check_exposure,
+        check_level,
+        check_on_time,
+        connect_devices,
+        snap as take,
+        snap_on_s,
+        wiring_of,
+    )
 
     relative = common.parse_exposure(exposure)
     loaded, loaded_part = common.load_inputs(rig, part)

@@ -66,8 +66,7 @@ def capture(
     if out is None and not dry_run:
         raise InputError("--out: expected a folder for the image set; --dry-run alone needs none")
 
-    from lightopt.rig.capture import CaptureOptions, check_devices, check_folder, make_plan
-    from lightopt.rig.capture import capture as run
+    from lightopt.rig.capture import CaptureOptions, capture as run, check_devices, check_folder, make_plan
 
     options = CaptureOptions(
         lights=tuple(light) if light else None,

@@ -192,8 +192,15 @@ def optimize(
         )
     )
 
-    from lightopt.design import OptimizeOptions, PlanOptions, TargetNotReached, Tolerances, finish_design, write_design
-    from lightopt.design import optimize as design
+    from lightopt.design import (
+        OptimizeOptions,
+        PlanOptions,
+        TargetNotReached,
+        Tolerances,
+        finish_design,
+        optimize as design,
+        write_design,
+    )
     from lightopt.report.design import blind_pictures, design_report
 
     tolerances = None

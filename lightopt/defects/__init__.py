@@ -4,40 +4,21 @@ Knows points, normals and lengths; no mesh, no camera and no light. Defects are 
 move nothing: neither points nor silhouettes nor shadows.
 """
 
-from lightopt.defects._catalogue import BUILT_IN_CATALOGUE, CatalogueEntry
-from lightopt.defects._pixel_shares import PIXEL_RATIOS, pixel_shares
+from lightopt.defects._catalogue import BUILT_IN_CATALOGUE as BUILT_IN_CATALOGUE, CatalogueEntry as CatalogueEntry
+from lightopt.defects._pixel_shares import PIXEL_RATIOS as PIXEL_RATIOS, pixel_shares as pixel_shares
 from lightopt.defects._placed_defects import (
-    PlacedDefect,
-    mark_surface,
-    surface_coordinates,
-    tangent_direction,
-    tangent_references,
+    PlacedDefect as PlacedDefect,
+    mark_surface as mark_surface,
+    surface_coordinates as surface_coordinates,
+    tangent_direction as tangent_direction,
+    tangent_references as tangent_references,
 )
 from lightopt.defects._shape import (
-    MAX_SLOPE,
-    SHAPE_KINDS,
-    DefectKind,
-    DefectShape,
-    depth_of_slope,
-    radial_place,
-    slope_of_depth,
+    MAX_SLOPE as MAX_SLOPE,
+    SHAPE_KINDS as SHAPE_KINDS,
+    DefectKind as DefectKind,
+    DefectShape as DefectShape,
+    depth_of_slope as depth_of_slope,
+    radial_place as radial_place,
+    slope_of_depth as slope_of_depth,
 )
-
-__all__ = [
-    "BUILT_IN_CATALOGUE",
-    "MAX_SLOPE",
-    "PIXEL_RATIOS",
-    "SHAPE_KINDS",
-    "CatalogueEntry",
-    "DefectKind",
-    "DefectShape",
-    "PlacedDefect",
-    "depth_of_slope",
-    "mark_surface",
-    "pixel_shares",
-    "radial_place",
-    "slope_of_depth",
-    "surface_coordinates",
-    "tangent_direction",
-    "tangent_references",
-]

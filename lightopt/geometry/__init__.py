@@ -4,32 +4,24 @@ The one home of trimesh and cascadio. Knows triangles and lengths, no camera and
 the frame of the part's file, in mm, Z up.
 """
 
-from lightopt.geometry._caster import Hits, RayCaster, resolve_hits
-from lightopt.geometry._load_mesh import UNITLESS_SUFFIXES, load_mesh
-from lightopt.geometry._nearest import SurfaceFinder, SurfacePlace, surface_place
-from lightopt.geometry._patches import Patches, estimate_patch_count, longest_edges, refine
-from lightopt.geometry._topology import merge_rows, mesh_edges
-from lightopt.geometry._triangle_mesh import TriangleMesh, face_areas, face_normals, transformed
-from lightopt.geometry._winding import points_inside
-
-__all__ = [
-    "UNITLESS_SUFFIXES",
-    "Hits",
-    "Patches",
-    "RayCaster",
-    "SurfaceFinder",
-    "SurfacePlace",
-    "TriangleMesh",
-    "estimate_patch_count",
-    "face_areas",
-    "face_normals",
-    "load_mesh",
-    "longest_edges",
-    "merge_rows",
-    "mesh_edges",
-    "points_inside",
-    "refine",
-    "resolve_hits",
-    "surface_place",
-    "transformed",
-]
+from lightopt.geometry._caster import Hits as Hits, RayCaster as RayCaster, resolve_hits as resolve_hits
+from lightopt.geometry._load_mesh import UNITLESS_SUFFIXES as UNITLESS_SUFFIXES, load_mesh as load_mesh
+from lightopt.geometry._nearest import (
+    SurfaceFinder as SurfaceFinder,
+    SurfacePlace as SurfacePlace,
+    surface_place as surface_place,
+)
+from lightopt.geometry._patches import (
+    Patches as Patches,
+    estimate_patch_count as estimate_patch_count,
+    longest_edges as longest_edges,
+    refine as refine,
+)
+from lightopt.geometry._topology import merge_rows as merge_rows, mesh_edges as mesh_edges
+from lightopt.geometry._triangle_mesh import (
+    TriangleMesh as TriangleMesh,
+    face_areas as face_areas,
+    face_normals as face_normals,
+    transformed as transformed,
+)
+from lightopt.geometry._winding import points_inside as points_inside

@@ -5,26 +5,12 @@ A model is a scalar function compiled as a kernel, called per surface point and 
 """
 
 from lightopt.optics._reflection_model import (
-    MAX_LOBE_EXPONENT,
-    MIN_COS_VIEW,
-    Reflectance,
-    lambert,
-    specular_cosine,
-    specular_lobe,
+    MAX_LOBE_EXPONENT as MAX_LOBE_EXPONENT,
+    MIN_COS_VIEW as MIN_COS_VIEW,
+    Reflectance as Reflectance,
+    lambert as lambert,
+    specular_cosine as specular_cosine,
+    specular_lobe as specular_lobe,
 )
-from lightopt.optics._saturated_region import saturated_region
-from lightopt.optics._sensor import Sensor, expose, image_rng, saturated
-
-__all__ = [
-    "MAX_LOBE_EXPONENT",
-    "MIN_COS_VIEW",
-    "Reflectance",
-    "Sensor",
-    "expose",
-    "image_rng",
-    "lambert",
-    "saturated",
-    "saturated_region",
-    "specular_cosine",
-    "specular_lobe",
-]
+from lightopt.optics._saturated_region import saturated_region as saturated_region
+from lightopt.optics._sensor import Sensor as Sensor, expose as expose, image_rng as image_rng, saturated as saturated

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices._camera_pixels import PIXEL_FORMATS, choose_format, levels_of

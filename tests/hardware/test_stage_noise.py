@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 from grbl_recordings import BANNER
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from stage_worlds import AXES, KINDS, firmware
 
 from lightopt.core.errors import HardwareError

@@ -8,8 +8,7 @@ import math
 import numpy as np
 import pytest
 import reference as ref
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 from worlds import PARTS, box, levels, plane, scene_from_files, scene_from_mesh
 
 from lightopt import render

@@ -6,8 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from lightopt.optics import Sensor
 from lightopt.rig.capture._exposures import ExposureImage, FrameMean, merge_exposures

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from reference._search import all_combinations, detectability_value
 from test_design_visibility import visibility_of
 
@@ -20,8 +19,7 @@ from lightopt.design import (
     defect_hypotheses,
     search,
 )
-from lightopt.design.objectives import _detectability as bit_runs
-from lightopt.design.objectives import _scores_by_image_counts as count_runs
+from lightopt.design.objectives import _detectability as bit_runs, _scores_by_image_counts as count_runs
 
 THRESHOLDS = LevelThresholds(shade=10, saturation=255)
 

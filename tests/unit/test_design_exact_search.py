@@ -6,8 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from reference._search import all_combinations, coverage_value, paper_value
 
 from lightopt.core.errors import InputError

@@ -34,8 +34,7 @@ from lightopt.design import (
 )
 from lightopt.design._tolerances import ObjectiveAssessment
 from lightopt.design.blind_spots._blind_spots import planned_visibility
-from lightopt.design.postures import _light_positions as placing
-from lightopt.design.postures import _posture_search as turning
+from lightopt.design.postures import _light_positions as placing, _posture_search as turning
 from lightopt.design.postures._exposures import plan_exposures
 from lightopt.design.postures._joint_choice import choose_with_exposures
 from lightopt.design.postures._plan_postures import target_not_reached

@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
-from lightopt.geometry import RayCaster, resolve_hits
-from lightopt.geometry import _blocker_maps as maps
+from lightopt.geometry import RayCaster, _blocker_maps as maps, resolve_hits
 
 
 def star(points: int) -> trimesh.Trimesh:

@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from hypothesis.extra import numpy as hnp
 
 from lightopt.core.errors import InputError

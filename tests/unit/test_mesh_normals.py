@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from lightopt.geometry import face_normals, load_mesh
 from lightopt.geometry._load_mesh import LoadedMesh

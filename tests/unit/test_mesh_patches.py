@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from lightopt.core.errors import InputError
 from lightopt.geometry import TriangleMesh, estimate_patch_count, face_areas, face_normals, refine

@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "lightopt"
-FACES = sorted(path for path in PACKAGE.rglob("__init__.py") if "__all__" in path.read_text(encoding="utf-8"))
+FACES = sorted(PACKAGE.rglob("__init__.py"))
 USERS = [
     *PACKAGE.rglob("*.py"),
     *(path for folder in ("benchmarks", "scripts", "examples") for path in (ROOT / folder).rglob("*.py")),
@@ -25,9 +25,11 @@ def name_of(face: Path) -> str:
 
 
 def exports(face: Path) -> set[str]:
+    """What is imported as itself, ``from a import x as x``, or listed."""
     tree = ast.parse(face.read_text(encoding="utf-8"))
-    values = [node.value for node in tree.body if isinstance(node, ast.Assign) and is_all(node)]
-    return set(ast.literal_eval(values[0]))
+    imported = [alias for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names]
+    listed = [ast.literal_eval(node.value) for node in tree.body if isinstance(node, ast.Assign) and is_all(node)]
+    return {alias.name for alias in imported if alias.asname == alias.name}.union(*listed)
 
 
 def is_all(node: ast.Assign) -> bool:
@@ -39,17 +41,31 @@ def package_of(path: Path) -> Path | None:
     return next((folder for folder in path.parents if folder / "__init__.py" in FACES), None)
 
 
+PACKAGES = {name_of(face) for face in FACES}
+
+
 @cache
 def imports() -> list[tuple[Path, str, str]]:
-    """All imports of names of the package: file, module, name."""
+    """All uses of names of the package, imported or as attributes of an imported package: file, module, name."""
     found: list[tuple[Path, str, str]] = []
     for path in (*USERS, *PAGES):
         source = path.read_text(encoding="utf-8")
         if path.suffix == ".md":
             source = "\n".join(re.findall(r"^```python\n(.*?)^```", source, re.M | re.S))
-        for node in ast.walk(ast.parse(source)):
-            if isinstance(node, ast.ImportFrom) and node.module:
-                found += [(path, node.module, alias.name) for alias in node.names]
+        nodes = list(ast.walk(ast.parse(source)))
+        mine = [
+            (path, node.module, alias.name)
+            for node in nodes
+            if isinstance(node, ast.ImportFrom) and node.module
+            for alias in node.names
+        ]
+        packages = {name: f"{module}.{name}" for _, module, name in mine if (f"{module}.{name}") in PACKAGES}
+        found += mine
+        found += [
+            (path, packages[node.value.id], node.attr)
+            for node in nodes
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in packages
+        ]
     return found
 
 

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from test_preflight_rig import find, make_rig, only
 
 from lightopt.config import PartConfig, load_part, load_rig

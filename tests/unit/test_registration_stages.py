@@ -9,8 +9,7 @@ import pytest
 
 from lightopt import build_scene
 from lightopt.core.least_squares import Solution
-from lightopt.estimate.registration import Placement, PoseFrame
-from lightopt.estimate.registration import _registration as registration
+from lightopt.estimate.registration import Placement, PoseFrame, _registration as registration
 from lightopt.estimate.registration._registration import refine_placement
 
 NOWHERE = Placement(x=0.0, y=0.0, turn=0.0)

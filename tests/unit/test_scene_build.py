@@ -8,8 +8,7 @@ import re
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from lightopt import build_scene, load_part, load_rig
 from lightopt.core.errors import InputError

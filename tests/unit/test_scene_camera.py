@@ -7,8 +7,7 @@ import math
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from lightopt.core.transforms import Posture, rigid_transform
 from lightopt.geometry import TriangleMesh, points_inside, transformed

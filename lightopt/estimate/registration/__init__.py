@@ -3,36 +3,25 @@
 Entry: ``register(scene, observations, caster=...) -> Registration``, with observations from ``read_observations``.
 """
 
-from lightopt.estimate.registration._image_checks import FLIPS, LEVEL_CAP, Agreement, agreement, refuse_mismatch
-from lightopt.estimate.registration._observations import Observation, observed_postures, read_observations
-from lightopt.estimate.registration._pixels import view_of_placed
-from lightopt.estimate.registration._placement import (
-    PartFilePlacement,
-    Placement,
-    PoseFrame,
-    part_file_placement,
-    place_part,
+from lightopt.estimate.registration._image_checks import (
+    FLIPS as FLIPS,
+    LEVEL_CAP as LEVEL_CAP,
+    Agreement as Agreement,
+    agreement as agreement,
+    refuse_mismatch as refuse_mismatch,
 )
-from lightopt.estimate.registration._refinement import DARK_SPREAD, GAIN_SPREAD
-from lightopt.estimate.registration._registration import Registration, register
-
-__all__ = [
-    "DARK_SPREAD",
-    "FLIPS",
-    "GAIN_SPREAD",
-    "LEVEL_CAP",
-    "Agreement",
-    "Observation",
-    "PartFilePlacement",
-    "Placement",
-    "PoseFrame",
-    "Registration",
-    "agreement",
-    "observed_postures",
-    "part_file_placement",
-    "place_part",
-    "read_observations",
-    "refuse_mismatch",
-    "register",
-    "view_of_placed",
-]
+from lightopt.estimate.registration._observations import (
+    Observation as Observation,
+    observed_postures as observed_postures,
+    read_observations as read_observations,
+)
+from lightopt.estimate.registration._pixels import view_of_placed as view_of_placed
+from lightopt.estimate.registration._placement import (
+    PartFilePlacement as PartFilePlacement,
+    Placement as Placement,
+    PoseFrame as PoseFrame,
+    part_file_placement as part_file_placement,
+    place_part as place_part,
+)
+from lightopt.estimate.registration._refinement import DARK_SPREAD as DARK_SPREAD, GAIN_SPREAD as GAIN_SPREAD
+from lightopt.estimate.registration._registration import Registration as Registration, register as register

@@ -8,37 +8,27 @@
 - images: ``_image_checks.py``, ``_repeatability.py``, ``_captured_set.py`` (on disk).
 """
 
-from lightopt.rig.capture._acquisition import Timing
-from lightopt.rig.capture._capture import CaptureResult, capture
-from lightopt.rig.capture._captured_set import check_folder
-from lightopt.rig.capture._connect import check_devices, connect_devices
-from lightopt.rig.capture._lights_off import switch_off
-from lightopt.rig.capture._limits import check_angles, check_exposure, check_level, check_on_time
-from lightopt.rig.capture._manual_control import device_statuses, hold_light, snap, snap_on_s
-from lightopt.rig.capture._plan import CaptureOptions, CapturePlan, make_plan
-from lightopt.rig.capture._safe_devices import Devices
-from lightopt.rig.capture._wiring import start_bench, wiring_of
-
-__all__ = [
-    "CaptureOptions",
-    "CapturePlan",
-    "CaptureResult",
-    "Devices",
-    "Timing",
-    "capture",
-    "check_angles",
-    "check_devices",
-    "check_exposure",
-    "check_folder",
-    "check_level",
-    "check_on_time",
-    "connect_devices",
-    "device_statuses",
-    "hold_light",
-    "make_plan",
-    "snap",
-    "snap_on_s",
-    "start_bench",
-    "switch_off",
-    "wiring_of",
-]
+from lightopt.rig.capture._acquisition import Timing as Timing
+from lightopt.rig.capture._capture import CaptureResult as CaptureResult, capture as capture
+from lightopt.rig.capture._captured_set import check_folder as check_folder
+from lightopt.rig.capture._connect import check_devices as check_devices, connect_devices as connect_devices
+from lightopt.rig.capture._lights_off import switch_off as switch_off
+from lightopt.rig.capture._limits import (
+    check_angles as check_angles,
+    check_exposure as check_exposure,
+    check_level as check_level,
+    check_on_time as check_on_time,
+)
+from lightopt.rig.capture._manual_control import (
+    device_statuses as device_statuses,
+    hold_light as hold_light,
+    snap as snap,
+    snap_on_s as snap_on_s,
+)
+from lightopt.rig.capture._plan import (
+    CaptureOptions as CaptureOptions,
+    CapturePlan as CapturePlan,
+    make_plan as make_plan,
+)
+from lightopt.rig.capture._safe_devices import Devices as Devices
+from lightopt.rig.capture._wiring import start_bench as start_bench, wiring_of as wiring_of

@@ -10,46 +10,25 @@ Its simulated counterpart is the module of the same name in ``lightopt.rig.simul
 (``_serial_link.py``), the one home of pyserial. Aravis and harvesters are loaded when a camera is searched for.
 """
 
-from lightopt.rig.devices._camera import Camera, Frame
-from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSettings
-from lightopt.rig.devices._device import Event, Identity, frame_limit_s
+from lightopt.rig.devices._camera import Camera as Camera, Frame as Frame
+from lightopt.rig.devices._camera_sdk import CameraInfo as CameraInfo, CameraSettings as CameraSettings
+from lightopt.rig.devices._device import Event as Event, Identity as Identity, frame_limit_s as frame_limit_s
 from lightopt.rig.devices._drivers import (
-    check_camera_driver,
-    check_stage,
-    find_cameras,
-    light_drivers,
-    open_camera,
-    open_stage,
+    check_camera_driver as check_camera_driver,
+    check_stage as check_stage,
+    find_cameras as find_cameras,
+    light_drivers as light_drivers,
+    open_camera as open_camera,
+    open_stage as open_stage,
 )
-from lightopt.rig.devices._light import LightController, LightSettings, LightsStillOnError, all_off, run_in_parallel
-from lightopt.rig.devices._serial_log import SerialLog
-from lightopt.rig.devices._serial_ports import port_problem, serial_ports
-from lightopt.rig.devices._stage import Stage, StageState
-from lightopt.rig.devices._stage_dialogue import Axis
-
-__all__ = [
-    "Axis",
-    "Camera",
-    "CameraInfo",
-    "CameraSettings",
-    "Event",
-    "Frame",
-    "Identity",
-    "LightController",
-    "LightSettings",
-    "LightsStillOnError",
-    "SerialLog",
-    "Stage",
-    "StageState",
-    "all_off",
-    "check_camera_driver",
-    "check_stage",
-    "find_cameras",
-    "frame_limit_s",
-    "light_drivers",
-    "open_camera",
-    "open_stage",
-    "port_problem",
-    "run_in_parallel",
-    "serial_ports",
-]
+from lightopt.rig.devices._light import (
+    LightController as LightController,
+    LightSettings as LightSettings,
+    LightsStillOnError as LightsStillOnError,
+    all_off as all_off,
+    run_in_parallel as run_in_parallel,
+)
+from lightopt.rig.devices._serial_log import SerialLog as SerialLog
+from lightopt.rig.devices._serial_ports import port_problem as port_problem, serial_ports as serial_ports
+from lightopt.rig.devices._stage import Stage as Stage, StageState as StageState
+from lightopt.rig.devices._stage_dialogue import Axis as Axis

@@ -7,17 +7,13 @@ not import the driver, nor the driver it: the two meet on the wire only.
 (``_devices.py``) on their wires, and the control socket.
 """
 
-from lightopt.rig.simulated._bench_process import BenchProcess
-from lightopt.rig.simulated._camera import CAMERA, EXPOSURE_RANGE_US, AxisWire, BenchTruth, CameraSetup, LightWire
-from lightopt.rig.simulated._camera_gige import GigeCamera
-
-__all__ = [
-    "CAMERA",
-    "EXPOSURE_RANGE_US",
-    "AxisWire",
-    "BenchProcess",
-    "BenchTruth",
-    "CameraSetup",
-    "GigeCamera",
-    "LightWire",
-]
+from lightopt.rig.simulated._bench_process import BenchProcess as BenchProcess
+from lightopt.rig.simulated._camera import (
+    CAMERA as CAMERA,
+    EXPOSURE_RANGE_US as EXPOSURE_RANGE_US,
+    AxisWire as AxisWire,
+    BenchTruth as BenchTruth,
+    CameraSetup as CameraSetup,
+    LightWire as LightWire,
+)
+from lightopt.rig.simulated._camera_gige import GigeCamera as GigeCamera
