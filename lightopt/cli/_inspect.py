@@ -98,7 +98,7 @@ def inspect(
         false_alarms = inspection.InspectOptions.false_alarms if learned is None else learned.rate
     options = inspection.InspectOptions(
         detector=detector,
-        fusion=None if fusion == "none" else cast("inspection.Fusion", fusion),
+        fusion=None if fusion == "none" else cast("Any", fusion),
         false_alarms=false_alarms,
         min_images=min_images,
         register=register,
