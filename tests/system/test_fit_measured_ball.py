@@ -17,8 +17,8 @@ from measured_ball import Ball, Surface, hemisphere
 
 from lightopt import build_scene
 from lightopt.core.errors import InputError
-from lightopt.estimate.reflectance._criterion import LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._fit_samples import fit_reflectance
+from lightopt.estimate.reflectance._likelihood import LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_images
 from lightopt.estimate.reflectance._quality import assess_quality
 from lightopt.estimate.reflectance._samples import collect_samples
@@ -57,7 +57,7 @@ class Bench:
         samples = collect_samples(self.scene, images, caster=self.caster, budget=300)
         quality = replace(assess_quality(samples, found), epsilon=1.0)  # however good, it is looked into
         assert quality.poor
-        refuse_unexplained_images(FitSetup(None, self.scene, self.caster, images), samples, found, quality)
+        refuse_unexplained_images(FitSetup(self.scene, self.caster, images), samples, found, quality)
 
     def unseen(self, x, lights):
         rest = np.setdiff1d(self.all, lights)
@@ -176,7 +176,7 @@ def test_where_a_chrome_ball_lies_is_told_from_its_highlights(tmp_path, monkeypa
     ]
     samples = collect_samples(bench.scene, images, caster=bench.caster, budget=300)
     found = fit_reflectance(samples)
-    world = FitSetup(None, bench.scene, bench.caster, images)
+    world = FitSetup(bench.scene, bench.caster, images)
     if words is None:
         assert refuse_unexplained_images(world, samples, found, assess_quality(samples, found))
         return

@@ -50,7 +50,7 @@ def judged(scene, images):
     samples = collect_samples(scene, images, caster=cast_rays_at(scene), budget=500)
     found = fit_reflectance(samples)
     quality = assess_quality(samples, found)
-    world = FitSetup(None, scene, cast_rays_at(scene), images)  # the part file is for registered ones
+    world = FitSetup(scene, cast_rays_at(scene), images)
     refuse_unexplained_images(world, samples, found, quality)
     return found, quality
 

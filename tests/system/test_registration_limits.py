@@ -196,7 +196,7 @@ def test_another_reflectance_is_not_blamed_on_the_place(ball, R_d):
     """An exact sphere whose highlights have two lobes with tails: the residual is no displacement."""
     scene, centre = ball
     images = photograph_sphere(scene, centre, 15.0, R_d=R_d, wide=(3500.0, 0.12))
-    world = FitSetup(None, scene, cast_rays_at(scene), images)
+    world = FitSetup(scene, cast_rays_at(scene), images)
     samples = collect_samples(scene, images, caster=world.caster, budget=500)
     found = fit_reflectance(samples)
     quality = assess_quality(samples, found)

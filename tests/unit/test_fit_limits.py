@@ -13,8 +13,8 @@ import pytest
 from lightopt import load_rig
 from lightopt.core.errors import InputError
 from lightopt.estimate.reflectance import FitResult, FittedValue, _fit, _likelihood_fit, format_interval
-from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_SIGMA, R_D, Evaluation, parameter_name
 from lightopt.estimate.reflectance._estimate import Estimate, Optimum, ScanPoint
+from lightopt.estimate.reflectance._likelihood import DARK, FIRST_GAIN, LOG_SIGMA, R_D, Evaluation, parameter_name
 from lightopt.estimate.reflectance._newton import has_settled, maximise
 from lightopt.estimate.reflectance._quality import convergence_warnings, poor_fit_warnings, refuse_out_of_range
 from lightopt.estimate.reflectance._result import bounded, separate_region_warnings
@@ -139,12 +139,12 @@ def test_a_profile_over_sigma_finds_every_peak_and_the_best_first():
 )  # fmt: skip
 def test_values_out_of_the_documented_range_are_refused(sigma, r_s, word):
     with pytest.raises(InputError, match=word):
-        refuse_out_of_range(SimpleNamespace(sigma=sigma, R_s=r_s))
+        refuse_out_of_range(SimpleNamespace(sigma=sigma, R_s=r_s), 1e3)
 
 
 def test_values_of_the_documented_range_are_not():
     for sigma in (0.0011, 0.05, 0.19):
-        refuse_out_of_range(SimpleNamespace(sigma=sigma, R_s=1e6))
+        refuse_out_of_range(SimpleNamespace(sigma=sigma, R_s=1e6), 1e3)
 
 
 def test_an_end_that_nothing_bounds_is_none():

@@ -14,18 +14,20 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
 from lightopt.core.kernels import kernel
-from lightopt.estimate.reflectance._criterion import (
+from lightopt.estimate.reflectance._likelihood import (
     DARK,
     LOG_SIGMA,
     Evaluation,
     add_curvature,
+    clipped_levels,
     image_factors,
+    lagrange,
     mirror_curvature,
     parameter_count,
+    predicted,
     specular_and_slope,
     sum_in_chunks,
 )
-from lightopt.estimate.reflectance._likelihood import clipped_levels, lagrange, predicted
 from lightopt.estimate.reflectance._noise import image_noise
 from lightopt.estimate.reflectance._samples import ImageFacts, Samples
 
@@ -126,27 +128,20 @@ class LeastSquares:
         c, dc = lagrange(nodes, at)
         top = s.sensor.saturated_from
 
+        observed, light = (s.sample, s.level, s.image, self.weight), (s.diffuse, columns, c, dc)
+
         def add(start: int, end: int, gradient: Float64, curvature: Float64) -> float:
-            return _accumulate(
-                s.sample, s.level, s.image, start, end, self.weight, s.diffuse, columns, c, dc, s.facts,
-                s.sensor.black_level, top, x, gradient, curvature,
-            )  # fmt: skip
+            return _accumulate(observed, start, end, light, s.facts, s.sensor.black_level, top, x, gradient, curvature)
 
         return sum_in_chunks(add, len(s.sample), self.size, chunk=_CHUNK, threads=s.threads)
 
 
 @kernel
 def _accumulate(
-    sample: Int32,
-    level: Float32,
-    image: Int32,
+    observed: tuple[Int32, Float32, Int32, Float64],
     start: int,
     end: int,
-    weights: Float64,
-    diffuse: Float64,
-    specular: Float64,
-    c: Float64,
-    dc: Float64,
+    light: tuple[Float64, Float64, Float64, Float64],
     facts: ImageFacts,
     black: float,
     top: float,
@@ -155,6 +150,7 @@ def _accumulate(
     curvature: Float64,
 ) -> float:
     # minus half the sum of weighted squares, its gradient, and the matrix of Gauss and Newton
+    (sample, level, image, weights), (diffuse, specular, c, dc) = observed, light
     r_d, r_s, dark = x[0], math.exp(x[1]), x[3]
     factor_of = image_factors(facts, x)
     total = 0.0

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from lightopt.core.arrays import Float64
-from lightopt.estimate.reflectance._criterion import LOG_R_S, LOG_SIGMA, R_D, Criterion, outlier_share
+from lightopt.estimate.reflectance._likelihood import LOG_R_S, LOG_SIGMA, R_D, Criterion, outlier_share
 from lightopt.estimate.reflectance._newton import Maximum
 
 Interval = tuple[float | None, float | None]  # 95 %; None for an end that the images do not bound
@@ -86,7 +86,7 @@ def optimum_of(start_sigma: float, top: Maximum, criterion: Criterion | None) ->
 class Estimate(_Reflectance):
     """The best fit and its uncertainty.
 
-    x: Parameters, shape (K,), in the order of :mod:`lightopt.estimate.reflectance._criterion`.
+    x: Parameters, shape (K,), in the order of :mod:`lightopt.estimate.reflectance._likelihood`.
     free: Places of the k parameters that were fitted.
     covariance: Of those, shape (k, k), if the model is right.
     inflation: Factor of each of their variances for what the model gets wrong, shape (k,).

@@ -11,21 +11,19 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
-from lightopt.estimate.reflectance._criterion import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters
 from lightopt.estimate.reflectance._fit_samples import fit_reflectance, refit
+from lightopt.estimate.reflectance._likelihood import FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._mismatch_causes import refuse_unexplained_images
-from lightopt.estimate.reflectance._noise import MeasuredNoise, measure_noise, noise_warnings
+from lightopt.estimate.reflectance._noise import measure_noise, noise_warnings
 from lightopt.estimate.reflectance._paper import PaperDiffuse, PaperSpecular, paper_diffuse, paper_specular
 from lightopt.estimate.reflectance._quality import (
     Quality,
     assess_quality,
     convergence_warnings,
     fit_warnings,
-    held_r_d_warnings,
     mean_levels,
     poor_fit_warnings,
-    refuse_no_highlight,
     refuse_out_of_range,
 )
 from lightopt.estimate.reflectance._result import (
@@ -115,12 +113,8 @@ def fit_diffuse(
         FittedValue(name="R_s", value=setup.scene.reflectance.R_s),
         FittedValue(name="sigma_rad", value=setup.scene.reflectance.sigma),
     )
-    dark = fitted_dark(setup.scene, found) if options.dark else None
-    noise = measure_noise(plain, mean_levels(plain, found), describes=quality.describes)
-    warnings += negative_black_level_warnings(dark)
-    warnings += noise_warnings(noise) if options.write_noise else ()
-    run.warn(*warnings)
-    result = _result("diffuse", setup, found, quality, (*values, *unfitted), dark, noise, warnings)
+    result = _result("diffuse", setup, plain, found, quality, (*values, *unfitted), warnings)
+    run.warn(*result.warnings)
     return replace(
         result,
         highlight_fit=whole,
@@ -152,15 +146,8 @@ def fit_specular(
         result, samples = _fit_one(setup)
         row = None
         if len(choices) > 1:
-            row = compare_regions(
-                setup.scene,
-                _parameters(result, setup),
-                setup.observations,
-                points=setup.scene.lights[0].points,
-                caster=setup.caster,
-                likelihood=None if result.estimate is None else result.estimate.mean_log_likelihood,
-                threads=run.threads,
-            )
+            likelihood = None if result.estimate is None else result.estimate.mean_log_likelihood
+            row = compare_regions(setup, _parameters(result, setup), likelihood)
         tried.append((result, setup, samples, row))
     result, setup, samples, _ = max(tried, key=lambda one: _rank(one[3]))
     result = replace(result, rows=tuple(t[3] for t in tried if t[3] is not None))
@@ -193,37 +180,37 @@ def _fit_one(setup: FitSetup) -> tuple[FitResult, Samples]:
     found = fit_reflectance(samples, freed=options.freed, held=setup.held, run=setup.run)
     quality = assess_quality(samples, found)
     placed = refuse_unexplained_images(setup, samples, found, quality)
-    refuse_no_highlight(samples, found)
-    refuse_out_of_range(found)
+    refuse_out_of_range(found, float(found.R_s * samples.specular(found.sigma).max()))
     values = fitted_values(found, full_scale=reflectance.full_scale)
     interval = next(v.interval for v in values if v.name == "R_s")
     exposures = {o.exposure for o in setup.observations}
     warnings = [*setup.warnings, *convergence_warnings(found)]
     warnings += separate_region_warnings(values)
     warnings += fit_warnings(found, quality, interval, shorter=len(exposures) > 1, placed=placed)
-    warnings += held_r_d_warnings(found)
-    noise = measure_noise(samples, mean_levels(samples, found), describes=quality.describes)
-    warnings += noise_warnings(noise) if options.write_noise else ()
-    panels = (coarse_points(light, found.sigma) for light in setup.scene.lights)
-    warnings += [text for text in panels if text is not None]
-    dark = fitted_dark(setup.scene, found) if options.dark else None
-    warnings += negative_black_level_warnings(dark)
-    result = _result("specular", setup, found, quality, values, dark, noise, warnings)
+    result = _result("specular", setup, samples, found, quality, values, warnings)
     return replace(result, correlation=found.correlation(LOG_R_S, LOG_SIGMA)), samples
 
 
 def _result(
     kind: Literal["diffuse", "specular"],
     setup: FitSetup,
+    samples: Samples,
     found: Estimate,
     quality: Quality,
     values: tuple[FittedValue, ...],
-    dark: FittedValue | None,
-    noise: MeasuredNoise,
     warnings: Sequence[str],
 ) -> FitResult:
     options = setup.options
     specular = ("R_d", "R_s", "sigma_rad") if options.joint else ("R_s", "sigma_rad")
+    noise = measure_noise(samples, mean_levels(samples, found), describes=quality.describes)
+    dark = fitted_dark(setup.scene, found) if options.dark else None
+    panels = setup.scene.lights if kind == "specular" else ()
+    coarse = (coarse_points(light, found.sigma) for light in panels)
+    more = (
+        *(noise_warnings(noise) if options.write_noise else ()),
+        *(text for text in coarse if text is not None),
+        *negative_black_level_warnings(dark),
+    )
     return FitResult(
         kind=kind,
         method="likelihood",
@@ -240,7 +227,7 @@ def _result(
         observations=len(found.criterion.samples.sample),
         pixels=len(found.criterion.samples.diffuse),
         quality=quality,
-        warnings=tuple(warnings),
+        warnings=(*warnings, *more),
         estimate=found,
     )
 

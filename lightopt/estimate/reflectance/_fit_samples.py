@@ -19,9 +19,17 @@ from scipy.special import stdtrit
 from lightopt.core.arrays import Float64, Index
 from lightopt.core.run_context import RunContext, part_of
 from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares, SpecularTable, find_dust, is_significant
-from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, outlier_share
 from lightopt.estimate.reflectance._estimate import Estimate, FreeParameters, optimum_of
-from lightopt.estimate.reflectance._likelihood import likelihood_at, predicted
+from lightopt.estimate.reflectance._likelihood import (
+    DARK,
+    FIRST_GAIN,
+    LOG_R_S,
+    LOG_SIGMA,
+    R_D,
+    likelihood_at,
+    outlier_share,
+    predicted,
+)
 from lightopt.estimate.reflectance._likelihood_fit import USUAL_TABLE, climb, likelihood_estimate
 from lightopt.estimate.reflectance._newton import Maximum, has_settled, maximise
 from lightopt.estimate.reflectance._samples import Samples, subsample
@@ -165,8 +173,9 @@ def leave_groups_out(criterion: LeastSquares, x: Float64, free: Sequence[int]) -
     A light that is left out shows nothing of its own gain, nor do the others of what theirs are relative to: where
     gains are free, blocks of the images are left out as well.
     """
-    by_light, by_block = _by_light(criterion.samples), _by_block(criterion.samples)
-    groups = next((one for one in (*by_light, by_block) if _count(one[0]) >= LEAST_GROUPS), by_block)
+    candidates = _groups(criterion.samples)
+    by_block = candidates[-1]
+    groups = next((one for one in candidates if _count(one[0]) >= LEAST_GROUPS), by_block)
     found = _scatter(criterion, x, free, *groups)
     if groups is by_block or all(place < FIRST_GAIN for place in free):
         return found
@@ -223,18 +232,14 @@ def _count(label: Index) -> int:
     return int(label.max(initial=-1)) + 1
 
 
-def _by_light(samples: Samples) -> list[tuple[Index, str]]:
-    # a number per observation: what is left out together
-    light = samples.facts.light[samples.image].astype(np.intp)
+def _groups(samples: Samples) -> list[tuple[Index, str]]:
+    # what may be left out together, as a number per observation
+    light = samples.facts.light[samples.image]
     postures = list(dict.fromkeys(image.posture for image in samples.images))
     posture = np.array([postures.index(image.posture) for image in samples.images])[samples.image]
-    both = light * len(postures) + posture
-    return [(_numbered(light), "lights"), (_numbered(both), "lights and postures")]
-
-
-def _by_block(samples: Samples) -> tuple[Index, str]:
-    return _numbered(samples.block[samples.sample].astype(np.intp)), "pieces of the images"
-
-
-def _numbered(label: Index) -> Index:
-    return np.unique(label, return_inverse=True)[1].astype(np.intp)
+    labels = {
+        "lights": light,
+        "lights and postures": light * len(postures) + posture,
+        "pieces of the images": samples.block[samples.sample],
+    }
+    return [(np.unique(label, return_inverse=True)[1], name) for name, label in labels.items()]

@@ -12,9 +12,8 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.run_context import RunContext, Share, part_of
-from lightopt.estimate.reflectance._criterion import LOG_SIGMA, outlier_share
 from lightopt.estimate.reflectance._estimate import CHI2_95, Estimate, Optimum, ScanPoint, optimum_of
-from lightopt.estimate.reflectance._likelihood import Likelihood, likelihood_at
+from lightopt.estimate.reflectance._likelihood import LOG_SIGMA, Likelihood, likelihood_at, outlier_share
 from lightopt.estimate.reflectance._newton import Maximum, maximise
 from lightopt.estimate.reflectance._samples import Samples, subsample
 from lightopt.estimate.reflectance._sigma_scan import (

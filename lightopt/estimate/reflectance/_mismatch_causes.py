@@ -6,14 +6,12 @@ The fit is repeated for each, since a reflectance that was fitted to wrong image
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
-from lightopt.core.transforms import Posture
 from lightopt.estimate.reflectance._estimate import Estimate
 from lightopt.estimate.reflectance._fit_samples import fit_reflectance
 from lightopt.estimate.reflectance._likelihood import clipped_levels, predicted
@@ -38,36 +36,6 @@ FLIP_BUDGET = 150
 MOST_LIGHTS = 8  # exchanged lights are only tried where there are no more than these
 
 
-@dataclass(frozen=True, kw_only=True)
-class Displacement:
-    """Another placement of the part that explains the residual.
-
-    pixels, mm, turn: Shift of its middle, in the image [px] and on the stage [mm], and its rotation [rad].
-    explains: Share of the mean squared residual beyond the noise that it removes.
-    posture: The only posture whose images were compared; None for all.
-    """
-
-    pixels: float
-    mm: float
-    turn: float
-    explains: float
-    posture: Posture | None = None
-
-    @property
-    def message(self) -> str:
-        """What is displaced, by how much, and what to do."""
-        moved = (
-            f"with the part shifted by {self.pixels:.1f} px ({self.mm:.2f} mm) and turned by "
-            f"{math.degrees(self.turn):.1f}°, the model explains {100.0 * self.explains:.0f} % of what the fit misses"
-        )
-        if self.posture is None:
-            return f"{moved}. Fit the shift, or correct the part's placement or the camera"
-        return (
-            f"in posture {self.posture}, {moved}, but no one place on the stage explains the images of all postures: "
-            "correct the camera's distance, angles or roll, or the zero of the stage's axes"
-        )
-
-
 def refuse_unexplained_images(setup: FitSetup, samples: Samples, found: Estimate, quality: Quality) -> bool:
     """Refuse images that do not show this part on this rig at its file placement; the error says what fits better.
 
@@ -77,9 +45,9 @@ def refuse_unexplained_images(setup: FitSetup, samples: Samples, found: Estimate
         return setup.registration is not None
     excluded = True
     if setup.registration is None:
-        shift, excluded = find_displacement(setup, samples, quality)
+        shift, excluded = _better_placement(setup, samples, quality)
         if shift is not None:
-            raise InputError(f"the images do not look like this part where its file has it: {shift.message}")
+            raise InputError(f"the images do not look like this part where its file has it: {shift}")
     own = _agreement(samples, found)
     if not own.mismatch:
         return excluded
@@ -94,25 +62,33 @@ def refuse_unexplained_images(setup: FitSetup, samples: Samples, found: Estimate
     )
 
 
-def find_displacement(setup: FitSetup, samples: Samples, quality: Quality) -> tuple[Displacement | None, bool]:
+def _better_placement(setup: FitSetup, samples: Samples, quality: Quality) -> tuple[str | None, bool]:
     """Another placement that explains the residual, if any, and whether all others are excluded by a converged search.
 
     Where no placement explains the images of all postures, those of the first are compared alone: a camera or a stage
     that is off moves the part in each posture another way.
     """
-    found, excluded = _displacement(setup.scene, setup.observations, samples, quality)
-    postures = list(dict.fromkeys(o.posture for o in setup.observations))
-    if found is not None or len(postures) < 2:
-        return found, excluded
-    mine = [o for o in setup.observations if o.posture == postures[0]]
-    same_posture = np.array([image.posture == postures[0] for image in samples.images])[samples.image]
-    found, _ = _displacement(setup.scene, mine, samples.select(same_posture), quality)
-    return None if found is None else replace(found, posture=postures[0]), excluded
+    moved, excluded = _displacement(setup.scene, setup.observations, samples, quality)
+    if moved is not None:
+        return f"{moved}. Fit the shift, or correct the part's placement or the camera", excluded
+    first = setup.observations[0].posture
+    mine = [o for o in setup.observations if o.posture == first]
+    if len(mine) == len(setup.observations):
+        return None, excluded
+    same_posture = np.array([image.posture == first for image in samples.images])[samples.image]
+    moved, _ = _displacement(setup.scene, mine, samples.select(same_posture), quality)
+    if moved is None:
+        return None, excluded
+    text = (
+        f"in posture {first}, {moved}, but no one place on the stage explains the images of all postures: correct the "
+        "camera's distance, angles or roll, or the zero of the stage's axes"
+    )
+    return text, excluded
 
 
 def _displacement(
     scene: Scene, observations: Sequence[Observation], samples: Samples, quality: Quality
-) -> tuple[Displacement | None, bool]:
+) -> tuple[str | None, bool]:
     # the part is registered, and the reflectance fitted again: one fitted to a misplaced part is another one
     try:
         registration = register_with_fit(
@@ -142,7 +118,11 @@ def _displacement(
     explains = explained_share(before, after, noise)
     if explains <= LEAST_EXPLAINED:
         return None, excluded
-    return Displacement(pixels=pixels, mm=mm, turn=abs(turn), explains=explains), False
+    text = (
+        f"with the part shifted by {pixels:.1f} px ({mm:.2f} mm) and turned by {math.degrees(abs(turn)):.1f}°, the "
+        f"model explains {100.0 * explains:.0f} % of what the fit misses"
+    )
+    return text, False
 
 
 def _light_subset(observations: Sequence[Observation]) -> list[Observation]:

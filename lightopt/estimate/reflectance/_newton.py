@@ -7,7 +7,7 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64
 from lightopt.core.kernels import kernel
-from lightopt.estimate.reflectance._criterion import FIRST_GAIN, R_D, Criterion, Evaluation
+from lightopt.estimate.reflectance._likelihood import FIRST_GAIN, R_D, Criterion, Evaluation
 
 # a maximum is found when the next step's predicted gain is less than this [nat]: a hundredth of a standard error
 TOLERANCE = 1e-4

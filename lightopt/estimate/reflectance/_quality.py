@@ -8,9 +8,16 @@ import numpy as np
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.estimate.reflectance._clipped_least_squares import is_significant
-from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, parameter_name
 from lightopt.estimate.reflectance._estimate import Estimate, Interval
-from lightopt.estimate.reflectance._likelihood import predicted
+from lightopt.estimate.reflectance._likelihood import (
+    DARK,
+    FIRST_GAIN,
+    LOG_R_S,
+    LOG_SIGMA,
+    R_D,
+    parameter_name,
+    predicted,
+)
 from lightopt.estimate.reflectance._noise import image_noise
 from lightopt.estimate.reflectance._samples import Samples
 
@@ -130,6 +137,16 @@ def fit_warnings(
             )
         if quality.saturated == 0.0:
             warnings.append("no pixel is saturated: R_s and σ come from the flanks and the peak of the highlight alone")
+    if R_D not in found.free:
+        # the slope of the criterion may contradict the value at which R_d was held
+        here = found.maximum.evaluation
+        curvature = float(here.curvature[R_D, R_D])
+        step = float(here.gradient[R_D]) / max(curvature, 1e-300)
+        if abs(step) >= 0.02 * max(found.R_d, 1e-9) and abs(step) * math.sqrt(curvature) >= 5.0:
+            warnings.append(
+                f"R_d is held at {found.R_d:.4g}, but these images want a {'larger' if step > 0.0 else 'smaller'} one, "
+                "and R_s and σ suffer from it: run fit-diffuse first, or fit both jointly"
+            )
     return tuple(warnings)
 
 
@@ -185,24 +202,18 @@ def _rms(values: Float64) -> float:
     return math.sqrt(float(np.mean(values**2))) if len(values) else 0.0
 
 
-def refuse_no_highlight(samples: Samples, found: Estimate) -> None:
-    """Refuse images that do not determine R_s and σ.
+def refuse_out_of_range(found: Estimate, brightest: float) -> None:
+    """Refuse images that do not determine R_s and σ, and values that no real surface has.
 
-    Raises InputError: no pixel is brighter by a level for a highlight.
+    brightest: Greatest specular light of a pixel [grey level].
+    Raises InputError: no pixel is brighter by a level for a highlight, σ is at an edge of its range or beyond, or R_s
+        runs away.
     """
-    light = found.R_s * samples.specular(found.sigma)
-    if float(light.max()) < 1.0:
+    if brightest < 1.0:
         raise InputError(
             "no highlight in any image: nothing determines R_s and σ. Add images under lights that the surface mirrors "
             "into the camera, or at a longer exposure"
         )
-
-
-def refuse_out_of_range(found: Estimate) -> None:
-    """Refuse values that no real surface has.
-
-    Raises InputError: σ at an edge of its range or beyond, or an R_s that runs away.
-    """
     low, high = SIGMA_RANGE
     if found.sigma < low * EDGE:
         raise InputError(
@@ -248,19 +259,3 @@ def convergence_warnings(found: Estimate) -> tuple[str, ...]:
         if not optimum.converged and optimum.value >= best
     ]
     return tuple(warnings)
-
-
-def held_r_d_warnings(found: Estimate) -> list[str]:
-    """Warn where the slope of the criterion contradicts the value at which R_d was held."""
-    if R_D in found.free:
-        return []
-    here = found.maximum.evaluation
-    curvature = float(here.curvature[R_D, R_D])
-    step = float(here.gradient[R_D]) / max(curvature, 1e-300)
-    if abs(step) < 0.02 * max(found.R_d, 1e-9) or abs(step) * math.sqrt(curvature) < 5.0:
-        return []
-    text = (
-        f"R_d is held at {found.R_d:.4g}, but these images want a {'larger' if step > 0.0 else 'smaller'} one, and R_s "
-        "and σ suffer from it: run fit-diffuse first, or fit both jointly"
-    )
-    return [text]

@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._estimate import Estimate, Interval
+from lightopt.estimate.reflectance._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._noise import MeasuredNoise
 from lightopt.estimate.reflectance._paper import PaperDiffuse, PaperSpecular
 from lightopt.estimate.reflectance._quality import Quality, convergence_warnings

@@ -110,13 +110,8 @@ class Samples:
 
     def select(self, where: Bool | Index) -> Samples:
         """Only the observations that `where` marks, shape (N,), or lists; the pixels stay."""
-        return replace(
-            self,
-            sample=self.sample[where],
-            image=self.image[where],
-            level=self.level[where],
-            saturated=self.saturated[where],
-        )
+        fields = ("sample", "image", "level", "saturated")
+        return replace(self, **{name: getattr(self, name)[where] for name in fields})
 
     def with_levels(self, levels: Sequence[Float32], saturated: Sequence[Bool]) -> Samples:
         """The same pixels of other images of the same lights, postures and exposures; one array per image."""
@@ -268,31 +263,26 @@ def _assemble(
         half_width=np.array([o.half_width for o in images]),
         frames=np.array([float(o.frames) for o in images]),
     )
-    sample: list[Int32] = []
-    image: list[Int32] = []
-    level: list[Float32] = []
-    saturated: list[Bool] = []
+    rows: list[tuple[Int32, Int32, Float32, Bool]] = []
     start = 0
     for group in groups:
         index = np.arange(start, start + len(group), dtype=np.int32)
         start += len(group)
         for number, seen in enumerate(images):
-            if seen.posture != group.posture or facts.light[number] != group.light:
-                continue
-            sample.append(index)
-            image.append(np.full(len(group), number, np.int32))
-            level.append(seen.levels[group.row, group.column])
-            saturated.append(seen.saturated[group.row, group.column])
+            if seen.posture == group.posture and facts.light[number] == group.light:
+                place = group.row, group.column
+                rows.append((index, np.full(len(group), number, np.int32), seen.levels[place], seen.saturated[place]))
+    sample, image, level, saturated = (np.concatenate(column) for column in zip(*rows, strict=True))
     return Samples(
         groups=tuple(groups),
         diffuse=np.concatenate([group.diffuse for group in groups]),
         deflection=np.concatenate([group.deflection for group in groups]),
         weight=np.concatenate([group.weight for group in groups]),
         block=_blocks(groups, images),
-        sample=np.concatenate(sample),
-        image=np.concatenate(image),
-        level=np.concatenate(level),
-        saturated=np.concatenate(saturated),
+        sample=sample,
+        image=image,
+        level=level,
+        saturated=saturated,
         images=images,
         facts=facts,
         lights=lights,

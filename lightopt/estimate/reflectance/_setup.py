@@ -74,7 +74,6 @@ class FitSetup:
         where the part was not registered.
     """
 
-    part: PartConfig
     scene: Scene
     caster: RayCaster
     observations: tuple[Observation, ...]
@@ -117,7 +116,7 @@ def prepare_fit(
     used = {o.light for o in observations}
     names = [light.name for light in rig.lights if light.name in used]
     scene = build_scene(rig, part, postures=observed_postures(image_set), lights=names, points=points, defects=False)
-    setup = FitSetup(part, scene, cast_rays_at(scene), observations, options=options, run=run)
+    setup = FitSetup(scene, cast_rays_at(scene), observations, options=options, run=run)
     if not options.register:
         return setup
     found = register_with_fit(

@@ -14,7 +14,8 @@ from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share
 from lightopt.estimate.reflectance._clipped_least_squares import LeastSquares, SpecularTable, find_dust, measure_misfit
-from lightopt.estimate.reflectance._criterion import (
+from lightopt.estimate.reflectance._estimate import FreeParameters, ScanPoint
+from lightopt.estimate.reflectance._likelihood import (
     DARK,
     FIRST_GAIN,
     LOG_R_S,
@@ -22,9 +23,8 @@ from lightopt.estimate.reflectance._criterion import (
     R_D,
     Criterion,
     parameter_count,
+    predicted,
 )
-from lightopt.estimate.reflectance._estimate import FreeParameters, ScanPoint
-from lightopt.estimate.reflectance._likelihood import predicted
 from lightopt.estimate.reflectance._newton import Maximum, maximise
 from lightopt.estimate.reflectance._samples import Samples, subsample
 

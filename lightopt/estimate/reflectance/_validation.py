@@ -14,10 +14,11 @@ from scipy.spatial import KDTree
 
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.run_context import Share
-from lightopt.estimate.reflectance._criterion import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._estimate import Estimate
 from lightopt.estimate.reflectance._fit_samples import refit
+from lightopt.estimate.reflectance._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._samples import Samples, subsample
+from lightopt.estimate.reflectance._setup import FitSetup
 from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
 from lightopt.optics import Reflectance, Sensor, saturated_region
@@ -260,33 +261,24 @@ class PointsRow:
         }
 
 
-def compare_regions(
-    scene: Scene,
-    x: Float64,
-    observations: tuple[Observation, ...],
-    *,
-    points: int | Literal["auto"],
-    caster: RayCaster,
-    likelihood: float | None = None,
-    threads: int | None = None,
-) -> PointsRow:
+def compare_regions(setup: FitSetup, x: Float64, likelihood: float | None) -> PointsRow:
     """Render all images with a fit and compare the saturated regions with the measured ones.
 
     Both are taken from whole levels, since the camera delivers no others.
 
     x: Parameters, shape (K,), as :mod:`lightopt.estimate.reflectance._likelihood` orders them.
     """
-    top = scene.sensor.saturated_from
+    scene, sensor = setup.scene, setup.scene.sensor
     areas, perimeters = np.zeros(2), np.zeros(2)
-    for seen, levels, _ in predict_images(scene, x, observations, caster=caster, threads=threads):
-        delivered = np.clip(np.floor(levels + 0.5), 0.0, scene.sensor.max_level)
+    for seen, levels, _ in predict_images(scene, x, setup.observations, caster=setup.caster, threads=setup.run.threads):
+        delivered = np.clip(np.floor(levels + 0.5), 0.0, sensor.max_level)
         pair: tuple[Float32, Float32] = delivered, seen.levels
         for i, image in enumerate(pair):
-            region = saturated_region(image, top)
+            region = saturated_region(image, sensor.saturated_from)
             areas[i] += region.area
             perimeters[i] += region.perimeter
     return PointsRow(
-        points=points,
+        points=scene.lights[0].points,
         R_d=float(x[R_D]),
         R_s=math.exp(x[LOG_R_S]),
         sigma=math.exp(x[LOG_SIGMA]),

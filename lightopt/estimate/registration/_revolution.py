@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lightopt.core.arrays import Float64, Int32
+from lightopt.core.arrays import Float64
 from lightopt.core.transforms import rotation_z
 from lightopt.estimate.registration._pixels import PixelSet, view_of_placed
 from lightopt.estimate.registration._placement import PoseFrame
@@ -53,12 +53,23 @@ def unobservable_rotation(
     """
     if not sets or scene.mesh.normals is None:
         return np.zeros((0, 3))
-    pixels = [_Pixels(scene, frame, one, caster) for one in sets]
-    nominal = [one.trace(pose) for one in pixels]
+    nominal = [_trace(scene, frame, pixels, pose, caster) for pixels in sets]
     fitted = _axis(np.concatenate([n.points for n in nominal]), np.concatenate([n.normals for n in nominal]))
+
+    def is_observable(axis: Float64, rotation: float) -> bool:
+        # whether a rotation about an axis of the part, x and y from its middle, changes more than facets
+        about, foot = rotation_z(rotation), np.array([*axis, 0.0])
+        # the axis stays where the pose has it
+        shift = rotation_z(float(pose[2])) @ (foot - about @ foot)
+        rotated = pose + np.array([shift[0], shift[1], rotation])
+        return any(
+            _differs(before, _trace(scene, frame, pixels, rotated, caster).rotated(about, foot), frame.pixel)
+            for pixels, before in zip(sets, nominal, strict=True)
+        )
+
     # normals of coarse facets are less exact than the bounding box, unless that is of an odd number of sections
     for axis in (np.zeros(2), fitted):
-        if not any(_is_observable(pixels, nominal, pose, axis, float(rotation)) for rotation in ROTATIONS):
+        if not any(is_observable(axis, float(rotation)) for rotation in ROTATIONS):
             return np.array([[axis[1], -axis[0], 1.0]])
     return np.zeros((0, 3))
 
@@ -82,7 +93,7 @@ class _Surface:
         return replace(self, points=(self.points - foot) @ about.T + foot, normals=self.normals @ about.T)
 
 
-def _differs(before: _Surface, after: _Surface, least_depth: float) -> bool:
+def _differs(before: _Surface, after: _Surface, pixel: float) -> bool:
     # whether any pixel sees more than other facets of the same body of revolution
     if len(after.points) != len(before.points):
         return True
@@ -92,54 +103,33 @@ def _differs(before: _Surface, after: _Surface, least_depth: float) -> bool:
     angle += CURVED_FACTOR * np.minimum(before.bend, after.bend)
     off = np.abs(np.einsum("ij,ij->i", after.points - before.points, before.normals))
     differ = np.linalg.norm(after.normals - before.normals, axis=1)
-    return bool(np.any((off > depth + least_depth) | (differ > angle + LEAST_ANGLE)))
+    return bool(np.any((off > depth + LEAST_DEPTH_PX * pixel) | (differ > angle + LEAST_ANGLE)))
 
 
-class _Pixels:
-    """Pixels of one posture, and what they see of the part in any pose."""
-
-    def __init__(self, scene: Scene, frame: PoseFrame, pixels: PixelSet, caster: RayCaster) -> None:
-        self._scene, self._frame, self._pixels, self._caster = scene, frame, pixels, caster
-        self.pixel = frame.pixel
-        self._middle = np.array([*(scene.pivot[:2] + frame.middle), 0.0])
-
-    def trace(self, pose: Float64) -> _Surface:
-        """What is seen in a pose by those of the pixels that see the part."""
-        place = self._frame.placement(pose)
-        view = view_of_placed(self._scene, self._pixels.posture, place.x, place.y, place.turn)
-        hits, surface = trace_samples(self._caster, self._scene.mesh, view.camera, *self._pixels.positions)
-        return _Surface(surface.points - self._middle, surface.normals, *self._facets(hits.face))
-
-    def _facets(self, face: Int32) -> tuple[Float64, Float64, Float64]:
-        # of facets: chord error r (1 − cos Δφ/2) [mm], azimuthal extent Δφ [rad], and how far their normals bend [rad]
-        mesh = self._scene.mesh
-        assert mesh.normals is not None
-        normals = mesh.normals[mesh.faces[face]]
-        corners = (mesh.vertices[mesh.faces[face]] - self._middle)[:, :, :2]
-        radius = np.linalg.norm(corners, axis=2)
-        # a corner on the axis has no azimuth
-        off = radius > 1e-6 * self._frame.radius
-        unit = corners / np.where(off, radius, 1.0)[:, :, None]
-        angle, bend = np.zeros(len(face)), np.zeros(len(face))
-        for a, b in ((0, 1), (1, 2), (2, 0)):
-            cosine = np.clip(np.einsum("ij,ij->i", unit[:, a], unit[:, b]), -1.0, 1.0)
-            angle = np.maximum(angle, np.where(off[:, a] & off[:, b], np.arccos(cosine), 0.0))
-            bend = np.maximum(bend, np.linalg.norm(normals[:, a] - normals[:, b], axis=1))
-        return radius.max(axis=1, initial=0.0) * (1.0 - np.cos(0.5 * angle)), angle, bend
+def _trace(scene: Scene, frame: PoseFrame, pixels: PixelSet, pose: Float64, caster: RayCaster) -> _Surface:
+    # what is seen in a pose by those of the pixels that see the part
+    place, middle = frame.placement(pose), np.array([*(scene.pivot[:2] + frame.middle), 0.0])
+    view = view_of_placed(scene, pixels.posture, place.x, place.y, place.turn)
+    hits, surface = trace_samples(caster, scene.mesh, view.camera, *pixels.positions)
+    vertices, normals = scene.mesh.vertices, scene.mesh.normals
+    assert normals is not None
+    faces = scene.mesh.faces[hits.face]
+    facets = _facets((vertices[faces] - middle)[:, :, :2], normals[faces], 1e-6 * frame.radius)
+    return _Surface(surface.points - middle, surface.normals, *facets)
 
 
-def _is_observable(
-    pixels: Sequence[_Pixels], nominal: Sequence[_Surface], pose: Float64, axis: Float64, rotation: float
-) -> bool:
-    # whether a rotation about an axis of the part, x and y from its middle, changes more than facets
-    about, foot = rotation_z(rotation), np.array([*axis, 0.0])
-    # the axis stays where the pose has it
-    shift = rotation_z(float(pose[2])) @ (foot - about @ foot)
-    rotated = pose + np.array([shift[0], shift[1], rotation])
-    return any(
-        _differs(before, one.trace(rotated).rotated(about, foot), LEAST_DEPTH_PX * one.pixel)
-        for one, before in zip(pixels, nominal, strict=True)
-    )
+def _facets(corners: Float64, normals: Float64, least: float) -> tuple[Float64, Float64, Float64]:
+    # of facets: chord error r (1 − cos Δφ/2) [mm], azimuthal extent Δφ [rad], and how far their normals bend [rad]
+    radius = np.linalg.norm(corners, axis=2)
+    # a corner on the axis has no azimuth
+    off = radius > least
+    unit = corners / np.where(off, radius, 1.0)[:, :, None]
+    angle, bend = np.zeros(len(corners)), np.zeros(len(corners))
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        cosine = np.clip(np.einsum("ij,ij->i", unit[:, a], unit[:, b]), -1.0, 1.0)
+        angle = np.maximum(angle, np.where(off[:, a] & off[:, b], np.arccos(cosine), 0.0))
+        bend = np.maximum(bend, np.linalg.norm(normals[:, a] - normals[:, b], axis=1))
+    return radius.max(axis=1, initial=0.0) * (1.0 - np.cos(0.5 * angle)), angle, bend
 
 
 def _axis(points: Float64, normals: Float64) -> Float64:
