@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
-
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -14,7 +12,7 @@ from lightopt.estimate.registration import read_observations
 from lightopt.images import read_image_set
 from lightopt.inspection import deviations, posture_view, predict, score_deviations
 from lightopt.inspection._image_blocks import filter_tile, gaussian_taps
-from lightopt.inspection.detection._coverage import coverage_of_rows, measure_coverage
+from lightopt.inspection.detection._coverage import SurfaceState, _judge_rows, measure_coverage
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set
 
 FLAT = Posture(0.0, 0.0)
@@ -54,15 +52,12 @@ def test_the_number_of_threads_changes_nothing(shown):
 @pytest.mark.parametrize("threads", [1, 3])
 def test_coverage_in_blocks_is_that_of_the_whole_image(shown, threads):
     view, found, _ = seen(shown, 2)
-    whole = coverage_of_rows(view, found, min_images=2, high=6.0)
+    state, least = _judge_rows(view, found, slice(None), 2, 6.0)
     blocks = measure_coverage(view, found, min_images=2, high=6.0, threads=threads)
-    assert whole.inspected > 0.1 * whole.seen > 0.0
-    for field in fields(whole):
-        mine, theirs = getattr(blocks, field.name), getattr(whole, field.name)
-        if isinstance(mine, np.ndarray):
-            assert np.array_equal(mine, theirs), field.name
-        else:
-            assert mine == pytest.approx(theirs, rel=1e-12), field.name
+    assert np.array_equal(blocks.state, state)
+    assert np.array_equal(blocks.least_contrast, least.astype(np.float32))
+    assert blocks.inspected > 0.1 * blocks.seen > 0.0
+    assert blocks.seen == pytest.approx(view.prediction.area[state > SurfaceState.GRAZING].sum(dtype=float), rel=1e-9)
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.bool_])

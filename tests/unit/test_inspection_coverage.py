@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lightopt.inspection import CONTRASTS, Deviations, SurfaceCoverage, score_deviations
-from lightopt.inspection.detection._coverage import SurfaceState, coverage_of_rows, least_contrast
+from lightopt.inspection.detection._coverage import SurfaceState, least_contrast, measure_coverage
 from lightopt.inspection.detection._deviation import DARK
 
 SIDE, STEP = 360, 24
@@ -92,7 +92,7 @@ def test_each_pixel_is_in_the_class_of_what_it_can_show():
         limit=np.full_like(predicted, 255.0), prediction=SimpleNamespace(area=area[None], grazing=grazing[None]),
     )  # fmt: skip
     ones = np.ones_like(predicted)
-    found = coverage_of_rows(view, Deviations(0.0 * ones, ones, usable, lit), min_images=2, high=HIGH)
+    found = measure_coverage(view, Deviations(0.0 * ones, ones, usable, lit), min_images=2, high=HIGH)
     assert found.state[0].tolist() == expected
     # what is seen at a grazing angle is in no share
     assert (found.seen, found.inspected, found.grazing) == (127.0, 120.0, 128.0)

@@ -150,7 +150,7 @@ def _calibrated(posture: Posture, gathered: _GoodPosture, options: InspectOption
         for path in gathered.packed:
             one = PackedDeviations.load(path)
             others = gathered.sums.systematic(but=one)
-            found = subtract_systematic(one.in_own_image(), others, one.nominal_image())
+            found = subtract_systematic(one.at_pixels(one.own), others, one.nominal_image())
             score = DETECTORS[options.detector].score(found, options.min_images, None, None)
             peaks.append(float(score.max(initial=0.0)))
     return CalibratedPosture(posture=posture, exposures=gathered.exposures, peaks=tuple(peaks), systematic=systematic)

@@ -39,9 +39,7 @@ class PackedDeviations:
     """Deviations of one set in one posture, at the pixels that can be judged: small enough to store those of all sets.
 
     own, nominal: flat index of each pixel in the set's images, and in those of the part where its file has it (−1
-        outside of them), shape (n,).
-    z: float16, shape (lights, n).
-    usable, lit: same shape.
+        outside of them), shape (n,); the others have shape (lights, n).
     """
 
     shape: tuple[int, int]
@@ -60,23 +58,17 @@ class PackedDeviations:
         usable, lit = (flags.reshape(lights, -1)[:, own] for flags in (found.usable, found.lit))
         return PackedDeviations((rows, columns), own, nominal.ravel()[own], z.astype(np.float16), usable, lit)
 
-    def in_own_image(self) -> Deviations:
-        """At the pixels of the set's own images; scales are not stored."""
-        return self._scattered(self.own, np.ones(len(self.own), np.bool_))
+    def at_pixels(self, to: Int32) -> Deviations:
+        """In an image that has them at the pixels `own` or `nominal`; scales are not stored."""
+        which, whole = to >= 0, (len(self.z), *self.shape)
 
-    def in_nominal_image(self) -> Deviations:
-        """Each at the pixel that shows its place where the part's file has it."""
-        return self._scattered(self.nominal, self.nominal >= 0)
+        def image(values: NDArray[Any]) -> NDArray[Any]:
+            flat = np.zeros((len(values), self.shape[0] * self.shape[1]), values.dtype)
+            flat[:, to[which]] = values[:, which]
+            return flat.reshape(whole)
 
-    def _scattered(self, to: Int32, which: Bool) -> Deviations:
-        flat = (len(self.z), self.shape[0] * self.shape[1])
-        z = np.zeros(flat, np.float32)
-        usable, lit = np.zeros(flat, np.bool_), np.zeros(flat, np.bool_)
-        z[:, to[which]] = np.where(self.usable, self.z, 0.0)[:, which]
-        usable[:, to[which]] = self.usable[:, which]
-        lit[:, to[which]] = self.lit[:, which]
-        whole = (len(self.z), *self.shape)
-        return Deviations(z.reshape(whole), np.ones(whole, np.float32), usable.reshape(whole), lit.reshape(whole))
+        z = np.where(self.usable, self.z, 0.0).astype(np.float32)
+        return Deviations(image(z), np.ones(whole, np.float32), image(self.usable), image(self.lit))
 
     def nominal_image(self) -> Int32:
         """Flat index as :func:`nominal_pixels` gives it, shape (H, W); −1 where nothing was usable."""
@@ -103,10 +95,7 @@ class PackedDeviations:
 
 
 def subtract_systematic(found: Deviations, systematic: SystematicDeviations, nominal: Int32) -> Deviations:
-    """Deviations without what good parts have in common.
-
-    systematic: Of good parts in that posture, under the same lights.
-    """
+    """Deviations without what good parts have in common in that posture, under the same lights."""
     known = nominal >= 0
     at = np.where(known, nominal, 0)
     lights = len(found.z)
@@ -147,7 +136,7 @@ class SystematicSums:
         )
 
     def _with(self, one: PackedDeviations, sign: float) -> list[Float32]:
-        found = one.in_nominal_image()
+        found = one.at_pixels(one.nominal)
         smooth = [smoothed_deviations(found, scale)[0] for scale in SCALES_PX]
         new = [found.usable.astype(np.float32), found.z, *smooth, *(np.square(s) for s in smooth)]
         return [a + np.float32(sign) * b for a, b in zip(self._sums, new, strict=True)] if self._sums else new

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from lightopt.core.arrays import Bool, Float32, Float64, UInt8
+from lightopt.core.arrays import Float32, Float64, UInt8
 from lightopt.core.transforms import Posture
 from lightopt.geometry import face_areas
 from lightopt.inspection._image_blocks import in_row_blocks
@@ -40,7 +40,7 @@ class SurfaceState(IntEnum):
     What is seen at a grazing angle only (:data:`lightopt.rendering.GRAZING_DEG`) is left out of all shares.
 
     What is lit in fewer images than must show a defect, or is only reached by light and stays dark, is judged by these,
-    as :func:`lightopt.inspection.score_deviations` does it. No pixel is missing, only patches of the surface:
+    as the detector does it. No pixel is missing, only patches of the surface:
     images show them at an edge at most, and a posture without images would show them better.
     """
 
@@ -132,20 +132,13 @@ def class_areas(
     least_contrast: share of the light that a disc of 5 pixels must change to be found there, same shape; infinite
         where none is.
     """
-
-    def of(which: Bool) -> float:
-        return float(areas[which].sum())
-
+    total = np.bincount(state.ravel(), areas.ravel(), len(SurfaceState))
+    names = ("edge", "shadow", "saturated", "glints", "fewer", "grazing")
     return {
-        "seen": of(state > SurfaceState.GRAZING),
-        "inspected": of(state >= SurfaceState.GLINTS),
-        "glints": of(state == SurfaceState.GLINTS),
-        "fewer": of(state == SurfaceState.FEWER),
-        "saturated": of(state == SurfaceState.SATURATED),
-        "shadow": of(state == SurfaceState.SHADOW),
-        "edge": of(state == SurfaceState.EDGE),
-        "grazing": of(state == SurfaceState.GRAZING),
-        "sensitivity": {contrast: of(least_contrast <= contrast) for contrast in CONTRASTS},
+        **{name: float(total[SurfaceState[name.upper()]]) for name in names},
+        "seen": float(total[SurfaceState.GRAZING + 1 :].sum()),
+        "inspected": float(total[SurfaceState.GLINTS :].sum()),
+        "sensitivity": {c: float(areas.sum(where=least_contrast <= c, dtype=np.float64)) for c in CONTRASTS},
     }
 
 
@@ -169,33 +162,24 @@ class PostureCoverage(Shares):
 def measure_coverage(
     view: PostureView, found: Deviations, *, min_images: int, high: float, threads: int | None = None
 ) -> PostureCoverage:
-    """The surface of a posture that was inspected, given the threshold of the score.
+    """The surface of a posture that was inspected, given the threshold of the score."""
 
-    Worked out block by block of rows, since small arrays stay in a processor's cache.
-    """
-    blocks = in_row_blocks(
-        lambda rows: coverage_of_rows(view, found, rows, min_images=min_images, high=high), len(view.clean), threads
-    )
+    def judge(rows: slice) -> tuple[UInt8, Float64]:
+        return _judge_rows(view, found.in_box(rows), rows, min_images, high)
 
-    def joined(values: Sequence[Any]) -> Any:
-        # areas add up, images stand one below the other
-        if isinstance(values[0], np.ndarray):
-            return np.concatenate(values)
-        if isinstance(values[0], dict):
-            return {key: sum(each[key] for each in values) for key in values[0]}
-        return sum(values)
-
-    names = [field.name for field in fields(PostureCoverage)]
-    return PostureCoverage(**{name: joined([getattr(block, name) for block in blocks]) for name in names})
+    # block by block of rows, since small arrays stay in a processor's cache
+    blocks = in_row_blocks(judge, len(view.clean), threads)
+    state, least = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
+    areas = class_areas(view.prediction.area, state, least)
+    return PostureCoverage(**areas, state=state, least_contrast=least.astype(np.float32))
 
 
-def coverage_of_rows(
-    view: PostureView, found: Deviations, rows: slice = slice(None), *, min_images: int, high: float
-) -> PostureCoverage:
-    """As :func:`measure_coverage`, of some rows at once."""
-    found, predicted, clean = found.in_box(rows), view.predicted[:, rows], view.clean[rows]
-    area = view.prediction.area[rows].astype(np.float64)
-    part = view.part[rows] & (area > 0.0)
+def _judge_rows(
+    view: PostureView, found: Deviations, rows: slice, min_images: int, high: float
+) -> tuple[UInt8, Float64]:
+    # state and least contrast of some rows, given the deviations in these
+    predicted, clean = view.predicted[:, rows], view.clean[rows]
+    part = view.part[rows] & (view.prediction.area[rows] > 0.0)
     lit = found.lit.sum(axis=0)
     full = (view.saturated[:, rows] & (predicted >= view.limit[:, rows])).any(axis=0)
     state = np.zeros(part.shape, np.uint8)
@@ -208,7 +192,7 @@ def coverage_of_rows(
     state[part & (lit >= min_images)] = SurfaceState.INSPECTED
     least = least_contrast(found, predicted, min_images=min_images, high=high)
     least[state < SurfaceState.FEWER] = np.inf
-    return PostureCoverage(**class_areas(area, state, least), state=state, least_contrast=least.astype(np.float32))
+    return state, least
 
 
 def least_contrast(found: Deviations, predicted: Float32, *, min_images: int, high: float) -> Float64:
@@ -291,6 +275,6 @@ def surface_coverage(
         state[patch] = np.maximum(state[patch], here.astype(np.uint8))
     return SurfaceCoverage(
         area=area,
-        missing=float(surface.areas[state == SurfaceState.MISSING].sum()),
+        missing=float(surface.areas.sum(where=state == SurfaceState.MISSING)),
         **class_areas(surface.areas, state, least),
     )

@@ -49,9 +49,6 @@ def find_regions(score: Float32, high: float) -> tuple[Int32, int]:
     """Number of the region that each pixel belongs to, 0 for none, shape (H, W), and how many there are.
 
     Hysteresis: a region has a pixel of at least `high`, and spreads over what is connected to it and lower.
-
-    score: Shape (H, W).
-    high: Threshold.
     """
     low = score >= LOW_SHARE * high
     number, count = _label(_dilated(low)[GAP_PX:-GAP_PX, GAP_PX:-GAP_PX])
@@ -91,11 +88,7 @@ def region_pixels(labels: Int32, count: int) -> list[tuple[Index, Index]]:
 
 
 def box_sums(found: Deviations, box: tuple[slice, slice], scales: Sequence[float] = SCALES_PX) -> list[Float32]:
-    """Sums over Gaussians in a box of pixels, from what lies around it as far as the Gaussians reach.
-
-    scales: widths of the Gaussians [px].
-    Returns Of each Gaussian, of shape (lights, rows, columns).
-    """
+    """Sums over each Gaussian in a box of pixels, shape (lights, rows, columns), from what lies around it in reach."""
     reach = len(gaussian_taps(max(scales))) // 2
     rows, columns = (slice(max(0, side.start - reach), side.stop + reach) for side in box)
     around = found.in_box(rows, columns)
@@ -127,8 +120,6 @@ def core_pixels(region: Bool, fine: Float32) -> Bool:
 def split_regions(labels: Int32, count: int, score: Float32, found: Deviations, high: float) -> tuple[Int32, int]:
     """Take off what sums only spread, and split regions whose cores lie apart, where each core would be a region.
 
-    score: That they were found in, shape (H, W).
-    high: Threshold of the score.
     Returns Labels and number as given, parts of a region one after the other.
     """
     result, number = np.zeros_like(labels), 0
@@ -138,7 +129,9 @@ def split_regions(labels: Int32, count: int, score: Float32, found: Deviations, 
         core = core_pixels(region, *box_sums(found, box, SCALES_PX[:1]))
         within = np.where(region, score[box], np.float32(0.0))
         region &= core | (within >= PEAK_SHARE * ndimage.maximum_filter(within, 2 * SPREAD_PX + 1))
-        cores, most = _core_components(core)
+        # cores within GAP_PX of each other are one, as in find_regions
+        joined, most = _label(_dilated(core))
+        cores = np.where(core, joined[GAP_PX:-GAP_PX, GAP_PX:-GAP_PX], np.int32(0))
         peak = ndimage.maximum(np.where(region, score[box], 0.0), cores, np.arange(1, most + 1))
         certain = 1 + np.flatnonzero(np.asarray(peak) >= high)
         if len(certain) < 2:
@@ -156,12 +149,6 @@ def split_regions(labels: Int32, count: int, score: Float32, found: Deviations, 
     return result, number
 
 
-def _core_components(core: Bool) -> tuple[Int32, int]:
-    # numbered; those within GAP_PX of each other are one, as in find_regions
-    number, count = _label(_dilated(core))
-    return np.where(core, number[GAP_PX:-GAP_PX, GAP_PX:-GAP_PX], 0).astype(np.int32), count
-
-
 def measure_regions(
     labels: Int32,
     count: int,
@@ -172,12 +159,7 @@ def measure_regions(
     scene: Scene,
     placement: Placement,
 ) -> tuple[Detection, ...]:
-    """Measure the regions of a posture.
-
-    score: shape (H, W).
-    """
-    if not count:
-        return ()
+    """Measure the regions of a posture."""
     geometry = view.prediction.images.geometry
     detections: list[Detection] = []
     for number, box in enumerate(ndimage.find_objects(labels, count), start=1):

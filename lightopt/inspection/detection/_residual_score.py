@@ -51,10 +51,7 @@ def disc_gain(diameter: float) -> float:
 
 
 def smoothed_deviations(found: Deviations, scale: float, *, threads: int | None = None) -> tuple[Float32, Bool]:
-    """Sums over Gaussians of deviations, in standard deviations of such a sum, and where they count; (lights, H, W).
-
-    scale: width of the Gaussian [px].
-    """
+    """Sums over a Gaussian of deviations, in standard deviations of such a sum, and where they count."""
     sums, counts = np.empty_like(found.z), np.empty(found.z.shape, np.bool_)
     lights, height, _ = found.z.shape
     weights = _weights(scale)
@@ -110,8 +107,6 @@ def rank_probability(z: Float64, count: Index, rank: int) -> Float64:
     by all there are.
 
     z: the `rank`-th largest magnitude, or the least of fewer.
-    count: of how many, same shape.
-    rank: 1 for the largest.
     """
     n = np.maximum(count, 1)
     k = np.minimum(rank, n)
@@ -210,8 +205,6 @@ def _raise_scores(sums: Float32, counts: Bool, lit: Bool, table: Float32, score:
 def threshold(false_alarms: float, pixels: int, tests: int) -> float:
     """Score that noise alone exceeds anywhere in an image with at most this probability (Bonferroni's bound).
 
-    false_alarms: Expected false alarms per posture.
-    pixels: That are judged.
     tests: Scores that each pixel's is the greatest of.
     """
     return -math.log10(false_alarms / max(1, pixels * tests))

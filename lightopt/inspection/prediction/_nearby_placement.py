@@ -66,12 +66,9 @@ def difference_steps(scene: Scene) -> Float64:
 
 
 def shifted_scene(scene: Scene, placement: Placement, posture: Posture, offset: Float64) -> Scene:
-    """A scene whose images in a posture are those of its part moved a little further on the stage.
+    """A scene whose images in a posture are those of its part moved on from `placement`, by x, y [mm] and rotation.
 
     The mesh stays, so that one ray caster serves: camera and lights go the other way.
-
-    scene: with the part at `placement`.
-    offset: further shift in x and y [mm] and rotation [rad], shape (3,).
     """
     turn = float(offset[2])
     # it rotates about its own middle, and placements rotate about the pivot
@@ -124,12 +121,10 @@ def placement_derivatives(
 def shift_prediction(
     prediction: Prediction, derivatives: PlacementDerivatives, offset: Float64, *, threads: int | None = None
 ) -> Prediction:
-    """A prediction for a part that lies a little further on the stage: a Taylor series of second order.
+    """A prediction for a part moved on by x, y [mm] and rotation [rad]: a Taylor series of second order.
 
     Which pixels can be judged, what they see and the share of highlights stay those of the prediction: they change by a
     fraction of a pixel.
-
-    offset: further shift in x and y [mm] and rotation [rad], shape (3,).
     """
     t = (offset / derivatives.steps).astype(np.float32)
     images = prediction.images.lights

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
+from lightopt.core.arrays import Bool, Float32, Float64, Index
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
 from lightopt.rendering import (
@@ -16,7 +16,7 @@ from lightopt.rendering import (
     render_posture,
     trace_pixels,
 )
-from lightopt.scene import PinholeCamera, Scene, pixel_directions, view_from_part
+from lightopt.scene import Scene, pixel_directions, view_from_part
 
 TRACE = 1e-6  # least R_d that is rendered: far below what a camera detects
 
@@ -43,11 +43,7 @@ class Prediction:
 def predict(
     scene: Scene, posture: Posture, caster: RayCaster, *, lights: Sequence[str], threads: int | None = None
 ) -> Prediction:
-    """Render the good part in a posture.
-
-    scene: With the part where it lies.
-    caster: Of the scene's part.
-    """
+    """Render the good part in a posture of a scene with the part where it lies."""
     chosen = tuple(light for light in scene.lights if light.name in lights)
     # with a trace of scattered light, what a light reaches has some, and what is in its shadow none
     reflectance = replace(scene.reflectance, R_d=max(scene.reflectance.R_d, TRACE))
@@ -64,17 +60,12 @@ def predict(
     area = np.zeros(pixels.shape, np.float32)
     camera = view_from_part(scene, posture).camera
     distance = np.linalg.norm(surface.points - camera.position, axis=1)
-    angle = _solid_angle(camera, pixels.column, pixels.row)
+    # solid angle of a pixel: (side / image distance)² · cos³ of the angle to the optical axis
+    column, row = pixels.column.astype(np.float64) + 0.5, pixels.row.astype(np.float64) + 0.5
+    axial = 1.0 / np.linalg.norm(pixel_directions(camera, column, row), axis=1)
+    angle = (camera.pixel_size / camera.image_distance) ** 2 * axial**3
     area[pixels.row, pixels.column] = angle * distance**2 / np.maximum(np.abs(cosine), 0.02)
     return Prediction(images=images, clean=clean & images.geometry.hit, grazing=grazing, area=area)
-
-
-def _solid_angle(camera: PinholeCamera, column: Int32, row: Int32) -> Float64:
-    # of pixels [sr]: (side / image distance)² · cos³ of the angle to the optical axis
-    x, y = column.astype(np.float64) + 0.5, row.astype(np.float64) + 0.5
-    directions = pixel_directions(camera, x, y)
-    cosine = 1.0 / np.linalg.norm(directions, axis=1)
-    return (camera.pixel_size / camera.image_distance) ** 2 * cosine**3
 
 
 @dataclass(frozen=True, eq=False)
