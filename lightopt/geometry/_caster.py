@@ -15,7 +15,7 @@ from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.geometry._blocker_maps import BlockerMaps
-from lightopt.geometry._packets import PacketScene, packet_scene
+from lightopt.geometry._ray_packets import PacketScene, packet_scene
 from lightopt.geometry._triangle_mesh import bounding_box
 
 _log = logging.getLogger("lightopt.geometry")

@@ -16,7 +16,7 @@ from lightopt.inspection._inspect import (
     inspect_batch as inspect_batch,
     inspect_set as inspect_set,
 )
-from lightopt.inspection._options import DETECTORS as DETECTORS, InspectOptions as InspectOptions
+from lightopt.inspection._options import InspectOptions as InspectOptions
 from lightopt.inspection._random_defects import (
     place_random_defects as place_random_defects,
     random_defect_provenance as random_defect_provenance,
@@ -60,6 +60,7 @@ from lightopt.inspection.detection._defects import (
 from lightopt.inspection.detection._deviation import Deviations as Deviations, deviations as deviations
 from lightopt.inspection.detection._matched_filter import TEMPLATES as TEMPLATES, score_templates as score_templates
 from lightopt.inspection.detection._regions import find_regions as find_regions, split_regions as split_regions
+from lightopt.inspection.detection._registry import DETECTORS as DETECTORS
 from lightopt.inspection.detection._residual_score import (
     SCALES_PX as SCALES_PX,
     score_deviations as score_deviations,

@@ -12,7 +12,7 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import DARK_SPREAD
 from lightopt.images import ImageSet
 from lightopt.inspection._files import InspectionFolder
-from lightopt.inspection._options import DETECTORS, RESIDUAL, InspectOptions
+from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._results import InspectedPosture, InspectionResult, Verdict, judge
 from lightopt.inspection.calibration._calibration import CalibratedPosture, Calibration
 from lightopt.inspection.calibration._systematic import subtract_systematic
@@ -20,6 +20,7 @@ from lightopt.inspection.detection._coverage import measure_coverage, surface_co
 from lightopt.inspection.detection._defects import merge_detections
 from lightopt.inspection.detection._deviation import deviations
 from lightopt.inspection.detection._regions import find_regions, measure_regions, split_regions
+from lightopt.inspection.detection._registry import DETECTORS, RESIDUAL
 from lightopt.inspection.detection._residual_score import threshold
 from lightopt.inspection.evaluation._evaluation import SetEvaluation, evaluate_set
 from lightopt.inspection.evaluation._ground_truth import TruthSource

@@ -15,7 +15,7 @@ from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.geometry import RayCaster
 from lightopt.optics import Reflectance
-from lightopt.rendering._panel_light import panel_numbers
+from lightopt.rendering._panel_emission import panel_numbers
 from lightopt.rendering._panel_quadrature import WHOLE_PANEL, out_of_reach, rectangle_diffuse, rectangle_specular
 from lightopt.rendering._penumbra import shade_penumbra
 from lightopt.rendering._penumbra_cells import ConvergedLight

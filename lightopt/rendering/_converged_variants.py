@@ -15,7 +15,7 @@ from lightopt.core.kernels import kernel
 from lightopt.geometry import RayCaster
 from lightopt.optics import specular_cosine
 from lightopt.rendering._converged_panel import ConvergedPanel, panel_probes
-from lightopt.rendering._panel_light import PanelNumbers, attenuated, panel_numbers, panel_point
+from lightopt.rendering._panel_emission import PanelNumbers, attenuated, panel_numbers, panel_point
 from lightopt.rendering._panel_quadrature import (
     NODES,
     WEIGHTS,

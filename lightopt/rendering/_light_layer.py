@@ -16,7 +16,7 @@ from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.geometry import RayCaster
 from lightopt.rendering._converged_panel import converged_panel
-from lightopt.rendering._panel_light import PanelNumbers, panel_numbers, panel_point
+from lightopt.rendering._panel_emission import PanelNumbers, panel_numbers, panel_point
 from lightopt.rendering._panel_quadrature import (
     WHOLE_PANEL,
     mirror_point,

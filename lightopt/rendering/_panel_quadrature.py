@@ -15,7 +15,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
-from lightopt.rendering._panel_light import PanelNumbers, half_diagonal, panel_point
+from lightopt.rendering._panel_emission import PanelNumbers, half_diagonal, panel_point
 from lightopt.rendering._point_lights import point_terms
 from lightopt.rendering._vectors import Vector, cross, divided, dot, length, minus, plus, scaled
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Int32, Int64, UInt8
 from lightopt.core.kernels import kernel
-from lightopt.rendering._panel_light import PanelNumbers
+from lightopt.rendering._panel_emission import PanelNumbers
 from lightopt.rendering._panel_quadrature import Rectangle, out_of_reach, rectangle_diffuse, rectangle_specular
 from lightopt.rendering._vectors import dot, vector_at
 

@@ -9,7 +9,7 @@ from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.geometry import RayCaster
 from lightopt.optics import MAX_LOBE_EXPONENT, lambert, specular_cosine, specular_lobe
-from lightopt.rendering._panel_light import PanelNumbers, attenuated, panel_numbers
+from lightopt.rendering._panel_emission import PanelNumbers, attenuated, panel_numbers
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._vectors import Vector, dot, minus, plus, scaled, vector_at
 from lightopt.scene import PanelLight, panel_grid

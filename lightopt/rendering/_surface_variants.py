@@ -24,7 +24,7 @@ from lightopt.rendering._converged_panel import (
     shade_converged,
 )
 from lightopt.rendering._converged_variants import VariantNumbers, panel_variants
-from lightopt.rendering._panel_light import PanelNumbers, attenuated, panel_numbers
+from lightopt.rendering._panel_emission import PanelNumbers, attenuated, panel_numbers
 from lightopt.rendering._point_lights import PAIRS_AT_ONCE, clear_targets, point_terms
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._vectors import cross, dot, minus, plus, scaled, vector_at

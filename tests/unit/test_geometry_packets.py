@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from lightopt.geometry import RayCaster, _caster, _packets
+from lightopt.geometry import RayCaster, _caster, _ray_packets
 
 MESHES = {
     "sphere": trimesh.creation.icosphere(3, 10.0),
@@ -123,19 +123,19 @@ def test_no_rays_are_no_answers(monkeypatch):
 
 @pytest.mark.parametrize("reason", ["no library", "another version", "no packets"])
 def test_without_what_packets_need_embreex_answers(monkeypatch, tmp_path, reason):
-    _packets._embree.cache_clear()
-    _packets._works.cache_clear()
+    _ray_packets._embree.cache_clear()
+    _ray_packets._works.cache_clear()
     if reason == "no library":
-        monkeypatch.setattr(_packets.embreex, "__file__", str(tmp_path / "embreex" / "__init__.py"))
+        monkeypatch.setattr(_ray_packets.embreex, "__file__", str(tmp_path / "embreex" / "__init__.py"))
     elif reason == "another version":
-        monkeypatch.setattr(_packets, "_MAJOR", 5)
+        monkeypatch.setattr(_ray_packets, "_MAJOR", 5)
     else:
-        monkeypatch.setattr(_packets, "_NATIVE_WIDTHS", ())
+        monkeypatch.setattr(_ray_packets, "_NATIVE_WIDTHS", ())
     try:
         mesh = MESHES["sphere"]
         caster = RayCaster(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32))
         assert caster._packets is None
         assert caster.first_hit(np.array([0.0, 0.0, 60.0]), np.array([[0.0, 0.0, -1.0]]))[0] >= 0
     finally:
-        _packets._embree.cache_clear()
-        _packets._works.cache_clear()
+        _ray_packets._embree.cache_clear()
+        _ray_packets._works.cache_clear()

@@ -11,7 +11,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.images import ImageSet, posture_folder
-from lightopt.inspection._options import DETECTORS, InspectOptions
+from lightopt.inspection._options import InspectOptions
 from lightopt.inspection.calibration._calibration import (
     CalibratedPosture,
     Calibration,
@@ -21,6 +21,7 @@ from lightopt.inspection.calibration._calibration import (
 )
 from lightopt.inspection.calibration._systematic import PackedDeviations, SystematicSums, subtract_systematic
 from lightopt.inspection.detection._deviation import deviations
+from lightopt.inspection.detection._registry import DETECTORS
 from lightopt.inspection.fusion._synthetic_image import synthetic_image
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
 from lightopt.inspection.prediction._registered_set import ExposuresByLight, RegisteredSet, nominal_pixels, register_set

@@ -22,8 +22,9 @@ from lightopt.core.errors import InputError, counted
 from lightopt.core.provenance import computed_by, differences, file_sha256
 from lightopt.core.transforms import Posture
 from lightopt.images import ResultFolder, posture_folder, read_exr, write_exr
-from lightopt.inspection._options import DETECTORS, InspectOptions
+from lightopt.inspection._options import InspectOptions
 from lightopt.inspection.calibration._systematic import SystematicDeviations
+from lightopt.inspection.detection._registry import DETECTORS
 from lightopt.inspection.prediction._registered_set import ExposuresByLight, exposures_text
 
 CALIBRATION_NAME: Final = "calibration.json"
