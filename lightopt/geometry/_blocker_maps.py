@@ -61,13 +61,14 @@ class BlockerMaps:
 
     def _is_closed(self) -> bool:
         if self._closed is None:
-            planes, welded, body = _planes(self._vertices, self._faces), *_welded(self._vertices, self._faces)
+            planes = _planes(self._vertices, self._faces)
+            _, welded = merge_rows(self._vertices.astype(np.float64))  # the first vertex at each place
             closed, folded = _closed_and_folded(self._vertices, self._faces, planes, welded)
             self._closed = bool(closed)
             if not closed:
                 _log.info("the mesh is open or its faces disagree in direction: every shadow ray is cast")
             else:
-                doubtful = _near_other_bodies(self._vertices, self._faces, body)
+                doubtful = _near_other_bodies(self._vertices, self._faces, _bodies(welded, self._faces))
                 _add_folds(self._faces, folded, doubtful)
                 self._surface = planes, doubtful
         return bool(self._closed)
@@ -293,12 +294,6 @@ def _is_fold(
     return True
 
 
-def _welded(vertices: Float32, faces: Int32) -> tuple[Int32, Int32]:
-    # the first vertex at each place, and the body of each triangle; bodies are connected through vertices
-    _, welded = merge_rows(vertices.astype(np.float64))
-    return welded, _bodies(welded, faces)
-
-
 def _near_other_bodies(vertices: Float32, faces: Int32, body: Int32) -> Bool:
     # triangles within the bounding box of a body that they do not belong to
     count = int(body.max()) + 1
@@ -321,6 +316,7 @@ def _add_folds(faces: Int32, folded: Bool, doubtful: Bool) -> None:
 
 @kernel
 def _bodies(welded: Int32, faces: Int32) -> Int32:
+    # of each triangle; bodies are connected through vertices
     parent = np.arange(len(welded)).astype(np.int32)
     for f in range(len(faces)):
         join(parent, welded[faces[f, 0]], welded[faces[f, 1]])

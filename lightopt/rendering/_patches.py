@@ -160,7 +160,8 @@ def build_patches(
     """
     mesh = scene.mesh
     views = [view_from_part(scene, posture) for posture in scene.postures]
-    footprint = min(_smallest_footprint(view, mesh) for view in views)
+    nearest = [(view.camera, project(view.camera, mesh.vertices)[2].min()) for view in views]
+    footprint = min(pixel_footprint(camera, max(float(depth), 1e-3)) for camera, depth in nearest)
     threads = threads or available_processors()
     seen = _faces_of_pixels(mesh, views, caster, threads)
     # a face too narrow for any pixel's centre, such as a wall seen at a grazing angle, shows by its centroid
@@ -263,11 +264,6 @@ def patch_positions(table: PatchTable, scene: Scene, posture: Posture) -> tuple[
 
 def _longest_edge(mesh: TriangleMesh, faces: Bool) -> float:
     return math.sqrt(longest_edges(mesh.vertices, mesh.faces, faces).max(initial=0.0))
-
-
-def _smallest_footprint(view: PartView, mesh: TriangleMesh) -> float:
-    _, _, depth = project(view.camera, mesh.vertices)
-    return pixel_footprint(view.camera, max(float(depth.min()), 1e-3))
 
 
 def grain_of(areas: Float64) -> float:

@@ -255,15 +255,12 @@ def _window_mean(image: Float64) -> Float64:
 
 def _unclipped(mean: Float64, sensor: Sensor) -> Float64:
     """Mean of a signal whose noisy levels, none of which is below 0, have the mean given."""
+    from scipy import special  # takes long to load, and a capture seldom needs it
+
     noise = sensor.read_noise_levels
     if noise < 0.3 or float(mean.min()) > 6.0 * noise:
         return mean  # levels are too coarse, or none is clipped
     signal = np.arange(-noise, 6.0 * noise, noise / 50.0)
     levels = np.arange(0.5, 14.0 * noise + 2.0)
-    shown = _above((levels - signal[:, None]) / noise).sum(axis=1)
+    shown = special.ndtr((signal[:, None] - levels) / noise).sum(axis=1)
     return np.where(mean < shown[-1], np.interp(mean, shown, signal), mean)
-
-
-def _above(z: Float64) -> Float64:
-    """Probability that a normal deviate is above z."""
-    return 0.5 * np.vectorize(math.erfc, otypes=[np.float64])(z / math.sqrt(2.0))

@@ -125,7 +125,9 @@ class RefinementProblem:
     ) -> None:
         self._scene, self._frame, self._caster, self._threads = scene, frame, caster, threads
         self._sets = [*inner, *edges]
-        self._light = _joined([_light_indices(scene, p) for p in self._sets]).astype(np.intp)
+        names = [light.name for light in scene.lights]
+        lights = [_per_observation(p, [names.index(o.light) for o in p.images]) for p in self._sets]
+        self._light = _joined(lights).astype(np.intp)
         self._scale = _joined([_per_observation(p, [sensor_scale(scene, o) for o in p.images]) for p in self._sets])
         self._measured = _joined([p.levels.ravel() for p in self._sets])
         frames = _joined([_per_observation(p, [float(o.frames) for o in p.images]) for p in self._sets])
@@ -248,11 +250,6 @@ def _joined(parts: Sequence[NDArray[Any]], dtype: type[np.generic] = np.float64)
 
 def _per_observation(pixels: PixelSet, values: Sequence[float]) -> Float64:
     return np.repeat(np.asarray(values, np.float64), len(pixels.row))
-
-
-def _light_indices(scene: Scene, pixels: PixelSet) -> Float64:
-    names = [light.name for light in scene.lights]
-    return _per_observation(pixels, [names.index(o.light) for o in pixels.images])
 
 
 def _subtracted(pixels: PixelSet) -> Float64:

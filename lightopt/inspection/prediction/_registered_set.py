@@ -67,7 +67,7 @@ def register_set(
                 prediction = cache.shifted_prediction(scene, posture, lights, offset, threads=threads)
             where = str(image_set.folder)
             view = posture_view(scene, mine, prediction, where=where, threads=threads)
-            yield view, _exposures_by_light(mine, view.lights)
+            yield view, {x: tuple(sorted((o.exposure, o.frames) for o in mine if o.light == x)) for x in view.lights}
         if register and offset is None:
             cache.measure_misfit(scene, observations)
 
@@ -117,10 +117,6 @@ def _find(
     scene, placement = cache.use_placement(scene, found.placement)
     cache.registration = found
     return scene, placement, None
-
-
-def _exposures_by_light(observations: Sequence[Observation], lights: Sequence[str]) -> ExposuresByLight:
-    return {light: tuple(sorted((o.exposure, o.frames) for o in observations if o.light == light)) for light in lights}
 
 
 def exposures_text(exposures: ExposuresByLight) -> str:

@@ -7,8 +7,9 @@ from typing import Final
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
+from scipy import ndimage
 
-from lightopt.core.arrays import Bool, Float64, Int32
+from lightopt.core.arrays import Float64, Int32
 from lightopt.inspection import (
     KIND_COLOURS,
     FoundDefect,
@@ -62,7 +63,8 @@ def overlay_image(
     rgb = np.repeat(shown.grey[..., None], 3, axis=2)
     found = {id(detection): defect for defect in defects for detection in defect.detections}
     for index, detection in enumerate(posture.detections):
-        rgb[_rim(posture.labels == index + 1)] = KIND_COLOURS[found[id(detection)].best.kind]
+        region = posture.labels == index + 1
+        rgb[region & ~ndimage.binary_erosion(region)] = KIND_COLOURS[found[id(detection)].best.kind]
     image = enlarged(Image.fromarray(rgb), enlarge)
     draw, line = ImageDraw.Draw(image), max(1, round(LINE_SHARE * image.width))
     size = max(LABEL_SIZE, round(LABEL_SHARE * image.width))
@@ -101,12 +103,6 @@ def _label_place(
     x = right + LABEL_GAP_PX if right + LABEL_GAP_PX + width <= image.width else left - width
     baseline = min(max(top + height, height + LABEL_GAP_PX), image.height - LABEL_GAP_PX)
     return min(max(x, LABEL_GAP_PX), image.width - width), baseline
-
-
-def _rim(mask: Bool) -> Bool:
-    padded = np.pad(mask, 1)
-    inner = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
-    return mask & ~inner
 
 
 def image_blocks(result: InspectionResult) -> list[Block]:
