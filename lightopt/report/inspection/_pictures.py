@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from scipy import ndimage
 
-from lightopt.core.arrays import Float64, Int32
+from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.inspection import (
     KIND_COLOURS,
     FoundDefect,
@@ -64,7 +64,8 @@ def overlay_image(
     found = {id(detection): defect for defect in defects for detection in defect.detections}
     for index, detection in enumerate(posture.detections):
         region = posture.labels == index + 1
-        rgb[region & ~ndimage.binary_erosion(region)] = KIND_COLOURS[found[id(detection)].best.kind]
+        inner: Bool = np.asarray(ndimage.binary_erosion(region), np.bool_)
+        rgb[region & ~inner] = KIND_COLOURS[found[id(detection)].best.kind]
     image = enlarged(Image.fromarray(rgb), enlarge)
     draw, line = ImageDraw.Draw(image), max(1, round(LINE_SHARE * image.width))
     size = max(LABEL_SIZE, round(LABEL_SHARE * image.width))
