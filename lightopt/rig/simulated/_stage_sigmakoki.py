@@ -85,7 +85,10 @@ class _SigmakokiFirmware(StageFirmware):
     def _obey(self, line: str, now: float) -> bool:
         verb, _, words = line.partition(":")
         if verb == "L":
-            return self._stop(words, now)
+            self._planned = {}
+            if words in ("W", "E"):  # all; it ends the search for the origin, too
+                self._stop_axes(now)
+            return words in ("W", "E")
         if self._axes_move(now):
             return False
         if verb in self.MOVES:
@@ -135,14 +138,6 @@ class _SigmakokiFirmware(StageFirmware):
         self._planned = {}
         for name in names:
             self._axes[name].home(self._home_speed, now)
-        return True
-
-    def _stop(self, words: str, now: float) -> bool:
-        """Stop all, which ends the search for the origin, too."""
-        self._planned = {}
-        if words not in ("W", "E"):
-            return False
-        self._stop_axes(now)
         return True
 
     def _named(self, word: str) -> list[str]:
