@@ -187,7 +187,7 @@ def test_usage() -> None:
 
 
 def test_clients_come_and_go() -> None:
-    with BenchProcess({"a": CCS | {"wedges": True}}, tcp=True) as bench:
+    with BenchProcess({"a": CCS | {"tcp": True, "wedges": True}}) as bench:
         for level in (1, 2, 3):
             controller = light_drivers()["ccs"](LightSettings("a", bench.ports["a"]), None)
             controller.set_level(2, level)
@@ -197,7 +197,7 @@ def test_clients_come_and_go() -> None:
 
 
 def test_an_empty_connection_wedges_the_device_that_is_said_to() -> None:
-    with BenchProcess({"a": CCS | {"wedges": True}}, tcp=True) as bench:
+    with BenchProcess({"a": CCS | {"tcp": True, "wedges": True}}) as bench:
         with socket.create_connection(("127.0.0.1", int(bench.ports["a"].rpartition(":")[2]))):
             pass
         time.sleep(0.1)

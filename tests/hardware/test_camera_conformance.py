@@ -157,7 +157,7 @@ def test_no_frame_in_time_is_an_error_that_says_so() -> None:
     settings = CameraSettings(where="rig.yaml:3: camera", resolution_px=(160, 120), bit_depth=12, port=server.serial)
     opened = open_camera("aravis", settings)
     try:
-        server.inject("lost", {"count": None})
+        server.faults.inject("lost", {"count": None})
         begun = time.monotonic()
         with pytest.raises(HardwareError, match=r"rig\.yaml:3: camera: no frame came within .*taken 3 times"):
             opened.grab(timeout_s=0.6)

@@ -33,7 +33,6 @@ GOLDEN = {
     "mode S01 of channel 1": b"@00S0154",
     "settings of channel 2": b"@01MEE",
     "unit status": b"@00CE3",
-    "reset": b"@00RF2",
 }
 
 
@@ -362,8 +361,6 @@ def test_firmware_keeps_intensity_and_switch_apart() -> None:
     firmware.feed(checked(b"@00S03"), 0.0)
     assert firmware.levels()[1] == 0
     assert firmware.feed(checked(b"@00M"), 0.0) == checked(b"@00OF100.S03.L1")
-    firmware.feed(checked(b"@00R"), 0.0)
-    assert firmware.feed(checked(b"@00M"), 0.0) == checked(b"@00OF000.S00.L0")
 
 
 def test_firmware_does_not_hear_what_comes_too_early() -> None:

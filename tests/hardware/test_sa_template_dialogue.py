@@ -106,13 +106,9 @@ def test_sa_firmware_by_the_table(ack: str, replies: bytes) -> None:
     assert firmware.feed(b"SA0888#SB0000#", 0.0) == replies
     assert firmware.feed(b"SA#", 0.0) == b"a0888"
     assert firmware.levels() == {1: 888 / 999, 2: 0, 3: 0, 4: 0}
-    assert firmware.feed(b"SL#", 0.0) == b"L"
-    assert firmware.levels()[1] == 0
-    assert firmware.feed(b"SH#", 0.0) == b"H"
-    assert firmware.levels()[1] == 888 / 999
 
 
-@pytest.mark.parametrize("command", [b"SE0001#", b"SA1000#", b"SA12#", b"XA0001#", b"SH0001#", b"\xff#"])
+@pytest.mark.parametrize("command", [b"SE0001#", b"SA1000#", b"SA12#", b"XA0001#", b"SH#", b"\xff#"])
 def test_sa_firmware_refuses(command: bytes) -> None:
     assert SaFirmware(channels=4, top_level=999).feed(command, 0.0) == b"NG"
 

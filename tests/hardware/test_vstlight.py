@@ -56,7 +56,7 @@ def reopened(bench: BenchProcess) -> SerialLink:
 def test_an_independent_client_is_understood() -> None:
     # It leaves 5 ms between commands by its own clock, which a busy computer may deliver closer together.
     options = {"levels": {"1": 255, "4": 255}}
-    with BenchProcess({"vlp": {"kind": "ccs", "options": options}}, tcp=True) as bench:
+    with BenchProcess({"vlp": {"kind": "ccs", "options": options, "tcp": True}}) as bench:
         client = client_of(bench)
         client.set_intensity(2, 125)
         client.set_on(2)
@@ -80,7 +80,8 @@ def test_an_independent_client_is_understood() -> None:
 
 
 def test_destroy_darkens_all() -> None:
-    with BenchProcess({"vlp": {"kind": "ccs", "options": {"levels": {"1": 255, "4": 9}}}}, tcp=True) as bench:
+    options = {"levels": {"1": 255, "4": 9}}
+    with BenchProcess({"vlp": {"kind": "ccs", "options": options, "tcp": True}}) as bench:
         client = client_of(bench)
         client.set_on(4)
         client.set_intensity(4, 99)

@@ -25,7 +25,7 @@ def burned_s(bench, device, channel):
 @pytest.mark.parametrize(("kind", "tcp", "answered"), [("ccs", True, 1), ("sa", False, 0)])
 def test_a_light_burns_no_longer_because_replies_are_lost(kind, tcp, answered):
     """The controller falls silent as the light comes on: for ccs once it has acknowledged the intensity."""
-    with BenchProcess({"main": {"kind": kind}}, tcp=tcp) as bench:
+    with BenchProcess({"main": {"kind": kind, "tcp": tcp}}) as bench:
         settings = LightSettings("main", bench.ports["main"], timeout_s=1.0)
         controller = light_drivers()[kind](settings, None)
         bench.set_fault("main", "drop", count=None, after=answered)

@@ -51,7 +51,8 @@ class SimulatedAxis:
     def power_cycle(self, now: float) -> None:
         """Go off and on: the axis stays where it stands, and the count starts again."""
         self.stop(now)
-        self.set_count(0.0, now)
+        self._offset += self._start
+        self._start = self._end = 0.0
         self.at_limit = self.homed = False
 
     def count(self, now: float) -> float:
@@ -68,10 +69,6 @@ class SimulatedAxis:
         """Whether the controller reports that it moves."""
         self._advance(now)
         return self._end != self._start or self._stays_busy
-
-    @property
-    def homing(self) -> bool:
-        return self._homing is not None
 
     def move(self, target: float, speed: float, now: float) -> None:
         """Move the count to a target at a speed [units/s]."""
@@ -92,11 +89,6 @@ class SimulatedAxis:
         self._start = self._end = here
         self._homing = None
         self._stays_busy = False
-
-    def set_count(self, count: float, now: float) -> None:
-        real = self.real(now)
-        self._start = self._end = count
-        self._offset = real - count
 
     def _go(self, target: float, speed: float, began: float) -> None:
         self._start = self.count(began)

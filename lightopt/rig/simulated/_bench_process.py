@@ -20,7 +20,7 @@ _START_S = 120.0
 _REQUEST_S = 120.0
 _ANSWER_S = 10.0  # a process that has nothing to compute for an answer and takes longer hangs
 _LOOK_S = 0.01
-_WRONG = 2  # exit status of the process where its description is at fault
+WRONG = 2  # exit status of the process where its description is at fault
 # What this process finds its modules by, instead of the current folder, which may hold a clone of lightopt.
 _START = (
     "import sys; sys.path[:] = sys.argv.pop(1).split(chr(10)); "
@@ -47,15 +47,14 @@ class BenchProcess:
     """A virtual bench in a process of its own, which ends with this object or with this process.
 
     devices: By name: ``kind`` (ccs, sa, template, shot, gsc, grbl, zaber) and, optionally, ``options`` of the firmware,
-        ``tcp`` and ``wedges`` of the wire.
-    tcp: Whether devices are on TCP instead of pseudo-terminals by default; None: only where there are none.
-    **more: Further keys of the description that the process gets.
+        ``tcp`` (whether it is on TCP; so it is where there are no pseudo-terminals) and ``wedges`` of the wire.
+    camera: What the camera looks at: a :class:`CameraSetup` as a dictionary.
 
     `ports` is what a driver opens, by device; `pid` its process id. InputError when a device cannot be as described.
     """
 
-    def __init__(self, devices: Mapping[str, Mapping[str, Any]], *, tcp: bool | None = None, **more: Any) -> None:
-        spec = {"devices": devices, **({} if tcp is None else {"tcp": tcp}), **more}
+    def __init__(self, devices: Mapping[str, Mapping[str, Any]], *, camera: Mapping[str, Any] | None = None) -> None:
+        spec = {"devices": devices, **({} if camera is None else {"camera": camera})}
         self._lock = threading.Lock()
         self._control: socket.socket | None = None
         self._replies: BinaryIO | None = None
@@ -170,7 +169,7 @@ class BenchProcess:
         finally:
             watchdog.cancel()
         if not line:
-            if self._process.wait(_START_S) == _WRONG:
+            if self._process.wait(_START_S) == WRONG:
                 raise InputError(*self._gone("cannot be as described").messages)
             raise self._gone("did not start")
         return json.loads(line)

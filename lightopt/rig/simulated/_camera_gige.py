@@ -100,13 +100,13 @@ class GigeCamera:
         try:
             import_module("gi").require_version("Aravis", "0.8")
             self._library: Any = import_module("gi.repository.Aravis")
-            self._c = ctypes.CDLL(ctypes.util.find_library("aravis-0.8") or "libaravis-0.8.so.0")
+            self.c = ctypes.CDLL(ctypes.util.find_library("aravis-0.8") or "libaravis-0.8.so.0")
         except (ImportError, ValueError, OSError) as error:
             raise ValueError(f"a simulated GigE camera needs Aravis, which is not there ({error})") from None
         self._expose = expose
         self._port = _reserve_port()
         self.serial = "LIGHTOPT1"
-        self._faults = GigeFaults(self)
+        self.faults = GigeFaults(self)
         self._folder = tempfile.TemporaryDirectory()
         described = Path(self._folder.name) / "camera.xml"
         described.write_text(self._description(formats), encoding="utf-8")
@@ -126,18 +126,14 @@ class GigeCamera:
             None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint32
         )
         self._fill_c = kind(self._fill)  # kept: the library calls it for as long as the camera runs
-        self._c.arv_fake_camera_set_fill_pattern.argtypes = [ctypes.c_void_p, kind, ctypes.c_void_p]
-        self._c.arv_buffer_get_data.restype = ctypes.c_void_p
-        self._c.arv_buffer_get_data.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)]
+        self.c.arv_fake_camera_set_fill_pattern.argtypes = [ctypes.c_void_p, kind, ctypes.c_void_p]
+        self.c.arv_buffer_get_data.restype = ctypes.c_void_p
+        self.c.arv_buffer_get_data.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)]
         for field in ("frame_id", "timestamp"):
-            get, put = (getattr(self._c, f"arv_buffer_{verb}_{field}") for verb in ("get", "set"))
+            get, put = (getattr(self.c, f"arv_buffer_{verb}_{field}") for verb in ("get", "set"))
             get.restype, get.argtypes = ctypes.c_uint64, [ctypes.c_void_p]
             put.argtypes = [ctypes.c_void_p, ctypes.c_uint64]
-        self._c.arv_fake_camera_set_fill_pattern(_address(self._device), self._fill_c, None)
-
-    def inject(self, fault: str, options: dict[str, Any]) -> None:
-        """Set a fault; ``clear`` ends all."""
-        self._faults.inject(fault, options)
+        self.c.arv_fake_camera_set_fill_pattern(_address(self._device), self._fill_c, None)
 
     def unplug(self) -> None:
         """Pull its cable, for good."""
@@ -156,15 +152,8 @@ class GigeCamera:
     def _register(self, name: str) -> int:
         return getattr(self._library, f"FAKE_CAMERA_REGISTER_{name}")
 
-    def stamp(self, buffer: int, *, number: int | None = None, timestamp_ns: int | None = None) -> None:
-        """Give a frame another number or time."""
-        if number is not None:
-            self._c.arv_buffer_set_frame_id(buffer, number)
-        if timestamp_ns is not None:
-            self._c.arv_buffer_set_timestamp(buffer, timestamp_ns)
-
     def close(self) -> None:
-        self._faults.wake()
+        self.faults.awake.set()
         self.unplug()
         self._port.close()
         self._folder.cleanup()
@@ -172,19 +161,19 @@ class GigeCamera:
     def _fill(self, buffer: int, _: int | None, exposure_us: int, gain: int, code: int) -> None:
         """Expose: called by the camera's thread when a frame begins."""
         begun = time.monotonic()
-        number = int(self._c.arv_buffer_get_frame_id(buffer))
-        held_us = self._faults.begin(buffer, number, exposure_us)
+        number = int(self.c.arv_buffer_get_frame_id(buffer))
+        held_us = self.faults.begin(buffer, number, exposure_us)
         device = self._device
         triggered = device is not None and not device.is_in_free_running_mode()
-        levels = self._faults.seen(self._expose(held_us, float(gain), triggered, self._faults.arrives))
+        levels = self.faults.seen(self._expose(held_us, float(gain), triggered, self.faults.arrives))
         top, left, height, width = self._region()
         data = packed(levels[top : top + height, left : left + width], code)
         size = ctypes.c_size_t()
-        where = self._c.arv_buffer_get_data(buffer, ctypes.byref(size))
+        where = self.c.arv_buffer_get_data(buffer, ctypes.byref(size))
         room = width * height * (code >> 16 & 0xFF) // 8  # the size in the buffer is 0 at this moment
         ctypes.memmove(where, data, min(len(data), room))
         time.sleep(max(0.0, held_us / 1e6 - (time.monotonic() - begun)))
-        self._faults.end(buffer, int(self._c.arv_buffer_get_timestamp(buffer)))
+        self.faults.end(buffer, int(self.c.arv_buffer_get_timestamp(buffer)))
 
     def _region(self) -> tuple[int, int, int, int]:
         """Top, left, height and width of the part of the sensor that a frame has [pixels]; nothing when unplugged."""
@@ -223,9 +212,10 @@ class GigeFaults:
         self._image: Image | None = None
         self._stamp_ns = 0
         self._losing = False
-        self._awake = threading.Event()
+        self.awake = threading.Event()
 
     def inject(self, fault: str, options: dict[str, Any]) -> None:
+        """Set a fault; ``clear`` ends all."""
         if fault == "clear":
             self._triggers = {}
             return
@@ -243,24 +233,21 @@ class GigeFaults:
         elif self._losing:
             self._lose(0.0)
         if "duplicate" in self._now:
-            self._camera.stamp(buffer, number=number - 1)
+            self._camera.c.arv_buffer_set_frame_id(buffer, number - 1)
         if "order" in self._now:
-            self._camera.stamp(buffer, number=number - _BACK)
+            self._camera.c.arv_buffer_set_frame_id(buffer, number - _BACK)
         if "exposure" in self._now:
             exposure_us = max(10, exposure_us // 2)
             self._camera.write("EXPOSURE_TIME_US", exposure_us)
         if "format" in self._now:
             self._camera.write("PIXEL_FORMAT", _OTHER_FORMAT)
         if "hang" in self._now:
-            self._awake.wait()  # the camera's one thread, which also answers questions
+            self.awake.wait()  # the camera's one thread, which also answers questions
         if "vanish" in self._now:
             self._lose(1.0)
             # the camera's own thread is here and cannot end itself
             threading.Thread(target=self._camera.unplug, daemon=True).start()
         return float(exposure_us)
-
-    def wake(self) -> None:
-        self._awake.set()
 
     @property
     def arrives(self) -> bool:
@@ -274,7 +261,7 @@ class GigeFaults:
 
     def end(self, buffer: int, timestamp_ns: int) -> None:
         if "stale" in self._now:
-            self._camera.stamp(buffer, timestamp_ns=(self._stamp_ns or time.time_ns()) - _BACK_NS)
+            self._camera.c.arv_buffer_set_timestamp(buffer, (self._stamp_ns or time.time_ns()) - _BACK_NS)
         else:
             self._stamp_ns = timestamp_ns
 

@@ -81,11 +81,10 @@ class SimulatedDevices:
 
     Hold `lock` while touching the devices: the wires are served by one thread, requests by others.
 
-    devices: By name: ``kind`` and, optionally, ``options`` of the firmware, ``tcp`` and ``wedges`` of the wire.
-    tcp: Whether devices are on TCP by default; so they are where there are no pseudo-terminals.
+    devices: As :class:`BenchProcess` has them.
     """
 
-    def __init__(self, devices: Mapping[str, Mapping[str, Any]], *, tcp: bool = not have_ptys) -> None:
+    def __init__(self, devices: Mapping[str, Mapping[str, Any]]) -> None:
         self.lock = threading.RLock()
         self._served = threading.Event()
         # changes of the lights: time [s, monotonic clock], device, channel, share of the highest brightness
@@ -93,7 +92,7 @@ class SimulatedDevices:
         self.devices: dict[str, Device] = {}
         self._brightness: dict[tuple[str, int], float] = {}
         for name, spec in devices.items():
-            wire = TcpWire(wedges=spec.get("wedges", False)) if spec.get("tcp", tcp) else PtyWire()
+            wire = TcpWire(wedges=spec.get("wedges", False)) if spec.get("tcp", not have_ptys) else PtyWire()
             self.devices[name] = Device(spec["kind"], dict(spec.get("options", {})), wire)
         self.levels()
 

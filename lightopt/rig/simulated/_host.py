@@ -22,15 +22,14 @@ from lightopt.rig.simulated._camera import CAMERA, BenchCamera, CameraSetup, Han
 from lightopt.rig.simulated._camera_gige import GigeCamera
 from lightopt.rig.simulated._devices import SimulatedDevices
 from lightopt.rig.simulated._firmware import Trigger
-from lightopt.rig.simulated._wires import have_ptys
 
 
 def run(spec: Mapping[str, Any]) -> None:
     """Serve a bench: print one JSON line with its ports, and return when standard input ends.
 
-    spec: ``devices`` (see :class:`SimulatedDevices`), ``tcp``, and ``camera`` (see :class:`CameraSetup`).
+    spec: ``devices`` and, optionally, ``camera``, as :class:`BenchProcess` has them.
     """
-    devices = SimulatedDevices(spec["devices"], tcp=bool(spec.get("tcp", not have_ptys)))
+    devices = SimulatedDevices(spec["devices"])
     camera: BenchCamera | None = None
     gige: GigeCamera | None = None
     if "camera" in spec:
@@ -45,9 +44,8 @@ def run(spec: Mapping[str, Any]) -> None:
     requests = {**_device_requests(devices, gige), **(camera.requests() if camera is not None else {})}
     token = secrets.token_hex(16)
     control = ControlServer(requests, token)
-    hello = {"control": control.port, "token": token, "ports": devices.ports()}
-    if gige is not None:
-        hello["ports"] = {**devices.ports(), CAMERA: gige.serial}
+    ports = devices.ports() | ({} if gige is None else {CAMERA: gige.serial})
+    hello = {"control": control.port, "token": token, "ports": ports}
     print(json.dumps(hello), flush=True)  # noqa: T201  (how the ports are handed over)
     ours, theirs = socket.socketpair()
     threading.Thread(target=_await_end, args=(theirs,), daemon=True).start()
@@ -89,7 +87,6 @@ def _device_requests(devices: SimulatedDevices, gige: GigeCamera | None) -> dict
             return {
                 "pid": os.getpid(),
                 "time": now,
-                "ports": devices.ports(),
                 "deliveries": {name: device.deliveries for name, device in devices.devices.items()},
                 "struck": Trigger.struck,
                 "levels": devices.levels(),
@@ -103,7 +100,7 @@ def _device_requests(devices: SimulatedDevices, gige: GigeCamera | None) -> dict
     def fault(request: Mapping[str, Any]) -> Response:
         device, kind, options = request["device"], request["fault"], dict(request.get("options", {}))
         if gige is not None and device == CAMERA:
-            gige.inject(kind, options)
+            gige.faults.inject(kind, options)
         else:
             devices.inject(device, kind, options, time.monotonic())
         return {}, b""

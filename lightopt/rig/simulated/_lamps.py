@@ -30,7 +30,6 @@ class LampFirmware(Firmware):
         self._top_level = top_level
         self._level = dict.fromkeys(range(1, channels + 1), 0)
         self._on = dict.fromkeys(range(1, channels + 1), on)
-        self._lit = True  # whether a switch for all channels is on
         self._lamp_faults: dict[int, str] = {}
         self._aged: dict[int, float] = {}
         self._lamp_of = {channel: channel for channel in self._level}
@@ -63,16 +62,16 @@ class LampFirmware(Firmware):
         if set(options) != {"channel", *more} or options["channel"] not in self._level:
             wants = "".join(f" and {name}" for name in more)
             raise ValueError(f"{fault} wants a channel from 1 to {self._channels}{wants}, got {dict(options)}")
+        channel = options["channel"]
         if fault == "aged":
-            self._aged[options["channel"]] = float(options["share"])
-            return
-        if fault == "swapped":
-            if options["other"] not in self._level:
+            self._aged[channel] = float(options["share"])
+        elif fault == "swapped":
+            other = options["other"]
+            if other not in self._level:
                 raise ValueError(f"swapped wants another channel from 1 to {self._channels}, got {dict(options)}")
-            channel, other = options["channel"], options["other"]
             self._lamp_of |= {channel: other, other: channel}
-            return
-        self._lamp_faults[options["channel"]] = fault
+        else:
+            self._lamp_faults[channel] = fault
 
     def levels(self) -> dict[int, float]:
         return {lamp: self._share(channel) * self._aged.get(lamp, 1.0) for channel, lamp in self._lamp_of.items()}
@@ -83,4 +82,4 @@ class LampFirmware(Firmware):
             return 0.0
         if fault == "lit":
             return 1.0
-        return self._level[channel] / self._top_level if self._lit and self._on[channel] else 0.0
+        return self._level[channel] / self._top_level if self._on[channel] else 0.0

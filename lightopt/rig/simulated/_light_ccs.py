@@ -80,7 +80,7 @@ class CcsFirmware(LampFirmware):
 
     def _obey(self, channel: int, instruction: str, data: str) -> str | int:
         """Execute a command; returns the reply from O on, or the number of the error."""
-        width = {"F": self._digits, "L": 1, "S": 2, "M": 0, "C": 0, "R": 0}.get(instruction)
+        width = {"F": self._digits, "L": 1, "S": 2, "M": 0, "C": 0}.get(instruction)
         if width is None or (data and not (data.isascii() and data.isdigit())):
             return _COMMAND
         if data[width:] not in ("", "00") or len(data) < width:
@@ -93,20 +93,12 @@ class CcsFirmware(LampFirmware):
         if instruction == "M":
             level, mode, on = self._level[channel], self._mode[channel], int(self._on[channel])
             return f"OF{level:0{self._digits}d}.S{mode:02d}.L{on}"
-        if value > {"F": self._top_level, "L": 1, "S": _MODES, "R": 0}[instruction]:
+        if value > {"F": self._top_level, "L": 1, "S": _MODES}[instruction]:
             return _VALUE
-        self._set(channel, instruction, value)
-        return "O"
-
-    def _set(self, channel: int, instruction: str, value: int) -> None:
         if instruction == "F":
             self._set_level(channel, value)
         elif instruction == "L":
             self._switch(channel, bool(value))
-        elif instruction == "S":
-            self._mode[channel] = value
         else:
-            for each in self._mode:
-                self._mode[each] = 0
-                self._set_level(each, 0)
-                self._switch(each, False)
+            self._mode[channel] = value
+        return "O"

@@ -1,8 +1,7 @@
 """Simulated firmware of a controller of the ``SA0255#`` family (HIKROBOT MV-LE, Rseelight, KDC and others).
 
 ``SA0255#`` sets channel A, ``SA#`` reads it and is answered ``a0255``; makers differ in how they acknowledge a set.
-``SH#`` and ``SL#`` switch all channels on and off and are answered ``H`` and ``L``. There is no terminator but ``#``,
-and no checksum.
+There is no terminator but ``#``, and no checksum.
 """
 
 import re
@@ -34,15 +33,10 @@ class SaFirmware(LampFirmware):
         return replies.encode("ascii")
 
     def _answer(self, command: str) -> str:
-        match = re.fullmatch(r"S([A-FHL])(\d{4})?", command)
+        match = re.fullmatch(r"S([A-F])(\d{4})?", command)
         if match is None or self._struck("ng"):
             return "NG"
         letter, digits = match.groups()
-        if letter in "HL":
-            if digits:
-                return "NG"
-            self._lit = letter == "H"
-            return letter
         if letter not in self._letters:
             return "NG"
         channel = self._letters.index(letter) + 1

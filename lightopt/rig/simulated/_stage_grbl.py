@@ -3,7 +3,8 @@
 Written from Grbl's interface description, and held by tests to dialogues that were recorded from a Grbl 1.1h. What it
 keeps of the real one: ``ok`` when a move is planned; a report in the first milliseconds after it that is still Idle;
 realtime bytes; silence after ALARM:1 and ALARM:2 until a reset, and the withheld ``ok`` before the banner then; a
-locked start with homing enabled; a machine space from 0 down to −$130; no reports during homing.
+locked start with homing enabled; a machine space from 0 down to −$130; no reports during homing. It knows what the
+driver sends and ``$X``, and plans one move: a line that follows waits for its end.
 """
 
 import math
@@ -12,14 +13,13 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from lightopt.rig.simulated._axes import StageFirmware
-from lightopt.rig.simulated._stage_grbl_gcode import GcodeError, GrblSettings, Modes, Move, parse_line
+from lightopt.rig.simulated._stage_grbl_gcode import GcodeError, GrblSettings, parse_line
 
 _NAMES = ("X", "Y", "Z")
 _BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"
 _UNLOCK = b"[MSG:'$H'|'$X' to unlock]\r\n"
 _RESET_FIRST = b"[MSG:Reset to continue]\r\n"
 _CRITICAL = (1, 2)
-_BLOCKS = 15  # moves that the planner holds
 _SLOW_START_S = 0.004  # a report so soon after the ok is still Idle
 _BRAKE_S = 0.02
 
@@ -64,8 +64,6 @@ class GrblFirmware(StageFirmware):
                 out += self._answer_status(now)
             elif byte == b"!":
                 self._hold(now)
-            elif byte == b"~":
-                self._resume(now)
             elif byte in b"\r\n":
                 if self._buffer:
                     self._lines.append(self._buffer.decode("ascii", "replace"))
@@ -88,11 +86,6 @@ class GrblFirmware(StageFirmware):
             found = all(axis.homed for axis in self._axes.values())
             out += b"ok\r\n" if found else self._alarm(9, now) + b"ok\r\n"
             self._state = "Idle" if found else "Alarm"
-        self._next_block(now)
-        self._begin_dwell(now)
-        if self._dwell_until is not None and now >= self._dwell_until:
-            self._dwell = self._dwell_until = None
-            out += b"ok\r\n"
         if self._status_wanted and not self._homing:
             self._status_wanted = False
             out += self._report(now)
@@ -116,29 +109,14 @@ class GrblFirmware(StageFirmware):
         self._state = "Idle"
         self._critical = False
         self._withheld = b""
-        self._pending = b""
-        self._buffer = b""
+        self._pending = self._buffer = b""
         self._lines: deque[str] = deque()
-        self._blocks: deque[tuple[dict[str, float], float]] = deque()
-        self._going: tuple[dict[str, float], float] | None = None
+        self._feed = 0.0
         self._idle_until = -math.inf
         self._braked = -math.inf
         self._homing = False
-        self._jogging = False
-        self._dwell: float | None = None
-        self._dwell_until: float | None = None
         self._status_wanted = False
         self._until_wco = self._until_ov = 0
-        self._modes = Modes()
-        self._planned: dict[str, float] | None = None
-
-    def _begin_dwell(self, now: float) -> None:
-        """Begin to wait, once all that was planned is done."""
-        if self._dwell is not None and self._dwell_until is None and not self._moving(now):
-            self._dwell_until = now + self._dwell
-
-    def _moving(self, now: float) -> bool:
-        return self._axes_move(now) or bool(self._blocks)
 
     def _stands(self, now: float) -> dict[str, float]:
         return {name: axis.count(now) for name, axis in self._axes.items()}
@@ -148,7 +126,7 @@ class GrblFirmware(StageFirmware):
         out = self._withheld
         lock = self._state == "Alarm"
         braking = self._state == "Hold" and now < self._braked
-        if (self._state != "Hold" and self._moving(now)) or self._homing or braking:
+        if (self._state != "Hold" and self._axes_move(now)) or self._homing or braking:
             out += b"ALARM:3\r\n"
             lock = True
         self._stop_axes(now)
@@ -160,8 +138,6 @@ class GrblFirmware(StageFirmware):
         self._stop_axes(now)
         for axis in self._axes.values():
             axis.at_limit = False
-        self._blocks.clear()
-        self._going = None
         self._homing = False
         self._state = "Alarm"
         if code in _CRITICAL:
@@ -170,20 +146,10 @@ class GrblFirmware(StageFirmware):
         return f"ALARM:{code}\r\n".encode()
 
     def _hold(self, now: float) -> None:
-        if self._jogging and self._moving(now):
-            self._stop_axes(now)
-            self._blocks.clear()
-            self._planned = None
-        elif self._state in ("Idle", "Run") and not self._homing:
-            self._braked = now + _BRAKE_S if self._moving(now) else now
+        if self._state == "Idle" and not self._homing:
+            self._braked = now + _BRAKE_S if self._axes_move(now) else now
             self._stop_axes(now)
             self._state = "Hold"
-
-    def _resume(self, now: float) -> None:
-        if self._state == "Hold" and now >= self._braked:
-            self._state = "Idle"
-            if self._going is not None:
-                self._start(*self._going, now)
 
     def _answer_status(self, now: float) -> bytes:
         if self._homing:
@@ -192,15 +158,15 @@ class GrblFirmware(StageFirmware):
         return self._report(now)
 
     def _report(self, now: float) -> bytes:
-        moving = self._moving(now) and now >= self._idle_until
+        moving = self._axes_move(now) and now >= self._idle_until
         state = self._state
         if state == "Hold":
             state = "Hold:1" if now < self._braked else "Hold:0"
         elif state == "Idle" and moving:
-            state = "Jog" if self._jogging else "Run"
+            state = "Run"
         busy = state not in ("Idle", "Alarm")
         place = ",".join(f"{value + 0.0:.3f}" for value in self._stands(now).values())
-        feed = self._going[1] if self._going is not None and moving and self._state == "Idle" else 0
+        feed = self._feed if state == "Run" else 0
         fields = [state, f"{'MPos' if int(self._settings[10]) & 1 else 'WPos'}:{place}", f"FS:{feed:.0f},0"]
         if self._until_wco > 0:
             self._until_wco -= 1
@@ -218,7 +184,7 @@ class GrblFirmware(StageFirmware):
     def _work(self, now: float) -> bytes:
         """Obey lines while none has to wait."""
         out = b""
-        while self._lines and not self._waits():
+        while self._lines and not self._waits(self._lines[0], now):
             text = self._lines.popleft()
             if (code := self._struck("refuse")) is not None:
                 out += f"error:{code}\r\n".encode()
@@ -229,104 +195,55 @@ class GrblFirmware(StageFirmware):
                 out += f"error:{error.code}\r\n".encode()
         return out
 
-    def _waits(self) -> bool:
-        return self._critical or self._homing or self._dwell is not None or len(self._blocks) >= _BLOCKS
+    def _waits(self, text: str, now: float) -> bool:
+        if self._critical or self._homing:
+            return True
+        return not text.startswith("$") and (self._axes_move(now) or self._state == "Hold")
 
     def _gcode(self, text: str, now: float) -> bytes:
-        if self._state == "Alarm" or (self._jogging and self._moving(now)):
+        if self._state == "Alarm":
             raise GcodeError(9)
-        move = parse_line(text, self._modes)
-        if move.dwell_s is not None:
-            self._dwell = move.dwell_s
-            self._begin_dwell(now)
-            return b""
-        if not move.words:
+        words, feed = parse_line(text)
+        if not words:
             return b"ok\r\n"
-        target, feed = self._target(move, now)
+        target = self._stands(now)
+        for name, number in words.items():
+            steps = self._settings[100 + _NAMES.index(name)]
+            target[name] = round(number * steps) / steps
         if self._settings[20] and not self._inside(target):
             self._withheld = b"ok\r\n"
             return self._alarm(2, now)
-        self._jogging = False
-        self._plan(target, feed, now)
+        self._start(target, feed, now)
         return b"ok\r\n"
-
-    def _jog(self, text: str, now: float) -> bytes:
-        if self._moving(now) and not self._jogging:
-            raise GcodeError(8)
-        if self._state != "Idle":
-            raise GcodeError(9)
-        move = parse_line(text, self._modes, jog=True)
-        if not move.words:
-            raise GcodeError(26)
-        target, feed = self._target(move, now)
-        if self._settings[20] and not self._inside(target):
-            raise GcodeError(15)
-        self._jogging = True
-        self._plan(target, feed, now)
-        return b"ok\r\n"
-
-    def _target(self, move: Move, now: float) -> tuple[dict[str, float], float]:
-        """Target of a move, rounded to motor steps, and its feed [mm/min]."""
-        if self._planned is None or not self._moving(now):
-            self._planned = self._stands(now)
-        start = self._planned
-        target = dict(start)
-        for name, number in move.words.items():
-            steps = self._settings[100 + _NAMES.index(name)]
-            target[name] = round((number + (start[name] if move.relative else 0.0)) * steps) / steps
-        ways = {name: abs(target[name] - start[name]) for name in _NAMES if target[name] != start[name]}
-        way = math.hypot(*ways.values())
-        fastest = min(
-            (self._settings[110 + _NAMES.index(name)] * way / part for name, part in ways.items()), default=1.0
-        )
-        return target, fastest if move.rapid else min(move.feed, fastest)
 
     def _inside(self, target: Mapping[str, float]) -> bool:
         return all(-self._settings[130 + i] <= target[name] <= 0 for i, name in enumerate(_NAMES))
 
-    def _plan(self, target: dict[str, float], feed: float, now: float) -> None:
-        idle = not self._moving(now)
-        self._planned = dict(target)
-        self._blocks.append((target, feed))
-        if idle:
-            self._idle_until = now + _SLOW_START_S
-        self._next_block(now)
-
-    def _next_block(self, now: float) -> None:
-        if self._blocks and self._state == "Idle" and not self._axes_move(now):
-            self._going = self._blocks.popleft()
-            self._start(*self._going, now)
-
-    def _start(self, target: dict[str, float], feed: float, now: float) -> None:
+    def _start(self, target: Mapping[str, float], feed: float, now: float) -> None:
+        """Go straight to a target with a feed [mm/min], or as fast as the axes can."""
         here = self._stands(now)
-        way = math.hypot(*(target[name] - here[name] for name in _NAMES))
-        for name in _NAMES:
-            part = abs(target[name] - here[name])
-            if part > 0:
-                self._axes[name].move(target[name], feed / 60 * part / way, now)
+        ways = {name: abs(target[name] - here[name]) for name in _NAMES if target[name] != here[name]}
+        way = math.hypot(*ways.values())
+        fastest = (self._settings[110 + _NAMES.index(name)] * way / part for name, part in ways.items())
+        self._feed = min([feed, *fastest])
+        self._idle_until = now + _SLOW_START_S
+        for name, part in ways.items():
+            self._axes[name].move(target[name], self._feed / 60 * part / way, now)
 
     def _dollar(self, text: str, now: float) -> bytes:
         line = text.replace(" ", "").upper()
-        if line.startswith("$J="):
-            return self._jog(line[3:], now)
-        changes = line in ("$$", "$H") or "=" in line
-        if changes and (self._moving(now) or self._state == "Hold"):
+        if line in ("$$", "$H") and (self._axes_move(now) or self._state == "Hold"):
             raise GcodeError(8)
         if line == "$$":
             return self._settings.lines() + b"ok\r\n"
         if line == "$I":
             return b"[VER:1.1h.20190830:]\r\n[OPT:V,15,128]\r\nok\r\n"
-        if line == "$G":
-            motion, distance = "G0" if self._modes.rapid else "G1", "G91" if self._modes.relative else "G90"
-            feed = f"{self._modes.feed:g}"
-            return f"[GC:{motion} G54 G17 G21 {distance} G94 M5 M9 T0 F{feed} S0]\r\nok\r\n".encode()
         if line == "$X":
             locked, self._state = self._state == "Alarm", "Idle"
             return (b"[MSG:Caution: Unlocked]\r\n" if locked else b"") + b"ok\r\n"
         if line == "$H":
             return self._home(now)
-        self._settings.set_from(line)
-        return b"ok\r\n"
+        raise GcodeError(3)
 
     def _home(self, now: float) -> bytes:
         if not self._settings[22]:

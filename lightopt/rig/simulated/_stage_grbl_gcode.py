@@ -2,12 +2,10 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 
 _WORD = re.compile(r"([A-Z])([+-]?(?:\d+\.?\d*|\.\d+))")
-_KNOWN = {0, 1, 4, 17, 21, 53, 54, 90, 91, 94}
-_KNOWN_M = {5, 9}
-_LETTER, _NUMBER, _UNSUPPORTED, _NO_FEED, _UNUSED = 1, 2, 20, 22, 36
+_KNOWN = {1, 21, 53, 90, 94}
+_LETTER, _NUMBER, _UNSUPPORTED, _NO_FEED = 1, 2, 20, 22
 
 
 class GcodeError(Exception):
@@ -18,63 +16,30 @@ class GcodeError(Exception):
         self.code = code
 
 
-@dataclass
-class Modes:
-    """What one line leaves to the next: G0 rather than G1, G91 rather than G90, and F [mm/min]."""
-
-    rapid: bool = True
-    relative: bool = False
-    feed: float = 0.0
-
-
-@dataclass(frozen=True)
-class Move:
-    """What a line asks for: axis words by letter [mm], how to read and go them, the time that G4 waits at the end."""
-
-    words: dict[str, float] = field(default_factory=dict[str, float])
-    relative: bool = False
-    rapid: bool = False
-    feed: float = 0.0
-    dwell_s: float | None = None
-
-
-def parse_line(text: str, modes: Modes, *, jog: bool = False) -> Move:
-    """Read a line and change the modes; a jog, and a line that raises a GcodeError, leave them as they were."""
+def parse_line(text: str) -> tuple[dict[str, float], float]:
+    """Target of a line by axis [mm], empty where it only sets modes, and its feed [mm/min]."""
     line = re.sub(r"\s", "", text).upper()
     words: dict[str, float] = {}
-    commands: list[tuple[str, float]] = []
+    commands: set[float] = set()
     at = 0
     while at < len(line):
         match = _WORD.match(line, at)
         if match is None:
             raise GcodeError(_NUMBER if line[at].isalpha() else _LETTER)
         letter, number = match[1], float(match[2])
-        if letter in "GM":
-            commands.append((letter, number))
-        elif letter in "XYZFPN":
+        if letter == "G" and number in _KNOWN:
+            commands.add(number)
+        elif letter in "XYZF":
             words[letter] = number
         else:
             raise GcodeError(_UNSUPPORTED)
         at = match.end()
-    return _understood(commands, words, modes, jog=jog)
-
-
-def _understood(commands: list[tuple[str, float]], words: dict[str, float], modes: Modes, *, jog: bool) -> Move:
-    numbers = {number for letter, number in commands if letter == "G"}
-    if not numbers <= _KNOWN or not {n for letter, n in commands if letter == "M"} <= _KNOWN_M:
+    feed = words.pop("F", 0.0)
+    if words and 1 not in commands:
         raise GcodeError(_UNSUPPORTED)
-    rapid = 0 in numbers or (modes.rapid and 1 not in numbers)
-    relative = 91 in numbers or (modes.relative and 90 not in numbers)
-    feed = words.get("F", 0.0 if jog else modes.feed)
-    axes = {letter: number for letter, number in words.items() if letter in "XYZ"}
-    dwell = words.get("P") if 4 in numbers else None
-    if "P" in words and dwell is None:
-        raise GcodeError(_UNUSED)
-    if axes and feed <= 0 and (jog or not rapid):
+    if words and feed <= 0:
         raise GcodeError(_NO_FEED)
-    if not jog:
-        modes.rapid, modes.relative, modes.feed = rapid, relative, feed
-    return Move(words=axes, relative=relative, rapid=rapid and not jog, feed=feed, dwell_s=dwell)
+    return words, feed
 
 
 # as a Grbl 1.1h lists them when new: number=value, with as many decimals as it writes
@@ -83,8 +48,6 @@ _NEW = """
 30=1000 31=0 32=0 100=250.000 101=250.000 102=250.000 110=500.000 111=500.000 112=500.000
 120=10.000 121=10.000 122=10.000 130=200.000 131=200.000 132=200.000
 """
-_UNKNOWN, _NEEDS_HOMING = 3, 10
-_SOFT_LIMITS, _HOMING = 20, 22
 
 
 class GrblSettings:
@@ -110,15 +73,3 @@ class GrblSettings:
         return b"".join(
             f"${number}={value:.{self._decimals[number]}f}\r\n".encode() for number, value in self._values.items()
         )
-
-    def set_from(self, line: str) -> None:
-        """Obey ``$number=value``; a GcodeError when Grbl refuses it."""
-        match = re.fullmatch(r"\$(\d+)=(\d+(?:\.\d+)?)", line)
-        if match is None or int(match[1]) not in self._values:
-            raise GcodeError(_UNKNOWN)
-        number, value = int(match[1]), float(match[2])
-        if number == _SOFT_LIMITS and value and not self._values[_HOMING]:
-            raise GcodeError(_NEEDS_HOMING)
-        self._values[number] = value
-        if number == _HOMING and not value:
-            self._values[_SOFT_LIMITS] = 0.0

@@ -1,6 +1,6 @@
 """Simulated firmware of Zaber controllers in the ASCII protocol.
 
-A command is ``/``, optionally device, axis and message number, words, optionally ``:`` and a checksum, and a line feed.
+A command is ``/``, device, axis, optionally a message number, words, optionally ``:`` and a checksum, and a line feed.
 A command with a wrong checksum is not answered. Each reply reports whether the axis moves, and its gravest warning.
 """
 
@@ -12,9 +12,9 @@ from lightopt.rig.simulated._axes import StageFirmware
 
 _SPEED_UNIT = 1.6384
 _LONGEST = 256
-_COMMAND = re.compile(
-    r"/(?:(?P<device>\d{1,2})(?: (?P<axis>\d)(?: (?P<id>\d{1,2}|--))?)?)?(?: *(?P<words>[a-z].*?))? *"
-)
+_COMMAND = re.compile(r"/(?P<device>\d{1,2}) (?P<axis>\d)(?: (?P<id>\d{1,2}))?(?: (?P<words>[a-z].*?))? *")
+_DEVICE_SETTINGS = {"deviceid": "30222", "version": "7.38", "system.serial": "104857"}
+_MAXSPEED = 153_600
 
 
 class ZaberFirmware(StageFirmware):
@@ -25,7 +25,6 @@ class ZaberFirmware(StageFirmware):
     BADDATA by default), ``checksum`` (a reply's checksum is wrong), both with the options of :class:`Trigger`.
 
     limits: ``limit.min`` and ``limit.max`` of each axis by its number.
-    maxspeed: Speed at first, in the unit of the setting.
     home_speed: Speed of the search for the home sensor [microsteps/s].
     """
 
@@ -37,9 +36,7 @@ class ZaberFirmware(StageFirmware):
         *,
         axes: Mapping[str, Mapping[str, float]] | None = None,
         limits: Mapping[str, tuple[int, int]] | None = None,
-        maxspeed: int = 153_600,
         home_speed: float = 50_000.0,
-        checksums: bool = True,
     ) -> None:
         super().__init__({"1": {}, "2": {}} if axes is None else axes)
         names = list(self._axes)
@@ -48,9 +45,8 @@ class ZaberFirmware(StageFirmware):
         self._settings: dict[str, dict[str, int]] = {}
         for name in names:
             low, high = (limits or {}).get(name, (0, 1_000_000))
-            self._settings[name] = {"limit.min": low, "limit.max": high, "maxspeed": maxspeed, "accel": 205}
+            self._settings[name] = {"limit.min": low, "limit.max": high, "maxspeed": _MAXSPEED}
         self._home_speed = home_speed
-        self._checksums = checksums
         self._flags: dict[str, set[str]] = {name: set() for name in names}
         self._moves = dict.fromkeys(names, False)
         self._to: dict[str, float] = {}
@@ -92,8 +88,8 @@ class ZaberFirmware(StageFirmware):
         match = _COMMAND.fullmatch(text)
         if match is None:
             return self._reply(0, None, "RJ", "BADCOMMAND", now)
-        device, axis, number = int(match["device"] or 0), int(match["axis"] or 0), match["id"]
-        if device not in (0, 1):
+        axis, number = int(match["axis"]), match["id"]
+        if int(match["device"]) != 1:
             return b""
         if axis > len(self._flags):
             return self._reply(0, number, "RJ", "BADAXIS", now)
@@ -102,16 +98,15 @@ class ZaberFirmware(StageFirmware):
         if words and words[0] not in ("get", "warnings") and (reason := self._struck("refuse")):
             return self._reply(axis, number, "RJ", reason, now)
         data = self._obey(words, names, axis, now)
-        rejected = data in ("BADCOMMAND", "BADDATA", "DEVICEONLY")
+        rejected = data in ("BADCOMMAND", "BADDATA")
         return self._reply(axis, number, "RJ" if rejected else "OK", data, now)
 
     def _reply(self, axis: int, number: str | None, flag: str, data: str, now: float) -> bytes:
         names = [str(axis)] if axis else list(self._flags)
         busy = any(self._axes[name].moving(now) for name in names)
-        words = ["01", str(axis)] + ([f"{int(number):02d}"] if number and number != "--" else [])
-        body = " ".join([*words, flag, "BUSY" if busy else "IDLE", self._warning(names, now), data]).encode()
-        if not self._checksums:
-            return b"@" + body + b"\r\n"
+        warning = next(iter(self._warnings(names, now)), "--")
+        words = ["01", str(axis)] + ([f"{int(number):02d}"] if number else [])
+        body = " ".join([*words, flag, "BUSY" if busy else "IDLE", warning, data]).encode()
         checksum = -sum(body) & 0xFF
         if self._struck("checksum"):
             checksum ^= 0x55
@@ -133,80 +128,50 @@ class ZaberFirmware(StageFirmware):
                 found.add("WR")
         return sorted(found, key="FD FQ FS FT FB FP FE WH WL WP WV WT WM WR NC NI ND NU NJ".find)
 
-    def _warning(self, names: list[str], now: float) -> str:
-        return next(iter(self._warnings(names, now)), "--")
-
     def _obey(self, words: list[str], names: list[str], axis: int, now: float) -> str:
-        if not words:
-            return "0"
-        verb, rest = words[0], words[1:]
-        if verb == "get" and len(rest) == 1:
-            return self._get(rest[0], names, axis, now)
-        if verb == "set" and len(rest) == 2:
-            return self._set(rest[0], rest[1], names)
-        if verb == "warnings" and rest in ([], ["clear"]):
-            found = self._warnings(names, now)
-            if rest:
+        match words:
+            case []:
+                return "0"
+            case ["get", "pos"]:
+                return " ".join(str(round(self._axes[name].count(now))) for name in names)
+            case ["get", setting] if axis == 0 and setting in _DEVICE_SETTINGS:
+                return _DEVICE_SETTINGS[setting]
+            case ["get", setting] if setting in self._settings[names[0]]:
+                return " ".join(str(self._settings[name][setting]) for name in names)
+            case ["set", "maxspeed", value]:
+                if not value.isdecimal() or int(value) < 1:
+                    return "BADDATA"
                 for name in names:
-                    self._flags[name].clear()
-            return " ".join([f"{len(found):02d}", *found])
-        if verb in ("stop", "estop") and not rest:
-            for name in names:
-                self._axes[name].stop(now)
-                self._moves[name] = False
-            return "0"
-        if verb == "home" and not rest:
-            for name in names:
-                self._axes[name].home(self._home_speed, now)
-                self._moves[name], self._to[name] = True, 0.0
-            return "0"
-        return self._move(rest, names, now) if verb == "move" else "BADCOMMAND"
+                    self._settings[name]["maxspeed"] = int(value)
+                return "0"
+            case ["warnings"] | ["warnings", "clear"]:
+                found = self._warnings(names, now)
+                if len(words) > 1:
+                    for name in names:
+                        self._flags[name].clear()
+                return " ".join([f"{len(found):02d}", *found])
+            case ["stop"]:
+                for name in names:
+                    self._axes[name].stop(now)
+                    self._moves[name] = False
+                return "0"
+            case ["home"]:
+                for name in names:
+                    self._axes[name].home(self._home_speed, now)
+                    self._moves[name], self._to[name] = True, 0.0
+                return "0"
+            case ["move", "abs", where]:
+                return self._move(where, names, now)
+            case _:
+                return "BADCOMMAND"
 
-    def _get(self, setting: str, names: list[str], axis: int, now: float) -> str:
-        device = {
-            "deviceid": "30222",
-            "version": "7.38",
-            "version.build": "12345",
-            "system.serial": "104857",
-            "system.axiscount": str(len(self._flags)),
-            "system.access": "1",
-            "comm.alert": "0",
-            "comm.checksum": str(int(self._checksums)),
-            "comm.address": "1",
-        }
-        if setting in device:
-            return "DEVICEONLY" if axis else device[setting]
-        if setting == "pos":
-            return " ".join(str(round(self._axes[name].count(now))) for name in names)
-        if setting in self._settings[names[0]]:
-            return " ".join(str(self._settings[name][setting]) for name in names)
-        return "BADCOMMAND"
-
-    def _set(self, setting: str, value: str, names: list[str]) -> str:
-        if setting not in self._settings[names[0]]:
-            return "BADCOMMAND"
-        if re.fullmatch(r"-?\d+", value) is None or (setting == "maxspeed" and int(value) < 1):
+    def _move(self, where: str, names: list[str], now: float) -> str:
+        if re.fullmatch(r"-?\d+", where) is None:
+            return "BADDATA"
+        target = int(where)
+        if not all(self._settings[n]["limit.min"] <= target <= self._settings[n]["limit.max"] for n in names):
             return "BADDATA"
         for name in names:
-            self._settings[name][setting] = int(value)
-        return "0"
-
-    def _move(self, rest: list[str], names: list[str], now: float) -> str:
-        kind = rest[0] if rest else ""
-        if kind not in ("abs", "rel", "min", "max") or len(rest) != (2 if kind in ("abs", "rel") else 1):
-            return "BADCOMMAND"
-        if len(rest) == 2 and re.fullmatch(r"-?\d+", rest[1]) is None:
-            return "BADDATA"
-        targets: dict[str, int] = {}
-        for name in names:
-            low, high = self._settings[name]["limit.min"], self._settings[name]["limit.max"]
-            if kind in ("min", "max"):
-                targets[name] = low if kind == "min" else high
-            else:
-                targets[name] = int(rest[1]) + (round(self._axes[name].count(now)) if kind == "rel" else 0)
-            if not low <= targets[name] <= high:
-                return "BADDATA"
-        for name, target in targets.items():
             if self._axes[name].moving(now):
                 self._flags[name].add("NI")
             else:

@@ -70,7 +70,6 @@ class TcpWire:
         self._client: socket.socket | None = None
         self._listener: socket.socket | None = None
         self._number = 0
-        self._pulled = False
         self._listen()
         self.port = f"socket://127.0.0.1:{self._number}"
 
@@ -89,7 +88,10 @@ class TcpWire:
         except OSError:
             data = b""
         if not data:
-            self._leave()
+            self._client.close()
+            self._client = None
+            self._wedged = self._wedged or (self._wedges and not self._spoken)
+            self._listen()
             return b""
         self._spoken = True
         return b"" if self._wedged else data
@@ -105,7 +107,6 @@ class TcpWire:
             return len(data)
 
     def pull(self) -> None:
-        self._pulled = True
         for s in (self._client, self._listener):
             if s is not None:
                 s.close()
@@ -132,14 +133,6 @@ class TcpWire:
             # A second client is refused at once instead of hanging in the queue.
             self._listener.close()
             self._listener = None
-
-    def _leave(self) -> None:
-        assert self._client is not None
-        self._client.close()
-        self._client = None
-        self._wedged = self._wedged or (self._wedges and not self._spoken)
-        if not self._pulled:
-            self._listen()
 
 
 # by name, each with its option and the default of that
