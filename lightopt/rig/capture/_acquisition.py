@@ -15,7 +15,7 @@ from lightopt.rig.capture._exposures import ExposureImage, FrameMean
 from lightopt.rig.capture._plan import CapturePlan
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._software_cameras import FolderCamera
-from lightopt.rig.devices import Event, Frame, frame_limit_s
+from lightopt.rig.devices import Event, Frame
 
 # a camera whose exposure time differs from the requested one by more than this share is refused
 EXPOSURE_TOLERANCE = 0.005
@@ -254,39 +254,32 @@ class AcquisitionEngine:
         return new
 
     def _grab(self) -> Frame:
-        timing = self._plan.wiring.hardware.timing
         assert self._held_us is not None
         exposure_s = self._held_us / 1e6
-        limit_s = frame_limit_s(self._held_us, timing.frame_timeout_s)
-        if self._lit is not None and (left_s := self._remaining_on_s()) is not None:
-            if left_s <= exposure_s:
-                raise HardwareError(
-                    f"{self._lit[0]} may be on for {max(0.0, left_s):.3g} s more (max_on_s) and the exposure "
-                    "takes longer: frames came later than planned; take fewer or shorter exposures"
-                )
-            limit_s = min(limit_s, left_s)
+        light = self._lit[0] if self._lit else None
+        left_s = self._remaining_on_s()
+        if left_s is not None and left_s <= exposure_s:
+            raise HardwareError(
+                f"{light} may be on for {max(0.0, left_s):.3g} s more (max_on_s) and the exposure "
+                "takes longer: frames came later than planned; take fewer or shorter exposures"
+            )
         begun = time.monotonic()
-        frame = self.devices.camera.grab(timeout_s=limit_s)
+        frame = self.devices.grab(self._held_us, light)
         taken_s = time.monotonic() - begun
         self._timing.exposing_s += min(exposure_s, taken_s)
         self._timing.transfer_s += max(0.0, taken_s - exposure_s)
-        if self._lit is not None:
-            self.devices.check_watchdog(self._lit[0])
-        self._check_frame(frame)
-        return frame
-
-    def _check_frame(self, frame: Frame) -> None:
         width, height = self.devices.camera.resolution_px
         if frame.levels.shape != (height, width) or int(frame.levels.max()) > self._sensor.max_level:
             raise HardwareError(
                 f"the camera delivered a frame of {frame.levels.shape[1]} × {frame.levels.shape[0]} pixels with levels "
                 f"up to {frame.levels.max()}; expected {width} × {height} and at most {self._sensor.max_level}"
             )
-        if self._held_us is not None and abs(frame.exposure_us - self._held_us) > 1e-3 * self._held_us:
+        if abs(frame.exposure_us - self._held_us) > 1e-3 * self._held_us:
             name = "a frame" if frame.number is None else f"frame {frame.number}"
             raise HardwareError(
                 f"the camera took {name} at {frame.exposure_us:g} µs, although it held {self._held_us:g} µs"
             )
+        return frame
 
     def _remaining_on_s(self) -> float | None:
         """How long the light may stay lit [s]; None where nothing limits it."""

@@ -138,13 +138,14 @@ def lock_folder(folder: Path) -> Generator[None]:
     InputError when another process captures into the folder, or it cannot be written.
     """
     path = folder / LOCK_NAME
-    file = _open_locked(path)
+    while True:
+        file = _open_locked(path)
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                break
+        file.close()  # its previous owner has just removed it
     try:
-        while not _has_path(file, path):  # its previous owner has just removed it
-            file.close()
-            file = _open_locked(path)
-        file.seek(0)
-        file.truncate()
+        file.truncate(0)
         file.write(f"{os.getpid()}\n")
         file.flush()
         yield
@@ -165,7 +166,15 @@ def _open_locked(path: Path) -> IO[str]:
             f"{path.parent}: cannot be written: {error.strerror or error}; choose another output folder"
         ) from error
     try:
-        _lock_file(file)
+        if sys.platform == "win32":
+            import msvcrt
+
+            file.seek(_FAR)
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         file.seek(0)
         owner = file.read(20).strip()
@@ -175,23 +184,3 @@ def _open_locked(path: Path) -> IO[str]:
             "it to end, or choose another output folder"
         ) from error
     return file
-
-
-def _lock_file(file: IO[str]) -> None:
-    if sys.platform == "win32":
-        import msvcrt
-
-        file.seek(_FAR)
-        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-    else:
-        import fcntl
-
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def _has_path(file: IO[str], path: Path) -> bool:
-    """Whether the locked file is the one that has the name."""
-    try:
-        return os.path.samestat(os.fstat(file.fileno()), path.stat())
-    except FileNotFoundError:
-        return False

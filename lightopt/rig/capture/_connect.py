@@ -173,7 +173,7 @@ def _folder_camera(rig: RigConfig, wiring: Wiring, plan: CapturePlan | None) -> 
     )
     if plan is not None:
         keys = [*plan.keys]
-        keys += [(None, task.posture, e) for task in plan.tasks for e in task.dark_exposures]
+        keys += [(None, posture, exposure) for posture in plan.postures for exposure in plan.dark_exposures]
         if problems := [problem for key in keys if (problem := camera.missing(*key)) is not None]:
             raise InputError(*problems)
     return camera

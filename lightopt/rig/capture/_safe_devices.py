@@ -14,7 +14,17 @@ from lightopt.rig.capture._lights_off import NONE_OF_THE_RIG, lights_on
 from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._watchdog import LightWatchdog
 from lightopt.rig.capture._wiring import VIRTUAL, Wiring
-from lightopt.rig.devices import Camera, Event, LightController, LightsStillOnError, Stage, StageState, all_off
+from lightopt.rig.devices import (
+    Camera,
+    Event,
+    Frame,
+    LightController,
+    LightsStillOnError,
+    Stage,
+    StageState,
+    all_off,
+    frame_limit_s,
+)
 
 
 class Devices:
@@ -152,6 +162,15 @@ class Devices:
         if problem := self._watchdog.pop_problem(name):
             raise HardwareError(problem)
 
+    def grab(self, exposure_us: float, light: str | None) -> Frame:
+        """Take a frame at the exposure time that the camera holds; waits no longer than the light may stay on."""
+        limit_s = frame_limit_s(exposure_us, self.wiring.hardware.timing.frame_timeout_s)
+        left_s = None if light is None else self.remaining_on_s(light)
+        frame = self.camera.grab(timeout_s=limit_s if left_s is None else max(0.0, min(limit_s, left_s)))
+        if light is not None:
+            self.check_watchdog(light)
+        return frame
+
     def _darken(self, name: str) -> None:
         channel = self.wiring.light(name)
         self.controllers[channel.controller].set_level(channel.channel, 0)
@@ -258,9 +277,13 @@ class Devices:
     def _close(self) -> list[str]:
         """Close all, each even if another fails; returns messages about what failed."""
         devices = (self._camera, self.stage, *self.controllers.values())
-        closing = [device.close for device in devices if device is not None]
-        attempts = [_attempt(close) for close in (*closing, *self._closing)]
-        return [f"closing a device failed: {problem}" for problem in attempts if problem is not None]
+        problems: list[str] = []
+        for close in (*(device.close for device in devices if device is not None), *self._closing):
+            try:
+                close()
+            except Exception as error:  # noqa: BLE001, PERF203  (whatever fails here, the rest must be closed, too)
+                problems.append(f"closing a device failed: {error_text(error)}")
+        return problems
 
     def _failure(
         self, error: BaseException, lit: list[str], stage: str | None, unclosed: Sequence[str]
@@ -274,12 +297,3 @@ class Devices:
         return HardwareError(
             f"while {self.step}: {cause[0]}", *cause[1:], *lights, *([stage] if stage else []), *unclosed
         )
-
-
-def _attempt(action: Callable[[], None]) -> str | None:
-    """Run an action; returns why it failed, or None."""
-    try:
-        action()
-    except Exception as error:  # noqa: BLE001  (whatever fails here, the rest must be done, too)
-        return error_text(error)
-    return None
