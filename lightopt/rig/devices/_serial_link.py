@@ -10,7 +10,7 @@ import select
 import threading
 import time
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TypeVar
 
 import serial
@@ -123,7 +123,10 @@ class SerialLink:
                 write_timeout=None if port.startswith("rfc2217:") else self._write_s,
                 exclusive=True,
             )
-            self._selectable = os.name == "posix" and _has_descriptor(self._serial)
+            self._selectable = False
+            with suppress(AttributeError, OSError):  # rfc2217 has no descriptor for select
+                self._serial.fileno()
+                self._selectable = os.name == "posix"
         except (ValueError, *_LOST) as error:
             raise cannot_open(port, device, error) from None
         self._log.write(port, "note", f"opened at {baud} baud for {device}")
@@ -324,12 +327,3 @@ def _ended(got: bytearray, end: bytes | re.Pattern[bytes] | None) -> bool:
     if end is None:
         return False
     return got.endswith(end) if isinstance(end, bytes) else end.search(got) is not None
-
-
-def _has_descriptor(port: object) -> bool:
-    # whether select can wait for it: not for rfc2217
-    try:
-        port.fileno()  # pyright: ignore[reportAttributeAccessIssue]
-    except (AttributeError, OSError):
-        return False
-    return True
