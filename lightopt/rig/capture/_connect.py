@@ -147,8 +147,12 @@ def check_devices(
     if camera and driver == "folder":
         with _collected(problems):
             replay = _folder_camera(rig, wiring, plan)
-    problems += _port_problems(rig, wiring)
-    if (stage := wiring.hardware.stage) is not None:
+    stage = wiring.hardware.stage
+    named = [(("controllers", name), device.port) for name, device in wiring.hardware.controllers.items()]
+    for place, port in (*named, *([] if stage is None else [(("stage",), stage.port)])):
+        if port != VIRTUAL and (problem := port_problem(port)) is not None:  # a URL is only tried when it is opened
+            problems.append(f"{rig.source.at('hardware', *place, 'port')}: {problem}")
+    if stage is not None:
         with _collected(problems, where=rig.source.at("hardware", "stage")):
             check_stage(stage.driver, stage_axes(rig, stage))
     if problems:
@@ -177,22 +181,6 @@ def _folder_camera(rig: RigConfig, wiring: Wiring, plan: CapturePlan | None) -> 
         if problems := [problem for key in keys if (problem := camera.missing(*key)) is not None]:
             raise InputError(*problems)
     return camera
-
-
-def _port_problems(rig: RigConfig, wiring: Wiring) -> list[str]:
-    """Serial ports that are missing; a URL is only tried when it is opened."""
-    hardware = wiring.hardware
-    named = [
-        (rig.source.at("hardware", "controllers", name, "port"), config.port)
-        for name, config in hardware.controllers.items()
-    ]
-    if hardware.stage is not None:
-        named.append((rig.source.at("hardware", "stage", "port"), hardware.stage.port))
-    return [
-        f"{where}: {problem}"
-        for where, port in named
-        if port != VIRTUAL and (problem := port_problem(port)) is not None
-    ]
 
 
 def _stage(rig: RigConfig, wiring: Wiring, ports: Mapping[str, str], log: SerialLog) -> Stage | None:

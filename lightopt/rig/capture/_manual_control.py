@@ -37,8 +37,7 @@ def device_statuses(
     wiring = devices.wiring
     unreachable = unreachable or {}
     for name in wiring.hardware.controllers:
-        query = partial(_controller_state, devices, name)
-        yield _status(f"controller {name}", query, unreachable.get(name))
+        yield _status(f"controller {name}", partial(_controller_state, devices, name), unreachable.get(name))
     for light in rig.lights:
         channel = wiring.light(light.name)
         if channel.controller in unreachable:

@@ -11,6 +11,7 @@ Its simulated counterpart is the module of the same name in ``lightopt.rig.simul
 """
 
 from lightopt.rig.devices._camera import Camera, Frame
+from lightopt.rig.devices._camera_pixels import Levels
 from lightopt.rig.devices._camera_sdk import CameraInfo, CameraSettings
 from lightopt.rig.devices._device import Event, Identity, frame_limit_s
 from lightopt.rig.devices._drivers import (
@@ -35,6 +36,7 @@ __all__ = [
     "Event",
     "Frame",
     "Identity",
+    "Levels",
     "LightController",
     "LightSettings",
     "LightsStillOnError",

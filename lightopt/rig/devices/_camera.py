@@ -6,13 +6,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-from lightopt.core.arrays import UInt8
 from lightopt.core.errors import HardwareError, LightoptError
 from lightopt.rig.devices._camera_features import ExposureTime, set_gain, set_image, set_trigger, switch_off_corrections
-from lightopt.rig.devices._camera_pixels import levels_of
+from lightopt.rig.devices._camera_pixels import Levels, levels_of
 from lightopt.rig.devices._camera_sdk import CameraSdk, CameraSettings, RawFrame
 from lightopt.rig.devices._device import ATTEMPTS, Event, Identity, ReplyError, Retry, now
 
@@ -30,7 +26,7 @@ class Frame:
     details: Further properties (gain, temperature, packets lost).
     """
 
-    levels: UInt8 | NDArray[np.uint16]
+    levels: Levels
     exposure_us: float
     number: int | None
     timestamp_ns: int | None = None
@@ -189,12 +185,14 @@ class MachineCamera:
 
     def close(self) -> None:
         with suppress(LightoptError):  # it is given up in any case
-            self._stop()
+            self.drain()
         self._sdk.close()
 
     def drain(self) -> None:
         """End the acquisition, so that frames under way are not taken for those requested later."""
-        self._stop()
+        if self._running:
+            self._running = False
+            self._sdk.stop()
 
     def note(self, what: str, *, retry: bool = False) -> None:
         event = Event(now(), f"camera {self._settings.port or self._driver}", what, retry)
@@ -251,8 +249,3 @@ class MachineCamera:
                 f"{self._settings.where}: the camera was set to {self._format.name} ({self._format.code:#x}), and "
                 f"{raw.name} is in another pixel format ({raw.code:#x})"
             )
-
-    def _stop(self) -> None:
-        if self._running:
-            self._running = False
-            self._sdk.stop()

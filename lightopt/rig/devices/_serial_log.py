@@ -44,7 +44,11 @@ class SerialLog:
                 self._file.write(f"{time or now()} {port} {direction:4} {text}\n")
                 self._file.flush()
             except (OSError, ValueError) as error:
-                problem = self._end(error)
+                reason = getattr(error, "strerror", None) or error
+                problem = f"{self._path}: the serial log ends here, it can no longer be written: {reason}"
+                self.events.append(Event(now(), str(self._path), problem))
+                with suppress(OSError, ValueError):
+                    self._file.close()  # tries once more to write what is left
             else:
                 return
         self._report(problem)
@@ -64,16 +68,6 @@ class SerialLog:
         if self._warn is not None:
             with suppress(OSError, ValueError):  # a terminal that is gone keeps no light on
                 self._warn(what)
-
-    def _end(self, error: OSError | ValueError) -> str:
-        """Give the file up; the message about it."""
-        reason = getattr(error, "strerror", None) or error
-        problem = f"{self._path}: the serial log ends here, it can no longer be written: {reason}"
-        self.events.append(Event(now(), str(self._path), problem))
-        with suppress(OSError, ValueError):
-            if self._file is not None:
-                self._file.close()  # tries once more to write what is left
-        return problem
 
 
 class LogEntry:
