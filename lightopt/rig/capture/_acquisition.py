@@ -60,10 +60,9 @@ class Timing:
             setattr(self, name, getattr(self, name) + time.monotonic() - begun)
 
 
-def utc(seconds: float | None = None) -> str:
-    """A moment [s since 1970] in ISO 8601 with milliseconds, UTC; now by default."""
-    moment = datetime.now(timezone.utc) if seconds is None else datetime.fromtimestamp(seconds, timezone.utc)
-    return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+def utc() -> str:
+    """Now, UTC, ISO 8601 with milliseconds."""
+    return datetime.now(timezone.utc).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,9 +132,12 @@ class AcquisitionEngine:
         self._changed = True
 
     def confirm_stage(self) -> None:
+        """Check that the stage stands where it was left; moves nothing."""
+        if self.devices.stage is None:
+            return
         self.devices.step = "checking that the stage still stands where it was left"
         with self._timing.spent("moving_s"):
-            self.devices.confirm_stage()
+            self.devices.stage.confirm()
 
     def light_on(self, name: str) -> None:
         """Light a panel, once the stage needs no longer to settle than the light; it settles while it is read back."""
@@ -208,19 +210,16 @@ class AcquisitionEngine:
             for _ in range(self._plan.wiring.hardware.timing.discard_frames):
                 self._grab()  # it may have begun before the change
         self._changed = False
-        begun = time.time()
+        begun = utc()
         mean = FrameMean(self._sensor)
-        counted: list[Future[None]] = []
-        first = last = None
-        for _ in range(self._plan.options.average):
+        first = last = self._grab()
+        counted = [self._worker.submit(mean.add, first.levels)]  # while the next is exposed
+        for _ in range(self._plan.options.average - 1):
             last = self._grab()
-            first = first or last
-            counted.append(self._worker.submit(mean.add, last.levels))  # while the next is exposed
-        assert first is not None
-        assert last is not None
+            counted.append(self._worker.submit(mean.add, last.levels))
         held = first.exposure_us
         facts: dict[str, Any] = {
-            "time": utc(begun),
+            "time": begun,
             "exposure_us": {"asked": self._plan.exposure_us(exposure), "read": held},
             "frames": len(counted),
             "frame_numbers": [first.number, last.number],

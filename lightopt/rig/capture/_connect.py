@@ -90,14 +90,20 @@ def connect_devices(
         elif lights.problems:
             raise lights.error()
         stage: Stage | None = None
-        try:
-            stage = _stage(rig, wiring, ports, log)
-            if stage is not None:
+        if (config := wiring.hardware.stage) is not None:
+            try:
+                stage = open_stage(
+                    config.driver,
+                    port=ports[STAGE] if config.port == VIRTUAL else config.port,
+                    axes=stage_axes(rig, config),
+                    log=log,
+                    **config.model_dump(include={"baud", "timeout_s", "home_timeout_s"}),
+                )
                 stack.callback(stage.close)
-        except LightoptError as error:
-            if unreachable is None:
-                raise (lights.error(error) if touch_lights else error) from error
-            unreachable[STAGE] = error
+            except LightoptError as error:
+                if unreachable is None:
+                    raise (lights.error(error) if touch_lights else error) from error
+                unreachable[STAGE] = error
         opened_camera: Camera | None = None
         if camera:
             try:
@@ -181,19 +187,6 @@ def _folder_camera(rig: RigConfig, wiring: Wiring, plan: CapturePlan | None) -> 
         if problems := [problem for key in keys if (problem := camera.missing(*key)) is not None]:
             raise InputError(*problems)
     return camera
-
-
-def _stage(rig: RigConfig, wiring: Wiring, ports: Mapping[str, str], log: SerialLog) -> Stage | None:
-    config = wiring.hardware.stage
-    if config is None:
-        return None
-    return open_stage(
-        config.driver,
-        port=ports[STAGE] if config.port == VIRTUAL else config.port,
-        axes=stage_axes(rig, config),
-        log=log,
-        **config.model_dump(include={"baud", "timeout_s", "home_timeout_s"}),
-    )
 
 
 def _open_rig_camera(

@@ -227,11 +227,6 @@ class Devices:
         with self._moving():
             return self.stage.move_to(posture)
 
-    def confirm_stage(self) -> None:
-        """Check that the stage stands where it was left; moves nothing."""
-        if self.stage is not None:
-            self.stage.confirm()
-
     @contextmanager
     def _moving(self) -> Generator[None]:
         """Record that the stage may move; a driver that fails has stopped it."""

@@ -287,10 +287,9 @@ class CaptureSession:
     def _expose(
         self, posture: Posture, exposure: float, *, light: str | None = None, rest: Sequence[float] = ()
     ) -> AcquiredImage:
-        """Take an image once everything has settled and the previous image is on disk.
+        """Take an image once all has settled and the previous one is on disk; a light goes dark if that takes long.
 
-        A light that is on waits for the disk no longer than lighting it again would take, nor longer than it may be on:
-        then it goes dark until the image is written. `rest` are the exposures for which it is still needed.
+        `rest` are the exposures for which the light is still needed.
         """
         engine = self._engine
         self._report_progress(f"{light or 'dark'} {posture} exposure {exposure:g}")

@@ -68,20 +68,17 @@ class FrameOrder:
 
     def __init__(self) -> None:
         self.lost = 0
-        self._last: RawFrame | None = None
+        self.last: RawFrame | None = None
 
     def begin(self) -> None:
         """Begin a new acquisition: cameras may count from the beginning again."""
-        self._last = None
-
-    def skip(self, frame: RawFrame) -> None:
-        self._last = frame
+        self.last = None
 
     def check(self, frame: RawFrame) -> None:
         """Raise a ReplyError for a frame that is incomplete, came before, or is older than the one before."""
         if frame.problem is not None:
             raise ReplyError(f"{frame.name} is incomplete: {frame.problem}")
-        last = self._last
+        last = self.last
         if last is not None:
             step = _step(last.number, frame.number)
             if step == 0:
@@ -94,7 +91,7 @@ class FrameOrder:
                     f"ms before {last.name}"
                 )
             self.lost += step - 1
-        self._last = frame
+        self.last = frame
 
 
 def _step(last: int | None, number: int | None) -> int:
@@ -228,7 +225,7 @@ class MachineCamera:
     def _discard_pending_frames(self, end: float) -> None:
         """Discard frames that came before the request; only a freely running camera should deliver any."""
         while (raw := self._sdk.pop(0.0)) is not None:
-            self._order.skip(raw)
+            self._order.last = raw
             if self.triggered:
                 self.note(f"{raw.name} came without a trigger and was discarded")
             if time.monotonic() > end:

@@ -221,15 +221,12 @@ class SerialLink:
             until = time.monotonic() + _DRAIN_S
             heard = time.monotonic()
             entry = LogEntry(self._log, self.port)
-            stale = 0
             while not (preempted := self.lock.preempted) and time.monotonic() < min(until, heard + quiet_s):
                 data = self._guarded(lambda: self._serial.read(1), b"")
                 if data:
                     heard = time.monotonic()
-                    stale += 1
                     entry.add(data)
-            entry.write()
-            self._note_stale(stale)
+            self._note_discarded(entry)
             if preempted:
                 self._owed = True
                 raise self._preempted(b"")
@@ -238,16 +235,13 @@ class SerialLink:
         """Discard pending input, without waiting; it is logged and reported as an event."""
         with self.lock:
             entry = LogEntry(self._log, self.port)
-            stale = 0
             # in_waiting only shows whether there is anything: over TCP it is never more than 1
-            while stale < _STALE_BYTES and self._guarded(lambda: self._serial.in_waiting, b""):
+            while len(entry.data) < _STALE_BYTES and self._guarded(lambda: self._serial.in_waiting, b""):
                 data = self._guarded(lambda: self._serial.read(1), b"")
                 if not data:
                     break
-                stale += 1
                 entry.add(data)
-            entry.write()
-            self._note_stale(stale)
+            self._note_discarded(entry)
 
     def note(self, what: str, *, retry: bool = False) -> None:
         """Report an irregularity: in `events`, and to the log."""
@@ -318,7 +312,9 @@ class SerialLink:
             "no longer waited for, because a light had to be switched off", sent=sent, kind=PreemptedError
         )
 
-    def _note_stale(self, count: int) -> None:
+    def _note_discarded(self, entry: LogEntry) -> None:
+        count = len(entry.data)
+        entry.write()
         if count:
             self.note(f"discarded {count} unexpected bytes")
 

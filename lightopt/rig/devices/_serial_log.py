@@ -77,14 +77,14 @@ class LogEntry:
         self._log = log
         self._port = port
         self._time = ""
-        self._data = bytearray()
+        self.data = bytearray()
 
     def add(self, data: bytes) -> None:
         self._time = self._time or now()
-        self._data += data
+        self.data += data
 
     def write(self) -> None:
-        if self._data:
-            self._log.write(self._port, "in", bytes(self._data), self._time)
+        if self.data:
+            self._log.write(self._port, "in", bytes(self.data), self._time)
             self._time = ""
-            self._data.clear()
+            self.data.clear()
