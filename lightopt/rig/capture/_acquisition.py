@@ -147,7 +147,7 @@ class AcquisitionEngine:
         channel = self._plan.wiring.light(name)
         begun = time.monotonic()
         held = self.devices.light_on(name)
-        sent = self.devices.level_sent_s(name)
+        sent = self.devices.controllers[channel.controller].level_set_s
         read_s = time.monotonic() - sent
         self._timing.settling_s += min(read_s, light_s)
         self._timing.lights_s += sent - begun + max(0.0, read_s - light_s)

@@ -15,7 +15,6 @@ from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.images import (
     DARK_CHECKED_KEY,
-    EVENTS_KEY,
     MANIFEST_NAME,
     ImageEntry,
     ImageSetWriter,
@@ -174,12 +173,6 @@ class CapturedSet:
     def _png(self, light: str, posture: Posture, exposure: float) -> Path:
         entry = next(e for e in self.writer.manifest.images if e.key == (light, posture, exposure))
         return self.writer.folder / (entry.png or "")
-
-    def record_events(self, events: Sequence[Mapping[str, Any]]) -> None:
-        """Record irregularities on the links that belong to no image in the manifest."""
-        if events:
-            before = self.writer.manifest.extra.get(EVENTS_KEY, ())
-            self.writer.add_extra(EVENTS_KEY, [*before, *events])
 
     def add_linear(
         self, light: str, posture: Posture, captured: Mapping[float, ExposureImage], dark: Mapping[float, Float32]

@@ -152,7 +152,12 @@ def check_devices(
             check_camera_driver(driver, _producer(rig, wiring))
     if camera and driver == "folder":
         with _collected(problems):
-            replay = _folder_camera(rig, wiring, plan)
+            folder = rig.source.resolve(wiring.hardware.camera.folder or "")
+            replay = FolderCamera(folder, resolution_px=rig.camera.resolution_px, exposure_us=wiring.exposure_us)
+            if plan is not None:
+                darks = [(None, posture, exposure) for posture in plan.postures for exposure in plan.dark_exposures]
+                missing = (replay.missing(*key) for key in (*plan.keys, *darks))
+                problems += [problem for problem in missing if problem is not None]
     stage = wiring.hardware.stage
     named = [(("controllers", name), device.port) for name, device in wiring.hardware.controllers.items()]
     for place, port in (*named, *([] if stage is None else [(("stage",), stage.port)])):
@@ -173,20 +178,6 @@ def _collected(problems: list[str], *, where: str = "") -> Generator[None]:
         yield
     except InputError as error:
         problems += [f"{where}: {message}" if where else message for message in error.messages]
-
-
-def _folder_camera(rig: RigConfig, wiring: Wiring, plan: CapturePlan | None) -> FolderCamera:
-    camera = FolderCamera(
-        rig.source.resolve(wiring.hardware.camera.folder or ""),
-        resolution_px=rig.camera.resolution_px,
-        exposure_us=wiring.exposure_us,
-    )
-    if plan is not None:
-        keys = [*plan.keys]
-        keys += [(None, posture, exposure) for posture in plan.postures for exposure in plan.dark_exposures]
-        if problems := [problem for key in keys if (problem := camera.missing(*key)) is not None]:
-            raise InputError(*problems)
-    return camera
 
 
 def _open_rig_camera(

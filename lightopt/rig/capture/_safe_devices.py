@@ -139,10 +139,6 @@ class Devices:
             self.check_watchdog(name)
         return held
 
-    def level_sent_s(self, name: str) -> float:
-        """When the controller of a panel got its last level, before it was read back [s, monotonic clock]."""
-        return self.controllers[self.wiring.light(name).controller].level_set_s
-
     def light_off(self, name: str) -> None:
         """Darken a panel.
 

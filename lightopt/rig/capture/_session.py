@@ -11,7 +11,7 @@ from lightopt.core.arrays import Float32
 from lightopt.core.errors import HardwareError, InputError, Interrupted, LightoptError, counted
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
-from lightopt.images import REPEATABILITY_KEY
+from lightopt.images import EVENTS_KEY, REPEATABILITY_KEY
 from lightopt.rig.capture._acquisition import AcquiredImage, AcquisitionEngine, Timing
 from lightopt.rig.capture._background_writer import BackgroundWriter
 from lightopt.rig.capture._captured_set import CapturedSet
@@ -172,7 +172,9 @@ class CaptureSession:
     def _record_events(self) -> None:
         """Write irregularities on the links that are not in the entry of an image to the manifest."""
         source = self._started.events_since if self._started else self._devices and self._devices.events
-        self._records.record_events([asdict(event) for event in (source() if source else ())])
+        if events := [asdict(event) for event in (source() if source else ())]:
+            writer = self._records.writer
+            writer.add_extra(EVENTS_KEY, [*writer.manifest.extra.get(EVENTS_KEY, ()), *events])
 
     def _finish(self, *, failed: bool, lights: str) -> bool:
         """Finish writing, whatever happens; returns whether a signal came meanwhile.

@@ -1,8 +1,4 @@
-"""Light controllers whatever their protocol: settings, the base class of the drivers, and all lights off.
-
-A driver (``_light_*.py``) derives from :class:`LightController` and only adds its protocol: how a level is set, and how
-the level that the device holds is read.
-"""
+"""Light controllers whatever their protocol: settings, the base class of the drivers, and all lights off."""
 
 from __future__ import annotations
 
@@ -258,19 +254,14 @@ def run_in_parallel(work: Mapping[str, Callable[[], T]]) -> dict[str, T]:
         if work:
             do(next(iter(work)))
     finally:
-        _join_all(threads)
+        try:
+            for thread in threads:
+                thread.join()
+        except BaseException:  # what interrupts the waiting is raised once all have ended
+            for thread in threads:
+                thread.join()
+            raise
     for name in work:
         if name in errors:
             raise errors[name]
     return {name: results[name] for name in work}
-
-
-def _join_all(threads: list[threading.Thread]) -> None:
-    """Wait for all of them; what interrupts that is raised afterwards."""
-    try:
-        for thread in threads:
-            thread.join()
-    except BaseException:
-        for thread in threads:
-            thread.join()
-        raise

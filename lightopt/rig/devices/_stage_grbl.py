@@ -169,9 +169,9 @@ class GrblDialogue(Dialogue):
                 raise InputError(
                     f"stage axis {axis.name}: {axis.device}{targets[axis.device]:.3f} lies outside Grbl's travel "
                     f"-{travel:g} … 0 (${130 + index}, soft limits on), and the rig's range "
-                    f"{describe_range(axis.range_deg)} is X{axis.units_of(axis.range_deg[0]):g} … "
-                    f"{axis.units_of(axis.range_deg[1]):g}".replace(" X", f" {axis.device}")
-                    + "; set zero in the rig's hardware.stage, or the travel in Grbl; nothing was moved"
+                    f"{describe_range(axis.range_deg)} is {axis.device}{axis.units_of(axis.range_deg[0]):g} … "
+                    f"{axis.units_of(axis.range_deg[1]):g}; set zero in the rig's hardware.stage, or the travel in "
+                    "Grbl; nothing was moved"
                 )
             fastest = self._setting(110 + index) / 60
             if axis.speed_units() > fastest * (1 + 1e-6):
