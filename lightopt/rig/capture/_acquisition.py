@@ -247,8 +247,7 @@ class AcquisitionEngine:
 
     def events_since(self) -> tuple[Event, ...]:
         """Irregularities on the links since the previous image."""
-        events = tuple(self.devices.events())
-        new = tuple(event for event in events if id(event) not in self._reported_events)
+        new = tuple(event for event in self.devices.events() if id(event) not in self._reported_events)
         self._reported_events.update((id(event), event) for event in new)
         return new
 

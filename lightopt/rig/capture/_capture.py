@@ -19,7 +19,6 @@ from lightopt.rig.capture._connect import connect_devices
 from lightopt.rig.capture._plan import CaptureOptions, CapturePlan, make_plan
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._session import CaptureSession
-from lightopt.rig.devices import Camera
 from lightopt.scene import build_scene
 
 Connect = Callable[[CapturePlan], Devices]  # opens the devices of a plan
@@ -90,7 +89,13 @@ def capture(
             else:
                 opened = connect_devices(rig, plan.wiring, part=part, plan=plan, serial_log=serial_log, run=run)
             devices = safe.enter_context(opened)
-            _check_camera(devices.camera, rig)
+            camera, (width, height), bits = devices.camera, rig.camera.resolution_px, rig.camera.sensor.bit_depth
+            if camera.resolution_px != (width, height) or camera.bit_depth != bits:  # nothing is lit or moved yet
+                raise InputError(
+                    f"{rig.source.at('camera')}: the rig has {width} × {height} pixels of {bits} bits, the camera "
+                    f"delivers {camera.resolution_px[0]} × {camera.resolution_px[1]} of {camera.bit_depth}; set the "
+                    "camera or the rig"
+                )
             return devices
 
         with timing.spent("opening_s"):
@@ -117,17 +122,6 @@ def capture(
         timing=timing,
         warnings=session.warnings,
     )
-
-
-def _check_camera(camera: Camera, rig: RigConfig) -> None:
-    """Refuse a camera of another resolution or bit depth than the rig's, before anything is lit or moved."""
-    (width, height), bits = rig.camera.resolution_px, rig.camera.sensor.bit_depth
-    if camera.resolution_px != (width, height) or camera.bit_depth != bits:
-        raise InputError(
-            f"{rig.source.at('camera')}: the rig has {width} × {height} pixels of {bits} bits, the camera "
-            f"delivers {camera.resolution_px[0]} × {camera.resolution_px[1]} of {camera.bit_depth}; set the "
-            "camera or the rig"
-        )
 
 
 @contextmanager

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import asdict
 from types import TracebackType
 
@@ -209,22 +209,21 @@ class CaptureSession:
         for light, missing in todo.items():
             self._capture_light(posture, light, missing, dark)
         if incomplete:
-            self._confirm_stage(posture, incomplete)
+            elsewhere = f"it may have stood elsewhere for images of {posture}: those taken in this run"
+            with self._doubting(posture, incomplete, elsewhere):
+                self._engine.confirm_stage()
         if self._plan.options.check and incomplete:
             acquired = self._expose(posture, self._plan.exposures[0])
             self._writer.submit_image(self._check_final_dark, acquired, incomplete)
 
-    def _confirm_stage(self, posture: Posture, lights: Sequence[str]) -> None:
-        """Check that the stage stood still during the images of a posture; otherwise they are dropped."""
+    @contextlib.contextmanager
+    def _doubting(self, posture: Posture, lights: Sequence[str], images: str) -> Generator[None]:
+        """Drop images of a posture where a check after them fails; the message names them."""
         try:
-            self._engine.confirm_stage()
+            yield
         except HardwareError as error:
             self._in_doubt = (posture, lights)
-            raise HardwareError(
-                *error.messages,
-                f"it may have stood elsewhere for images of {posture}: those taken in this run were not kept; "
-                "option 'resume' takes them again",
-            ) from error
+            raise HardwareError(*error.messages, f"{images} were not kept; option 'resume' takes them again") from error
 
     def _set_dark_references(self) -> None:
         """Compare frames without light with those of a previous run."""
@@ -275,15 +274,9 @@ class CaptureSession:
 
     def _check_final_dark(self, acquired: AcquiredImage, lights: Sequence[str]) -> None:
         """Check that no light stayed on; otherwise the images of the posture are dropped."""
-        try:
+        on = f"it may have been on during images of {acquired.posture} as well"
+        with self._doubting(acquired.posture, lights, f"{on}: those taken since the frame without light before"):
             self._checker.check_dark(acquired, self.warn)
-        except HardwareError as error:
-            self._in_doubt = (acquired.posture, lights)
-            raise HardwareError(
-                *error.messages,
-                f"it may have been on during images of {acquired.posture} as well: those taken since the frame without "
-                "light before were not kept; option 'resume' takes them again",
-            ) from error
         self._records.record_dark_check(acquired.posture)
 
     def _expose(

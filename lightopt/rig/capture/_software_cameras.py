@@ -59,11 +59,9 @@ class FolderCamera:
 
     def set_exposure(self, exposure_us: float) -> float:
         """Hold what the set's camera held of it, or any other; whether the set has it is known at the frame."""
-        self._held_us = exposure_us
-        for entry in self._entries.values():
-            if math.isclose(entry.exposure * self._exposure_us, exposure_us):
-                self._held_us = entry.held_exposure * self._exposure_us
-                break
+        same = (e for e in self._entries.values() if math.isclose(e.exposure * self._exposure_us, exposure_us))
+        entry = next(same, None)
+        self._held_us = exposure_us if entry is None else entry.held_exposure * self._exposure_us
         return self._held_us
 
     def grab(self, *, timeout_s: float) -> Frame:
