@@ -9,7 +9,7 @@ from hypothesis import assume, given, strategies as st
 
 from lightopt.core.errors import InputError
 from lightopt.rig.devices import Axis
-from lightopt.rig.devices._stage_grbl import parse_report, parse_setting
+from lightopt.rig.devices._stage_grbl import parse_report
 from lightopt.rig.devices._stage_sigmakoki import axis_command, parse_status, signed
 from lightopt.rig.devices._stage_zaber import checksum, frame, parse_reply
 
@@ -141,8 +141,8 @@ def test_grbl_reports(place: tuple[float, float, float], state: str) -> None:
     text = ",".join(f"{value:.3f}" for value in place)
     report = parse_report(f"<{state}|MPos:{text}|FS:0,0|Pn:XYZ|Ov:100,100,100>\r\n".encode())
     assert report is not None
-    assert report.state == state
-    assert report.position == pytest.approx(place, abs=6e-4)
+    assert report[0] == state
+    assert report[1] == pytest.approx(place, abs=6e-4)
 
 
 def test_grbl_reports_that_are_none() -> None:
@@ -152,5 +152,3 @@ def test_grbl_reports_that_are_none() -> None:
         parse_report(b"<Idle|WPos:0.000,0.000,0.000|FS:0,0>\r\n")
     with pytest.raises(ValueError, match="without a machine position"):
         parse_report(b"<Idle|MPos:0.000,x,0.000|FS:0,0>\r\n")
-    assert parse_setting(b"$130=200.000\r\n") == (130, 200.0)
-    assert parse_setting(b"ok\r\n") is None

@@ -15,7 +15,7 @@ from lightopt.rig.capture._exposures import ExposureImage, FrameMean
 from lightopt.rig.capture._plan import CapturePlan
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._software_cameras import FolderCamera
-from lightopt.rig.devices import Event, Frame, frame_limit_s
+from lightopt.rig.devices import Event, Frame
 
 # a camera whose exposure time differs from the requested one by more than this share is refused
 EXPOSURE_TOLERANCE = 0.005
@@ -60,10 +60,9 @@ class Timing:
             setattr(self, name, getattr(self, name) + time.monotonic() - begun)
 
 
-def utc(seconds: float | None = None) -> str:
-    """A moment [s since 1970] in ISO 8601 with milliseconds, UTC; now by default."""
-    moment = datetime.now(timezone.utc) if seconds is None else datetime.fromtimestamp(seconds, timezone.utc)
-    return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+def utc() -> str:
+    """Now, UTC, ISO 8601 with milliseconds."""
+    return datetime.now(timezone.utc).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,9 +132,12 @@ class AcquisitionEngine:
         self._changed = True
 
     def confirm_stage(self) -> None:
+        """Check that the stage stands where it was left; moves nothing."""
+        if self.devices.stage is None:
+            return
         self.devices.step = "checking that the stage still stands where it was left"
         with self._timing.spent("moving_s"):
-            self.devices.confirm_stage()
+            self.devices.stage.confirm()
 
     def light_on(self, name: str) -> None:
         """Light a panel, once the stage needs no longer to settle than the light; it settles while it is read back."""
@@ -145,7 +147,7 @@ class AcquisitionEngine:
         channel = self._plan.wiring.light(name)
         begun = time.monotonic()
         held = self.devices.light_on(name)
-        sent = self.devices.level_sent_s(name)
+        sent = self.devices.controllers[channel.controller].level_set_s
         read_s = time.monotonic() - sent
         self._timing.settling_s += min(read_s, light_s)
         self._timing.lights_s += sent - begun + max(0.0, read_s - light_s)
@@ -208,19 +210,16 @@ class AcquisitionEngine:
             for _ in range(self._plan.wiring.hardware.timing.discard_frames):
                 self._grab()  # it may have begun before the change
         self._changed = False
-        begun = time.time()
+        begun = utc()
         mean = FrameMean(self._sensor)
-        counted: list[Future[None]] = []
-        first = last = None
-        for _ in range(self._plan.options.average):
+        first = last = self._grab()
+        counted = [self._worker.submit(mean.add, first.levels)]  # while the next is exposed
+        for _ in range(self._plan.options.average - 1):
             last = self._grab()
-            first = first or last
-            counted.append(self._worker.submit(mean.add, last.levels))  # while the next is exposed
-        assert first is not None
-        assert last is not None
+            counted.append(self._worker.submit(mean.add, last.levels))
         held = first.exposure_us
         facts: dict[str, Any] = {
-            "time": utc(begun),
+            "time": begun,
             "exposure_us": {"asked": self._plan.exposure_us(exposure), "read": held},
             "frames": len(counted),
             "frame_numbers": [first.number, last.number],
@@ -248,45 +247,37 @@ class AcquisitionEngine:
 
     def events_since(self) -> tuple[Event, ...]:
         """Irregularities on the links since the previous image."""
-        events = tuple(self.devices.events())
-        new = tuple(event for event in events if id(event) not in self._reported_events)
+        new = tuple(event for event in self.devices.events() if id(event) not in self._reported_events)
         self._reported_events.update((id(event), event) for event in new)
         return new
 
     def _grab(self) -> Frame:
-        timing = self._plan.wiring.hardware.timing
         assert self._held_us is not None
         exposure_s = self._held_us / 1e6
-        limit_s = frame_limit_s(self._held_us, timing.frame_timeout_s)
-        if self._lit is not None and (left_s := self._remaining_on_s()) is not None:
-            if left_s <= exposure_s:
-                raise HardwareError(
-                    f"{self._lit[0]} may be on for {max(0.0, left_s):.3g} s more (max_on_s) and the exposure "
-                    "takes longer: frames came later than planned; take fewer or shorter exposures"
-                )
-            limit_s = min(limit_s, left_s)
+        light = self._lit[0] if self._lit else None
+        left_s = self._remaining_on_s()
+        if left_s is not None and left_s <= exposure_s:
+            raise HardwareError(
+                f"{light} may be on for {max(0.0, left_s):.3g} s more (max_on_s) and the exposure "
+                "takes longer: frames came later than planned; take fewer or shorter exposures"
+            )
         begun = time.monotonic()
-        frame = self.devices.camera.grab(timeout_s=limit_s)
+        frame = self.devices.grab(self._held_us, light)
         taken_s = time.monotonic() - begun
         self._timing.exposing_s += min(exposure_s, taken_s)
         self._timing.transfer_s += max(0.0, taken_s - exposure_s)
-        if self._lit is not None:
-            self.devices.check_watchdog(self._lit[0])
-        self._check_frame(frame)
-        return frame
-
-    def _check_frame(self, frame: Frame) -> None:
         width, height = self.devices.camera.resolution_px
         if frame.levels.shape != (height, width) or int(frame.levels.max()) > self._sensor.max_level:
             raise HardwareError(
                 f"the camera delivered a frame of {frame.levels.shape[1]} × {frame.levels.shape[0]} pixels with levels "
                 f"up to {frame.levels.max()}; expected {width} × {height} and at most {self._sensor.max_level}"
             )
-        if self._held_us is not None and abs(frame.exposure_us - self._held_us) > 1e-3 * self._held_us:
+        if abs(frame.exposure_us - self._held_us) > 1e-3 * self._held_us:
             name = "a frame" if frame.number is None else f"frame {frame.number}"
             raise HardwareError(
                 f"the camera took {name} at {frame.exposure_us:g} µs, although it held {self._held_us:g} µs"
             )
+        return frame
 
     def _remaining_on_s(self) -> float | None:
         """How long the light may stay lit [s]; None where nothing limits it."""

@@ -19,7 +19,6 @@ from lightopt.rig.capture._connect import connect_devices
 from lightopt.rig.capture._plan import CaptureOptions, CapturePlan, make_plan
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._session import CaptureSession
-from lightopt.rig.devices import Camera
 from lightopt.scene import build_scene
 
 Connect = Callable[[CapturePlan], Devices]  # opens the devices of a plan
@@ -90,7 +89,13 @@ def capture(
             else:
                 opened = connect_devices(rig, plan.wiring, part=part, plan=plan, serial_log=serial_log, run=run)
             devices = safe.enter_context(opened)
-            _check_camera(devices.camera, rig)
+            camera, (width, height), bits = devices.camera, rig.camera.resolution_px, rig.camera.sensor.bit_depth
+            if camera.resolution_px != (width, height) or camera.bit_depth != bits:  # nothing is lit or moved yet
+                raise InputError(
+                    f"{rig.source.at('camera')}: the rig has {width} × {height} pixels of {bits} bits, the camera "
+                    f"delivers {camera.resolution_px[0]} × {camera.resolution_px[1]} of {camera.bit_depth}; set the "
+                    "camera or the rig"
+                )
             return devices
 
         with timing.spent("opening_s"):
@@ -119,17 +124,6 @@ def capture(
     )
 
 
-def _check_camera(camera: Camera, rig: RigConfig) -> None:
-    """Refuse a camera of another resolution or bit depth than the rig's, before anything is lit or moved."""
-    (width, height), bits = rig.camera.resolution_px, rig.camera.sensor.bit_depth
-    if camera.resolution_px != (width, height) or camera.bit_depth != bits:
-        raise InputError(
-            f"{rig.source.at('camera')}: the rig has {width} × {height} pixels of {bits} bits, the camera "
-            f"delivers {camera.resolution_px[0]} × {camera.resolution_px[1]} of {camera.bit_depth}; set the "
-            "camera or the rig"
-        )
-
-
 @contextmanager
 def lock_folder(folder: Path) -> Generator[None]:
     """Keep other captures out of a folder, which is created if it does not exist.
@@ -138,13 +132,14 @@ def lock_folder(folder: Path) -> Generator[None]:
     InputError when another process captures into the folder, or it cannot be written.
     """
     path = folder / LOCK_NAME
-    file = _open_locked(path)
+    while True:
+        file = _open_locked(path)
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                break
+        file.close()  # its previous owner has just removed it
     try:
-        while not _has_path(file, path):  # its previous owner has just removed it
-            file.close()
-            file = _open_locked(path)
-        file.seek(0)
-        file.truncate()
+        file.truncate(0)
         file.write(f"{os.getpid()}\n")
         file.flush()
         yield
@@ -165,7 +160,15 @@ def _open_locked(path: Path) -> IO[str]:
             f"{path.parent}: cannot be written: {error.strerror or error}; choose another output folder"
         ) from error
     try:
-        _lock_file(file)
+        if sys.platform == "win32":
+            import msvcrt
+
+            file.seek(_FAR)
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         file.seek(0)
         owner = file.read(20).strip()
@@ -175,23 +178,3 @@ def _open_locked(path: Path) -> IO[str]:
             "it to end, or choose another output folder"
         ) from error
     return file
-
-
-def _lock_file(file: IO[str]) -> None:
-    if sys.platform == "win32":
-        import msvcrt
-
-        file.seek(_FAR)
-        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-    else:
-        import fcntl
-
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def _has_path(file: IO[str], path: Path) -> bool:
-    """Whether the locked file is the one that has the name."""
-    try:
-        return os.path.samestat(os.fstat(file.fileno()), path.stat())
-    except FileNotFoundError:
-        return False

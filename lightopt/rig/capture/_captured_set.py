@@ -15,9 +15,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.images import (
     DARK_CHECKED_KEY,
-    EVENTS_KEY,
     MANIFEST_NAME,
-    REPEATABILITY_KEY,
     ImageEntry,
     ImageSetWriter,
     dark_name,
@@ -31,7 +29,7 @@ from lightopt.images import (
 from lightopt.rendering import set_manifest
 from lightopt.rig.capture._acquisition import AcquiredImage
 from lightopt.rig.capture._exposures import ExposureImage, FrameMean, merge_exposures
-from lightopt.rig.capture._plan import CapturePlan, PostureTask
+from lightopt.rig.capture._plan import CapturePlan
 from lightopt.scene import Scene, build_scene
 
 
@@ -110,13 +108,13 @@ class CapturedSet:
         lacks_means = self._plan.options.average > 1 and not self.writer.linear_done(light, posture)
         return exposures if lacks_means else ()
 
-    def todo(self, task: PostureTask) -> dict[str, tuple[float, ...]]:
+    def todo(self, posture: Posture) -> dict[str, tuple[float, ...]]:
         """Incomplete lights of a posture, each with its exposures to take: none if only the linear image is missing."""
-        missing = {light: self.missing(light, task.posture) for light in task.lights}
+        missing = {light: self.missing(light, posture) for light in self._plan.lights}
         return {
             light: exposures
             for light, exposures in missing.items()
-            if exposures or not self.writer.linear_done(light, task.posture)
+            if exposures or not self.writer.linear_done(light, posture)
         }
 
     def dark_checked(self, posture: Posture) -> bool:
@@ -144,10 +142,6 @@ class CapturedSet:
 
     def has_dark(self, posture: Posture, exposure: float) -> bool:
         return self.writer.file_done(dark_name(posture, exposure))
-
-    def dark_missing(self, posture: Posture, exposure: float) -> bool:
-        """Whether a dark frame must be taken: it is not there, or only its rounded mean is."""
-        return not self.has_dark(posture, exposure) or self._plan.options.average > 1
 
     def read_dark(self, posture: Posture, exposure: float) -> Float32:
         """A dark frame that is on disk [sensor level]."""
@@ -179,15 +173,6 @@ class CapturedSet:
     def _png(self, light: str, posture: Posture, exposure: float) -> Path:
         entry = next(e for e in self.writer.manifest.images if e.key == (light, posture, exposure))
         return self.writer.folder / (entry.png or "")
-
-    def record_repeatability(self, facts: Mapping[str, Any]) -> None:
-        self.writer.add_extra(REPEATABILITY_KEY, dict(facts))
-
-    def record_events(self, events: Sequence[Mapping[str, Any]]) -> None:
-        """Record irregularities on the links that belong to no image in the manifest."""
-        if events:
-            before = self.writer.manifest.extra.get(EVENTS_KEY, ())
-            self.writer.add_extra(EVENTS_KEY, [*before, *events])
 
     def add_linear(
         self, light: str, posture: Posture, captured: Mapping[float, ExposureImage], dark: Mapping[float, Float32]

@@ -90,14 +90,20 @@ def connect_devices(
         elif lights.problems:
             raise lights.error()
         stage: Stage | None = None
-        try:
-            stage = _stage(rig, wiring, ports, log)
-            if stage is not None:
+        if (config := wiring.hardware.stage) is not None:
+            try:
+                stage = open_stage(
+                    config.driver,
+                    port=ports[STAGE] if config.port == VIRTUAL else config.port,
+                    axes=stage_axes(rig, config),
+                    log=log,
+                    **config.model_dump(include={"baud", "timeout_s", "home_timeout_s"}),
+                )
                 stack.callback(stage.close)
-        except LightoptError as error:
-            if unreachable is None:
-                raise (lights.error(error) if touch_lights else error) from error
-            unreachable[STAGE] = error
+            except LightoptError as error:
+                if unreachable is None:
+                    raise (lights.error(error) if touch_lights else error) from error
+                unreachable[STAGE] = error
         opened_camera: Camera | None = None
         if camera:
             try:
@@ -146,9 +152,18 @@ def check_devices(
             check_camera_driver(driver, _producer(rig, wiring))
     if camera and driver == "folder":
         with _collected(problems):
-            replay = _folder_camera(rig, wiring, plan)
-    problems += _port_problems(rig, wiring)
-    if (stage := wiring.hardware.stage) is not None:
+            folder = rig.source.resolve(wiring.hardware.camera.folder or "")
+            replay = FolderCamera(folder, resolution_px=rig.camera.resolution_px, exposure_us=wiring.exposure_us)
+            if plan is not None:
+                darks = [(None, posture, exposure) for posture in plan.postures for exposure in plan.dark_exposures]
+                missing = (replay.missing(*key) for key in (*plan.keys, *darks))
+                problems += [problem for problem in missing if problem is not None]
+    stage = wiring.hardware.stage
+    named = [(("controllers", name), device.port) for name, device in wiring.hardware.controllers.items()]
+    for place, port in (*named, *([] if stage is None else [(("stage",), stage.port)])):
+        if port != VIRTUAL and (problem := port_problem(port)) is not None:  # a URL is only tried when it is opened
+            problems.append(f"{rig.source.at('hardware', *place, 'port')}: {problem}")
+    if stage is not None:
         with _collected(problems, where=rig.source.at("hardware", "stage")):
             check_stage(stage.driver, stage_axes(rig, stage))
     if problems:
@@ -163,49 +178,6 @@ def _collected(problems: list[str], *, where: str = "") -> Generator[None]:
         yield
     except InputError as error:
         problems += [f"{where}: {message}" if where else message for message in error.messages]
-
-
-def _folder_camera(rig: RigConfig, wiring: Wiring, plan: CapturePlan | None) -> FolderCamera:
-    camera = FolderCamera(
-        rig.source.resolve(wiring.hardware.camera.folder or ""),
-        resolution_px=rig.camera.resolution_px,
-        exposure_us=wiring.exposure_us,
-    )
-    if plan is not None:
-        keys = [*plan.keys]
-        keys += [(None, task.posture, e) for task in plan.tasks for e in task.dark_exposures]
-        if problems := [problem for key in keys if (problem := camera.missing(*key)) is not None]:
-            raise InputError(*problems)
-    return camera
-
-
-def _port_problems(rig: RigConfig, wiring: Wiring) -> list[str]:
-    """Serial ports that are missing; a URL is only tried when it is opened."""
-    hardware = wiring.hardware
-    named = [
-        (rig.source.at("hardware", "controllers", name, "port"), config.port)
-        for name, config in hardware.controllers.items()
-    ]
-    if hardware.stage is not None:
-        named.append((rig.source.at("hardware", "stage", "port"), hardware.stage.port))
-    return [
-        f"{where}: {problem}"
-        for where, port in named
-        if port != VIRTUAL and (problem := port_problem(port)) is not None
-    ]
-
-
-def _stage(rig: RigConfig, wiring: Wiring, ports: Mapping[str, str], log: SerialLog) -> Stage | None:
-    config = wiring.hardware.stage
-    if config is None:
-        return None
-    return open_stage(
-        config.driver,
-        port=ports[STAGE] if config.port == VIRTUAL else config.port,
-        axes=stage_axes(rig, config),
-        log=log,
-        **config.model_dump(include={"baud", "timeout_s", "home_timeout_s"}),
-    )
 
 
 def _open_rig_camera(

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Bool, Float32, Float64, UInt8
+from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.optics import Sensor
-
-Levels = UInt8 | NDArray[np.uint16]
+from lightopt.rig.devices import Levels
 
 LEAST_LEVEL = 1.5  # pixels count that should be at least so far above black in the shorter exposure [sensor level]
 LEAST_PIXELS = 30

@@ -126,8 +126,10 @@ def check_light(
     seen = cells(image, predictions)[part] - background
     room = sensor.saturated_from - sensor.black_level
     alone = {name: np.minimum(level[part] * exposure, room) for name, level in predictions.levels.items()}
-    expected = float(alone[light].mean())
-    noise = float(np.std(seen - _scaled(seen, alone[light]))) / np.sqrt(seen.size)
+    own_light = alone[light]
+    expected, power = float(own_light.mean()), _dot(own_light, own_light)
+    fitting = own_light * (_dot(seen, own_light) / power if power > 0.0 else 0.0)  # the multiple that fits best
+    noise = float(np.std(seen - fitting)) / np.sqrt(seen.size)
     if expected <= 5.0 * max(noise, 0.02):
         return LightCheck(undecided="too dark at this exposure to tell")
     brightness = float(seen.mean()) / expected
@@ -157,7 +159,7 @@ def check_light(
             f"{both[0]} is on together with {light}: the image looks like both (correlation {both[1]:.2f}, "
             f"with {light} alone {own:.2f})"
         )
-    elif own < RESEMBLES and _self_correlation(alone[light], sensor, predictions.cell) < PLAIN:
+    elif own < RESEMBLES and _self_correlation(own_light, sensor, predictions.cell) < PLAIN:
         undecided = "too little pattern at this exposure to tell"
     elif own < RESEMBLES:
         problem = (
@@ -218,12 +220,6 @@ def _self_correlation(expected: Float64, sensor: Sensor, cell: int) -> float:
     return pattern / float(np.sqrt(pattern**2 + noise))
 
 
-def _scaled(seen: Float64, expected: Float64) -> Float64:
-    """The multiple of the prediction that fits best."""
-    power = _dot(expected, expected)
-    return expected * (_dot(seen, expected) / power if power > 0.0 else 0.0)
-
-
 def _correlation(a: Float64, b: Float64) -> float:
     a, b = a - a.mean(), b - b.mean()
     scale = float(np.sqrt(_dot(a, a) * _dot(b, b)))
@@ -244,15 +240,14 @@ class ImageChecker:
     def __init__(self, scene: Scene, *, check: bool, with_dark: bool) -> None:
         self._with_dark = with_dark
         self._scene, self._sensor = scene, scene.sensor
-        self._check = check
-        self._caster = cast_rays_at(scene) if check else None
+        self._caster = cast_rays_at(scene) if check else None  # without it nothing is checked
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="predict")
         self._predicted: dict[Posture, Future[PredictedImages]] = {}
         self._reference: dict[float, Float32] = {}
 
     def has_dark_reference(self, exposure: float) -> bool:
         """Whether a frame without light has been seen at an exposure."""
-        return not self._check or exposure in self._reference
+        return self._caster is None or exposure in self._reference
 
     def predict(self, posture: Posture) -> None:
         """Predict the images of all lights in a posture, in a thread of its own.
@@ -272,7 +267,7 @@ class ImageChecker:
 
         HardwareError when it looks like the image of a light.
         """
-        if not self._check:
+        if self._caster is None:
             return
         image, first = acquired.image, self._reference.get(acquired.exposure)
         light = find_light_left_on(
@@ -307,7 +302,7 @@ class ImageChecker:
 
         HardwareError when it is lit by another light, by two, or by none, or not as at its other exposures.
         """
-        if not self._check:
+        if self._caster is None:
             return None
         light, image, own_dark = acquired.light, acquired.image, self._dark(dark, acquired.exposure)
         assert light is not None

@@ -1,6 +1,6 @@
 """Switch all lights off, and open light controllers so that what can be reached goes dark and the rest is named."""
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -136,8 +136,6 @@ def switch_off(lights: LightsOnly, *, serial_log: Path | None = None, run: RunCo
     run = run or RunContext()
     wiring = _wiring(lights)
     names = wiring.hardware.controllers
-    real = [name for name in names if names[name].port != VIRTUAL]
-    virtual = [name for name in names if names[name].port == VIRTUAL]
     signals = EndSignals()
     signals.install()
     problems: dict[str, LightoptError] = {}
@@ -149,8 +147,9 @@ def switch_off(lights: LightsOnly, *, serial_log: Path | None = None, run: RunCo
         log = SerialLog(serial_log, warn=run.warn)
         stack.callback(log.close)
         ports: dict[str, str] = {}
-        for group in (real, virtual):  # what is real does not wait for what is not
-            if group is virtual and virtual:
+        for virtual in (False, True):  # what is real does not wait for what is not
+            group = [name for name in names if (names[name].port == VIRTUAL) is virtual]
+            if virtual and group:
                 ports.update(stack.enter_context(start_lights(wiring)).ports)
             done = open_lights(
                 wiring, group, ports=ports, log=log, darken=True, opened=lambda c: stack.callback(c.close)
@@ -160,8 +159,19 @@ def switch_off(lights: LightsOnly, *, serial_log: Path | None = None, run: RunCo
             unverified += [name for name, controller in done.controllers.items() if _cannot_read_back(controller)]
     dark = SwitchedOff(tuple(name for name in names if name not in problems), tuple(unverified))
     if problems or lights.unreadable or lights.lights_unknown:
-        unknown = [name for name in lights.lights_unknown if name not in may_be_on]
-        raise _switch_off_error(lights, problems.values(), dark, [*may_be_on, *unknown])
+        messages = [message for problem in problems.values() for message in problem.messages]
+        if lights.unreadable:
+            messages.append(
+                f"not switched off, because the file is wrong there: controller {', '.join(lights.unreadable)}; mend "
+                "it and repeat, or switch it off by hand"
+            )
+        may_be_on += [name for name in lights.lights_unknown if name not in may_be_on]
+        kind = HardwareError if problems else InputError
+        raise kind(
+            *messages,
+            f"controllers that went dark: {', '.join(dark.controllers) or 'none'}",
+            f"lights that may still be on: {', '.join(may_be_on) or NONE_OF_THE_RIG}",
+        )
     if signals.pending is not None:
         raise KeyboardInterrupt(signals.pending)
     return dark
@@ -174,24 +184,6 @@ def _wiring(lights: LightsOnly) -> Wiring:
         return replace(wiring, hardware=wiring.hardware.model_copy(update={"stage": None}))
     assert lights.hardware is not None
     return Wiring(lights.hardware, given=True, exposure_us=VIRTUAL_EXPOSURE_US)
-
-
-def _switch_off_error(
-    lights: LightsOnly, problems: Collection[LightoptError], dark: SwitchedOff, may_be_on: Iterable[str]
-) -> LightoptError:
-    """Error with what failed, what is dark and what may be on."""
-    messages = [message for problem in problems for message in problem.messages]
-    if lights.unreadable:
-        messages.append(
-            f"not switched off, because the file is wrong there: controller {', '.join(lights.unreadable)}; mend "
-            "it and repeat, or switch it off by hand"
-        )
-    kind = HardwareError if problems else InputError
-    return kind(
-        *messages,
-        f"controllers that went dark: {', '.join(dark.controllers) or 'none'}",
-        f"lights that may still be on: {', '.join(may_be_on) or NONE_OF_THE_RIG}",
-    )
 
 
 def _cannot_read_back(controller: LightController) -> bool:

@@ -14,7 +14,6 @@ from lightopt.rig.capture._acquisition import utc
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._software_cameras import FolderCamera
 from lightopt.rig.capture._wiring import STAGE, Wiring
-from lightopt.rig.devices import Frame, frame_limit_s
 
 _DARKENING_S = 0.3  # a light is switched off so long before it reaches its `max_on_s`
 
@@ -38,8 +37,7 @@ def device_statuses(
     wiring = devices.wiring
     unreachable = unreachable or {}
     for name in wiring.hardware.controllers:
-        query = partial(_controller_state, devices, name)
-        yield _status(f"controller {name}", query, unreachable.get(name))
+        yield _status(f"controller {name}", partial(_controller_state, devices, name), unreachable.get(name))
     for light in rig.lights:
         channel = wiring.light(light.name)
         if channel.controller in unreachable:
@@ -100,23 +98,13 @@ def snap(
         camera.show(light, posture or Posture(0.0, 0.0), exposure)
     if not camera.triggered:
         for _ in range(timing.discard_frames):
-            _grab(devices, held, light)
-    frame = _grab(devices, held, light)
+            devices.grab(held, light)
+    frame = devices.grab(held, light)
     if light is not None:
         devices.light_off(light)
     facts = {"time": utc(), "exposure_us": frame.exposure_us, "light": light, "bit_depth": camera.bit_depth}
     write_png(path, frame.levels, metadata=facts, overwrite=overwrite)
     return int(frame.levels.min()), int(frame.levels.max()), float(frame.levels.mean())
-
-
-def _grab(devices: Devices, exposure_us: float, light: str | None) -> Frame:
-    """Wait for a frame no longer than the light may stay on."""
-    limit_s = frame_limit_s(exposure_us, devices.wiring.hardware.timing.frame_timeout_s)
-    left_s = None if light is None else devices.remaining_on_s(light)
-    frame = devices.camera.grab(timeout_s=limit_s if left_s is None else max(0.0, min(limit_s, left_s)))
-    if light is not None:
-        devices.check_watchdog(light)
-    return frame
 
 
 def _status(name: str, query: Callable[[], str], problem: LightoptError | None = None) -> DeviceStatus:

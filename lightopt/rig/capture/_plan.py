@@ -93,19 +93,11 @@ class PlanStep:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PostureTask:
-    """Images of one posture: the lights one after the other, and the exposures of the set's frames without light."""
-
-    posture: Posture
-    lights: tuple[str, ...]
-    dark_exposures: tuple[float, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
 class CapturePlan:
     """A capture as data.
 
-    tasks: Posture by posture, in the order of travel.
+    postures: In the order of travel.
+    lights: Lit one after the other in each posture.
     exposures: Relative, the longest first.
     home: Whether the stage seeks its origin first.
     pixels: Number of pixels of a frame.
@@ -113,7 +105,8 @@ class CapturePlan:
 
     wiring: Wiring
     options: CaptureOptions
-    tasks: tuple[PostureTask, ...]
+    postures: tuple[Posture, ...]
+    lights: tuple[str, ...]
     exposures: tuple[float, ...]
     home: bool
     pixels: int
@@ -126,16 +119,16 @@ class CapturePlan:
     def keys(self) -> tuple[tuple[str, Posture, float], ...]:
         """Light, posture and exposure of every image, in the order of capture."""
         return tuple(
-            (light, task.posture, exposure)
-            for task in self.tasks
-            for light in task.lights
+            (light, posture, exposure)
+            for posture in self.postures
+            for light in self.lights
             for exposure in self.exposures
         )
 
     @property
-    def postures(self) -> list[Posture]:
-        """In the order of travel."""
-        return [task.posture for task in self.tasks]
+    def dark_exposures(self) -> tuple[float, ...]:
+        """Exposures of the set's frames without light, the same in each posture."""
+        return self.exposures if self.options.dark else ()
 
     @property
     def needs_dark_reference(self) -> bool:
@@ -155,19 +148,18 @@ class CapturePlan:
         yield from self._start()
         here = _HOME
         references = self.exposures if self.needs_dark_reference else ()
-        for task in self.tasks:
-            yield from self._arrive(here, task.posture)
-            for exposure in (*task.dark_exposures, *references):
-                yield self._expose(task.posture, None, exposure)
-            for light in task.lights:
-                yield from self._light(task.posture, light, self.exposures)
+        for posture in self.postures:
+            yield from self._arrive(here, posture)
+            for exposure in (*self.dark_exposures, *references):
+                yield self._expose(posture, None, exposure)
+            for light in self.lights:
+                yield from self._light(posture, light, self.exposures)
             if self.options.check:  # does one stay on?
-                yield self._expose(task.posture, None, self.exposures[0])
-            here, references = task.posture, ()
+                yield self._expose(posture, None, self.exposures[0])
+            here, references = posture, ()
         if self.options.check_repeatability:
-            task = self.tasks[0]
-            yield from self._arrive(here, task.posture)
-            yield from self._light(task.posture, task.lights[0], self.exposures[:1])
+            yield from self._arrive(here, self.postures[0])
+            yield from self._light(self.postures[0], self.lights[0], self.exposures[:1])
 
     def _start(self) -> Iterator[PlanStep]:
         for light in self.wiring.hardware.lights:
@@ -214,7 +206,7 @@ class CapturePlan:
         lights = self.wiring.hardware.lights
         return {
             **self.options.as_dict(),
-            "lights": [light for light in lights if light in self.tasks[0].lights],
+            "lights": [light for light in lights if light in self.lights],
             "postures": sorted((posture.as_dict() for posture in self.postures), key=str),
             "levels": {name: channel.level for name, channel in lights.items()},
             "exposure_us": self.wiring.exposure_us,
@@ -243,24 +235,17 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
     problems += exposure_problems(rig, wiring, exposures)
     if problems:
         raise InputError(*problems)
-    ordered = travel_order(postures, start=_HOME, time=lambda a, b: _travel_s(wiring, a, b))
     plan = CapturePlan(
         wiring=wiring,
         options=options,
-        tasks=tuple(
-            PostureTask(
-                posture=posture,
-                lights=tuple(name for name in known if name in lights),
-                dark_exposures=exposures if options.dark else (),
-            )
-            for posture in ordered
-        ),
+        postures=tuple(travel_order(postures, start=_HOME, time=lambda a, b: _travel_s(wiring, a, b))),
+        lights=tuple(name for name in known if name in lights),
         exposures=exposures,
         home=wiring.hardware.stage is not None and (options.home or wiring.stage_is_virtual),
         pixels=rig.camera.resolution_px[0] * rig.camera.resolution_px[1],
     )
     taken = f"{counted(len(exposures), 'exposure')} of {counted(options.average, 'frame')}"
-    problems += light_problems(rig, wiring, plan.tasks[0].lights, on_s=plan.on_s(), taken=taken)
+    problems += light_problems(rig, wiring, plan.lights, on_s=plan.on_s(), taken=taken)
     if problems:
         raise InputError(*problems)
     return plan

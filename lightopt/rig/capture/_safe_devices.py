@@ -14,7 +14,17 @@ from lightopt.rig.capture._lights_off import NONE_OF_THE_RIG, lights_on
 from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._watchdog import LightWatchdog
 from lightopt.rig.capture._wiring import VIRTUAL, Wiring
-from lightopt.rig.devices import Camera, Event, LightController, LightsStillOnError, Stage, StageState, all_off
+from lightopt.rig.devices import (
+    Camera,
+    Event,
+    Frame,
+    LightController,
+    LightsStillOnError,
+    Stage,
+    StageState,
+    all_off,
+    frame_limit_s,
+)
 
 
 class Devices:
@@ -129,10 +139,6 @@ class Devices:
             self.check_watchdog(name)
         return held
 
-    def level_sent_s(self, name: str) -> float:
-        """When the controller of a panel got its last level, before it was read back [s, monotonic clock]."""
-        return self.controllers[self.wiring.light(name).controller].level_set_s
-
     def light_off(self, name: str) -> None:
         """Darken a panel.
 
@@ -151,6 +157,15 @@ class Devices:
         """Raise a :class:`HardwareError` when the watchdog darkened a panel that had been lit for its `max_on_s`."""
         if problem := self._watchdog.pop_problem(name):
             raise HardwareError(problem)
+
+    def grab(self, exposure_us: float, light: str | None) -> Frame:
+        """Take a frame at the exposure time that the camera holds; waits no longer than the light may stay on."""
+        limit_s = frame_limit_s(exposure_us, self.wiring.hardware.timing.frame_timeout_s)
+        left_s = None if light is None else self.remaining_on_s(light)
+        frame = self.camera.grab(timeout_s=limit_s if left_s is None else max(0.0, min(limit_s, left_s)))
+        if light is not None:
+            self.check_watchdog(light)
+        return frame
 
     def _darken(self, name: str) -> None:
         channel = self.wiring.light(name)
@@ -208,11 +223,6 @@ class Devices:
         with self._moving():
             return self.stage.move_to(posture)
 
-    def confirm_stage(self) -> None:
-        """Check that the stage stands where it was left; moves nothing."""
-        if self.stage is not None:
-            self.stage.confirm()
-
     @contextmanager
     def _moving(self) -> Generator[None]:
         """Record that the stage may move; a driver that fails has stopped it."""
@@ -258,9 +268,13 @@ class Devices:
     def _close(self) -> list[str]:
         """Close all, each even if another fails; returns messages about what failed."""
         devices = (self._camera, self.stage, *self.controllers.values())
-        closing = [device.close for device in devices if device is not None]
-        attempts = [_attempt(close) for close in (*closing, *self._closing)]
-        return [f"closing a device failed: {problem}" for problem in attempts if problem is not None]
+        problems: list[str] = []
+        for close in (*(device.close for device in devices if device is not None), *self._closing):
+            try:
+                close()
+            except Exception as error:  # noqa: BLE001, PERF203  (whatever fails here, the rest must be closed, too)
+                problems.append(f"closing a device failed: {error_text(error)}")
+        return problems
 
     def _failure(
         self, error: BaseException, lit: list[str], stage: str | None, unclosed: Sequence[str]
@@ -274,12 +288,3 @@ class Devices:
         return HardwareError(
             f"while {self.step}: {cause[0]}", *cause[1:], *lights, *([stage] if stage else []), *unclosed
         )
-
-
-def _attempt(action: Callable[[], None]) -> str | None:
-    """Run an action; returns why it failed, or None."""
-    try:
-        action()
-    except Exception as error:  # noqa: BLE001  (whatever fails here, the rest must be done, too)
-        return error_text(error)
-    return None

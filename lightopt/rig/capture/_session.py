@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import asdict
 from types import TracebackType
 
@@ -11,12 +11,13 @@ from lightopt.core.arrays import Float32
 from lightopt.core.errors import HardwareError, InputError, Interrupted, LightoptError, counted
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
+from lightopt.images import EVENTS_KEY, REPEATABILITY_KEY
 from lightopt.rig.capture._acquisition import AcquiredImage, AcquisitionEngine, Timing
 from lightopt.rig.capture._background_writer import BackgroundWriter
 from lightopt.rig.capture._captured_set import CapturedSet
 from lightopt.rig.capture._exposures import ExposureImage
 from lightopt.rig.capture._image_checks import ImageChecker
-from lightopt.rig.capture._plan import CapturePlan, PostureTask
+from lightopt.rig.capture._plan import CapturePlan
 from lightopt.rig.capture._repeatability import measure_repeatability
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._signals import EndSignals
@@ -41,7 +42,7 @@ class CaptureSession:
         self._writer = BackgroundWriter(timing)
         self._checker = ImageChecker(scene, check=plan.options.check, with_dark=plan.options.dark)
         self._on_disk = len(plan.keys) - sum(
-            len(records.missing(light, task.posture)) for task in plan.tasks for light in task.lights
+            len(records.missing(light, posture)) for posture in plan.postures for light in plan.lights
         )
         self._devices: Devices | None = None
         self._started: AcquisitionEngine | None = None
@@ -95,13 +96,14 @@ class CaptureSession:
                 self.warnings += (text,)
         self._run.warn(*texts)
 
-    def todo(self) -> tuple[PostureTask, ...]:
+    def todo(self) -> list[Posture]:
         """Postures in which images are missing."""
-        return tuple(
-            task
-            for task in self._plan.tasks
-            if self._records.todo(task) or any(not self._records.has_dark(task.posture, e) for e in task.dark_exposures)
-        )
+        records, darks = self._records, self._plan.dark_exposures
+        return [
+            posture
+            for posture in self._plan.postures
+            if records.todo(posture) or not all(records.has_dark(posture, exposure) for exposure in darks)
+        ]
 
     def execute(self, devices: Devices) -> None:
         self._devices = devices
@@ -115,8 +117,8 @@ class CaptureSession:
             self._report_progress("homing the stage")
             self._engine.home()
         self._set_dark_references()
-        for task in self.todo():
-            self._capture_posture(task)
+        for posture in self.todo():
+            self._capture_posture(posture)
         if self._plan.options.check_repeatability:
             self._check_repeatability()
         devices.step = "checking and writing the last images"
@@ -124,8 +126,7 @@ class CaptureSession:
 
     def _check_repeatability(self) -> None:
         """Take the first posture once more: a stage that lost steps since then shows another image."""
-        task, exposure = self._plan.tasks[0], self._plan.exposures[0]
-        light, posture = task.lights[0], task.posture
+        light, posture, exposure = self._plan.keys[0]
         engine = self._engine
         engine.devices.step = "checking and writing the image before"
         self._writer.wait()
@@ -134,7 +135,7 @@ class CaptureSession:
         engine.move(posture)
         engine.set_exposure(exposure)
         engine.light_on(light)
-        acquired = self._expose(task, exposure, light=light, rest=(exposure,))
+        acquired = self._expose(posture, exposure, light=light, rest=(exposure,))
         engine.light_off()
         engine.devices.step = f"comparing the images of {posture}"
         found = measure_repeatability(first, acquired.image.mean, light=light, posture=posture, scene=self._scene)
@@ -142,7 +143,8 @@ class CaptureSession:
         if found is None:
             self.warn(f"{prefix}{light} shows too little of the part to detect lost steps")
             return
-        self._records.record_repeatability({"light": light, "posture": posture.as_dict(), **found.as_dict()})
+        facts = {"light": light, "posture": posture.as_dict(), **found.as_dict()}
+        self._records.writer.add_extra(REPEATABILITY_KEY, facts)
         if not found.converged:
             text = "the comparison of its two images did not converge: whether steps were lost is unknown"
         elif found.deviation is not None:
@@ -170,7 +172,9 @@ class CaptureSession:
     def _record_events(self) -> None:
         """Write irregularities on the links that are not in the entry of an image to the manifest."""
         source = self._started.events_since if self._started else self._devices and self._devices.events
-        self._records.record_events([asdict(event) for event in (source() if source else ())])
+        if events := [asdict(event) for event in (source() if source else ())]:
+            writer = self._records.writer
+            writer.add_extra(EVENTS_KEY, [*writer.manifest.extra.get(EVENTS_KEY, ()), *events])
 
     def _finish(self, *, failed: bool, lights: str) -> bool:
         """Finish writing, whatever happens; returns whether a signal came meanwhile.
@@ -193,70 +197,69 @@ class CaptureSession:
             signals.restore()
         return signals.pending is not None
 
-    def _capture_posture(self, task: PostureTask) -> None:
-        self._checker.predict(task.posture)
-        self._report_progress(f"moving to {task.posture}")
-        self._engine.move(task.posture)
-        todo = self._records.todo(task)
+    def _capture_posture(self, posture: Posture) -> None:
+        self._checker.predict(posture)
+        self._report_progress(f"moving to {posture}")
+        self._engine.move(posture)
+        todo = self._records.todo(posture)
         incomplete = [light for light, missing in todo.items() if missing]
         if incomplete:
-            self._writer.submit_image(self._records.discard, task.posture, incomplete)
-        dark = self._capture_darks(task)
+            self._writer.submit_image(self._records.discard, posture, incomplete)
+        dark = self._capture_darks(posture)
         for light, missing in todo.items():
-            self._capture_light(task, light, missing, dark)
+            self._capture_light(posture, light, missing, dark)
         if incomplete:
-            self._confirm_stage(task.posture, incomplete)
+            elsewhere = f"it may have stood elsewhere for images of {posture}: those taken in this run"
+            with self._doubting(posture, incomplete, elsewhere):
+                self._engine.confirm_stage()
         if self._plan.options.check and incomplete:
-            acquired = self._expose(task, self._plan.exposures[0])
+            acquired = self._expose(posture, self._plan.exposures[0])
             self._writer.submit_image(self._check_final_dark, acquired, incomplete)
 
-    def _confirm_stage(self, posture: Posture, lights: Sequence[str]) -> None:
-        """Check that the stage stood still during the images of a posture; otherwise they are dropped."""
+    @contextlib.contextmanager
+    def _doubting(self, posture: Posture, lights: Sequence[str], images: str) -> Generator[None]:
+        """Drop images of a posture where a check after them fails; the message names them."""
         try:
-            self._engine.confirm_stage()
+            yield
         except HardwareError as error:
             self._in_doubt = (posture, lights)
-            raise HardwareError(
-                *error.messages,
-                f"it may have stood elsewhere for images of {posture}: those taken in this run were not kept; "
-                "option 'resume' takes them again",
-            ) from error
+            raise HardwareError(*error.messages, f"{images} were not kept; option 'resume' takes them again") from error
 
     def _set_dark_references(self) -> None:
         """Compare frames without light with those of a previous run."""
-        for task in self._plan.tasks:
-            for exposure in task.dark_exposures:
+        for posture in self._plan.postures:
+            for exposure in self._plan.dark_exposures:
                 wanted = not self._checker.has_dark_reference(exposure)
-                if wanted and self._records.has_dark(task.posture, exposure):
-                    dark = self._records.read_dark(task.posture, exposure)
-                    self._checker.set_dark_reference(dark, exposure)
+                if wanted and self._records.has_dark(posture, exposure):
+                    self._checker.set_dark_reference(self._records.read_dark(posture, exposure), exposure)
 
-    def _capture_darks(self, task: PostureTask) -> Dark:
+    def _capture_darks(self, posture: Posture) -> Dark:
         dark: Dark = {}
-        for exposure in task.dark_exposures:
-            if not self._records.dark_missing(task.posture, exposure):
-                dark[exposure] = self._records.read_dark(task.posture, exposure)
-                continue
-            self._writer.submit_image(self._add_dark, self._expose(task, exposure), dark)
+        for exposure in self._plan.dark_exposures:
+            # of several frames only the rounded mean is on disk
+            if self._records.has_dark(posture, exposure) and self._plan.options.average == 1:
+                dark[exposure] = self._records.read_dark(posture, exposure)
+            else:
+                self._writer.submit_image(self._add_dark, self._expose(posture, exposure), dark)
         for exposure in self._plan.exposures if self._plan.needs_dark_reference else ():
             if not self._checker.has_dark_reference(exposure):
-                self._writer.submit_image(self._checker.check_dark, self._expose(task, exposure), self.warn)
+                self._writer.submit_image(self._checker.check_dark, self._expose(posture, exposure), self.warn)
         return dark
 
-    def _capture_light(self, task: PostureTask, light: str, missing: Sequence[float], dark: Dark) -> None:
+    def _capture_light(self, posture: Posture, light: str, missing: Sequence[float], dark: Dark) -> None:
         engine = self._engine
         captured: dict[float, ExposureImage] = {}
         if missing:
             engine.set_exposure(missing[0])
             engine.light_on(light)
         for i, exposure in enumerate(missing):
-            acquired = self._expose(task, exposure, light=light, rest=missing[i:])
+            acquired = self._expose(posture, exposure, light=light, rest=missing[i:])
             if exposure == missing[-1]:
                 engine.light_off()  # before anything is done with the frames
             self._writer.submit_image(self._add, acquired, dark, captured)
             self.taken += 1
         engine.devices.step = "checking and writing the images before"
-        self._writer.submit_linear(self._records.add_linear, light, task.posture, captured, dark)
+        self._writer.submit_linear(self._records.add_linear, light, posture, captured, dark)
 
     def _add(self, acquired: AcquiredImage, dark: Dark, captured: dict[float, ExposureImage]) -> None:
         """Check that the image is lit by its light, as those of its other exposures were, and write it."""
@@ -271,27 +274,20 @@ class CaptureSession:
 
     def _check_final_dark(self, acquired: AcquiredImage, lights: Sequence[str]) -> None:
         """Check that no light stayed on; otherwise the images of the posture are dropped."""
-        try:
+        on = f"it may have been on during images of {acquired.posture} as well"
+        with self._doubting(acquired.posture, lights, f"{on}: those taken since the frame without light before"):
             self._checker.check_dark(acquired, self.warn)
-        except HardwareError as error:
-            self._in_doubt = (acquired.posture, lights)
-            raise HardwareError(
-                *error.messages,
-                f"it may have been on during images of {acquired.posture} as well: those taken since the frame without "
-                "light before were not kept; option 'resume' takes them again",
-            ) from error
         self._records.record_dark_check(acquired.posture)
 
     def _expose(
-        self, task: PostureTask, exposure: float, *, light: str | None = None, rest: Sequence[float] = ()
+        self, posture: Posture, exposure: float, *, light: str | None = None, rest: Sequence[float] = ()
     ) -> AcquiredImage:
-        """Take an image once everything has settled and the previous image is on disk.
+        """Take an image once all has settled and the previous one is on disk; a light goes dark if that takes long.
 
-        A light that is on waits for the disk no longer than lighting it again would take, nor longer than it may be on:
-        then it goes dark until the image is written. `rest` are the exposures for which it is still needed.
+        `rest` are the exposures for which the light is still needed.
         """
         engine = self._engine
-        self._report_progress(f"{light or 'dark'} {task.posture} exposure {exposure:g}")
+        self._report_progress(f"{light or 'dark'} {posture} exposure {exposure:g}")
         engine.set_exposure(exposure)
         engine.settle()
         engine.devices.step = "checking and writing the image before"
@@ -303,7 +299,7 @@ class CaptureSession:
             self._writer.wait_for_image()
             engine.light_on(light)
             engine.settle(counted="writing_s")
-        return engine.expose(task.posture, exposure)
+        return engine.expose(posture, exposure)
 
     def _report_progress(self, what: str) -> None:
         if (report := self._run.stage(what)) is not None:

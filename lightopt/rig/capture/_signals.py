@@ -53,18 +53,13 @@ class EndSignals:
         self._holding.add(code)
 
     def _receive(self, number: int, frame: FrameType | None) -> None:
-        name = signal.Signals(number).name
-        if self._shielded or self._held_in(frame):
+        name, caller = signal.Signals(number).name, frame
+        while caller is not None and caller.f_code not in self._holding:
+            caller = caller.f_back
+        if self._shielded or caller is not None:
             self.pending = name
             return
         if put_off(number, frame):
             return
         self._shielded = True  # here, because a second signal may come before anybody catches this one
         raise KeyboardInterrupt(name)
-
-    def _held_in(self, frame: FrameType | None) -> bool:
-        while frame is not None:
-            if frame.f_code in self._holding:
-                return True
-            frame = frame.f_back
-        return False

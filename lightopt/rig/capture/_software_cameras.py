@@ -4,9 +4,7 @@ import math
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lightopt.core.arrays import UInt8
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
 from lightopt.images import dark_name, read_image_set, read_png
@@ -61,11 +59,9 @@ class FolderCamera:
 
     def set_exposure(self, exposure_us: float) -> float:
         """Hold what the set's camera held of it, or any other; whether the set has it is known at the frame."""
-        self._held_us = exposure_us
-        for entry in self._entries.values():
-            if math.isclose(entry.exposure * self._exposure_us, exposure_us):
-                self._held_us = entry.held_exposure * self._exposure_us
-                break
+        same = (e for e in self._entries.values() if math.isclose(e.exposure * self._exposure_us, exposure_us))
+        entry = next(same, None)
+        self._held_us = exposure_us if entry is None else entry.held_exposure * self._exposure_us
         return self._held_us
 
     def grab(self, *, timeout_s: float) -> Frame:
@@ -77,7 +73,9 @@ class FolderCamera:
         if problem := self.missing(light, posture, exposure):
             if light is not None:
                 raise HardwareError(problem)
-            levels = self._black()
+            # the set's black level, to check lit images against where it has no dark frames
+            shape, black = self.resolution_px[::-1], round(self._set.manifest.black_level)
+            levels = np.full(shape, black, np.uint8) if self.bit_depth <= 8 else np.full(shape, black, np.uint16)
         else:
             name = dark_name(posture, exposure) if light is None else self._entries[light, posture, exposure].png
             try:
@@ -89,11 +87,6 @@ class FolderCamera:
 
     def close(self) -> None:
         """Nothing is held open."""
-
-    def _black(self) -> UInt8 | NDArray[np.uint16]:
-        """The set's black level, to check lit images against where it has no dark frames."""
-        shape, level = self.resolution_px[::-1], round(self._set.manifest.black_level)
-        return np.full(shape, level, np.uint8) if self.bit_depth <= 8 else np.full(shape, level, np.uint16)
 
 
 class VirtualCamera:

@@ -78,7 +78,11 @@ class LightWatchdog:
             with self._darkening_of(light):
                 if period.over.is_set():
                     return
-                problem = _try(self._darken, light)
+                problem: str | None = None
+                try:
+                    self._darken(light)
+                except BaseException as error:  # noqa: BLE001  (nothing that a driver raises may end the watch)
+                    problem = error_text(error)
                 with self._lock:
                     if problem is None:
                         self._periods.pop(light, None)
@@ -96,12 +100,3 @@ class LightWatchdog:
     def _darkening_of(self, light: str) -> threading.Lock:
         with self._lock:
             return self._darkening[light]
-
-
-def _try(darken: Callable[[str], None], light: str) -> str | None:
-    """Darken a light; returns why that failed, or None."""
-    try:
-        darken(light)
-    except BaseException as error:  # noqa: BLE001  (nothing that a driver raises may end the watch)
-        return error_text(error)
-    return None

@@ -1,5 +1,6 @@
 """Which device plays which role on a rig: those of its file, or those of a virtual bench, which is started here."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -117,8 +118,10 @@ def start_bench(
     """
     hardware = wiring.hardware
     devices = _controllers(wiring)
+    axes: list[Axis] = []
     if wiring.stage_is_virtual and hardware.stage is not None:
-        devices[STAGE] = {"kind": hardware.stage.driver, "options": _stage(rig, wiring)}
+        axes = stage_axes(rig, hardware.stage)
+        devices[STAGE] = {"kind": hardware.stage.driver, "options": _stage_options(hardware.stage.driver, axes)}
     if part is None:
         return BenchProcess(devices)
     setup = CameraSetup(
@@ -135,7 +138,10 @@ def start_bench(
             for name, channel in hardware.lights.items()
             if channel.controller in devices
         ),
-        **_axis_wires(wiring),
+        **{
+            axis.name: AxisWire(device=STAGE, axis=axis.device, steps_per_deg=axis.steps_per_deg, zero=axis.zero)
+            for axis in axes
+        },
         truth=truth or BenchTruth(),
         gige=wiring.camera_is_gige,
     )
@@ -158,16 +164,13 @@ def _controllers(wiring: Wiring) -> dict[str, dict[str, Any]]:
     }
 
 
-def _stage(rig: RigConfig, wiring: Wiring) -> dict[str, Any]:
+def _stage_options(driver: str, axes: Sequence[Axis]) -> dict[str, Any]:
     """Arguments of the simulated firmware of a stage: speeds and ranges of the rig file."""
-    stage = wiring.hardware.stage
-    assert stage is not None
-    axes = stage_axes(rig, stage)
     options: dict[str, Any] = {"home_speed": max(axis.speed_units() for axis in axes)}
     ends = {axis.device: sorted(map(axis.units_of, axis.range_deg)) for axis in axes}
-    if stage.driver == "zaber":
+    if driver == "zaber":
         options["limits"] = {name: [int(min(0, low)) - 1, int(high) + 1] for name, (low, high) in ends.items()}
-    if stage.driver == "grbl":
+    if driver == "grbl":
         settings: dict[str, float] = {"22": 1.0}
         for axis in axes:
             number = "XYZ".index(axis.device)
@@ -175,14 +178,3 @@ def _stage(rig: RigConfig, wiring: Wiring) -> dict[str, Any]:
             settings[str(130 + number)] = max(1.0, -ends[axis.device][0])
         options["settings"] = settings
     return options
-
-
-def _axis_wires(wiring: Wiring) -> dict[str, Any]:
-    """Wires of the axes that are simulated, by name."""
-    stage = wiring.hardware.stage if wiring.stage_is_virtual else None
-    axes = {} if stage is None else {"elevation": stage.elevation, "rotation": stage.rotation}
-    return {
-        name: AxisWire(device=STAGE, axis=axis.axis, steps_per_deg=axis.steps_per_deg, zero=axis.zero)
-        for name, axis in axes.items()
-        if axis is not None
-    }

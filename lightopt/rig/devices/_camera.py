@@ -6,13 +6,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-from lightopt.core.arrays import UInt8
 from lightopt.core.errors import HardwareError, LightoptError
 from lightopt.rig.devices._camera_features import ExposureTime, set_gain, set_image, set_trigger, switch_off_corrections
-from lightopt.rig.devices._camera_pixels import levels_of
+from lightopt.rig.devices._camera_pixels import Levels, levels_of
 from lightopt.rig.devices._camera_sdk import CameraSdk, CameraSettings, RawFrame
 from lightopt.rig.devices._device import ATTEMPTS, Event, Identity, ReplyError, Retry, now
 
@@ -30,7 +26,7 @@ class Frame:
     details: Further properties (gain, temperature, packets lost).
     """
 
-    levels: UInt8 | NDArray[np.uint16]
+    levels: Levels
     exposure_us: float
     number: int | None
     timestamp_ns: int | None = None
@@ -72,20 +68,17 @@ class FrameOrder:
 
     def __init__(self) -> None:
         self.lost = 0
-        self._last: RawFrame | None = None
+        self.last: RawFrame | None = None
 
     def begin(self) -> None:
         """Begin a new acquisition: cameras may count from the beginning again."""
-        self._last = None
-
-    def skip(self, frame: RawFrame) -> None:
-        self._last = frame
+        self.last = None
 
     def check(self, frame: RawFrame) -> None:
         """Raise a ReplyError for a frame that is incomplete, came before, or is older than the one before."""
         if frame.problem is not None:
             raise ReplyError(f"{frame.name} is incomplete: {frame.problem}")
-        last = self._last
+        last = self.last
         if last is not None:
             step = _step(last.number, frame.number)
             if step == 0:
@@ -98,7 +91,7 @@ class FrameOrder:
                     f"ms before {last.name}"
                 )
             self.lost += step - 1
-        self._last = frame
+        self.last = frame
 
 
 def _step(last: int | None, number: int | None) -> int:
@@ -189,12 +182,14 @@ class MachineCamera:
 
     def close(self) -> None:
         with suppress(LightoptError):  # it is given up in any case
-            self._stop()
+            self.drain()
         self._sdk.close()
 
     def drain(self) -> None:
         """End the acquisition, so that frames under way are not taken for those requested later."""
-        self._stop()
+        if self._running:
+            self._running = False
+            self._sdk.stop()
 
     def note(self, what: str, *, retry: bool = False) -> None:
         event = Event(now(), f"camera {self._settings.port or self._driver}", what, retry)
@@ -230,7 +225,7 @@ class MachineCamera:
     def _discard_pending_frames(self, end: float) -> None:
         """Discard frames that came before the request; only a freely running camera should deliver any."""
         while (raw := self._sdk.pop(0.0)) is not None:
-            self._order.skip(raw)
+            self._order.last = raw
             if self.triggered:
                 self.note(f"{raw.name} came without a trigger and was discarded")
             if time.monotonic() > end:
@@ -251,8 +246,3 @@ class MachineCamera:
                 f"{self._settings.where}: the camera was set to {self._format.name} ({self._format.code:#x}), and "
                 f"{raw.name} is in another pixel format ({raw.code:#x})"
             )
-
-    def _stop(self) -> None:
-        if self._running:
-            self._running = False
-            self._sdk.stop()

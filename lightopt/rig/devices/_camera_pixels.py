@@ -4,6 +4,7 @@ Names and layouts are those of the GenICam Pixel Format Naming Convention (PFNC 
 ``Packed``, of GigE Vision 1.2, which came before it.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -94,21 +95,14 @@ def _words(data: UInt8, pixels: int) -> Levels:
     return data.view("<u2")[:pixels].astype(np.uint16)
 
 
-def _dense_10(data: UInt8, pixels: int) -> Levels:
-    """Four pixels in five bytes, the lowest bit first, nothing between them."""
-    five = _groups(data, 5)
-    levels = np.empty((len(five), 4), np.uint16)
-    for i in range(4):
-        levels[:, i] = (five[:, i] >> 2 * i) | (five[:, i + 1] << 8 - 2 * i) & 0x3FF
-    return levels.reshape(-1)[:pixels]
-
-
-def _dense_12(data: UInt8, pixels: int) -> Levels:
-    """Two pixels in three bytes, the lowest bit first, nothing between them."""
-    three = _groups(data, 3)
-    levels = np.empty((len(three), 2), np.uint16)
-    levels[:, 0] = three[:, 0] | (three[:, 1] & 0x0F) << 8
-    levels[:, 1] = three[:, 1] >> 4 | three[:, 2] << 4
+def _dense(bits: int, data: UInt8, pixels: int) -> Levels:
+    """The lowest bit first, nothing between pixels: four of 10 bits in five bytes, two of 12 bits in three."""
+    together = 8 // math.gcd(8, bits)
+    groups = _groups(data, together * bits // 8)
+    levels = np.empty((len(groups), together), np.uint16)
+    for i in range(together):
+        first, shift = divmod(i * bits, 8)
+        levels[:, i] = (groups[:, first] | groups[:, first + 1] << 8) >> shift & (1 << bits) - 1
     return levels.reshape(-1)[:pixels]
 
 
@@ -138,8 +132,8 @@ PIXEL_FORMATS: dict[str, PixelFormat] = {
         ("Mono12", 0x01100005, 12, _words),
         ("Mono14", 0x01100025, 14, _words),
         ("Mono16", 0x01100007, 16, _words),
-        ("Mono10p", 0x010A0046, 10, _dense_10),
-        ("Mono12p", 0x010C0047, 12, _dense_12),
+        ("Mono10p", 0x010A0046, 10, partial(_dense, 10)),
+        ("Mono12p", 0x010C0047, 12, partial(_dense, 12)),
         ("Mono10Packed", 0x010C0004, 10, partial(_packed, 2)),
         ("Mono12Packed", 0x010C0006, 12, partial(_packed, 4)),
     )

@@ -1,7 +1,4 @@
-"""Registry of drivers by the name that rig files use, and how one is opened. Add a new driver here.
-
-Lights: `light_drivers`; stages: `stage_drivers`; cameras: `camera_drivers`.
-"""
+"""Registry of drivers by the name that rig files use, and how one is opened. Add a new driver here."""
 
 from collections.abc import Callable, Sequence
 from functools import partial

@@ -1,8 +1,4 @@
-"""Light controllers whatever their protocol: settings, the base class of the drivers, and all lights off.
-
-A driver (``_light_*.py``) derives from :class:`LightController` and only adds its protocol: how a level is set, and how
-the level that the device holds is read.
-"""
+"""Light controllers whatever their protocol: settings, the base class of the drivers, and all lights off."""
 
 from __future__ import annotations
 
@@ -11,6 +7,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import ClassVar, TypeVar
 
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
@@ -75,24 +72,21 @@ def all_off(controllers: Mapping[str, LightController], *, lit: Mapping[str, Col
                 f"controller {name}, channel{'s' if len(channels) > 1 else ''} {', '.join(map(str, channels))}: "
                 f"not switched off, may still be lit: {reason}"
                 for name, found in reasons.items()
-                for reason, channels in _by_reason(found).items()
+                for reason, channels in found.items()
             ),
-            channels={name: sorted(found) for name, found in reasons.items() if found},
+            channels={name: sorted(chain(*found.values())) for name, found in reasons.items() if found},
         )
 
 
-def _darken_all(controller: LightController, first: Collection[int]) -> dict[int, str]:
-    """Switch every channel off, some of them first; why that failed, by channel."""
-    channels = sorted(range(1, controller.channels + 1), key=lambda channel: channel not in first)
-    reasons = {channel: _darken(controller, channel) for channel in channels}
-    return {channel: reason for channel, reason in reasons.items() if reason is not None}
-
-
-def _by_reason(found: Mapping[int, str]) -> dict[str, list[int]]:
-    channels: dict[str, list[int]] = {}
-    for channel in sorted(found):
-        channels.setdefault(found[channel], []).append(channel)
-    return channels
+def _darken_all(controller: LightController, first: Collection[int]) -> dict[str, list[int]]:
+    """Switch every channel off, some of them first; those where that failed, by reason."""
+    channels = range(1, controller.channels + 1)
+    reasons = {channel: _darken(controller, channel) for channel in sorted(channels, key=lambda c: c not in first)}
+    found: dict[str, list[int]] = {}
+    for channel in channels:
+        if (reason := reasons[channel]) is not None:
+            found.setdefault(reason, []).append(channel)
+    return found
 
 
 def _darken(controller: LightController, channel: int) -> str | None:
@@ -247,35 +241,27 @@ def run_in_parallel(work: Mapping[str, Callable[[], T]]) -> dict[str, T]:
         except BaseException as error:  # noqa: BLE001  (raised below)
             errors[name] = error
 
-    threads = [_start_thread(lambda name=name: do(name)) for name in [*work][1:]]
+    threads: list[threading.Thread] = []
+    for name in [*work][1:]:
+        thread = threading.Thread(target=do, args=(name,))
+        try:
+            thread.start()
+        except RuntimeError:
+            do(name)
+        else:
+            threads.append(thread)
     try:
         if work:
             do(next(iter(work)))
     finally:
-        _join_all([thread for thread in threads if thread is not None])
+        try:
+            for thread in threads:
+                thread.join()
+        except BaseException:  # what interrupts the waiting is raised once all have ended
+            for thread in threads:
+                thread.join()
+            raise
     for name in work:
         if name in errors:
             raise errors[name]
     return {name: results[name] for name in work}
-
-
-def _start_thread(action: Callable[[], None]) -> threading.Thread | None:
-    """Do it in a thread, or at once where none can be started."""
-    thread = threading.Thread(target=action)
-    try:
-        thread.start()
-    except RuntimeError:
-        action()
-        return None
-    return thread
-
-
-def _join_all(threads: list[threading.Thread]) -> None:
-    """Wait for all of them; what interrupts that is raised afterwards."""
-    try:
-        for thread in threads:
-            thread.join()
-    except BaseException:
-        for thread in threads:
-            thread.join()
-        raise

@@ -36,11 +36,11 @@ class CcsController(LightController):
         super().__init__(link, settings)
         self._unit = "00" if settings.dialect == "serial" else ""
         self._digits = max(3, len(str(self.top_level)))
-        self._status()
+        self._query_identity()
         self._reads = self._can_read_levels()
 
     def _query_identity(self) -> dict[str, str]:
-        return {"status": self._status()}
+        return {"status": self._ask(1, "C")}
 
     def _send_level(self, channel: int, level: int) -> None:
         """Set the intensity, then switch: a light comes on at its level, and goes dark twice over."""
@@ -56,9 +56,6 @@ class CcsController(LightController):
     def _query_level(self, channel: int) -> int:
         level, _, on = self._settings(channel)
         return level if on else 0
-
-    def _status(self) -> str:
-        return self._ask(1, "C")
 
     def _verify(self, channel: int, level: int) -> None:
         held, mode, on = self._settings(channel)

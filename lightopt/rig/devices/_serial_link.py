@@ -10,7 +10,7 @@ import select
 import threading
 import time
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TypeVar
 
 import serial
@@ -123,7 +123,10 @@ class SerialLink:
                 write_timeout=None if port.startswith("rfc2217:") else self._write_s,
                 exclusive=True,
             )
-            self._selectable = os.name == "posix" and _has_descriptor(self._serial)
+            self._selectable = False
+            with suppress(AttributeError, OSError):  # rfc2217 has no descriptor for select
+                self._serial.fileno()
+                self._selectable = os.name == "posix"
         except (ValueError, *_LOST) as error:
             raise cannot_open(port, device, error) from None
         self._log.write(port, "note", f"opened at {baud} baud for {device}")
@@ -218,15 +221,12 @@ class SerialLink:
             until = time.monotonic() + _DRAIN_S
             heard = time.monotonic()
             entry = LogEntry(self._log, self.port)
-            stale = 0
             while not (preempted := self.lock.preempted) and time.monotonic() < min(until, heard + quiet_s):
                 data = self._guarded(lambda: self._serial.read(1), b"")
                 if data:
                     heard = time.monotonic()
-                    stale += 1
                     entry.add(data)
-            entry.write()
-            self._note_stale(stale)
+            self._note_discarded(entry)
             if preempted:
                 self._owed = True
                 raise self._preempted(b"")
@@ -235,16 +235,13 @@ class SerialLink:
         """Discard pending input, without waiting; it is logged and reported as an event."""
         with self.lock:
             entry = LogEntry(self._log, self.port)
-            stale = 0
             # in_waiting only shows whether there is anything: over TCP it is never more than 1
-            while stale < _STALE_BYTES and self._guarded(lambda: self._serial.in_waiting, b""):
+            while len(entry.data) < _STALE_BYTES and self._guarded(lambda: self._serial.in_waiting, b""):
                 data = self._guarded(lambda: self._serial.read(1), b"")
                 if not data:
                     break
-                stale += 1
                 entry.add(data)
-            entry.write()
-            self._note_stale(stale)
+            self._note_discarded(entry)
 
     def note(self, what: str, *, retry: bool = False) -> None:
         """Report an irregularity: in `events`, and to the log."""
@@ -315,7 +312,9 @@ class SerialLink:
             "no longer waited for, because a light had to be switched off", sent=sent, kind=PreemptedError
         )
 
-    def _note_stale(self, count: int) -> None:
+    def _note_discarded(self, entry: LogEntry) -> None:
+        count = len(entry.data)
+        entry.write()
         if count:
             self.note(f"discarded {count} unexpected bytes")
 
@@ -324,12 +323,3 @@ def _ended(got: bytearray, end: bytes | re.Pattern[bytes] | None) -> bool:
     if end is None:
         return False
     return got.endswith(end) if isinstance(end, bytes) else end.search(got) is not None
-
-
-def _has_descriptor(port: object) -> bool:
-    # whether select can wait for it: not for rfc2217
-    try:
-        port.fileno()  # pyright: ignore[reportAttributeAccessIssue]
-    except (AttributeError, OSError):
-        return False
-    return True

@@ -44,7 +44,11 @@ class SerialLog:
                 self._file.write(f"{time or now()} {port} {direction:4} {text}\n")
                 self._file.flush()
             except (OSError, ValueError) as error:
-                problem = self._end(error)
+                reason = getattr(error, "strerror", None) or error
+                problem = f"{self._path}: the serial log ends here, it can no longer be written: {reason}"
+                self.events.append(Event(now(), str(self._path), problem))
+                with suppress(OSError, ValueError):
+                    self._file.close()  # tries once more to write what is left
             else:
                 return
         self._report(problem)
@@ -65,16 +69,6 @@ class SerialLog:
             with suppress(OSError, ValueError):  # a terminal that is gone keeps no light on
                 self._warn(what)
 
-    def _end(self, error: OSError | ValueError) -> str:
-        """Give the file up; the message about it."""
-        reason = getattr(error, "strerror", None) or error
-        problem = f"{self._path}: the serial log ends here, it can no longer be written: {reason}"
-        self.events.append(Event(now(), str(self._path), problem))
-        with suppress(OSError, ValueError):
-            if self._file is not None:
-                self._file.close()  # tries once more to write what is left
-        return problem
-
 
 class LogEntry:
     """Bytes that came together, on their way into the log."""
@@ -83,14 +77,14 @@ class LogEntry:
         self._log = log
         self._port = port
         self._time = ""
-        self._data = bytearray()
+        self.data = bytearray()
 
     def add(self, data: bytes) -> None:
         self._time = self._time or now()
-        self._data += data
+        self.data += data
 
     def write(self) -> None:
-        if self._data:
-            self._log.write(self._port, "in", bytes(self._data), self._time)
+        if self.data:
+            self._log.write(self._port, "in", bytes(self.data), self._time)
             self._time = ""
-            self._data.clear()
+            self.data.clear()

@@ -16,7 +16,6 @@ import math
 import re
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from lightopt.core.errors import HardwareError, InputError
@@ -26,7 +25,7 @@ from lightopt.rig.devices._stage_dialogue import Axis, Dialogue, Reading, descri
 
 _AXES = ("X", "Y", "Z")
 _RESET = b"\x18"
-_BANNER = re.compile(rb"Grbl [^\r\n]*")
+_BANNER = b"Grbl "
 _BANNER_S = 2.5  # a board that was reset by the opening of the port reports its name within
 _LISTEN_S = 0.2
 _HOLD_S = 1.0
@@ -87,23 +86,15 @@ _NUMBERS = re.compile(r"-?\d+(?:\.\d+)?(?:,-?\d+(?:\.\d+)?)*")
 _SETTING = re.compile(rb"\$(\d+)=(-?\d+(?:\.\d+)?)\r?\n")
 
 
-@dataclass(frozen=True)
-class StatusReport:
-    """A status report: state (``Idle``, ``Run``, ``Hold:0``, …) and machine position of X, Y, Z [units of $100]."""
-
-    state: str
-    position: tuple[float, ...]
-
-
-def parse_report(line: bytes) -> StatusReport | None:
-    r"""Read a status report; None when the line is none.
+def parse_report(line: bytes) -> tuple[str, tuple[float, ...]] | None:
+    r"""State (``Idle``, ``Hold:0``, …) and machine position [units of $100] of a status report; None for other lines.
 
     Raises ValueError for a status report without a machine position.
 
     Examples
     --------
     >>> parse_report(b"<Run|MPos:-1.450,0.000,0.000|FS:175,0>\r\n")
-    StatusReport(state='Run', position=(-1.45, 0.0, 0.0))
+    ('Run', (-1.45, 0.0, 0.0))
     """
     match = _REPORT.fullmatch(line)
     if match is None:
@@ -115,15 +106,7 @@ def parse_report(line: bytes) -> StatusReport | None:
         raise ValueError("reports work positions; set $10=1, so that it reports machine positions")
     if not _NUMBERS.fullmatch(position):
         raise ValueError("a status report without a machine position")
-    return StatusReport(
-        state=match["state"].decode("ascii"), position=tuple(float(number) for number in position.split(","))
-    )
-
-
-def parse_setting(line: bytes) -> tuple[int, float] | None:
-    """Number and value of a line of ``$$``; None when the line is none."""
-    match = _SETTING.fullmatch(line)
-    return None if match is None else (int(match[1]), float(match[2]))
+    return match["state"].decode("ascii"), tuple(map(float, position.split(",")))
 
 
 class GrblDialogue(Dialogue):
@@ -186,9 +169,9 @@ class GrblDialogue(Dialogue):
                 raise InputError(
                     f"stage axis {axis.name}: {axis.device}{targets[axis.device]:.3f} lies outside Grbl's travel "
                     f"-{travel:g} … 0 (${130 + index}, soft limits on), and the rig's range "
-                    f"{describe_range(axis.range_deg)} is X{axis.units_of(axis.range_deg[0]):g} … "
-                    f"{axis.units_of(axis.range_deg[1]):g}".replace(" X", f" {axis.device}")
-                    + "; set zero in the rig's hardware.stage, or the travel in Grbl; nothing was moved"
+                    f"{describe_range(axis.range_deg)} is {axis.device}{axis.units_of(axis.range_deg[0]):g} … "
+                    f"{axis.units_of(axis.range_deg[1]):g}; set zero in the rig's hardware.stage, or the travel in "
+                    "Grbl; nothing was moved"
                 )
             fastest = self._setting(110 + index) / 60
             if axis.speed_units() > fastest * (1 + 1e-6):
@@ -239,10 +222,13 @@ class GrblDialogue(Dialogue):
                 return
         self._homing = False
         self.link.write(_RESET)
+        until = time.monotonic() + _BANNER_S
         try:
-            self._await_banner(_BANNER_S)
+            while not self._next_line(until, _RESET).startswith(_BANNER):
+                pass
         except ReplyError as error:
             raise self.link.failure("did not restart after '!' and a reset", sent=_RESET) from error
+        self.link.drain(quiet_s=0.05)
         self._restarted = False
 
     def _moves(self) -> bool:
@@ -260,8 +246,8 @@ class GrblDialogue(Dialogue):
         while True:
             self.link.write(b"?")
             try:
-                heard = self.link.read(end=b"\n", deadline_s=_LISTEN_S)
-                while not (_BANNER.match(heard) or heard.startswith(b"<")):
+                heard = b""
+                while not heard.startswith((_BANNER, b"<")):
                     heard = self.link.read(end=b"\n", deadline_s=_LISTEN_S)
             except ReplyError:
                 if time.monotonic() > until:
@@ -274,18 +260,11 @@ class GrblDialogue(Dialogue):
             self.link.drain()
             return
 
-    def _await_banner(self, deadline_s: float) -> None:
-        until = time.monotonic() + deadline_s
-        while True:
-            heard = self.link.read(end=b"\n", deadline_s=max(0.0, until - time.monotonic()), after=_RESET)
-            if _BANNER.match(heard):
-                self.link.drain(quiet_s=0.05)
-                return
-
     def _setting(self, number: int) -> float:
         if self._settings is None:
             lines = self._retry.run(lambda: self._line("$$"))
-            settings = dict(setting for line in lines if (setting := parse_setting(line)) is not None)
+            matches = (match for line in lines if (match := _SETTING.fullmatch(line)) is not None)
+            settings = {int(match[1]): float(match[2]) for match in matches}
             needed = {20, 22, *(base + i for base in (100, 110, 130) for i in range(3))}
             if missing := needed - set(settings):
                 raise self.link.failure(
@@ -311,8 +290,8 @@ class GrblDialogue(Dialogue):
                     raise self.link.failure("a broken status report", sent=b"?", reply=line, kind=ReplyError)
                 continue
             self._homing = False  # it reports again
-            self._here = dict(zip(_AXES, report.position, strict=False))
-            state = report.state
+            state, position = report
+            self._here = dict(zip(_AXES, position, strict=False))
             held = _HELD.get(state) or ("the door is open" if state.startswith("Door") else None)
             if held is None and state != "Idle" and state not in _MOVING:
                 raise self.link.failure("an unknown state", sent=b"?", reply=line, kind=ReplyError)
@@ -337,15 +316,18 @@ class GrblDialogue(Dialogue):
                 raise self.link.failure(f"refused: {self._described(line, _ERRORS)}", sent=frame, reply=line)
             before.append(line)
 
+    def _next_line(self, until: float, sent: bytes) -> bytes:
+        return self.link.read(end=b"\n", deadline_s=max(0.0, until - time.monotonic()), after=sent)
+
     def _heard(self, until: float, sent: bytes) -> bytes:
         """The next line, once it is known to be neither an alarm nor a restart."""
-        line = self.link.read(end=b"\n", deadline_s=max(0.0, until - time.monotonic()), after=sent)
+        line = self._next_line(until, sent)
         if line.startswith(b"ALARM:"):
             words = self._described(line, _ALARMS)
             if words.startswith(_CRITICAL):
                 self._critical = words
             raise self.link.failure(words, sent=sent, reply=line)
-        if _BANNER.match(line):
+        if line.startswith(_BANNER):
             self._restarted = True
             self.link.note("Grbl restarted by itself: it was switched off, reset, or lost power")
         return line
