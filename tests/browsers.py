@@ -28,7 +28,7 @@ class Opened:
 
     page: Any
     said: list[str] = field(default_factory=list)
-    asked: list[str] = field(default_factory=list)
+    requested: list[str] = field(default_factory=list)
 
 
 @contextmanager
@@ -49,7 +49,7 @@ def opened(path: Path, *, webgl: bool = True, width: int = 1200, height: int = 9
             seen = Opened(browser.new_page(viewport={"width": width, "height": height}))
             seen.page.on("console", lambda message: seen.said.append(f"{message.type}: {message.text}"))
             seen.page.on("pageerror", lambda error: seen.said.append(f"exception: {error}"))
-            seen.page.on("request", lambda request: seen.asked.append(request.url))
+            seen.page.on("request", lambda request: seen.requested.append(request.url))
             seen.page.goto(path.resolve().as_uri())
             yield seen
         finally:

@@ -159,11 +159,11 @@ def step_files_once(tmp_path_factory: pytest.TempPathFactory) -> Generator[None]
     folder = tmp_path_factory.getbasetemp()
     kept = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
 
-    def once(path: Path, data: bytes, **asked: object) -> object:
-        key = hashlib.sha256(data + repr(sorted(asked.items())).encode()).hexdigest()
+    def once(path: Path, data: bytes, **requested: object) -> object:
+        key = hashlib.sha256(data + repr(sorted(requested.items())).encode()).hexdigest()
         file = kept / f"step-{key}.pickle"
         if not file.exists():
-            soup = read_step(path, data, **asked)  # type: ignore[arg-type]
+            soup = read_step(path, data, **requested)  # type: ignore[arg-type]
             mine = file.with_suffix(f".{os.getpid()}")
             mine.write_bytes(pickle.dumps(soup))
             mine.replace(file)

@@ -16,7 +16,7 @@ from lightopt.images._file_names import inside_problem
 _FORMAT = "lightopt-images/1"
 _KINDS = ("simulated", "captured")
 
-REPEATABILITY_KEY = "came_back"
+REPEATABILITY_KEY = "repeatability"
 """Manifest key of a captured set: result of the repeatability check."""
 
 EVENTS_KEY = "events"
@@ -72,7 +72,7 @@ class ImageEntry:
         """Actual exposure of the levels: what the camera held where the set says so, else `exposure`."""
         try:
             times = self.extra["capture"]["exposure_us"]
-            share = float(times["read"]) / float(times["asked"])
+            share = float(times["read"]) / float(times["requested"])
         except (KeyError, TypeError, ValueError, ZeroDivisionError):
             return self.exposure  # a set of others, which has its own words
         return self.exposure * share if 0.0 < share < math.inf else self.exposure

@@ -180,16 +180,16 @@ def _struck(bench: BenchProcess, case: Case) -> bool:
 
 
 def _lights(bench: BenchProcess, case: Case, message: str) -> str:
-    told = "may still be lit" in message
+    reported = "may still be lit" in message
     try:
         levels = bench.levels("lights")
     except HardwareError:
-        return "told" if told else "off"  # nothing burns on a bench that is not there
+        return "told" if reported else "off"  # nothing burns on a bench that is not there
     # a lamp that burns whatever its controller says can only be found, not helped
     burning = [channel for channel, level in levels.items() if level and case.fault != "lit"]
     if not burning:
         return "off"
-    return "told" if told else "LIT"
+    return "told" if reported else "LIT"
 
 
 def differences(folder: Path, truth: Path) -> list[str]:

@@ -43,7 +43,7 @@ class Row:
     missed: int = 0
     finished: int = 0
     stopped: int = 0
-    told: int = 0
+    reported: int = 0
     retries: int = 0
     wrong: int = 0
 
@@ -59,7 +59,7 @@ def rows_of(outcomes: Iterable[Outcome]) -> dict[str, Row]:
         row.runs += 1
         row.finished += outcome.finished
         row.stopped += not outcome.finished
-        row.told += outcome.lights == "told"
+        row.reported += outcome.lights == "told"
         row.retries += outcome.retries
         row.wrong += bool(outcome.wrong)
     return rows
@@ -77,7 +77,7 @@ def table(rows: dict[str, Row]) -> str:
     ]
     total = Row(*(sum(getattr(row, name) for row in rows.values()) for name in vars(Row())))
     for name, row in {**rows, "**all**": total}.items():
-        values = (row.runs, row.finished, row.stopped, row.told, row.retries, row.wrong, row.missed)
+        values = (row.runs, row.finished, row.stopped, row.reported, row.retries, row.wrong, row.missed)
         lines.append(f"| {name} | " + " | ".join(map(str, values)) + " |")
     return "\n".join(lines)
 

@@ -59,7 +59,7 @@ class RigCase:
     step: int | None = None
     truth: BenchTruth | None = None
     dark: bool = True
-    come_back: bool = False
+    returns: bool = False
     here: Callable[[], contextlib.AbstractContextManager[object]] = contextlib.nullcontext
 
 
@@ -119,8 +119,8 @@ def rig_cases(moments: int) -> Iterator[RigCase]:
         yield RigCase(
             f"ambient light of {level:g} grey levels, without --dark", truth=BenchTruth(ambient_level=level), dark=False
         )
-    for come_back in (False, True):
-        with_it = ", with --check-repeatability" if come_back else ""
+    for returns in (False, True):
+        with_it = ", with --check-repeatability" if returns else ""
         for when, step in (("first", 3), ("second", 39)):
             for kind, axis in (("tilted", "1"), ("turned", "2")):
                 yield RigCase(
@@ -129,7 +129,7 @@ def rig_cases(moments: int) -> Iterator[RigCase]:
                     "lost_step",
                     {"axis": axis, "steps": 100},
                     step,
-                    come_back=come_back,
+                    returns=returns,
                 )
     for step in (round((i + 0.5) * 76 / moments) for i in range(moments)):  # of 76 of a run
         yield RigCase("power cycle of the light controller", "lights", "power_cycle", {}, step=step)
@@ -160,13 +160,13 @@ def undergo(case: RigCase, rig: Path, part: Path, folder: Path, truth: Path) -> 
             Steps(case.step, strike).watch(devices)
         return devices
 
-    message, retries, told, finished = "", 0, (), False
+    message, retries, reported, finished = "", 0, (), False
     wrong: list[str] = []
-    options = replace(OPTIONS, dark=case.dark, check_repeatability=case.come_back)
+    options = replace(OPTIONS, dark=case.dark, check_repeatability=case.returns)
     with case.here():
         try:
             done = capture(loaded_rig, loaded_part, folder, options=options, connect=connect)
-            retries, told, finished = done.retries, done.warnings, True
+            retries, reported, finished = done.retries, done.warnings, True
         except (HardwareError, InputError) as error:
             message = str(error)
     burning = [channel for channel, level in benches[0].levels("lights").items() if level]
@@ -183,15 +183,17 @@ def undergo(case: RigCase, rig: Path, part: Path, folder: Path, truth: Path) -> 
         wrong += [f"resumed, but {difference}" for difference in differences(folder, truth)]
     if finished and retries and differ:
         wrong.append(f"taken again, but {differ}")
-    return Seen(case, _how(finished, message, retries, told, differ), retries, message or "; ".join(told), tuple(wrong))
+    return Seen(
+        case, _how(finished, message, retries, reported, differ), retries, message or "; ".join(reported), tuple(wrong)
+    )
 
 
-def _how(finished: bool, message: str, retries: int, told: tuple[str, ...], differ: list[str]) -> str:
+def _how(finished: bool, message: str, retries: int, reported: tuple[str, ...], differ: list[str]) -> str:
     if not finished:
         return HOW[2] if any(words in message for words in BY_IMAGE) else HOW[1]
     if retries:
         return HOW[0]
-    if told:
+    if reported:
         return HOW[3]
     return HOW[5] if differ else HOW[4]
 

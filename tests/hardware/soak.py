@@ -60,7 +60,7 @@ class Soaked:
         How long it took.
     """
 
-    asked: int
+    requested: int
     there: int
     struck: int
     retries: int
@@ -108,7 +108,7 @@ def soak(folder: Path, *, postures: int, rate: float, seed: int, most_stops: int
     ended, seconds = _resident(), time.monotonic() - begun
     _undisturbed(rig, part, folder / "truth", options, most_stops)
     return Soaked(
-        asked=4 * postures,
+        requested=4 * postures,
         there=alike(out, folder / "truth"),
         struck=counts["struck"],
         retries=counts["retries"],
@@ -169,7 +169,7 @@ def main(arguments: list[str] | None = None) -> int:
     before, _, rest = page.partition(BEGIN)
     after = rest.partition(END)[2]
     chosen.page.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8", newline="\n")
-    return int(found.there != found.asked)
+    return int(found.there != found.requested)
 
 
 if __name__ == "__main__":

@@ -217,9 +217,9 @@ def silent(link: SerialLink) -> bool:
 def test_faults_by_count_and_chance() -> None:
     with BenchProcess({"a": {"kind": "sa"}}) as bench:
 
-        def lost(asked: int) -> list[int]:
+        def lost(requested: int) -> list[int]:
             link = SerialLink(bench.ports["a"], device="a", baud=19200, timeout_s=0.1)
-            missing = [i for i in range(asked) if silent(link)]
+            missing = [i for i in range(requested) if silent(link)]
             link.close()
             return missing
 

@@ -35,7 +35,7 @@ def test_cameras_of_a_producer_are_listed() -> None:
     assert [camera.serial for camera in cameras if camera.driver == "genicam"] == ["0", "1", "2"]
 
 
-def test_producers_that_installers_have_named_are_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_producers_that_installers_have_named_are_queried(monkeypatch: pytest.MonkeyPatch) -> None:
     needs("genicam")
     monkeypatch.setenv("GENICAM_GENTL64_PATH", str(viky().parent))
     cameras, _ = find_cameras()
@@ -144,7 +144,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("camera", "words"), BAD)
-def test_what_a_camera_cannot_be_told_is_refused_with_its_line(tmp_path: Path, capsys, camera, words) -> None:
+def test_settings_that_no_camera_takes_are_refused_with_their_line(tmp_path: Path, capsys, camera, words) -> None:
     rig = rig_with(tmp_path, camera)
     line = next(i for i, text in enumerate(rig.read_text("utf-8").splitlines(), 1) if camera in text)
     assert run(["bench", "status", str(rig)]) == 2

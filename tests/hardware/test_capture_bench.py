@@ -85,7 +85,7 @@ def test_an_undisturbed_run_has_no_retries(bed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("cases", [2, pytest.param(80, marks=pytest.mark.nightly)])
-def test_spoilt_replies_are_asked_for_again_or_end_safely(bed, tmp_path, cases):
+def test_spoilt_replies_are_requested_again_or_end_safely(bed, tmp_path, cases):
     check(bed, tmp_path, every(line_cases(bed[2]["shot"][0]), cases))
 
 
@@ -212,7 +212,7 @@ def until_lit(bench: BenchProcess, process):
 @pytest.mark.slow
 @posix
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
-def test_lights_go_off_when_the_command_is_told_to_end(outside, tmp_path, name):
+def test_lights_go_off_when_the_command_is_ended(outside, tmp_path, name):
     bench, rig, part = outside
     process = start(rig, part, tmp_path / "out")
     until_lit(bench, process)

@@ -55,10 +55,10 @@ def test_an_unsound_frame_is_taken_again_and_the_manifest_says_at_which_image(be
     found = seen(bed, tmp_path, "camera", fault, {"after": 4})
     assert (found.how, found.retries, found.wrong) == ("taken again, same images", 1, ())
     facts = [entry.extra["capture"] for entry in read_image_set(tmp_path / "set").images]
-    told = [event for fact in facts for event in fact.get("events", ())]
-    assert len(told) == 1
-    assert told[0]["port"] == "camera LIGHTOPT1"
-    assert "taken again (1 of 2) after: " in told[0]["what"]
+    reported = [event for fact in facts for event in fact.get("events", ())]
+    assert len(reported) == 1
+    assert reported[0]["port"] == "camera LIGHTOPT1"
+    assert "taken again (1 of 2) after: " in reported[0]["what"]
 
 
 @pytest.mark.slow
@@ -163,7 +163,7 @@ def test_an_image_that_is_another_is_not_there(bed, tmp_path):
 def test_a_long_run_with_random_faults_loses_nothing(tmp_path):
     needs("aravis")
     found = soak(tmp_path, postures=6, rate=0.03, seed=1)
-    assert found.there == found.asked == 24
+    assert found.there == found.requested == 24
     assert found.struck > 0
     assert found.retries > 0
     assert found.ended_bytes - found.begun_bytes < 200 << 20

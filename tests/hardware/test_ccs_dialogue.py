@@ -150,7 +150,7 @@ SPOILT = [
 
 
 @pytest.mark.parametrize(("reply", "words"), SPOILT)
-def test_a_spoilt_reply_is_asked_for_again_and_told(
+def test_a_spoilt_reply_is_requested_again_and_reported(
     monkeypatch: pytest.MonkeyPatch, reply: bytes | None, words: str
 ) -> None:
     link, port = scripted_link(
@@ -238,7 +238,9 @@ def test_a_channel_that_waits_for_triggers(monkeypatch: pytest.MonkeyPatch) -> N
         CcsController(link, LIGHTS).set_level(2, 125)
 
 
-def test_where_settings_are_refused_lights_are_set_unverified_and_that_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_settings_are_refused_lights_are_set_unverified_and_that_is_reported(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     link, port = scripted_link(
         monkeypatch,
         [STATUS, (b"@00MED\r\n", checked(b"@00N01")), (b"@00F25582\r\n", OK1), (b"@00L11D\r\n", OK1), STATUS],

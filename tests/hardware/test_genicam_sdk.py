@@ -25,10 +25,10 @@ class Port:
 
     def __init__(self, error: Exception | None) -> None:
         self.error = error
-        self.asked = 0
+        self.requested = 0
 
     def read(self, address: int, length: int) -> tuple[int, bytes]:
-        self.asked += 1
+        self.requested += 1
         if self.error is not None:
             raise self.error
         return length, bytes(length)
@@ -49,7 +49,7 @@ def sdk_with(port: Port) -> tuple[GenicamSdk, list[str]]:
     return sdk, log
 
 
-def test_a_camera_that_is_gone_is_not_asked_again() -> None:
+def test_a_camera_that_is_gone_is_not_queried_again() -> None:
     sdk, log = sdk_with(port := Port(IoException("no answer")))
     with pytest.raises(LinkLostError, match=r"rig\.yaml:3: camera: executing TriggerSoftware: the camera does not"):
         sdk.execute("TriggerSoftware")
@@ -57,7 +57,7 @@ def test_a_camera_that_is_gone_is_not_asked_again() -> None:
         with pytest.raises(LinkLostError):
             again()
     assert log == ["TriggerSoftware"]
-    assert port.asked == 1
+    assert port.requested == 1
 
 
 @pytest.mark.parametrize("error", [None, InvalidAddressException("no such register")])

@@ -106,7 +106,7 @@ def opened(kind: Kind, port: str) -> LightController:
     return light_drivers()[kind.driver](settings, None)
 
 
-def set_until_told(controller: LightController, times: int) -> None:
+def set_until_stopped(controller: LightController, times: int) -> None:
     for _ in range(times):
         controller.set_level(1, 0)
 
@@ -160,7 +160,7 @@ def test_range_is_checked_before_the_wire(rig: Rig) -> None:
 def test_pulled_cable(rig: Rig) -> None:
     rig.bench.unplug(rig.name)
     with pytest.raises(LinkLostError, match=r"light controller main \(.*the device is gone"):
-        set_until_told(rig.controller, 1 if rig.kind.reads else 50)  # TCP takes what is written before it knows
+        set_until_stopped(rig.controller, 1 if rig.kind.reads else 50)  # TCP takes what is written before it knows
     with pytest.raises(HardwareError, match=r"controller main, channels 1, 2.*may still be lit"):
         all_off({"main": rig.controller})
     assert rig.bench.levels(rig.name)[1] > 0

@@ -98,7 +98,7 @@ def test_a_channel_that_does_not_obey_is_named_and_the_others_are_dark(bench, ri
     assert dark(bench, "left") == [True]
 
 
-def test_what_cannot_be_read_back_was_only_told(bench, rig_on):
+def test_what_cannot_be_read_back_is_only_sent(bench, rig_on):
     blind = ', template: {set: "W{channel}{level:03d}\\r\\n"}'
     assert off(rig_on(bench.ports, driver="template", template=blind)).unverified == ("right",)
 
@@ -144,7 +144,7 @@ def test_nothing_waits_for_a_mute_controller(bench, rig_on):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "reported"),
     [
         ("points: ", "points: 6, zzz: ", "expected a square"),
         ("name:", "nmae:", "unknown key"),
@@ -154,14 +154,14 @@ def test_nothing_waits_for_a_mute_controller(bench, rig_on):
         ("channels: 2", "channels: 2, chanels: 2", "unknown key"),
     ],
 )
-def test_a_file_that_is_wrong_elsewhere_darkens_all_the_same(bench, rig_on, cli, old, new, told):
+def test_a_file_that_is_wrong_elsewhere_darkens_all_the_same(bench, rig_on, cli, old, new, reported):
     path = edited(rig_on(bench.ports), old, new)
     ran = cli("bench", "off", path)
     assert ran.status == 0, ran.err
     assert dark(bench, "left", "right") == [True, True]
     assert ran.out.endswith(" are off (left, right)\n")
     assert all(line.startswith("warning: ") for line in ran.err.splitlines())
-    assert told in ran.err
+    assert reported in ran.err
 
 
 def test_a_controller_that_the_file_has_wrong_is_named_and_the_others_are_dark(bench, rig_on, cli):

@@ -136,13 +136,13 @@ def frame(number: int, **changed: Any) -> RawFrame:
 
 
 def opened(sdk: Sdk | None = None, **changed: Any) -> tuple[MachineCamera, Sdk, list[Event]]:
-    told: list[Event] = []
+    reported: list[Event] = []
     sdk = sdk or Sdk()
-    return MachineCamera("aravis", sdk, replace(SETTINGS, **changed), on_event=told.append), sdk, told
+    return MachineCamera("aravis", sdk, replace(SETTINGS, **changed), on_event=reported.append), sdk, reported
 
 
 def test_it_is_set_as_a_measuring_instrument() -> None:
-    camera, sdk, told = opened()
+    camera, sdk, reported = opened()
     wanted = {
         "ExposureAuto": "Off",
         "GammaEnable": False,
@@ -160,7 +160,7 @@ def test_it_is_set_as_a_measuring_instrument() -> None:
     assert camera.exposure_range_us == (20.0, 1e6)
     assert camera.identify().details["gain"] == "1.5"
     assert "start" not in sdk.log
-    assert told == []
+    assert reported == []
 
 
 ALTERED = {
@@ -308,7 +308,7 @@ def test_an_exposure_is_microseconds_whatever_the_camera_counts(sdk, written, ra
 @pytest.mark.parametrize(
     "sdk", [exposing("ExposureTimeRaw", (1.0, 4095.0)), exposing("ExposureTime", (1.0, 4095.0), "lines")]
 )
-def test_an_exposure_in_units_that_nobody_knows_is_not_told(sdk) -> None:
+def test_an_exposure_in_units_that_nobody_knows_is_not_reported(sdk) -> None:
     with pytest.raises(InputError, match="in units of unknown length; write fixed"):
         opened(sdk)
     camera, _, _ = opened(sdk, fixed_exposure_us=500.0)
@@ -317,7 +317,7 @@ def test_an_exposure_in_units_that_nobody_knows_is_not_told(sdk) -> None:
     assert not any(line.startswith("ExposureTime") for line in sdk.log)
 
 
-def test_a_frame_is_asked_for_once_there_can_be_one() -> None:
+def test_a_frame_is_requested_once_there_can_be_one() -> None:
     sdk = Sdk()
     camera = MachineCamera("aravis", sdk, SETTINGS, wait_ready=lambda: sdk.log.append("ready"))
     sdk.log.clear()
@@ -326,14 +326,14 @@ def test_a_frame_is_asked_for_once_there_can_be_one() -> None:
 
 
 def test_each_grab_is_one_trigger() -> None:
-    camera, sdk, told = opened()
+    camera, sdk, reported = opened()
     frames = [camera.grab(timeout_s=1) for _ in range(3)]
     assert [f.number for f in frames] == [1, 2, 3]
     assert [f.timestamp_ns for f in frames] == [1000, 2000, 3000]
     assert frames[1].levels.tolist() == [[2] * 4] * 2
     assert sdk.log.count("TriggerSoftware") == 3
     assert sdk.log.count("start") == 1
-    assert told == []
+    assert reported == []
 
 
 BAD = {
@@ -347,17 +347,17 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_a_frame_that_is_not_sound_is_taken_again_and_told(name: str) -> None:
+def test_a_frame_that_is_not_sound_is_taken_again_and_reported(name: str) -> None:
     step, words = BAD[name]
-    camera, sdk, told = opened()
+    camera, sdk, reported = opened()
     camera.grab(timeout_s=1)
     sdk.script = [step]
     found = camera.grab(timeout_s=0.3)
     assert found.number == 3
-    assert [event.retry for event in told] == [True]
-    assert "taken again (1 of 2) after: rig.yaml:7: camera: " in told[0].what
-    assert words in told[0].what
-    assert camera.events == told
+    assert [event.retry for event in reported] == [True]
+    assert "taken again (1 of 2) after: rig.yaml:7: camera: " in reported[0].what
+    assert words in reported[0].what
+    assert camera.events == reported
     assert sdk.log.count("stop") == 1  # what is under way is not taken for the next
 
 
@@ -402,11 +402,11 @@ class Slow(Sdk):
 
 
 def test_each_attempt_has_time_for_its_exposure() -> None:
-    camera, sdk, told = opened(Slow(2))
+    camera, sdk, reported = opened(Slow(2))
     limit_s = frame_limit_s(camera.set_exposure(400_000.0), 0.6)
     begun = time.monotonic()
     assert camera.grab(timeout_s=limit_s).number == 3
-    assert [event.retry for event in told] == [True, True]
+    assert [event.retry for event in reported] == [True, True]
     sdk.lost = 9
     begun = time.monotonic()
     with pytest.raises(HardwareError, match="taken 3 times"):
@@ -425,26 +425,26 @@ def test_frames_that_never_end_are_not_thrown_away_for_ever() -> None:
         camera.grab(timeout_s=0.3)
 
 
-def test_a_frame_that_nobody_asked_for_is_thrown_away_and_told() -> None:
-    camera, sdk, told = opened()
+def test_a_frame_that_nobody_requested_is_thrown_away_and_reported() -> None:
+    camera, sdk, reported = opened()
     camera.grab(timeout_s=1)
     sdk.queue = [frame(2)]
     sdk.count = 2
     assert camera.grab(timeout_s=1).number == 3
-    assert ["discarded" in event.what and not event.retry for event in told] == [True]
+    assert ["discarded" in event.what and not event.retry for event in reported] == [True]
 
 
-def test_frames_that_the_camera_counted_and_that_never_came_are_told() -> None:
-    camera, sdk, told = opened()
+def test_frames_that_the_camera_counted_and_that_never_came_are_reported() -> None:
+    camera, sdk, reported = opened()
     camera.grab(timeout_s=1)
     sdk.count = 3
     assert camera.grab(timeout_s=1).details["frames_lost"] == 2
-    assert "and 2 before it never did" in told[0].what
+    assert "and 2 before it never did" in reported[0].what
 
 
 def test_a_freely_running_camera_delivers_what_comes_after_the_question() -> None:
     sdk = Sdk()
-    camera, _, told = opened(sdk, trigger="none")
+    camera, _, reported = opened(sdk, trigger="none")
     assert sdk.features["TriggerMode"] == "Off"
     sdk.start()
     waiting = [frame(1), frame(2)]
@@ -456,7 +456,7 @@ def test_a_freely_running_camera_delivers_what_comes_after_the_question() -> Non
 
     sdk.pop = pop
     assert camera.grab(timeout_s=1).number == 3
-    assert told == []
+    assert reported == []
     assert "TriggerSoftware" not in sdk.log
 
 
@@ -469,15 +469,15 @@ def test_a_freely_running_camera_delivers_what_comes_after_the_question() -> Non
     ],
 )
 def test_a_frame_of_another_form_ends_it(changed, words) -> None:
-    camera, sdk, told = opened()
+    camera, sdk, reported = opened()
     sdk.script = [lambda n: [frame(n, **changed)]]
     with pytest.raises(HardwareError, match=words):
         camera.grab(timeout_s=1)
-    assert told == []
+    assert reported == []
 
 
-def test_a_camera_that_is_gone_is_not_asked_again_and_closes_without_a_word() -> None:
-    camera, sdk, told = opened()
+def test_a_camera_that_is_gone_is_not_queried_again_and_closes_silently() -> None:
+    camera, sdk, reported = opened()
     camera.grab(timeout_s=1)
 
     def gone(*_: object) -> None:
@@ -486,7 +486,7 @@ def test_a_camera_that_is_gone_is_not_asked_again_and_closes_without_a_word() ->
     sdk.execute = sdk.stop = gone
     with pytest.raises(LinkLostError):
         camera.grab(timeout_s=1)
-    assert told == []
+    assert reported == []
     camera.close()
     assert sdk.log[-1] == "close"
 
@@ -501,15 +501,15 @@ def test_the_count_may_wrap_and_begin_anew() -> None:
 
 
 @pytest.mark.parametrize("none", [None, 0])
-def test_frames_of_a_camera_that_does_not_number_them_are_told_apart_by_their_time(none: int | None) -> None:
-    camera, sdk, told = opened()
+def test_frames_of_a_camera_that_does_not_number_them_are_distinguished_by_their_time(none: int | None) -> None:
+    camera, sdk, reported = opened()
     sdk.script = [lambda n: [replace(frame(n), number=none)]] * 3
     assert [camera.grab(timeout_s=1).number for _ in range(3)] == [none] * 3
-    assert told == []
+    assert reported == []
     stale = replace(frame(1), number=none)
     sdk.script = [lambda n: [stale], lambda n: [replace(frame(n), number=none)]]
     camera.grab(timeout_s=1)
-    assert ["is stale" in event.what for event in told] == [True]
+    assert ["is stale" in event.what for event in reported] == [True]
 
 
 HERE = [

@@ -66,7 +66,7 @@ def test_levels_are_no_view_of_a_buffer_that_is_used_again() -> None:
     assert levels.tolist() == [[0, 1, 2], [3, 4, 5]]
 
 
-def test_what_follows_the_pixels_is_not_looked_at_and_too_little_is_refused() -> None:
+def test_what_follows_the_pixels_is_ignored_and_too_little_is_refused() -> None:
     form = PIXEL_FORMATS["Mono12p"]
     assert form.size(3) == 5
     data = np.full(9, 255, np.uint8)

@@ -178,7 +178,7 @@ def test_draining_ends_although_the_device_babbles(far: Far) -> None:
     link.close()
 
 
-def test_a_device_that_vanishes_is_told_whatever_is_done(far: Far) -> None:
+def test_a_device_that_vanishes_is_reported_whatever_is_done(far: Far) -> None:
     link = far.link(log=None)
     far.vanish()
     with pytest.raises(LinkLostError, match=r"stage on .*: the device is gone .*unknown"):
@@ -567,7 +567,7 @@ def test_a_full_disk_ends_the_log_and_nothing_else(far: Far, tmp_path: Path) -> 
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are those of POSIX")
-def test_an_unusual_baud_rate_is_told() -> None:
+def test_an_unusual_baud_rate_is_reported() -> None:
     ours, theirs = os.openpty()
     try:
         link = SerialLink(os.ttyname(theirs), device="lamp", baud=38401)

@@ -125,11 +125,11 @@ def test_out_of_range(homed: World) -> None:
     assert homed.real() == before
 
 
-def test_between_two_steps_is_told(homed: World) -> None:
-    asked = Posture(10.0012345, 20.0)
-    state = homed.stage.move_to(asked)
+def test_between_two_steps_is_reported(homed: World) -> None:
+    requested = Posture(10.0012345, 20.0)
+    state = homed.stage.move_to(requested)
     tilt = AXES[homed.kind][0]
-    assert abs(state.posture.elevation_deg - asked.elevation_deg) <= STEP[homed.kind] / 2 / tilt.steps_per_deg
+    assert abs(state.posture.elevation_deg - requested.elevation_deg) <= STEP[homed.kind] / 2 / tilt.steps_per_deg
     assert any("elevation: 10.0012° lies between two steps" in event.what for event in homed.stage.events)
 
 

@@ -173,7 +173,7 @@ def test_gsc_goes_from_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     assert script.opened_with["rtscts"] is False
 
 
-def test_gsc_homes_in_the_sense_that_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gsc_homes_in_the_sense_that_is_configured(monkeypatch: pytest.MonkeyPatch) -> None:
     script = play(
         monkeypatch,
         [

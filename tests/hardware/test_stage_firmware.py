@@ -202,7 +202,7 @@ def test_zaber_flags_a_stall_until_it_is_cleared() -> None:
     assert zaber.feed(b"/1 1 warnings clear\n", 9.0) == checked(b"01 1 OK IDLE -- 01 FS")
 
 
-def test_lost_steps_are_told_by_the_place_alone() -> None:
+def test_lost_steps_are_reported_by_the_place_alone() -> None:
     shot = slow_shot()
     shot.inject("lost_step", {"axis": "1", "steps": 30}, 0.0)
     answers(shot, 0.0, b"A:W+P100+P100", b"G:")

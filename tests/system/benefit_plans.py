@@ -37,18 +37,18 @@ def plans(rig: RigConfig, part: PartConfig, *, finish: str, patches: int, defect
     grid = replace(scene, postures=posture_grid(rig, part, step_deg=POSTURE_STEP))
     places = tuple(panel for some in candidates.panels for panel in some)
     usable, _ = usable_postures(grid, places)
-    looked = look_at(rig, part, replace(scene, postures=usable), patches=patches, defects=defects)
-    looked = finished(looked, finish)
+    examined = look_at(rig, part, replace(scene, postures=usable), patches=patches, defects=defects)
+    examined = finished(examined, finish)
     own = tuple(posture for posture in scene.postures if posture in usable)[:POSTURES]
     lights = build_lights(rig)
     for min_images in SEEN_IN:
         for what, among in ((f"the part's own {len(own)}", own), (f"{POSTURES} chosen", usable)):
             for offered in ((1.0,), tuple(OFFERED)):
-                yield _plan(looked, among, lights, candidates, offered, part.name, finish, min_images, what)
+                yield _plan(examined, among, lights, candidates, offered, part.name, finish, min_images, what)
 
 
 def _plan(
-    looked: Looked,
+    examined: Looked,
     among: Sequence[Posture],
     lights: Sequence[PanelLight],
     candidates: Candidates,
@@ -58,10 +58,10 @@ def _plan(
     min_images: int,
     what: str,
 ) -> Row:
-    survey = looked.survey
+    evaluator = examined.evaluator
     choice = choose_with_exposures(
-        survey,
-        replace(survey, table=drawn_patches(survey.table, DRAWN_PATCHES)),
+        evaluator,
+        replace(evaluator, table=drawn_patches(evaluator.table, DRAWN_PATCHES)),
         among,
         lights,
         candidates,
@@ -72,7 +72,7 @@ def _plan(
     )
     brackets = choice.brackets
     exposures = [(1.0,) if brackets is None else brackets.of(posture) for posture in choice.postures]
-    said, found = looked.seen(choice.postures, choice.panels, exposures)
+    said, found = examined.seen(choice.postures, choice.panels, exposures)
     return Row(
         part=part,
         finish=finish,
@@ -80,7 +80,7 @@ def _plan(
         what=what if len(offered) == 1 else f"{what}, {_further(exposures)}",
         lights=places_text(choice.panels),
         share=choice.cover.share,
-        defects=len(looked.defects),
+        defects=len(examined.defects),
         predicted=int((said >= min_images).sum()),
         counted=int((found >= min_images).sum()),
     )

@@ -40,9 +40,9 @@ def sets(
     """The best lights for detectability and for paper, in the part's first posture."""
     scene = build_scene(rig, part, defects=False)
     scene = replace(scene, postures=scene.postures[:1])
-    looked = look_at(rig, part, scene, patches=patches, defects=defects)
+    examined = look_at(rig, part, scene, patches=patches, defects=defects)
     for finish in FINISHES:
-        yield from _best_sets(finished(looked, finish), rig, part, finish, step)
+        yield from _best_sets(finished(examined, finish), rig, part, finish, step)
     if part.name in FREE:
         free = rig.model_copy(
             update={
@@ -56,31 +56,31 @@ def sets(
                 )
             }
         )
-        yield from _best_sets(finished(looked, "glossy"), free, part, "glossy, free azimuths", FREE_STEP)
+        yield from _best_sets(finished(examined, "glossy"), free, part, "glossy, free azimuths", FREE_STEP)
 
 
-def _best_sets(looked: Looked, rig: RigConfig, part: PartConfig, finish: str, step: float) -> Iterator[Row]:
-    survey = looked.survey
-    scene, posture = survey.scene, survey.scene.postures[0]
+def _best_sets(examined: Looked, rig: RigConfig, part: PartConfig, finish: str, step: float) -> Iterator[Row]:
+    evaluator = examined.evaluator
+    scene, posture = evaluator.scene, evaluator.scene.postures[0]
     candidates = find_candidates(rig, step_deg=step, scene=scene)
     matrix = luminance_matrix(
-        scene, survey.table, posture, candidates.panels, caster=survey.caster, detection=survey.detection
+        scene, evaluator.table, posture, candidates.panels, caster=evaluator.caster, detection=evaluator.detection
     )
     thresholds = LevelThresholds.of_sensor(scene.sensor, shade_share=10 / 255)
     weights = area_units(matrix.areas)
     paper = search([matrix], OBJECTIVES["paper"], thresholds, space=candidates.space, keep=1).best.candidates
     seen: dict[tuple[int, ...], tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
     for min_images in SEEN_IN:
-        goal = DetectabilityObjective(looked.trials, min_images)
+        goal = DetectabilityObjective(examined.trials, min_images)
         own = search([matrix], goal, thresholds, space=candidates.space, keep=1).best.candidates
         for what, places in (("detectability", own), ("paper", paper)):
             score = goal.score(matrix.combination(places), weights, thresholds)
             panels = candidates.panels_at(places)
             if places not in seen:
-                seen[places] = looked.seen([posture], panels, [(1.0,)])
+                seen[places] = examined.seen([posture], panels, [(1.0,)])
             said, found = seen[places]
             yield Row(
                 part=part.name, finish=finish, min_images=min_images, what=what, lights=places_text(panels),
-                share=score / (int(weights.sum()) * goal.total_weight), defects=len(looked.defects),
+                share=score / (int(weights.sum()) * goal.total_weight), defects=len(examined.defects),
                 predicted=int((said >= min_images).sum()), counted=int((found >= min_images).sum()),
             )  # fmt: skip

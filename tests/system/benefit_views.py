@@ -61,7 +61,7 @@ class Row:
 class Looked:
     """A survey, and defects strewn over it."""
 
-    survey: ImageEvaluator
+    evaluator: ImageEvaluator
     trials: tuple[DefectHypothesis, ...]
     contrast: Contrast
     defects: tuple[PlacedDefect, ...]
@@ -71,11 +71,11 @@ class Looked:
         """Of the defects in a posture's image, traced when first asked for."""
         if posture not in self.traced:
             self.traced[posture] = touched(
-                self.survey.scene,
+                self.evaluator.scene,
                 posture,
                 self.defects,
-                caster=self.survey.caster,
-                patches=self.survey.table.patches,
+                caster=self.evaluator.caster,
+                patches=self.evaluator.table.patches,
                 thin_from_px=THIN_FROM_PX,
             )
         return self.traced[posture]
@@ -85,12 +85,12 @@ class Looked:
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """In how many images each defect is, predicted and counted; exposures of a light are one image."""
         count = len(self.defects)
-        scene = replace(self.survey.scene, lights=tuple(panels))
+        scene = replace(self.evaluator.scene, lights=tuple(panels))
         said, found = np.zeros(count, np.int64), np.zeros(count, np.int64)
         for number, (posture, levels) in enumerate(zip(postures, exposures, strict=True)):
             pixels = self.pixels(posture)
-            both = pixels.levels(scene, self.survey.caster)
-            matrices = self.survey.matrices(posture, [[panel] for panel in panels], exposures=levels)
+            both = pixels.levels(scene, self.evaluator.caster)
+            matrices = self.evaluator.matrices(posture, [[panel] for panel in panels], exposures=levels)
             visibility = [matrix.visibility for matrix in matrices if matrix.visibility is not None]
             said += predicted(pixels, visibility, self._first_trials(), count).sum(axis=0)
             images = [
@@ -110,20 +110,20 @@ def look_at(rig: RigConfig, part: PartConfig, scene: Scene, *, patches: int, def
     caster = cast_rays_at(scene)
     trials = defect_hypotheses(build_catalogue(part))
     contrast = Contrast(sensor=scene.sensor, full_scale=scene.reflectance.full_scale)
-    survey = ImageEvaluator(
+    evaluator = ImageEvaluator(
         scene=scene,
         table=build_patches(scene, caster=caster, budget=patches),
         caster=caster,
         detection=DetectionModel(hypotheses=trials, contrast=contrast),
     )
     placed = strew(rig, part, scene, count=defects, seed=SEED)
-    return Looked(survey=survey, trials=trials, contrast=contrast, defects=placed)
+    return Looked(evaluator=evaluator, trials=trials, contrast=contrast, defects=placed)
 
 
-def finished(looked: Looked, finish: str) -> Looked:
-    scene = looked.survey.scene
+def finished(examined: Looked, finish: str) -> Looked:
+    scene = examined.evaluator.scene
     scene = replace(scene, reflectance=replace(scene.reflectance, **FINISHES[finish]))
-    return replace(looked, survey=replace(looked.survey, scene=scene))
+    return replace(examined, evaluator=replace(examined.evaluator, scene=scene))
 
 
 def places_text(panels: Sequence[PanelLight]) -> str:

@@ -152,13 +152,13 @@ def test_levels_are_the_same_with_and_without_defects_and_threads(tmp_path, poin
     plain, found, table = matrix_of(scene, rig, posture, budget=120)
     inspection = DetectionModel(hypotheses=TRIALS, contrast=Contrast(sensor=scene.sensor, full_scale=255.0))
     caster = cast_rays_at(scene)
-    looked = [
+    examined = [
         luminance_matrix(scene, table, posture, found.panels, caster=caster, detection=inspection, threads=threads)
         for threads in (1, 3)
     ]
-    for one, other in zip(plain.levels, looked[0].levels, strict=True):
+    for one, other in zip(plain.levels, examined[0].levels, strict=True):
         np.testing.assert_array_equal(one, other)
-    for one, other in zip(looked[0].visibility.words, looked[1].visibility.words, strict=True):
+    for one, other in zip(examined[0].visibility.words, examined[1].visibility.words, strict=True):
         np.testing.assert_array_equal(one, other)
 
 

@@ -165,7 +165,7 @@ CHROME = Surface(0.6, 1.12, ((280.0, 0.03), (30.0, 0.09)))
     ],
     ids=["shifted", "turned", "in place"],
 )
-def test_where_a_chrome_ball_lies_is_told_from_its_highlights(tmp_path, monkeypatch, change, words):
+def test_where_a_chrome_ball_lies_is_found_from_its_highlights(tmp_path, monkeypatch, change, words):
     """Hardly any light of it is diffuse, and its highlights are few pixels: not dust, nor another posture."""
     monkeypatch.setattr(_registration, "PIXELS", 2000)
     monkeypatch.setattr(_refinement, "FIRST_INNER_PIXELS", 1000)

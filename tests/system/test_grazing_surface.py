@@ -90,14 +90,14 @@ def test_scores_and_shares_of_a_sphere_are_of_the_cap_that_is_seen_at_up_to_80_d
     both = np.intersect1d(matrix.visibility.patch, matrix.visibility.grazing)
     assert not len(both)
     # a plan's pairs are on the same patches, drawn or not
-    survey = ImageEvaluator(scene=scene, table=table, caster=caster, detection=inspection)
-    assert survey.weights.areas.sum() == pytest.approx(inspectable * 1e6, rel=0.01)
-    drawn = replace(survey, table=drawn_patches(table, 500))
+    evaluator = ImageEvaluator(scene=scene, table=table, caster=caster, detection=inspection)
+    assert evaluator.weights.areas.sum() == pytest.approx(inspectable * 1e6, rel=0.01)
+    drawn = replace(evaluator, table=drawn_patches(table, 500))
     assert drawn.weights.areas.sum() == pytest.approx(inspectable * 1e6, rel=0.02)
     # seen obliquely in one posture and well in another, a patch counts
     tilted = replace(scene, postures=(posture, Posture(30.0, 0.0)))
-    two = replace(survey, scene=tilted, table=build_patches(tilted, caster=caster, budget=4000))
-    assert two.weights.areas.sum() > survey.weights.areas.sum()
+    two = replace(evaluator, scene=tilted, table=build_patches(tilted, caster=caster, budget=4000))
+    assert two.weights.areas.sum() > evaluator.weights.areas.sum()
 
 
 MESHES = (0.05, 0.02, 0.002)

@@ -139,13 +139,13 @@ def test_former_highlights_differ_from_what_is_around_by_less_than_the_uncertain
     off = image.level - plain.level
     full = ndimage.binary_dilation(view.saturated.any(axis=0), iterations=2) & view.clean
     pieces, count = ndimage.label(full)
-    told = 0
+    reported = 0
     for piece in range(1, count + 1):
         inside = (pieces == piece) & ~image.filled
         ring = ndimage.binary_dilation(pieces == piece, iterations=6) & view.clean & ~full
         if min(inside.sum(), ring.sum()) < 60:
             continue
-        told += 1
+        reported += 1
         step = abs(off[inside].mean() - off[ring].mean())
         assert step < image.deviation[inside].mean()
-    assert told >= 1
+    assert reported >= 1

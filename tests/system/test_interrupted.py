@@ -235,12 +235,12 @@ def test_ctrl_c_is_answered_soon_while_panels_of_very_many_points_are_cast(share
     from lightopt.rendering import build_patches
 
     scene = build_scene(shared_bench.rig, shared_bench.part)
-    asked: list[float] = []
+    requested: list[float] = []
     armed = threading.Event()
 
     def tell(query: str, *_) -> None:
-        if query == "OCCLUDED" and armed.is_set() and not asked:
-            asked.append(time.process_time())
+        if query == "OCCLUDED" and armed.is_set() and not requested:
+            requested.append(time.process_time())
             signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
 
     caster = RayCaster(scene.mesh.vertices, scene.mesh.faces, recorder=tell)
@@ -268,4 +268,4 @@ def test_ctrl_c_is_answered_soon_while_panels_of_very_many_points_are_cast(share
     with pytest.raises(KeyboardInterrupt):
         cast(10_000)
     # of both threads; without pieces it would be more than ten times as much
-    assert time.process_time() - asked[0] < 2.5
+    assert time.process_time() - requested[0] < 2.5

@@ -44,11 +44,11 @@ def test_a_long_exposure_is_planned_and_its_commands_make_its_images(small, monk
         words = shlex.split(command)[1:]
         assert run([*words, *(["--patches", "1000"] if words[0] == "render" else []), "--quiet"]) == 0
     rendered, captured = (read_image_set(folder) for folder in ("rendered", "captured"))
-    asked = {(e.light, e.posture, e.exposure): e for e in rendered.images}
-    assert {exposure for _, _, exposure in asked} == {1.0, 16.0}
-    assert {(e.light, e.posture, e.exposure) for e in captured.images} == asked.keys()
+    requested = {(e.light, e.posture, e.exposure): e for e in rendered.images}
+    assert {exposure for _, _, exposure in requested} == {1.0, 16.0}
+    assert {(e.light, e.posture, e.exposure) for e in captured.images} == requested.keys()
     for taken in captured.images:
-        made = asked[taken.light, taken.posture, taken.exposure]
+        made = requested[taken.light, taken.posture, taken.exposure]
         linear = read_exr(rendered.path(made.exr))["Y"].astype(np.float64)
         levels = read_png(rendered.path(made.png))
         np.testing.assert_array_equal(levels, np.minimum(np.floor(made.exposure * linear + 0.5), 255.0))

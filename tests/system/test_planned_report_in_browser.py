@@ -80,7 +80,7 @@ def check_once_and_silent(seen: Opened, report: Path) -> None:
         assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), width
     page.set_viewport_size({"width": 1200, "height": 900})
     own = [report.resolve().as_uri()]
-    assert [url for url in seen.asked if not url.startswith(("data:", "blob:"))] == own
+    assert [url for url in seen.requested if not url.startswith(("data:", "blob:"))] == own
     assert seen.said == []
 
 

@@ -123,16 +123,16 @@ def test_of_even_grey_images_nothing_is_concluded(plate):
     place = found.placement
     assert (place.x, place.y, place.turn) == (0.0, 0.0, 0.0)
     assert place.observable == (False, False, False)
-    (told,) = found.warnings
-    assert told.startswith("where the part lies cannot be determined from these images; assumed as in the part")
+    (reported,) = found.warnings
+    assert reported.startswith("where the part lies cannot be determined from these images; assumed as in the part")
 
 
 @pytest.mark.parametrize(
-    ("level", "told"), [(255.0, "every pixel of the part is saturated"), (0.0, "black where the part is expected")]
+    ("level", "reported"), [(255.0, "every pixel of the part is saturated"), (0.0, "black where the part is expected")]
 )
-def test_images_that_show_nothing_are_refused(plate, level, told):
+def test_images_that_show_nothing_are_refused(plate, level, reported):
     scene, images = plate
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=reported):
         registered(scene, with_levels(images, [np.full_like(o.levels, level) for o in images]))
 
 

@@ -105,7 +105,7 @@ def test_it_turns_and_changes_colours_and_asks_for_nothing(report):
         turned = colours(canvas.screenshot())
         assert all(abs(turned[name] - found[name]) < 200 for name in found)
         assert seen.said == []
-        assert [url for url in seen.asked if not url.startswith(("data:", "blob:"))] == [report.resolve().as_uri()]
+        assert [url for url in seen.requested if not url.startswith(("data:", "blob:"))] == [report.resolve().as_uri()]
 
 
 @pytest.mark.slow
@@ -187,7 +187,7 @@ def test_the_report_of_an_optimisation(bench, cli, images):
         page.set_viewport_size({"width": 420, "height": 800})
         assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), "nor on a telephone"
         assert seen.said == []
-        assert [url for url in seen.asked if not url.startswith(("data:", "blob:"))] == [
+        assert [url for url in seen.requested if not url.startswith(("data:", "blob:"))] == [
             (bench.out / "report.html").resolve().as_uri()
         ]
 
@@ -203,7 +203,7 @@ defects:
 
 def of_itself_only(seen, path):
     assert seen.said == []
-    assert [url for url in seen.asked if not url.startswith(("data:", "blob:"))] == [path.resolve().as_uri()]
+    assert [url for url in seen.requested if not url.startswith(("data:", "blob:"))] == [path.resolve().as_uri()]
 
 
 @pytest.mark.slow

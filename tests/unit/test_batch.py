@@ -176,6 +176,6 @@ def test_only_its_own_result_of_the_same_part_is_replaced(batch, tmp_path, monke
     assert [("--force" in command) for command in ran] == [False, False, *([True, False] if forced else [])]
 
 
-def test_a_folder_without_parts_is_told(batch, tmp_path, capsys):
+def test_a_folder_without_parts_is_reported(batch, tmp_path, capsys):
     assert batch.main(["rig.yaml", str(tmp_path)]) == 2
     assert "no part file (*.yaml) is there" in capsys.readouterr().err

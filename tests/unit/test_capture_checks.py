@@ -157,7 +157,7 @@ def test_lights_that_look_alike_accuse_nobody(seed):
     assert found.undecided is not None
 
 
-def test_another_part_is_told_and_no_light_accused():
+def test_another_part_is_reported_and_no_light_accused():
     rng = np.random.default_rng(5)
     found = check("left", np.where(PART, rng.uniform(0, 100, PART.shape), 0.0))
     assert found.problem is not None

@@ -258,7 +258,7 @@ def test_exposures_between_the_steps_of_the_camera_are_refused_in_the_dark(opene
         AcquisitionEngine(devices, plan, sensor=sensor, identities={}, timing=Timing()).close()
 
     with opened() as devices:
-        devices.camera.set_exposure = lambda asked: 20.0 * round(asked / 20)
+        devices.camera.set_exposure = lambda requested: 20.0 * round(requested / 20)
         with pytest.raises(InputError) as raised:
             shooter(devices, 1.0, 1 / 16, 1 / 64)
         assert len(raised.value.messages) == 2

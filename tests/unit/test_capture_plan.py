@@ -96,7 +96,7 @@ def test_without_a_hardware_section_it_is_the_virtual_bench(bench):
     }
 
 
-def test_a_real_stage_is_homed_when_asked_only(wired):
+def test_a_real_stage_is_homed_when_requested_only(wired):
     wired.edit("rig.yaml", "driver: shot\n    port: virtual", "driver: shot\n    port: /dev/ttyUSB7")
     assert not plan_of(wired).home
     assert plan_of(wired, home=True).home
@@ -154,7 +154,7 @@ def total(order, start):
     return sum(seconds(a, b) for a, b in itertools.pairwise((start, *order)))
 
 
-def test_how_fast_the_stage_goes_is_told_with_who_says_so(bench):
+def test_how_fast_the_stage_goes_is_reported_with_who_says_so(bench):
     rig = load_rig(bench.rig)
     assert pace_text(rig) == "at 90°/s of the virtual bench, since the rig has no hardware section"
     there = Posture(45.0, 90.0)

@@ -42,7 +42,7 @@ def taken(scene: Scene, posture: Posture, seed: int, gain: float = 1.0) -> np.nd
     return expose(np.float32(gain) * image.level, sensor=scene.sensor, exposure=1.0, full_scale=255.0, rng=rng)
 
 
-def looked_again(
+def second_look(
     scene: Scene, world: Scene, tilt_deg: float, turn_deg: float, gain: float = 0.95
 ) -> Repeatability | None:
     first = taken(world, POSTURE, 1)
@@ -67,16 +67,18 @@ METAL = {"R_d": 12.0, "R_s": 30_000.0, "sigma": 0.03}
         pytest.param("spout.yaml", METAL, marks=pytest.mark.nightly),
     ],
 )
-def test_a_degree_is_told_and_nothing_is_told_of_what_came_back(part: str, reflectance: dict[str, float]) -> None:
+def test_a_degree_is_reported_and_nothing_is_reported_of_what_returned(
+    part: str, reflectance: dict[str, float]
+) -> None:
     """Whatever the part is really like, wherever it lies, and with a lamp that has lost 5 %."""
     scene = scene_of(part)
     world = replace(scene, reflectance=replace(scene.reflectance, **reflectance))
-    same = looked_again(scene, world, 0.0, 0.0)
+    same = second_look(scene, world, 0.0, 0.0)
     assert same is not None
     assert (same.deviation, same.converged) == (None, True)
     assert max(abs(same.tilt_deg), abs(same.turn_deg)) < 0.1
     for tilt, turn in ((1.0, 0.0), (0.0, -1.0)):
-        found = looked_again(scene, world, tilt, turn)
+        found = second_look(scene, world, tilt, turn)
         assert found is not None
         assert found.deviation is not None
         assert found.converged
@@ -85,10 +87,10 @@ def test_a_degree_is_told_and_nothing_is_told_of_what_came_back(part: str, refle
 
 
 @pytest.mark.slow
-def test_a_third_of_a_degree_is_told_in_a_small_image_or_said_to_be_unseen() -> None:
+def test_a_third_of_a_degree_is_reported_in_a_small_image_or_said_to_be_unseen() -> None:
     """100 × 75 pixels: the errors are those of the scatter, not of how much a cell may pull."""
     scene = scene_of("cover-knob.yaml", shrunk=16)
-    same, found = looked_again(scene, scene, 0.0, 0.0), looked_again(scene, scene, 0.3, 0.0)
+    same, found = second_look(scene, scene, 0.0, 0.0), second_look(scene, scene, 0.3, 0.0)
     assert same is not None
     assert found is not None
     assert (same.deviation, same.unobservable) == (None, "")
@@ -96,7 +98,7 @@ def test_a_third_of_a_degree_is_told_in_a_small_image_or_said_to_be_unseen() -> 
     assert found.deviation.startswith("its elevation by roughly +")
     assert "rotation" not in found.deviation
     world = replace(scene, reflectance=replace(scene.reflectance, **METAL))
-    dim = looked_again(scene, world, 0.3, 0.0)
+    dim = second_look(scene, world, 0.3, 0.0)
     assert dim is not None
     assert (dim.deviation, dim.unobservable) == (None, "elevation and rotation")
 
@@ -120,28 +122,28 @@ def test_a_run_that_comes_back_takes_no_more_images_and_ends_in_the_dark(take, w
     moves = [Posture(0.0, 0.0), Posture(-10.0, 170.0), Posture(0.0, 0.0)]
     assert world.did("move") == [("move", posture) for posture in moves]
     assert not world.lit
-    facts = json.loads((bench.out / "manifest.json").read_text(encoding="utf-8"))["came_back"]
+    facts = json.loads((bench.out / "manifest.json").read_text(encoding="utf-8"))["repeatability"]
     assert (facts["light"], facts["posture"]) == ("light1", {"elevation_deg": 0.0, "rotation_deg": 0.0})
     assert abs(facts["tilt_deg"]) < 0.1
     take(resume=True)  # whether it came back is no part of what the set is
     take(resume=True, check_repeatability=True)
 
 
-def test_a_stage_that_lost_steps_on_its_way_is_told(take, world, bench) -> None:
+def test_a_stage_that_lost_steps_on_its_way_is_reported(take, world, bench) -> None:
     def slip(event):
         if event == ("move", Posture(-10.0, 170.0)):
             world.slipped = Posture(1.0, 0.0)
 
     world.trouble = slip
     done = take(check_repeatability=True)
-    (told,) = done.warnings
-    assert told.startswith(
+    (reported,) = done.warnings
+    assert reported.startswith(
         "came back to (0°, 0°): the part has turned since the first image there, its elevation by roughly +"
     )
-    assert "it lost steps, or the part slipped; home the stage and capture again" in told
+    assert "it lost steps, or the part slipped; home the stage and capture again" in reported
     manifest = json.loads((bench.out / "manifest.json").read_text(encoding="utf-8"))
-    assert manifest["warnings"] == [told]
-    assert manifest["came_back"]["tilt_deg"] == pytest.approx(1.0, abs=0.7)
+    assert manifest["warnings"] == [reported]
+    assert manifest["repeatability"]["tilt_deg"] == pytest.approx(1.0, abs=0.7)
 
 
 def test_there_has_to_be_something_to_come_back_from(take) -> None:

@@ -155,7 +155,7 @@ def test_the_set_is_valid_whenever_resuming_means_is_killed(take, world, bench, 
 # --- the disk
 
 
-def test_a_full_disk_is_told_with_step_and_state(take, world, bench, monkeypatch):
+def test_a_full_disk_is_reported_with_step_and_state(take, world, bench, monkeypatch):
     from lightopt.images import _atomic
 
     plain, count = os.replace, []

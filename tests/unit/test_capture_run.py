@@ -65,10 +65,10 @@ def test_what_is_known_of_each_image_is_in_the_manifest(take, bench):
     take(exposures=(1.0, 1 / 16))
     manifest = json.loads((bench.out / "manifest.json").read_text(encoding="utf-8"))
     facts = manifest["images"][1]["capture"]
-    assert facts["exposure_us"] == {"asked": 625.0, "read": 625.0}
-    assert facts["light"]["level"] == {"asked": 200, "read": 200}
+    assert facts["exposure_us"] == {"requested": 625.0, "read": 625.0}
+    assert facts["light"]["level"] == {"requested": 200, "read": 200}
     assert (facts["light"]["controller"], facts["light"]["channel"]) == ("bench1", 1)
-    assert facts["stage"]["asked"] == facts["stage"]["read"] == {"elevation_deg": 0.0, "rotation_deg": 0.0}
+    assert facts["stage"]["requested"] == facts["stage"]["read"] == {"elevation_deg": 0.0, "rotation_deg": 0.0}
     assert facts["retries"] == 0
     assert facts["frames"] == 1
     assert set(facts["devices"]) == {"lights", "stage", "camera"}
@@ -100,11 +100,11 @@ def test_levels_count_at_the_exposure_that_the_camera_held(take, bench):
     take(exposures=(1.0, 1 / 15))
     image_set = read_image_set(bench.out)
     rig, part = load_rig(bench.rig), load_part(bench.part)
-    asked = [entry.exposure for entry in image_set.images[:2]]
+    requested = [entry.exposure for entry in image_set.images[:2]]
     facts = [entry.extra["capture"]["exposure_us"] for entry in image_set.images[:2]]
-    assert facts[1]["asked"] != facts[1]["read"]
+    assert facts[1]["requested"] != facts[1]["read"]
     held = [one["read"] / 10_000.0 for one in facts]
-    assert asked == [1.0, 1 / 15]
+    assert requested == [1.0, 1 / 15]
     assert [entry.held_exposure for entry in image_set.images[:2]] == pytest.approx(held, rel=1e-12)
     seen = read_observations(image_set, rig, part)
     assert [one.exposure for one in seen[:2]] == pytest.approx(held, rel=1e-12)
@@ -448,7 +448,7 @@ def test_another_part_is_refused_unless_unchecked(take, world, bench):
     assert take(part=other, force=True, check=False).taken == 4
 
 
-def test_ambient_light_that_nothing_subtracts_is_told(take):
+def test_ambient_light_that_nothing_subtracts_is_reported(take):
     assert take(truth=BenchTruth(ambient_level=4.0), dark=True).warnings == ()
     said = take(truth=BenchTruth(ambient_level=4.0), force=True).warnings
     assert [text.partition(":")[0] for text in said] == [

@@ -101,16 +101,16 @@ def test_a_light_goes_dark_whatever_its_driver_raised_at_first(error):
 
 
 @of(ANY)
-def test_what_the_driver_says_is_told_as_long_as_the_light_burns(error):
+def test_what_the_driver_says_is_reported_as_long_as_the_light_burns(error):
     def darken(_light):
         raise error
 
     watch = LightWatchdog(darken)
     watch.start("light1", LONGEST_S)
-    told = []
-    until(lambda: told or told.extend(filter(None, [watch.pop_problem("light1")])))
-    assert told[0].startswith(f"light1 is on for longer than its max_on_s of {LONGEST_S:g} s: ")
-    assert error_text(error) in told[0]
+    reported = []
+    until(lambda: reported or reported.extend(filter(None, [watch.pop_problem("light1")])))
+    assert reported[0].startswith(f"light1 is on for longer than its max_on_s of {LONGEST_S:g} s: ")
+    assert error_text(error) in reported[0]
     watch.stop_all()
 
 
@@ -177,7 +177,7 @@ def test_the_way_out_ends_dark_whatever_the_driver_raised(opened, world, error):
 
 
 @of(UNFORESEEN)
-def test_a_driver_that_never_darkens_is_told_and_all_is_closed(opened, world, error):
+def test_a_driver_that_never_darkens_is_reported_and_all_is_closed(opened, world, error):
     with pytest.raises(HardwareError, match=r"lights that may still be on: .*light3") as raised, opened as devices:
         devices.light_on("light3")
         world.trouble = failing(error, 10_000)

@@ -278,7 +278,7 @@ def test_devices_marks_ports_that_are_not_there(cli, wired, sealed):
     assert "NO: no port /dev/nowhere on this computer" in ran.out
 
 
-def test_an_exposure_that_no_camera_has_is_told_before_how_long_a_light_would_burn(cli, wired, sealed):
+def test_an_exposure_that_no_camera_has_is_reported_before_how_long_a_light_would_burn(cli, wired, sealed):
     ran = cli(
         "bench",
         "snap",

@@ -191,7 +191,7 @@ def test_a_defect_that_rays_may_miss_is_warned_of(cli, catalogue):
     assert cli(*command, "-o", catalogue.folder / "fine", "--supersample", "5").err == ""
 
 
-def test_a_wrong_place_is_told_before_anything_is_written(cli, catalogue):
+def test_a_wrong_place_is_reported_before_anything_is_written(cli, catalogue):
     text = catalogue.part.read_text(encoding="utf-8")
     lost = "{name: lost, kind: dent, at_mm: [0, 0, 900], size_mm: 1, slope_deg: 5}"
     catalogue.part.write_text(f"{text}defects: [{lost}]\n", encoding="utf-8")

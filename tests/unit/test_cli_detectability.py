@@ -124,8 +124,8 @@ def test_pictures_show_each_posture(planned):
     assert 0.02 < len(part) / len(view) < 0.98
     # every pixel has the colour of the table at some brightness, or its pale one
     with (planned.out / "blind.csv").open(encoding="utf-8", newline="") as file:
-        told = {row["what"]: row["colour"] for row in csv.DictReader(file)}
-    full = np.array([[int(text[k : k + 2], 16) for k in (1, 3, 5)] for text in told.values()], float)
+        reported = {row["what"]: row["colour"] for row in csv.DictReader(file)}
+    full = np.array([[int(text[k : k + 2], 16) for k in (1, 3, 5)] for text in reported.values()], float)
     colours = np.concatenate([full, (full + 255) // 2])
     shade = np.clip((part @ colours.T) / (colours**2).sum(axis=1), 0.8, 1.0)
     off = np.abs(part[:, None, :] - shade[:, :, None] * colours).max(axis=2)
@@ -135,8 +135,8 @@ def test_pictures_show_each_posture(planned):
     assert {tuple(colour) for colour in faces["colour"].tolist()} <= {tuple(c) for c in colours.astype(int).tolist()}
     # below it the legend has the colours as they are
     legend = {tuple(colour) for colour in picture[height:].reshape(-1, 3).tolist()}
-    here = {row for row in told if blind_row(planned, row) > 0.0}
-    assert {tuple(int(told[row][k : k + 2], 16) for k in (1, 3, 5)) for row in here} <= legend
+    here = {row for row in reported if blind_row(planned, row) > 0.0}
+    assert {tuple(int(reported[row][k : k + 2], 16) for k in (1, 3, 5)) for row in here} <= legend
 
 
 def blind_row(planned, what):

@@ -183,10 +183,10 @@ def test_a_part_that_lies_a_little_off_is_found(cli, bench, tmp_path, points):
     nominal = cli(*command, "-o", tmp_path / "nominal")
     assert nominal.status == 2
     assert "Fit the shift" in nominal.err
-    told = re.search(r"shifted by ([0-9.]+) px", nominal.err)
-    assert told is not None
+    reported = re.search(r"shifted by ([0-9.]+) px", nominal.err)
+    assert reported is not None
     # 1 mm, at 0.44 mm a pixel
-    assert float(told[1]) == pytest.approx(1.0 / 0.44, rel=0.1)
+    assert float(reported[1]) == pytest.approx(1.0 / 0.44, rel=0.1)
     ran = cli(*command, "-o", bench.out, "--register")
     assert ran.status == 0
     fitted = load_part(bench.out / "part.fitted.yaml").reflectance
@@ -235,8 +235,8 @@ def test_point_lights_fitted_to_an_evenly_lit_panel_are_noticed(cli, bench, tmp_
     ran = cli(*command, "-o", tmp_path / "four")
     assert ran.status == 0
     assert "evenly lit panels describe these images better than 4 points" in ran.err
-    told = float(ran.err.partition("R_s would be about ")[2].split()[0])
-    assert told == pytest.approx(12500, rel=0.02)
+    reported = float(ran.err.partition("R_s would be about ")[2].split()[0])
+    assert reported == pytest.approx(12500, rel=0.02)
     assert "evenly lit" not in cli(*command, "-o", tmp_path / "auto", "--points", "auto").err
 
 
@@ -322,7 +322,7 @@ def test_images_of_another_size(cli, bench, images):
     refused(cli, bench, images, "160 × 120 px", "176 × 120 px", "resolution_px", "and 7 images more")
 
 
-def test_a_folder_without_manifest_is_told_what_to_do(cli, bench, images, tmp_path):
+def test_a_folder_without_manifest_is_reported_what_to_do(cli, bench, images, tmp_path):
     (images / "manifest.json").rename(images / "renamed.json")
     refused(cli, bench, images, "no manifest.json", "docs/reference/conventions.md")
     refused(cli, bench, images / "renamed.txt", "renamed.txt")
@@ -371,7 +371,7 @@ def test_no_diffuse_only_pixel_for_the_papers_method(cli, bench, images):
 
 
 @pytest.mark.slow
-def test_lights_that_were_exchanged_are_told(cli, bench, images):
+def test_lights_that_were_exchanged_are_reported(cli, bench, images):
     def exchange(manifest):
         for entry in manifest["images"]:
             entry["light"] = {"light1": "light3", "light3": "light1"}[entry["light"]]
@@ -389,13 +389,13 @@ def test_lights_that_were_exchanged_are_told(cli, bench, images):
 
 
 @pytest.mark.nightly
-def test_mirrored_images_are_told(cli, bench, images):
+def test_mirrored_images_are_reported(cli, bench, images):
     spoil(images, lambda levels: levels[:, ::-1])
     refused(cli, bench, images, "do not look like this part", "mirrored left to right", options=("--joint",))
 
 
 @pytest.mark.nightly
-def test_the_papers_procedure_refuses_strangers_too(cli, bench, images):
+def test_the_papers_procedure_refuses_images_of_another_part_too(cli, bench, images):
     spoil(images, lambda levels: levels[:, ::-1])
     refused(cli, bench, images, "do not look like this part", "mirrored", options=("--method", "paper"))
 
@@ -418,14 +418,14 @@ def test_options_of_the_paper_without_its_method(cli, bench, images):
 
 
 @pytest.mark.slow
-def test_shifted_images_are_told(cli, bench, images):
+def test_shifted_images_are_reported(cli, bench, images):
     # where the stage has turned the part, no place of the part shifts all images alike
     edit_manifest(
         images, lambda m: m.update(images=[e for e in m["images"] if e["exposure"] == 1 and e["light"] == "light1"])
     )
     spoil(images, lambda levels: np.roll(levels, 4, axis=1))
-    told = ("do not look like this part", "in posture (0°, 0°), with the part shifted by", "correct the camera")
-    refused(cli, bench, images, *told, options=("--joint",))
+    reported = ("do not look like this part", "in posture (0°, 0°), with the part shifted by", "correct the camera")
+    refused(cli, bench, images, *reported, options=("--joint",))
 
 
 @pytest.mark.slow

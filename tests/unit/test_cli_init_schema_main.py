@@ -169,11 +169,11 @@ def test_output_redirected_in_a_windows_code_page_is_utf_8(tmp_path, shared_benc
         ("render", "--help"): (0, "θ,φ"),
         ("check", str(rig)): (2, 'unknown key "σ_θ"'),
     }
-    for arguments, (status, told) in runs.items():
+    for arguments, (status, reported) in runs.items():
         command = [sys.executable, "-m", "lightopt", *arguments]
         done = subprocess.run(command, capture_output=True, check=False, env=environment)
         assert done.returncode == status
-        assert told in (done.stdout + done.stderr).decode("utf-8")
+        assert reported in (done.stdout + done.stderr).decode("utf-8")
         assert b"Traceback" not in done.stderr
 
 

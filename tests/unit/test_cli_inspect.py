@@ -71,7 +71,7 @@ def found(bench, out="out"):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("detector", ["residual", "template"])
-def test_defects_are_found_where_they_are_and_told_in_every_file(cli, bench, parts, detector):
+def test_defects_are_found_where_they_are_and_reported_in_every_file(cli, bench, parts, detector):
     ran = inspect(cli, bench, parts["bad"], "--detector", detector, "--fail-on-defect")
     assert ran.status == 1
     assert "NG" in ran.out
@@ -104,17 +104,17 @@ def test_defects_are_found_where_they_are_and_told_in_every_file(cli, bench, par
         assert overlay.size == (160, 120)
     synthetic = read_exr(bench.out / "posture_0_0" / "synthetic.exr")
     assert set(synthetic) == {"Y", "deviation.Y", "filled", "mask"}
-    told = read_png_metadata(bench.out / "posture_0_0" / "synthetic.png")
-    assert told["power"] == 1.0
+    reported = read_png_metadata(bench.out / "posture_0_0" / "synthetic.png")
+    assert reported["power"] == 1.0
     grey = read_png(bench.out / "posture_0_0" / "synthetic.png")
-    expected = np.clip(synthetic["Y"] / told["white_level"], 0.0, 1.0) * 255.0
+    expected = np.clip(synthetic["Y"] / reported["white_level"], 0.0, 1.0) * 255.0
     assert np.abs(grey - expected)[synthetic["mask"] > 0].max() < 0.6
     assert set(result["files"]) | {"defects.json"} == {
         p.relative_to(bench.out).as_posix() for p in bench.out.rglob("*") if p.is_file()
     }
 
 
-def test_the_verdict_is_reached_and_told_before_the_images_without_highlights(cli, bench, parts, monkeypatch):
+def test_the_verdict_is_reached_and_reported_before_the_images_without_highlights(cli, bench, parts, monkeypatch):
     """They take several times as long, and the residual detector does not look at them."""
 
     def refuse(*_, **__):
@@ -239,7 +239,7 @@ def dazzled(images):
 
 
 @pytest.mark.slow
-def test_a_set_that_is_refused_is_told_and_the_others_go_on(cli, bench, parts, dazzled):
+def test_a_set_that_is_refused_is_reported_and_the_others_go_on(cli, bench, parts, dazzled):
     ran = inspect(cli, bench, [parts["good"], dazzled, parts["bad"]], "--fusion", "none", "--fail-on-defect")
     assert ran.status == 2
     assert "error: dazzled: not inspected: posture (0°, 0°): all" in ran.err
@@ -271,7 +271,7 @@ def test_a_set_that_is_refused_is_told_and_the_others_go_on(cli, bench, parts, d
 
 
 @pytest.mark.slow
-def test_a_refused_set_keeps_no_earlier_result_and_an_old_folder_is_asked_for_before_work(
+def test_a_refused_set_keeps_no_earlier_result_and_an_old_folder_is_requested_before_work(
     cli, bench, parts, dazzled, tmp_path
 ):
     good = shutil.copytree(parts["good"], tmp_path / "other" / "dazzled")
@@ -358,11 +358,11 @@ def test_what_is_allowed_and_what_is_found_is_said(cli, bench, parts):
     assert ran.status == 0
     assert "OK: 1 defect that counts, 3 allowed\n" in ran.out
     share = 100.0 * found(bench)["surface"]["finds_contrast"]["0.2"]
-    told = f"a disc of 5 px that changes the light by 20 % is found on {share:.1f} %"
-    assert told in ran.out
+    reported = f"a disc of 5 px that changes the light by 20 % is found on {share:.1f} %"
+    assert reported in ran.out
     page = (bench.out / "report.html").read_text(encoding="utf-8")
     assert "1 defect that counts, 3 allowed. 2 defects on the" in page
-    assert told in page
+    assert reported in page
     assert "0 shown by no pixel to judge; 0 false alarms per posture" in ran.out
 
 
@@ -379,15 +379,15 @@ def test_labels_say_what_was_found_and_what_was_not(cli, bench, parts):
     assert ran.status == 0
     assert "2 of 2 defects found" in ran.out
     assert "truth.json" in found(bench)["files"]
-    told = json.loads((bench.out / "truth.json").read_text(encoding="utf-8"))
-    assert (told["defects"], told["found"], told["hidden"]) == (2, 2, [])
-    assert told["false_alarms_per_posture"] == 0
-    assert 0.9 < told["roc_auc"] <= 1.0
-    assert told["recall"] == [
+    reported = json.loads((bench.out / "truth.json").read_text(encoding="utf-8"))
+    assert (reported["defects"], reported["found"], reported["hidden"]) == (2, 2, [])
+    assert reported["false_alarms_per_posture"] == 0
+    assert 0.9 < reported["roc_auc"] <= 1.0
+    assert reported["recall"] == [
         {"kind": "dent", "size_mm": 5.0, "defects": 1, "found": 1},
         {"kind": "stain", "size_mm": 3.5, "defects": 1, "found": 1},
     ]
-    assert told["detection"]["all"]["a90"] is None  # two are too few to say
+    assert reported["detection"]["all"]["a90"] is None  # two are too few to say
 
 
 @pytest.mark.slow
@@ -405,13 +405,13 @@ def test_a_set_rendered_without_defects_counts_with_its_false_alarms_alone(cli, 
     ran = inspect(cli, bench, [parts["good"], parts["bad"]], "--fusion", "none", "--evaluate")
     assert ran.status == 0, ran.err
     assert "2 of 2 defects found" in ran.out
-    told = json.loads((bench.out / "truth.json").read_text(encoding="utf-8"))
-    assert told["labels"] == ["images", "no defects"]
-    assert [(one["set"], one["labels"], one["defects"]) for one in told["sets"]] == [
+    reported = json.loads((bench.out / "truth.json").read_text(encoding="utf-8"))
+    assert reported["labels"] == ["images", "no defects"]
+    assert [(one["set"], one["labels"], one["defects"]) for one in reported["sets"]] == [
         ("good", "no defects", 0),
         ("bad", "images", 2),
     ]
-    assert [(one["set"], one["name"], sorted(one["posture"])) for one in told["each"]] == [
+    assert [(one["set"], one["name"], sorted(one["posture"])) for one in reported["each"]] == [
         ("bad", name, ["elevation_deg", "rotation_deg"]) for name in ("stain", "dent")
     ]
 
@@ -459,7 +459,7 @@ def test_black_images_are_called_black(cli, bench, images):
     assert "they are black: " in ran.err
 
 
-def test_a_black_level_that_is_off_is_told(cli, bench, images):
+def test_a_black_level_that_is_off_is_reported(cli, bench, images):
     manifest = json.loads((images / "manifest.json").read_text(encoding="utf-8"))
     for image in manifest["images"]:
         levels = np.minimum(read_png(images / image["png"]).astype(np.int64) + 9, 255).astype(np.uint8)
@@ -467,9 +467,9 @@ def test_a_black_level_that_is_off_is_told(cli, bench, images):
     (images / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
     ran = inspect(cli, bench, images, "--fusion", "none")
     assert ran.status == 0
-    told = re.search(r"black is ([0-9.]+) sensor levels above the rig's black_level of 0; judged", ran.err)
-    assert told is not None
-    assert float(told.group(1)) == pytest.approx(9.0, abs=0.7)
+    reported = re.search(r"black is ([0-9.]+) sensor levels above the rig's black_level of 0; judged", ran.err)
+    assert reported is not None
+    assert float(reported.group(1)) == pytest.approx(9.0, abs=0.7)
 
 
 def test_images_that_are_saturated_all_over_are_refused(cli, bench, images):

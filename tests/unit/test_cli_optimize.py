@@ -208,7 +208,7 @@ def test_the_terminal_shows_the_table(optimized, cli):
 
 
 @pytest.mark.slow
-def test_patches_that_are_too_coarse_are_told(three, cli):
+def test_patches_that_are_too_coarse_are_reported(three, cli):
     few = ("--step", "20", *BARE, "--posture", "0,0")
     trimesh.creation.box((40, 30, 10)).export(three.mesh)
     coarse = cli("optimize", three.rig, three.part, "-o", three.out, *few, "--patches", "12")
@@ -226,9 +226,9 @@ def test_a_step_part_of_many_triangles_says_how_to_have_fewer(three, cli):
     three.edit("part.yaml", "knob.stl", "knob.step")
     few = ("--step", "20", *BARE, "--posture", "0,0", "--patches", "500", "-v")
     ran = cli("optimize", three.rig, three.part, "-o", three.out, *few)
-    told = re.search(r"visible patches of .*; ([\d,]+) of the mesh's own triangles may show", ran.out)
-    assert told is not None, ran.out
-    many = int(told[1].replace(",", ""))
+    reported = re.search(r"visible patches of .*; ([\d,]+) of the mesh's own triangles may show", ran.out)
+    assert reported is not None, ran.out
+    many = int(reported[1].replace(",", ""))
     assert many > 500
     three.edit("part.yaml", "knob.step", "knob.step, chord_tolerance_mm: 0.5")
     ran = cli("optimize", three.rig, three.part, "-o", three.out, *few, "--force")
@@ -415,7 +415,7 @@ def test_one_light_is_placed_for_defects_and_refused_by_objectives_that_compare_
 
 
 @pytest.mark.slow
-def test_with_two_lights_paper_is_left_out_unless_asked_for(bench, cli):
+def test_with_two_lights_paper_is_left_out_unless_requested(bench, cli):
     lights = LIGHTS.split("  - name: light2")[0] + LIGHTS[LIGHTS.index("  - {name: light3") :]
     with_lights(bench, lights)
     command = ("optimize", bench.rig, bench.part, "-o", bench.out, *FEW, *BARE, "--posture", "0,0")
@@ -480,7 +480,7 @@ def test_overlap_wants_two_images_of_one_size(bench, cli):
     assert cli("overlap", bench.folder / "nowhere").status == 2
 
 
-def test_an_anchor_that_shares_an_angle_is_told(three, cli):
+def test_an_anchor_that_shares_an_angle_is_reported(three, cli):
     three.edit("rig.yaml", "elevation_deg: 60,", "elevation_deg: &low 60,")
     three.edit("rig.yaml", "elevation_deg: 50.0 ", "elevation_deg: *low ")
     ran = cli("optimize", three.rig, three.part, "-o", three.out, *FEW, *BARE, "--posture", "0,0")

@@ -32,9 +32,9 @@ def two(bench):
     return prepared(bench)
 
 
-def plan(cli, two, *asked):
+def plan(cli, two, *requested):
     """Plan without the report, which takes longer than a small plan."""
-    return cli("optimize", two.rig, two.part, "-o", two.out, *FEW, "--no-report", *asked)
+    return cli("optimize", two.rig, two.part, "-o", two.out, *FEW, "--no-report", *requested)
 
 
 def result_of(folder: Path):
@@ -78,10 +78,10 @@ def test_the_part_has_the_planned_postures_and_all_its_comments(planned):
     order = result_of(planned.out)["chosen_postures"]["order_of_travel"]
     assert [p.model_dump() for p in part.postures] == order
     text = (planned.out / "part.planned.yaml").read_text(encoding="utf-8")
-    (asked,) = (line for line in text.splitlines() if line.startswith("# planned by: "))
-    assert f"# as before\n{asked}\npostures:\n" in text
+    (requested,) = (line for line in text.splitlines() if line.startswith("# planned by: "))
+    assert f"# as before\n{requested}\npostures:\n" in text
     # the whole command, but for where the files lie
-    words = shlex.split(asked.removeprefix("# planned by: "))
+    words = shlex.split(requested.removeprefix("# planned by: "))
     assert words[:4] == ["lightopt", "optimize", "rig.yaml", "part.yaml"]
     assert sorted(words[4:]) == sorted(word.replace("1/16", "0.0625") for word in PLAN)
     assert CATALOGUE in text
@@ -93,8 +93,8 @@ def test_the_way_takes_as_long_as_the_capture_says(planned, cli):
     ran = cli("capture", planned.out / "rig.optimized.yaml", planned.out / "part.planned.yaml", "--dry-run")
     assert f", {chosen['travel_s']:.1f} s of them travel" in ran.out
     moves = [line for line in ran.out.splitlines() if "  move to " in line]
-    told = [f"({p['elevation_deg']:g}°, {p['rotation_deg']:g}°)" for p in chosen["order_of_travel"]]
-    assert [line.split("move to ")[1] for line in moves] == told
+    reported = [f"({p['elevation_deg']:g}°, {p['rotation_deg']:g}°)" for p in chosen["order_of_travel"]]
+    assert [line.split("move to ")[1] for line in moves] == reported
     assert sum(float(line.split()[1]) for line in moves) == pytest.approx(chosen["travel_s"], abs=0.02)
 
 
@@ -241,8 +241,8 @@ def test_one_light_is_enough_where_postures_are_chosen(two, cli, reach):
     first, *_, last = LIGHTS.splitlines(keepends=True)
     alone = first + last.replace("light2", "light1").replace(", elevation_range_deg: [40, 50]", reach)
     two.edit("rig.yaml", LIGHTS, alone)
-    asked = ("--patches", "200", "--step", "10", "--choose-postures", "2", "--posture-step", "90")
-    ran = cli("optimize", two.rig, two.part, "-o", two.out, *asked, "--min-images", "2", "--light-tolerance", "1")
+    requested = ("--patches", "200", "--step", "10", "--choose-postures", "2", "--posture-step", "90")
+    ran = cli("optimize", two.rig, two.part, "-o", two.out, *requested, "--min-images", "2", "--light-tolerance", "1")
     assert ran.status == 0, ran.err
     assert "2 postures of 13 show" in ran.out
     result = result_of(two.out)
@@ -297,14 +297,14 @@ def test_a_number_of_postures_shows_at_least_what_a_target_beyond_reach_says(two
     assert ran.status == 1
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *few, "--target", "1")
     row = next(line for line in ran.out.splitlines() if line.startswith("2 "))
-    told = float(row.split()[-4])
+    reported = float(row.split()[-4])
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *few, "--choose-postures", "2")
     assert ran.status == 0, ran.err
-    assert 100.0 * result_of(two.out)["chosen_postures"]["share"] >= told - 0.5
+    assert 100.0 * result_of(two.out)["chosen_postures"]["share"] >= reported - 0.5
 
 
 @pytest.mark.slow
-def test_more_postures_than_there_are_and_such_as_add_next_to_nothing_are_told(two, cli):
+def test_more_postures_than_there_are_and_such_as_add_next_to_nothing_are_reported(two, cli):
     few = ("--patches", "100", "--step", "10", "--no-images", "--posture-step", "90", "--no-report", "-v")
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *few, "--choose-postures", "30")
     assert ran.status == 0, ran.err
@@ -330,9 +330,9 @@ def test_more_postures_than_there_are_and_such_as_add_next_to_nothing_are_told(t
 
 @pytest.mark.slow
 def test_images_of_chosen_postures_have_the_planned_exposures(two, cli):
-    asked = ("--patches", "150", "--step", "15", "--choose-postures", "2", "--posture-step", "90")
+    requested = ("--patches", "150", "--step", "15", "--choose-postures", "2", "--posture-step", "90")
     offer = ("--exposures", "1,1/16,8", "--exposure-gain", "0.2")
-    ran = cli("optimize", two.rig, two.part, "-o", two.out, *asked, *offer, "--no-report")
+    ran = cli("optimize", two.rig, two.part, "-o", two.out, *requested, *offer, "--no-report")
     assert ran.status == 0, ran.err
     result = result_of(two.out)
     expected = {
@@ -352,9 +352,9 @@ def test_images_of_chosen_postures_have_the_planned_exposures(two, cli):
 
 @pytest.mark.slow
 def test_what_is_planned_is_rendered_as_it_is_planned(two, cli):
-    asked = ("--patches", "150", "--step", "10", "--common-lights")
+    requested = ("--patches", "150", "--step", "10", "--common-lights")
     offer = ("--exposures", "1,1/16,8", "--exposure-gain", "0.6")
-    ran = cli("optimize", two.rig, two.part, "-o", two.out, *asked, *offer, "-v")
+    ran = cli("optimize", two.rig, two.part, "-o", two.out, *requested, *offer, "-v")
     assert ran.status == 0, ran.err
     result = result_of(two.out)
     planned_ones: dict[Posture, list[float]] = {p: [1.0] for p in (Posture(0.0, 0.0), Posture(-10.0, 170.0))}
@@ -388,15 +388,15 @@ def test_what_is_planned_is_rendered_as_it_is_planned(two, cli):
     total = sum(one["travel_s"] for one in result["rounds"])
     assert f"together {total:.1f} s of travel" in ran.out
     # nothing of it stays where another plan has other image sets
-    ran = cli("optimize", two.rig, two.part, "-o", two.out, *asked, "--force")
+    ran = cli("optimize", two.rig, two.part, "-o", two.out, *requested, "--force")
     assert ran.status == 0, ran.err
     assert sorted(path.name for path in two.out.glob("images*")) == ["images"]
 
 
 @pytest.mark.slow
 def test_nothing_to_see_is_said(two, cli):
-    asked = ("--choose-postures", "2", "--posture-step", "90", "--threshold", "1e6")
-    ran = plan(cli, two, *asked)
+    requested = ("--choose-postures", "2", "--posture-step", "90", "--threshold", "1e6")
+    ran = plan(cli, two, *requested)
     assert ran.status == 1
     assert "no posture of 13 shows any defect" in ran.err
     assert not two.out.exists()
@@ -405,8 +405,8 @@ def test_nothing_to_see_is_said(two, cli):
 @pytest.mark.slow
 def test_an_objective_that_is_only_scored_is_not_said_to_be_proven_among_all(two, cli, monkeypatch):
     monkeypatch.setattr("lightopt.design.responses._posture_matrices.PostureMatrices.fits_memory", lambda *_: False)
-    asked = ("--choose-postures", "1", "--posture-step", "90", "--objective", "detectability")
-    ran = plan(cli, two, *asked, "--objective", "coverage")
+    requested = ("--choose-postures", "1", "--posture-step", "90", "--objective", "detectability")
+    ran = plan(cli, two, *requested, "--objective", "coverage")
     assert ran.status == 0, ran.err
     assert "not searched: they are too many for memory" in ran.err
     first, second = result_of(two.out)["results"][0]["objectives"]
@@ -434,19 +434,19 @@ def test_a_target_within_reach_takes_no_more_than_it_needs(two, cli):
         ("target", "adds 1 % or more, or where the target takes it."),
     ],
 )
-def test_exposures_that_the_target_takes_are_told(capsys, why, expected):
+def test_exposures_that_the_target_takes_are_reported(capsys, why, expected):
     shots = (FurtherExposure(posture=Posture(0.0, 0.0), exposure=0.25, gain=0.004, reason=why),)
     brackets = Brackets(before=0.9, after=0.904, further=shots, least_gain=0.01, grain=0.005)
     show_plan(PlanResult(brackets=brackets), verbose=False)
-    told = capsys.readouterr().out
-    assert "with exposure 1 alone 90.0 %" in told
-    assert f"One is planned where it {expected}" in told
-    assert "0.4 % " in told
+    reported = capsys.readouterr().out
+    assert "with exposure 1 alone 90.0 %" in reported
+    assert f"One is planned where it {expected}" in reported
+    assert "0.4 % " in reported
     # no digit that the patches do not support
     show_plan(PlanResult(brackets=replace(brackets, grain=0.02)), verbose=True)
-    told = capsys.readouterr().out
-    assert "< 1 % " in told
-    assert not re.search(r"\d\.\d+ %", told)
+    reported = capsys.readouterr().out
+    assert "< 1 % " in reported
+    assert not re.search(r"\d\.\d+ %", reported)
 
 
 @pytest.mark.nightly

@@ -194,8 +194,8 @@ def test_every_exposure_gets_a_sheet(cli, bench):
     ran = cli("render", bench.rig, bench.part, "-o", bench.out, *FEW, "--sheet", *exposures)
     assert ran.status == 0
     names = ["contact-sheet_x0.0625.png", "contact-sheet.png"]
-    told = [f"contact sheet, exposure {e}: {bench.out / n}" for e, n in zip(("0.0625", "1"), names, strict=True)]
-    assert ran.out.splitlines()[-2:] == told
+    reported = [f"contact sheet, exposure {e}: {bench.out / n}" for e, n in zip(("0.0625", "1"), names, strict=True)]
+    assert ran.out.splitlines()[-2:] == reported
     assert set(read_image_set(bench.out).manifest.files) == {"patches.npz", *names}
     short, long = (bench.out / name for name in names)
     assert short.read_bytes() != long.read_bytes()
@@ -380,7 +380,7 @@ def test_noise_is_that_of_its_seed(cli, bench):
     ],
     ids=" ".join,
 )
-def test_noise_of_an_image_does_not_depend_on_what_else_is_asked_for(cli, bench, options):
+def test_noise_of_an_image_does_not_depend_on_what_else_is_requested(cli, bench, options):
     full = noisy(cli, bench, "full")
     some = noisy(cli, bench, "some", *options)
     shared = full.keys() & some.keys()

@@ -31,19 +31,19 @@ def test_a_panel_inside_the_part(cli, bench):
     assert f"{bench.rig}:13: lights[1]" in ran.err
 
 
-def test_a_panel_that_is_not_asked_for_does_not_matter(cli, bench):
+def test_a_panel_that_is_not_requested_does_not_matter(cli, bench):
     bench.edit("rig.yaml", "distance_mm: 330, elevation_deg: 45", "distance_mm: 20, elevation_deg: 45")
     options = ("--light", "light1", "--patches", "500", "-q")
     assert cli("render", bench.rig, bench.part, "-o", bench.out, *options).status == 0
 
 
-@pytest.mark.parametrize(("unit", "told"), [("um", "no pixel on the part at best"), ("m", "is inside the part")])
-def test_a_part_a_thousand_times_too_small_or_large(cli, bench, unit, told):
+@pytest.mark.parametrize(("unit", "reported"), [("um", "no pixel on the part at best"), ("m", "is inside the part")])
+def test_a_part_a_thousand_times_too_small_or_large(cli, bench, unit, reported):
     bench.edit("part.yaml", "units: mm", f"units: {unit}")
     checked, ran = refuse(cli, bench)
-    assert told in checked.out + checked.err
+    assert reported in checked.out + checked.err
     what, hint = ran.err.splitlines()
-    assert told in what
+    assert reported in what
     assert f"{bench.part}:3: mesh.file" in what
     assert hint.startswith(f"error: {bench.part}:3: mesh.units: a wrong unit? Read as {unit}, ")
     assert "if the file were in mm (52 mm" in hint

@@ -104,7 +104,7 @@ def test_values_that_are_not_finite():
     assert nothing.max is None
 
 
-def test_least_overlap_of_saturated_areas_when_asked():
+def test_least_overlap_of_saturated_areas_when_requested():
     a, b = np.zeros((10, 10)), np.zeros((10, 10))
     a[:4], b[2:6] = 255, 255
     free = {"absolute": 1e9, "relative": 0, "max_share": 0, "saturation": (255, 255)}
@@ -196,9 +196,9 @@ def test_files_that_are_no_images_are_wrong_input(tmp_path: Path):
     a = exr(tmp_path / "a.exr", Y=LEVELS)
     (tmp_path / "text.exr").write_text("no image")
     (tmp_path / "cut.exr").write_bytes(a.read_bytes()[:2000])
-    for name, told in (("missing.exr", "file is missing"), ("text.exr", "neither"), ("cut.exr", "cut.exr")):
+    for name, reported in (("missing.exr", "file is missing"), ("text.exr", "neither"), ("cut.exr", "cut.exr")):
         for pair in ((a, tmp_path / name), (tmp_path / name, a)):
-            with pytest.raises(InputError, match=told):
+            with pytest.raises(InputError, match=reported):
                 compare_files(*pair)
     with pytest.raises(InputError) as both:
         compare_files(tmp_path / "missing.exr", tmp_path / "text.exr")
@@ -234,8 +234,8 @@ def test_the_background_of_a_png_is_its_black_level(tmp_path: Path):
     for name, levels in (("a", a), ("b", b)):
         write_png(tmp_path / f"{name}.png", levels, metadata={"black_level": 12.5})
         write_png(tmp_path / f"{name}-foreign.png", levels, metadata={})
-    told = compare_files(tmp_path / "a.png", tmp_path / "b.png").channels[0]
-    assert (told.differing, told.compared) == (1, 100)
+    reported = compare_files(tmp_path / "a.png", tmp_path / "b.png").channels[0]
+    assert (reported.differing, reported.compared) == (1, 100)
     foreign = tmp_path / "a-foreign.png", tmp_path / "b-foreign.png"
     assert compare_files(*foreign).channels[0].compared == 10_000
     assert compare_files(*foreign, black=(13, 13)).channels[0].compared == 100
@@ -450,12 +450,12 @@ def test_difference_picture_of_pngs_and_of_a_chosen_channel(tmp_path: Path):
 
 def test_differences_that_cannot_be_shown_are_errors(tmp_path: Path):
     a = exr(tmp_path / "a.exr", Y=LEVELS)
-    for other, told in (
+    for other, reported in (
         (exr(tmp_path / "b.exr", Y=LEVELS[1:]), "no difference to show"),
         (exr(tmp_path / "c.exr", L=LEVELS), "no channel"),
         (tmp_path / "missing.exr", "cannot be read"),
     ):
-        with pytest.raises(InputError, match=told):
+        with pytest.raises(InputError, match=reported):
             difference_picture(a, other, tmp_path / "d.png")
     with pytest.raises(InputError, match="scale"):
         difference_picture(a, a, tmp_path / "d.png", scale=0)

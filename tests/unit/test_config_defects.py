@@ -175,5 +175,5 @@ def test_what_the_documentation_shows_is_read(bench):
         assert not entry.shape.slope or depth in page
 
 
-def test_kinds_are_told_in_words():
+def test_kinds_are_reported_in_words():
     assert all(kind in json.dumps(json_schema("part")) for kind in get_args(DefectKind))

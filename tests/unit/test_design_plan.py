@@ -66,29 +66,29 @@ def world(shared_bench, tmp_path_factory):
     table = build_patches(scene, caster=caster, budget=400)
     contrast = Contrast(sensor=scene.sensor, full_scale=scene.reflectance.full_scale)
     inspection = DetectionModel(hypotheses=defect_hypotheses(build_catalogue(part)), contrast=contrast)
-    survey = ImageEvaluator(scene=scene, table=table, caster=caster, detection=inspection, threads=1)
-    return rig, drawn_few(survey)
+    evaluator = ImageEvaluator(scene=scene, table=table, caster=caster, detection=inspection, threads=1)
+    return rig, drawn_few(evaluator)
 
 
-def drawn_few(survey):
-    return replace(survey, table=drawn_patches(survey.table, 300))
+def drawn_few(evaluator):
+    return replace(evaluator, table=drawn_patches(evaluator.table, 300))
 
 
-def table_at(survey, posture):
+def table_at(evaluator, posture):
     """The patches that count in some posture, as the camera sees them in another one."""
-    patches = survey.table.patches
-    facets = face_normals(survey.scene.mesh)[patches.face]
-    view = view_from_part(survey.scene, posture)
-    visible, grazing = camera_visibility(patches.centroids, patches.normals, facets, view, survey.caster)
-    visible &= survey.table.inspectable_anywhere
-    return replace(survey.table, postures=(posture,), visible=visible[None], grazing=grazing[None])
+    patches = evaluator.table.patches
+    facets = face_normals(evaluator.scene.mesh)[patches.face]
+    view = view_from_part(evaluator.scene, posture)
+    visible, grazing = camera_visibility(patches.centroids, patches.normals, facets, view, evaluator.caster)
+    visible &= evaluator.table.inspectable_anywhere
+    return replace(evaluator.table, postures=(posture,), visible=visible[None], grazing=grazing[None])
 
 
-def pairs_of(survey, posture, panels, *, exposure=1.0):
+def pairs_of(evaluator, posture, panels, *, exposure=1.0):
     """Plain flags (image, patch of the part, trial) of one image per panel, however the part lies."""
-    patches = survey.table.patches
-    table = table_at(survey, posture)
-    seen = replace(survey, table=table).matrices(posture, [[p] for p in panels], exposures=(exposure,))[0].visibility
+    patches = evaluator.table.patches
+    table = table_at(evaluator, posture)
+    seen = replace(evaluator, table=table).matrices(posture, [[p] for p in panels], exposures=(exposure,))[0].visibility
     flags = np.zeros((len(panels), len(patches), len(seen.hypotheses)), bool)
     for image, words in enumerate(seen.words):
         bits = np.unpackbits(words[0].view(np.uint8), axis=1, bitorder="little")
@@ -96,21 +96,21 @@ def pairs_of(survey, posture, panels, *, exposure=1.0):
     return flags
 
 
-def confirming(survey, shots, panels):
+def confirming(evaluator, shots, panels):
     """In how many images each pair is seen: a light's exposures in a posture are one image."""
     count = 0
     for posture in dict.fromkeys(posture for posture, _ in shots):
         levels = [exposure for other, exposure in shots if other == posture]
-        flags = [pairs_of(survey, posture, panels, exposure=exposure) for exposure in levels]
+        flags = [pairs_of(evaluator, posture, panels, exposure=exposure) for exposure in levels]
         count = count + np.any(flags, axis=0).sum(axis=0)
     return count
 
 
-def heavy(survey):
+def heavy(evaluator):
     """Weight of every pair."""
-    areas = np.zeros(len(survey.table.patches), np.int64)
-    areas[survey.patches] = area_units(survey.table.patches.areas[survey.patches])
-    return areas[:, None] * np.array([trial.weight for trial in survey.detection.hypotheses])
+    areas = np.zeros(len(evaluator.table.patches), np.int64)
+    areas[evaluator.patches] = area_units(evaluator.table.patches.areas[evaluator.patches])
+    return areas[:, None] * np.array([trial.weight for trial in evaluator.detection.hypotheses])
 
 
 def moved(rig, light, offset):
@@ -132,8 +132,8 @@ def setup_of(rig, postures, exposures=((1.0,),)):
 
 
 def test_drawn_patches_stand_for_all_by_their_area(world):
-    _, survey = world
-    whole = build_patches(survey.scene, caster=survey.caster, budget=3000)
+    _, evaluator = world
+    whole = build_patches(evaluator.scene, caster=evaluator.caster, budget=3000)
     drawn = drawn_patches(whole, 200)
     seen = whole.inspectable_anywhere
     left = drawn.inspectable_anywhere
@@ -154,19 +154,19 @@ def test_drawn_patches_stand_for_all_by_their_area(world):
 @pytest.mark.slow
 @pytest.mark.parametrize("least", [1, 2])
 def test_tolerances_of_pairs_are_those_of_recounting_every_corner(world, least):
-    rig, survey = world
+    rig, evaluator = world
     postures = POSTURES[1:3]
     exposures = ((1.0, 0.25), (1.0,))
-    assess = PairAssessment(survey, setup_of(rig, postures, exposures), min_images=least)
+    assess = PairAssessment(evaluator, setup_of(rig, postures, exposures), min_images=least)
     found = analyse_tolerances(assess, ["light1", "light2"], Tolerances(light_deg=4.0, pose_deg=3.0, draws=3, seed=1))
-    weights = heavy(survey)
+    weights = heavy(evaluator)
 
     def plain(pose, offsets):
         panels = [moved(rig, light, offset) for light, offset in enumerate(offsets)]
         count = 0
         for posture, levels in zip(postures, exposures, strict=True):
             there = Posture(posture.elevation_deg + pose[0], posture.rotation_deg + pose[1])
-            count = count + confirming(survey, [(there, exposure) for exposure in levels], panels)
+            count = count + confirming(evaluator, [(there, exposure) for exposure in levels], panels)
         return int(weights[count >= least].sum())
 
     corner = list(product((-4.0, 4.0), repeat=2))
@@ -185,11 +185,11 @@ def test_tolerances_of_pairs_are_those_of_recounting_every_corner(world, least):
 
 @pytest.mark.slow
 def test_tolerances_of_coverage_are_those_of_recounting_every_corner(world):
-    rig, survey = world
+    rig, evaluator = world
     postures = POSTURES[:2]
     thresholds = LevelThresholds(shade=10, saturation=255)
     assess = ObjectiveAssessment(
-        replace(survey, detection=None),
+        replace(evaluator, detection=None),
         setup_of(rig, postures),
         objective=OBJECTIVES["coverage"],
         thresholds=thresholds,
@@ -201,8 +201,8 @@ def test_tolerances_of_coverage_are_those_of_recounting_every_corner(world):
         total = 0
         for posture in postures:
             there = Posture(posture.elevation_deg + pose[0], posture.rotation_deg + pose[1])
-            table = table_at(survey, there)
-            matrix = luminance_matrix(survey.scene, table, there, panels, caster=survey.caster)
+            table = table_at(evaluator, there)
+            matrix = luminance_matrix(evaluator.scene, table, there, panels, caster=evaluator.caster)
             levels = np.stack([layer[0] for layer in matrix.levels])
             usable = (levels >= 10) & (levels < 255)
             covered = (usable.sum(axis=0) >= 2) & ((levels >= 255).sum(axis=0) <= 1)
@@ -217,16 +217,18 @@ def test_tolerances_of_coverage_are_those_of_recounting_every_corner(world):
 
 @pytest.mark.parametrize("least", [1, 2])
 def test_postures_and_lights_are_chosen_together(world, least):
-    rig, survey = world
+    rig, evaluator = world
     candidates = find_candidates(rig, step_deg=10.0)
     lights = build_lights(rig)
-    choice = choose_postures(survey, survey, POSTURES, lights, candidates, PostureRequest(min_images=least, count=2))
-    weights = heavy(survey)
-    total = weights[survey.patches].sum()
+    choice = choose_postures(
+        evaluator, evaluator, POSTURES, lights, candidates, PostureRequest(min_images=least, count=2)
+    )
+    weights = heavy(evaluator)
+    total = weights[evaluator.patches].sum()
 
     def plain(some, places):
         panels = [candidates.panels[i][k] for i, k in enumerate(places)]
-        count = sum(pairs_of(survey, posture, panels).sum(axis=0) for posture in some)
+        count = sum(pairs_of(evaluator, posture, panels).sum(axis=0) for posture in some)
         return int(weights[count >= least].sum())
 
     assert choice.cover.total == total
@@ -239,7 +241,7 @@ def test_postures_and_lights_are_chosen_together(world, least):
     # nor do two other postures beyond the bound
     best = max(plain(two, choice.lights) for two in combinations(POSTURES, 2))
     assert choice.cover.covered <= best <= choice.cover.bound_share * total + 0.5
-    alone = choose_postures(survey, survey, POSTURES, lights, None, PostureRequest(min_images=least, count=2))
+    alone = choose_postures(evaluator, evaluator, POSTURES, lights, None, PostureRequest(min_images=least, count=2))
     assert alone.lights is None
     assert alone.cover.share == pytest.approx(choice.initial.share)
     assert len(choice.initial.steps) == len(alone.cover.steps)
@@ -250,22 +252,22 @@ def test_postures_and_lights_are_chosen_together(world, least):
     assert choice.cover.share >= alone.cover.share
     # what the last turn counted is kept for the curves, where it was of these postures
     shots = [(posture, (1.0,)) for posture in choice.postures]
-    again = placing.position_counts(survey, shots, candidates, min_images=least)
+    again = placing.position_counts(evaluator, shots, candidates, min_images=least)
     assert choice.position_counts is not None or least == 2
     assert all(np.array_equal(*two) for two in zip(choice.position_counts or again, again, strict=True))
     assert alone.position_counts is None
 
 
 def test_where_positions_are_too_many_for_memory_the_turns_stay_on_drawn_patches(world, monkeypatch):
-    rig, survey = world
+    rig, evaluator = world
     candidates = find_candidates(rig, step_deg=10.0)
-    few = replace(survey, table=drawn_patches(survey.table, 60))
-    ask = (survey, few, POSTURES[:2], build_lights(rig), candidates, PostureRequest(count=1))
+    few = replace(evaluator, table=drawn_patches(evaluator.table, 60))
+    ask = (evaluator, few, POSTURES[:2], build_lights(rig), candidates, PostureRequest(count=1))
     free = choose_postures(*ask)
     assert free.on_all_patches
     assert free.converged
     # room for two candidate postures, not for six positions and their sums
-    monkeypatch.setattr(placing, "MOST_COUNT_BYTES", 2 * len(survey.patches) * 8)
+    monkeypatch.setattr(placing, "MOST_COUNT_BYTES", 2 * len(evaluator.patches) * 8)
     tight = choose_postures(*ask)
     assert not tight.on_all_patches
     assert not tight.converged
@@ -274,20 +276,20 @@ def test_where_positions_are_too_many_for_memory_the_turns_stay_on_drawn_patches
 
 
 def test_the_target_takes_as_few_postures_as_it_needs(world):
-    rig, survey = world
+    rig, evaluator = world
     lights = build_lights(rig)
-    two = choose_postures(survey, survey, POSTURES, lights, None, PostureRequest(count=2))
-    found = choose_postures(survey, survey, POSTURES, lights, None, PostureRequest(target=two.cover.share))
+    two = choose_postures(evaluator, evaluator, POSTURES, lights, None, PostureRequest(count=2))
+    found = choose_postures(evaluator, evaluator, POSTURES, lights, None, PostureRequest(target=two.cover.share))
     assert len(found.postures) <= 2
     assert found.cover.share >= two.cover.share
-    never = choose_postures(survey, survey, POSTURES, lights, None, PostureRequest(target=1.0))
+    never = choose_postures(evaluator, evaluator, POSTURES, lights, None, PostureRequest(target=1.0))
     assert never.cover.share < 1.0
     assert never.cover.min_size is None
 
 
 def test_reasons_for_an_unreached_target_are_of_the_surface_that_the_shares_are_of(world):
-    rig, survey = world
-    few = replace(survey, table=build_patches(survey.scene, caster=survey.caster, budget=400))
+    rig, evaluator = world
+    few = replace(evaluator, table=build_patches(evaluator.scene, caster=evaluator.caster, budget=400))
     assert drawn_patches(few.table, 20_000) is few.table, "so few that none are drawn"
     assert len(few.patches) < len(few.table.patches)
     choice = choose_postures(few, few, POSTURES, build_lights(rig), None, PostureRequest(target=1.0))
@@ -309,73 +311,73 @@ def test_reasons_for_an_unreached_target_are_of_the_surface_that_the_shares_are_
     )
 
 
-def test_positions_that_memory_has_no_room_for_are_looked_at_in_pieces(world, monkeypatch):
-    rig, survey = world
-    survey = replace(survey, exposures=(1.0, 0.25, 0.0625))
+def test_positions_that_memory_has_no_room_for_are_evaluated_in_pieces(world, monkeypatch):
+    rig, evaluator = world
+    evaluator = replace(evaluator, exposures=(1.0, 0.25, 0.0625))
     candidates = find_candidates(rig, step_deg=5.0)
     setup = setup_of(rig, POSTURES[:2])
-    sensor = survey.scene.sensor
+    sensor = evaluator.scene.sensor
     thresholds = LevelThresholds.of_sensor(sensor, shade_share=0.0)
 
     def looks():
-        flags = survey.flags(POSTURES[0], candidates.panels)
+        flags = evaluator.flags(POSTURES[0], candidates.panels)
         visibility = planned_visibility(
-            survey, setup, candidates, all_exposures=survey.exposures, thresholds=thresholds, least=2
+            evaluator, setup, candidates, all_exposures=evaluator.exposures, thresholds=thresholds, least=2
         )
         facts = [(s.counts, s.usable, s.saturated, s.first) for one in visibility for s in (one.possible, one.chosen)]
         return [*flags, *(array for some in facts for array in some)]
 
     free = looks()
     # room for three places of the five that each light has, at three exposures
-    room = 3 * survey._position_bytes(len(survey.table.inspectable(POSTURES[0])), 3)
+    room = 3 * evaluator._position_bytes(len(evaluator.table.inspectable(POSTURES[0])), 3)
     monkeypatch.setattr("lightopt.design.responses._image_evaluator.MOST_BYTES", room)
     monkeypatch.setitem(ImageEvaluator.matrices.__kwdefaults__, "most_bytes", room)
     with pytest.raises(InputError, match="there is room for"):
-        survey.matrices(POSTURES[0], candidates.panels, exposures=survey.exposures)
+        evaluator.matrices(POSTURES[0], candidates.panels, exposures=evaluator.exposures)
     for one, other in zip(free, looks(), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("move", [False, True])
 def test_a_target_that_drawn_patches_fall_short_of_is_counted_on_all(world, move):
-    rig, survey = world
+    rig, evaluator = world
     lights = build_lights(rig)
     candidates = find_candidates(rig, step_deg=10.0) if move else None
     # drawn ones that one posture shows all of that any shows, and that is little
-    weights = survey.table.patches.areas
-    shown = np.array([pairs_of(survey, posture, lights).any(axis=0).sum(axis=1) for posture in POSTURES])
-    seen = survey.table.inspectable_anywhere
+    weights = evaluator.table.patches.areas
+    shown = np.array([pairs_of(evaluator, posture, lights).any(axis=0).sum(axis=1) for posture in POSTURES])
+    seen = evaluator.table.inspectable_anywhere
     poor = np.flatnonzero(seen & (shown.max(axis=0) == shown[0]))
     poor = poor[np.argsort(shown[0][poor], kind="stable")][:3]
-    visible = np.zeros_like(survey.table.visible)
-    visible[:, poor] = survey.table.visible[:, poor]
-    few = replace(survey, table=replace(survey.table, visible=visible))
+    visible = np.zeros_like(evaluator.table.visible)
+    visible[:, poor] = evaluator.table.visible[:, poor]
+    few = replace(evaluator, table=replace(evaluator.table, visible=visible))
     assert weights[poor].sum() > 0.0
     by_number = [
-        choose_postures(survey, survey, POSTURES, lights, candidates, PostureRequest(count=n)) for n in (1, 2, 3)
+        choose_postures(evaluator, evaluator, POSTURES, lights, candidates, PostureRequest(count=n)) for n in (1, 2, 3)
     ]
     target = by_number[1].cover.share
     assert by_number[0].cover.share < target
     alone = choose_postures(few, few, POSTURES, lights, candidates, PostureRequest(target=target))
     assert alone.cover.share < target, "the drawn ones fall short"
-    found = choose_postures(survey, few, POSTURES, lights, candidates, PostureRequest(target=target))
+    found = choose_postures(evaluator, few, POSTURES, lights, candidates, PostureRequest(target=target))
     assert found.cover.share >= target
     assert len(found.postures) <= 3
 
 
 @pytest.mark.parametrize("least", [1, 2])
 def test_exposures_are_planned_where_they_add_enough(world, least):
-    rig, survey = world
+    rig, evaluator = world
     lights = build_lights(rig)
     offered = (1.0, 0.25, 0.0625)
     # a light's exposures do not confirm each other, so that they add little where two images must agree
     points = 1.0 if least == 1 else 0.0
-    found = plan_exposures(survey, POSTURES[:2], [lights] * 2, offered, min_images=least, gain_points=points)
-    weights = heavy(survey)
-    total = weights[survey.patches].sum()
+    found = plan_exposures(evaluator, POSTURES[:2], [lights] * 2, offered, min_images=least, gain_points=points)
+    weights = heavy(evaluator)
+    total = weights[evaluator.patches].sum()
 
     def plain(shots):
-        return int(weights[confirming(survey, shots, lights) >= least].sum()) / total
+        return int(weights[confirming(evaluator, shots, lights) >= least].sum()) / total
 
     base = [(posture, 1.0) for posture in POSTURES[:2]]
     assert found.before == pytest.approx(plain(base))
@@ -393,26 +395,26 @@ def test_exposures_are_planned_where_they_add_enough(world, least):
     assert len(found.further) == 4
     assert any(shot.planned for shot in found.further)
     assert {found.of(posture)[0] for posture in POSTURES[:2]} == {1.0}
-    none = plan_exposures(survey, POSTURES[:2], [lights] * 2, offered, min_images=least, gain_points=100.0)
+    none = plan_exposures(evaluator, POSTURES[:2], [lights] * 2, offered, min_images=least, gain_points=100.0)
     assert not any(shot.planned for shot in none.further)
     assert none.after == none.before
 
 
 def test_a_target_that_only_further_exposures_reach_is_reached_by_no_more_of_them_than_it_takes(world):
-    rig, survey = world
+    rig, evaluator = world
     lights = build_lights(rig)
-    without = choose_postures(survey, survey, POSTURES, lights, None, PostureRequest(target=1.0))
-    offered = replace(survey, exposures=(1.0, 0.25, 0.0625))
+    without = choose_postures(evaluator, evaluator, POSTURES, lights, None, PostureRequest(target=1.0))
+    offered = replace(evaluator, exposures=(1.0, 0.25, 0.0625))
     all_of_them = choose_postures(offered, offered, POSTURES, lights, None, PostureRequest(target=1.0)).cover
     assert all_of_them.all_covered > without.cover.all_covered
     target = 0.5 * (all_of_them.all_covered + without.cover.all_covered) / all_of_them.total
     choice = choose_postures(offered, offered, POSTURES, lights, None, PostureRequest(target=target))
     assert choice.cover.share >= target
     panels = [lights] * len(choice.postures)
-    asked = {"min_images": 1, "gain_points": 100.0}
-    none = plan_exposures(survey, choice.postures, panels, offered.exposures, **asked)
+    requested = {"min_images": 1, "gain_points": 100.0}
+    none = plan_exposures(evaluator, choice.postures, panels, offered.exposures, **requested)
     assert none.after == none.before < target
-    found = plan_exposures(survey, choice.postures, panels, offered.exposures, target=target, **asked)
+    found = plan_exposures(evaluator, choice.postures, panels, offered.exposures, target=target, **requested)
     assert found.after >= target
     planned = [shot for shot in found.further if shot.planned]
     assert found.after - planned[-1].gain < target
@@ -423,15 +425,15 @@ def test_a_target_that_only_further_exposures_reach_is_reached_by_no_more_of_the
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [*range(3), *(pytest.param(seed, marks=pytest.mark.nightly) for seed in range(3, 8))])
 def test_offering_exposures_never_makes_a_plan_worse(world, seed):
-    rig, survey = world
+    rig, evaluator = world
     rng = np.random.default_rng(seed)
-    survey = replace(survey, table=drawn_patches(survey.table, int(rng.integers(40, 300))))
-    drawn = replace(survey, table=drawn_patches(survey.table, 30))
+    evaluator = replace(evaluator, table=drawn_patches(evaluator.table, int(rng.integers(40, 300))))
+    drawn = replace(evaluator, table=drawn_patches(evaluator.table, 30))
     least, count = int(rng.integers(1, 3)), int(rng.integers(1, 4))
     offered = (1.0, *rng.choice([4.0, 0.5, 0.25, 0.0625, 0.02], int(rng.integers(1, 4)), replace=False))
     points = float(rng.choice([0.0, 0.5, 1.0, 5.0]))
     lights, candidates = build_lights(rig), find_candidates(rig, step_deg=10.0)
-    ask = (survey, drawn, POSTURES, lights, candidates)
+    ask = (evaluator, drawn, POSTURES, lights, candidates)
     plain = choose_postures(*ask, PostureRequest(min_images=least, count=count))
     choice = choose_with_exposures(
         *ask, PostureRequest(min_images=least, count=count), exposures=offered, gain_points=points, run=RunContext()
@@ -440,12 +442,12 @@ def test_offering_exposures_never_makes_a_plan_worse(world, seed):
     assert choice.cover.share >= plain.cover.share
     assert len(choice.postures) <= count
     # the share is what exactly the planned images show, and the lights serve these best where that is said
-    weights = heavy(survey)
+    weights = heavy(evaluator)
 
     def plain_share(places):
         panels = [candidates.panels[i][k] for i, k in enumerate(places)]
         shots = [(posture, exposure) for posture in choice.postures for exposure in brackets.of(posture)]
-        return int(weights[confirming(survey, shots, panels) >= least].sum())
+        return int(weights[confirming(evaluator, shots, panels) >= least].sum())
 
     assert choice.cover.covered == plain_share(choice.lights)
     assert choice.cover.share == pytest.approx(brackets.after)
@@ -453,7 +455,7 @@ def test_offering_exposures_never_makes_a_plan_worse(world, seed):
         assert choice.cover.covered == max(plain_share(places) for places in product(range(3), range(3)))
     # the bound is what the best of all sets shows at any of the exposures
     best = max(
-        int(weights[confirming(survey, list(product(some, offered)), choice.panels) >= least].sum())
+        int(weights[confirming(evaluator, list(product(some, offered)), choice.panels) >= least].sum())
         for some in combinations(POSTURES, len(choice.postures))
     )
     assert choice.cover.max_covered == best >= choice.cover.covered
@@ -469,11 +471,11 @@ def test_offering_exposures_never_makes_a_plan_worse(world, seed):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_offering_exposures_never_takes_more_postures_for_a_target(world, seed):
-    rig, survey = world
+    rig, evaluator = world
     rng = np.random.default_rng(seed)
-    survey = replace(survey, table=drawn_patches(survey.table, int(rng.integers(60, 300))))
+    evaluator = replace(evaluator, table=drawn_patches(evaluator.table, int(rng.integers(60, 300))))
     lights, candidates = build_lights(rig), find_candidates(rig, step_deg=10.0)
-    ask = (survey, survey, POSTURES, lights, candidates)
+    ask = (evaluator, evaluator, POSTURES, lights, candidates)
     target = 0.9 * choose_postures(*ask, PostureRequest(count=3)).cover.share
     plain = choose_postures(*ask, PostureRequest(target=target))
     choice = choose_with_exposures(
@@ -486,8 +488,8 @@ def test_offering_exposures_never_takes_more_postures_for_a_target(world, seed):
 
 
 def test_a_target_that_nothing_offered_reaches_has_no_exposures(world):
-    rig, survey = world
-    ask = (survey, survey, POSTURES, build_lights(rig), None, PostureRequest(target=1.0))
+    rig, evaluator = world
+    ask = (evaluator, evaluator, POSTURES, build_lights(rig), None, PostureRequest(target=1.0))
     choice = choose_with_exposures(*ask, exposures=(1.0, 0.25), gain_points=1.0, run=RunContext())
     brackets = choice.brackets
     assert brackets is None
@@ -498,9 +500,9 @@ def test_a_target_that_nothing_offered_reaches_has_no_exposures(world):
 @pytest.mark.parametrize("least", [1, 2])
 @pytest.mark.parametrize("drawn", [40, pytest.param(300, marks=pytest.mark.nightly)])
 def test_a_number_and_a_target_that_takes_as_many_give_the_same_plan(world, least, drawn):
-    rig, survey = world
-    few = replace(survey, table=drawn_patches(survey.table, drawn))
-    ask = (survey, few, POSTURES, build_lights(rig), find_candidates(rig, step_deg=10.0))
+    rig, evaluator = world
+    few = replace(evaluator, table=drawn_patches(evaluator.table, drawn))
+    ask = (evaluator, few, POSTURES, build_lights(rig), find_candidates(rig, step_deg=10.0))
     by_number = {n: choose_postures(*ask, PostureRequest(min_images=least, count=n)) for n in (1, 2, 3, 4)}
     for n, choice in by_number.items():
         found = choose_postures(*ask, PostureRequest(min_images=least, target=choice.cover.share))
@@ -514,21 +516,21 @@ def test_a_number_and_a_target_that_takes_as_many_give_the_same_plan(world, leas
 
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_more_starts_are_never_worse_than_the_lights_as_they_stand_alone(world, count):
-    rig, survey = world
+    rig, evaluator = world
     wanted = PostureRequest(count=count)
     candidates = find_candidates(rig, step_deg=5.0)
     turns = turning.AlternatingSearch(
-        survey, POSTURES, candidates, min_images=1, where="all patches", prove=True, run=RunContext()
+        evaluator, POSTURES, candidates, min_images=1, where="all patches", prove=True, run=RunContext()
     )
     lights = build_lights(rig)
     begin = turning.Solution(panels=lights, cover=turns.cover(lights, None, wanted), converged=False)
     alone = turns.improve(begin, 6, wanted)
-    found = choose_postures(survey, survey, POSTURES, build_lights(rig), candidates, wanted)
+    found = choose_postures(evaluator, evaluator, POSTURES, build_lights(rig), candidates, wanted)
     assert found.starts > 1
     assert found.cover.covered >= alone.cover.covered
     # nor does any single other posture better it
-    weights = heavy(survey)
-    flags = [pairs_of(survey, posture, found.panels).any(axis=0) for posture in POSTURES]
+    weights = heavy(evaluator)
+    flags = [pairs_of(evaluator, posture, found.panels).any(axis=0) for posture in POSTURES]
     for out, other in product(found.postures, set(POSTURES) - set(found.postures)):
         some = [*(set(found.postures) - {out}), other]
         shown = np.any([flags[POSTURES.index(posture)] for posture in some], axis=0)

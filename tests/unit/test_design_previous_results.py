@@ -142,7 +142,7 @@ def test_the_rig_is_written_as_it_was_loaded(three):
     assert len(path.read_text(encoding="utf-8").splitlines()) == len(before.splitlines())
 
 
-def test_what_cannot_be_edited_is_told_before_rays_are_cast(three, monkeypatch):
+def test_what_cannot_be_edited_is_reported_before_rays_are_cast(three, monkeypatch):
     monkeypatch.setattr("lightopt.design._optimize.cast_rays_at", lambda _: pytest.fail("rays were cast"))
     three.edit("rig.yaml", "elevation_deg: 60,", "elevation_deg: &low 60,")
     three.edit("rig.yaml", "elevation_deg: 50.0 ", "elevation_deg: *low ")

@@ -115,12 +115,12 @@ def test_bad_tolerances_are_refused(arguments, expected):
 
 
 def test_more_lights_than_all_corners_can_be_tried_of_are_refused():
-    asked = []
+    requested = []
 
     def watched(pose, lights):
-        asked.append(lights)
+        requested.append(lights)
         return np.zeros(1, np.int64)
 
     with pytest.raises(InputError, match=r"at most 10 lights \(1,048,576 corners\), found 12"):
         analyse_tolerances(watched, [f"light{i}" for i in range(12)], Tolerances(light_deg=1.0))
-    assert not asked
+    assert not requested

@@ -109,7 +109,7 @@ def test_png_keeps_right_aligned_twelve_bits_and_metadata_and_says_nothing_of_co
     assert not any(chunk in data for chunk in (b"sRGB", b"gAMA", b"cHRM", b"cICP"))
 
 
-def test_colour_png_only_when_asked(folder: Path):
+def test_colour_png_only_when_requested(folder: Path):
     picture = RNG.integers(0, 256, (5, 7, 3)).astype(np.uint8)
     write_png(folder / "a.png", picture, metadata={})
     with pytest.raises(InputError, match=r"expected 8- or 16-bit grey, found 8-bit RGB"):
@@ -307,7 +307,7 @@ def test_failure_within_the_encoder_leaves_nothing(folder, monkeypatch):
 
 @pytest.mark.parametrize("rows", [1, 70])
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
-def test_full_disk_is_told_by_the_systems_reason(folder, writer, rows):
+def test_full_disk_is_reported_by_the_systems_reason(folder, writer, rows):
     """Every write to the file fails; encoders hide it when the whole file fits their buffer."""
     (folder / ".result.partial").symlink_to("/dev/full")
     with pytest.raises(InputError, match=r"result: cannot be written: No space left on device"):
@@ -325,7 +325,7 @@ def test_missing_folder_and_folder_in_the_way_are_named(folder, writer):
     assert [path.name for path in folder.iterdir()] == ["taken"]
 
 
-def test_read_only_folder_is_told(read_only_folder, writer):
+def test_read_only_folder_is_reported(read_only_folder, writer):
     with pytest.raises(InputError, match="denied"):
         writer(read_only_folder / "a")
 

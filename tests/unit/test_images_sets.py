@@ -57,10 +57,10 @@ def entry_of(light: str, posture: Posture, exposure: float) -> ImageEntry:
 @pytest.mark.parametrize(
     ("capture", "held"),
     [
-        ({"exposure_us": {"asked": 500.0, "read": 501.0}}, 0.0625 * 501 / 500),
-        ({"exposure_us": {"asked": 500.0, "read": 500.0}}, 0.0625),
-        ({"exposure_us": {"asked": 0, "read": 501.0}}, 0.0625),
-        ({"exposure_us": {"asked": 500.0}}, 0.0625),
+        ({"exposure_us": {"requested": 500.0, "read": 501.0}}, 0.0625 * 501 / 500),
+        ({"exposure_us": {"requested": 500.0, "read": 500.0}}, 0.0625),
+        ({"exposure_us": {"requested": 0, "read": 501.0}}, 0.0625),
+        ({"exposure_us": {"requested": 500.0}}, 0.0625),
         ({"exposure_us": "long"}, 0.0625),
         ("of others", 0.0625),
         (None, 0.0625),
@@ -251,7 +251,7 @@ def test_ctrl_c_leaves_no_temporary_file(tmp_path: Path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "reported"),
     [
         ({"part": SourceFile("part.yaml", "c" * 64)}, r"part\.sha256: another content"),
         ({"provenance": {"options": {**HEADER.options, "points": 9}}}, r"options\.points: there 4, now 9"),
@@ -264,9 +264,9 @@ def test_ctrl_c_leaves_no_temporary_file(tmp_path: Path, monkeypatch):
         ({"rig": None}, "rig: there absent, now null"),
     ],
 )
-def test_set_of_another_run_is_refused_and_left_alone(whole: Path, change: dict[str, Any], told: str):
+def test_set_of_another_run_is_refused_and_left_alone(whole: Path, change: dict[str, Any], reported: str):
     before = content(whole)
-    with pytest.raises(InputError, match=told) as caught:
+    with pytest.raises(InputError, match=reported) as caught:
         ImageSetWriter(whole, replace(HEADER, **change))
     assert "option 'force'" in str(caught.value)
     assert content(whole) == before
@@ -308,19 +308,19 @@ def test_files_in_the_way_of_an_unplanned_run_are_refused_when_met(tmp_path: Pat
     assert (tmp_path / "patches.npz").read_text() == "mine"
 
 
-def test_folder_that_cannot_be_made_is_told_before_any_work(tmp_path: Path):
+def test_folder_that_cannot_be_made_is_reported_before_any_work(tmp_path: Path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot be made"):
         ImageSetWriter(tmp_path / "file" / "out", HEADER)
 
 
-def test_read_only_folder_is_told_before_any_work(read_only_folder: Path):
+def test_read_only_folder_is_reported_before_any_work(read_only_folder: Path):
     with pytest.raises(InputError, match="denied"):
         ImageSetWriter(read_only_folder, HEADER)
 
 
 @pytest.mark.parametrize(
-    ("keys", "told"),
+    ("keys", "reported"),
     [
         ([("a", POSTURES[0], 1.0), ("A", POSTURES[0], 1.0)], "would both be written"),
         ([("a_x2", POSTURES[0], 1.0), ("a", POSTURES[0], 2.0)], "would both be written"),
@@ -332,8 +332,8 @@ def test_read_only_folder_is_told_before_any_work(read_only_folder: Path):
         ([(".a", POSTURES[0], 1.0)], "cannot be part of a file name"),
     ],
 )
-def test_names_that_clash_or_cannot_be_files_are_refused_before_any_work(tmp_path: Path, keys: list, told: str):
-    with pytest.raises(InputError, match=told):
+def test_names_that_clash_or_cannot_be_files_are_refused_before_any_work(tmp_path: Path, keys: list, reported: str):
+    with pytest.raises(InputError, match=reported):
         ImageSetWriter(tmp_path, HEADER, plan=keys)
     assert content(tmp_path) == {}
 
@@ -460,14 +460,14 @@ def test_foreign_set_with_only_what_is_required_is_read_from_folder_or_manifest(
     assert images.manifest.as_dict()["camera"] == "somebody's"
 
 
-def test_left_aligned_levels_are_told(tmp_path: Path):
+def test_left_aligned_levels_are_reported(tmp_path: Path):
     foreign(tmp_path, np.array([[0, 65520]], np.uint16))
     images = read_image_set(tmp_path)
     with pytest.raises(InputError, match=r"expected right-aligned levels of 12 bits .*found uint16 up to 65520"):
         images.load(images.images[0])
 
 
-def test_eight_bit_container_of_twelve_bits_is_told(tmp_path: Path):
+def test_eight_bit_container_of_twelve_bits_is_reported(tmp_path: Path):
     foreign(tmp_path, np.array([[0, 255]], np.uint8))
     images = read_image_set(tmp_path)
     with pytest.raises(InputError, match="found uint8"):
@@ -475,7 +475,7 @@ def test_eight_bit_container_of_twelve_bits_is_told(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("keys", "value", "told"),
+    ("keys", "value", "reported"),
     [
         (["format"], None, "format: expected text, found nothing"),
         (["format"], "lightopt-images/2", "format: expected lightopt-images/1, found 'lightopt-images/2'"),
@@ -513,7 +513,7 @@ def test_eight_bit_container_of_twelve_bits_is_told(tmp_path: Path):
         (["warnings"], [1], "warnings: expected a list of texts"),
     ],
 )
-def test_wrong_manifests_are_refused_by_file_and_key(keys: list, value: object, told: str):
+def test_wrong_manifests_are_refused_by_file_and_key(keys: list, value: object, reported: str):
     data = copy.deepcopy(FOREIGN)
     place: Any = data
     for key in keys[:-1]:
@@ -524,10 +524,10 @@ def test_wrong_manifests_are_refused_by_file_and_key(keys: list, value: object, 
         place[keys[-1]] = value
     with pytest.raises(InputError) as caught:
         parse_manifest(data, path="set/manifest.json")
-    assert any(f"set/manifest.json: {told}" in message for message in caught.value.messages), caught.value.messages
+    assert any(f"set/manifest.json: {reported}" in message for message in caught.value.messages), caught.value.messages
 
 
-def test_all_problems_of_a_manifest_are_told_at_once_and_duplicates_among_them():
+def test_all_problems_of_a_manifest_are_reported_at_once_and_duplicates_among_them():
     data = copy.deepcopy(FOREIGN)
     data["images"].append(copy.deepcopy(data["images"][0]))
     data["bit_depth"], data["kind"] = 99, "drawn"
@@ -538,7 +538,7 @@ def test_all_problems_of_a_manifest_are_told_at_once_and_duplicates_among_them()
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("", ":1: not valid JSON"),
         ('{\n"a": 1,\n}', ":3: not valid JSON"),
@@ -548,14 +548,14 @@ def test_all_problems_of_a_manifest_are_told_at_once_and_duplicates_among_them()
         (b"\xff\xfe", "not text; expected an image set"),
     ],
 )
-def test_manifests_that_are_no_json_are_told(tmp_path: Path, text: str | bytes, told: str):
+def test_manifests_that_are_no_json_are_reported(tmp_path: Path, text: str | bytes, reported: str):
     path = tmp_path / "manifest.json"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=reported):
         read_manifest(path)
 
 
-def test_missing_and_changed_files_are_told_all_at_once(whole: Path, tmp_path: Path):
+def test_missing_and_changed_files_are_reported_all_at_once(whole: Path, tmp_path: Path):
     folder = tmp_path / "copy"
     shutil.copytree(whole, folder)
     (folder / "posture_0_0/light1.png").unlink()
@@ -569,7 +569,7 @@ def test_missing_and_changed_files_are_told_all_at_once(whole: Path, tmp_path: P
     assert len(read_image_set(folder, verify=False).images) == 8
 
 
-def test_folder_without_a_set_is_told(tmp_path: Path):
+def test_folder_without_a_set_is_reported(tmp_path: Path):
     with pytest.raises(InputError, match=r"no manifest\.json, which says what each picture shows"):
         read_image_set(tmp_path)
     with pytest.raises(InputError, match="nowhere"):
@@ -581,7 +581,7 @@ def test_geometry_is_read_by_channel(whole: Path):
     assert (images.load_geometry(images.geometry[0])["Z"] == 1).all()
 
 
-def test_file_of_an_image_that_vanished_is_told_on_loading(tmp_path: Path):
+def test_file_of_an_image_that_vanished_is_reported_on_loading(tmp_path: Path):
     writer = ImageSetWriter(tmp_path, HEADER)
     entry = writer.add_image(entry_of("light1", POSTURES[0], 1.0), png=np.zeros((2, 2), np.uint8))
     images = read_image_set(tmp_path)

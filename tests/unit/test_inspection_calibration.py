@@ -118,8 +118,8 @@ def test_where_few_sets_tell_nothing_is_learned():
         usable = found.usable.copy()
         if i:
             usable[:, :, :40] = False
-        told = replace(found, z=np.where(usable, found.z, 0), usable=usable, lit=usable)
-        sums.add(PackedDeviations.of(told, nominal))
+        reported = replace(found, z=np.where(usable, found.z, 0), usable=usable, lit=usable)
+        sums.add(PackedDeviations.of(reported, nominal))
     learned = sums.systematic()
     assert np.all(learned.mean[:, :, :40] == 0.0)
     assert np.all(learned.spread[:, :, :40] == 1.0)
@@ -165,8 +165,8 @@ def inspect(cli, bench, sets, *options, out="out"):
 def learned(cli, bench, sets, *options, out="cal"):
     ran = inspect(cli, bench, sets, "--calibrate", "--false-alarms", RATE, *options, out=out)
     assert ran.status == 0, ran.err
-    told = f"{SETS} good sets hold a rate of {RATE}, the share of good parts with a false alarm in a posture"
-    assert told in ran.out
+    reported = f"{SETS} good sets hold a rate of {RATE}, the share of good parts with a false alarm in a posture"
+    assert reported in ran.out
     return bench.folder / out / "calibration.json"
 
 

@@ -35,20 +35,20 @@ def seen(noise, lit):
 
 
 @pytest.mark.parametrize(("min_images", "lights"), [(1, 4), (2, 4), (2, 1), (3, 2)])
-def test_a_disc_of_the_contrast_that_is_told_is_found_half_of_the_time(min_images, lights):
+def test_a_disc_of_the_reported_contrast_is_found_half_of_the_time(min_images, lights):
     rng = np.random.default_rng(5)
     noise = rng.standard_normal((4, SIDE, SIDE), dtype=np.float32)
     usable, lit = np.ones_like(noise, bool), np.zeros_like(noise, bool)
     lit[:lights] = True
     predicted = np.where(lit, np.float32(LEVEL), np.float32(0.5))
     even = Deviations(seen(noise, lit), np.full_like(noise, SCALE), usable, lit)
-    told = least_contrast(even, predicted, min_images=min_images, high=HIGH)
-    assert np.ptp(told) == 0.0
+    reported = least_contrast(even, predicted, min_images=min_images, high=HIGH)
+    assert np.ptp(reported) == 0.0
     inside = discs(rng)
     found = {}
     for share in (0.6, 1.0, 1.5):
         z = noise.copy()
-        z[: min(min_images, lights)] -= inside * np.float32(share * told[0, 0] * LEVEL / SCALE)
+        z[: min(min_images, lights)] -= inside * np.float32(share * reported[0, 0] * LEVEL / SCALE)
         found[share] = share_found(seen(z, lit), usable, lit, min_images)
     assert 0.35 < found[1.0] < 0.75
     assert found[0.6] < 0.15
@@ -102,10 +102,10 @@ def test_each_pixel_is_in_the_class_of_what_it_can_show():
     assert found.classes == (80.0, 0.0, 0.0, 0.0, 32.0, 8.0)
     assert sum(found.classes) == found.inspected
     assert found.share == pytest.approx(120 / 127)
-    told = found.as_dict()
-    assert told["only_glints"] == pytest.approx(8 / 127, abs=1e-5)
-    assert told["only_stronger"] == pytest.approx(32 / 127, abs=1e-5)
-    assert told["finds_contrast"] == {f"{c:g}": pytest.approx(80 / 127, abs=1e-5) for c in CONTRASTS}
+    reported = found.as_dict()
+    assert reported["only_glints"] == pytest.approx(8 / 127, abs=1e-5)
+    assert reported["only_stronger"] == pytest.approx(32 / 127, abs=1e-5)
+    assert reported["finds_contrast"] == {f"{c:g}": pytest.approx(80 / 127, abs=1e-5) for c in CONTRASTS}
 
 
 def test_nothing_seen_has_no_share():

@@ -65,9 +65,9 @@ def test_the_uncertainty_is_how_far_images_of_the_same_scene_scatter(fusion):
     for seed in range(12):
         level, _, specular = scene(noise=1.0, seed=seed)
         runs.append(fused(level, specular, fusion, deviation=1.0).level)
-    told = fused(level, specular, fusion, deviation=1.0, probes=8).deviation
+    reported = fused(level, specular, fusion, deviation=1.0, probes=8).deviation
     spread = np.std(runs, axis=0, ddof=1)
-    assert told[MASK].mean() == pytest.approx(spread[MASK].mean(), rel=0.25)
+    assert reported[MASK].mean() == pytest.approx(spread[MASK].mean(), rel=0.25)
 
 
 def test_what_no_image_tells_is_filled_in_smoothly_and_said_to_be():

@@ -95,11 +95,11 @@ def test_rendered_dents_are_shapes_and_stains_are_stains(bench):
         read_image_set(images),
         options=InspectOptions(fusion=None, register=False),
     )
-    told = []
+    reported = []
     for one in read_image_set(images).manifest.extra["defects"]:
         near = [d for d in found.defects if math.dist(d.best.position, one["position_mm"]) < 2.0]
         assert near, one["name"]
-        told.append((one["kind"], near[0].best.kind))
-    wrong = [pair for pair in told if pair[1] not in ("unknown", "stain" if pair[0] == "stain" else "shape")]
+        reported.append((one["kind"], near[0].best.kind))
+    wrong = [pair for pair in reported if pair[1] not in ("unknown", "stain" if pair[0] == "stain" else "shape")]
     assert not wrong
-    assert sum(answer == "unknown" for _, answer in told) <= 1
+    assert sum(answer == "unknown" for _, answer in reported) <= 1

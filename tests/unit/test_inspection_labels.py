@@ -92,9 +92,9 @@ def test_a_captured_set_is_held_against_the_defects_of_its_part(cli, bench, requ
     ran = cli("inspect", bench.rig, bench.part, bench.folder / "captured", "-o", bench.folder / "found", *options)
     assert ran.status == 0, ran.err
     assert "2 of 2 defects found" in ran.out
-    told = json.loads((bench.folder / "found" / "truth.json").read_text(encoding="utf-8"))
-    assert told["labels"] == ["part file"]
-    assert (told["found"], told["hidden"], told["false_alarms_per_posture"]) == (2, [], 0)
+    reported = json.loads((bench.folder / "found" / "truth.json").read_text(encoding="utf-8"))
+    assert reported["labels"] == ["part file"]
+    assert (reported["found"], reported["hidden"], reported["false_alarms_per_posture"]) == (2, [], 0)
 
     # edited since: nothing is known of what is not named
     bench.part.write_text(good, encoding="utf-8")
@@ -104,14 +104,14 @@ def test_a_captured_set_is_held_against_the_defects_of_its_part(cli, bench, requ
     assert not (bench.folder / "none").exists()
 
 
-def test_what_is_on_a_captured_part_is_told_by_the_file_that_it_was_taken_by(bench, request):
+def test_what_is_on_a_captured_part_is_in_the_file_that_it_was_taken_by(bench, request):
     good = load_part(bench.part)
     request.getfixturevalue("take")(bench.folder / "captured")
     image_set = read_image_set(bench.folder / "captured")
     named = bench.part.with_name("named.yaml")
     named.write_text(bench.part.read_text(encoding="utf-8") + DEFECTS, encoding="utf-8")
-    for asked in (good, load_part(named)):
-        source = truth_source(image_set, asked)
+    for requested in (good, load_part(named)):
+        source = truth_source(image_set, requested)
         assert source.part is not None
         assert source.part.defects == ()
         assert "names no defects: held to be a good part" in source.warnings[0]

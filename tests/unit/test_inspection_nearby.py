@@ -115,7 +115,7 @@ def test_a_part_nearly_in_the_same_place_is_found_without_a_search(first, shared
 
 
 @pytest.mark.parametrize("shift", [(1.4, -0.3, 0.5), (0.4, -0.9, 0.5), (0.4, -0.3, 3.5)])
-def test_a_part_further_off_is_looked_for_anew(first, shared_bench, tmp_path, shift):
+def test_a_part_further_off_is_searched_for_anew(first, shared_bench, tmp_path, shift):
     rig, part, images = images_of(shared_bench, tmp_path / "other", shift, seed=2)
     nominal, observations = nominal_scene(rig, part, images, scenes=first.nominal_scenes)
     assert first.nearby_placement(nominal, observations) is None

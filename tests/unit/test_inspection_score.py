@@ -211,8 +211,8 @@ def test_a_defect_is_as_large_and_as_strong_as_any_posture_shows_it():
     (defect,) = merge_detections([surest, longest, strongest])
     assert defect.best is surest
     assert (defect.size, defect.area, defect.greatest_contrast) == ((3.0, 1.0), 3.0, 0.4)
-    told = defect.as_dict()
-    assert (told["size_mm"], told["area_mm2"], told["greatest_contrast"]) == ([3.0, 1.0], 3.0, 0.4)
+    reported = defect.as_dict()
+    assert (reported["size_mm"], reported["area_mm2"], reported["greatest_contrast"]) == ([3.0, 1.0], 3.0, 0.4)
     surface = SurfaceCoverage(area=9.0, seen=5.0, inspected=4.0, saturated=0.0, shadow=0.0, edge=1.0, sensitivity={})
     result = InspectionResult(
         defects=(defect,), postures=(), placement=None, warnings=(), nominal=None, surface=surface

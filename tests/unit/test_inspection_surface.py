@@ -94,8 +94,8 @@ def test_the_furthest_counts_and_the_rest_has_its_reason(scene):
     beside = over(scene, (FLAT, SurfaceState.NO_PART, np.inf), (TILTED, SurfaceState.SHADOW, np.inf))
     assert beside.edge + beside.shadow == pytest.approx(beside.seen)
     assert min(beside.edge, beside.shadow) > 1.0
-    told = beside.as_dict()
-    assert told["edge"] + told["shadow"] == pytest.approx(1.0, abs=1e-4)
+    reported = beside.as_dict()
+    assert reported["edge"] + reported["shadow"] == pytest.approx(1.0, abs=1e-4)
 
 
 def test_what_a_posture_without_images_shows_is_missing(scene):

@@ -88,7 +88,7 @@ def test_the_likelihood_is_greatest_there():
         (list(range(1, 13)), [True] * 6 + [False] * 6),  # the small ones found: no size is found 90 % of the time
     ],
 )
-def test_what_cannot_be_told_is_not(sizes, found):
+def test_what_cannot_be_measured_is_not_reported(sizes, found):
     curve = fit_detection_curve(sizes, found)
     assert (curve.a90, curve.a90_95) == (None, None)
     assert (curve.defects, curve.found) == (len(sizes), sum(found))

@@ -28,7 +28,7 @@ def good(shared_bench):
     return scene, predict(scene, FLAT, cast_rays_at(scene), lights=("light1",))
 
 
-def taken(good, ambient, *, told=True, model=None):
+def taken(good, ambient, *, reported=True, model=None):
     """Deviations of an image over so many levels of ambient light, subtracted afterwards, and which are saturated.
 
     From the prediction itself, or from another model.
@@ -47,7 +47,7 @@ def taken(good, ambient, *, told=True, model=None):
         saturated=saturated,
         half_width=0.5,
         source=Path("made-by-test.png"),
-        subtracted=np.full(saturated.shape, ambient, np.float32) if told else 0.0,
+        subtracted=np.full(saturated.shape, ambient, np.float32) if reported else 0.0,
     )
     view = posture_view(scene, [image], model or prediction, where="test")
     return deviations(view), saturated & prediction.clean
@@ -61,7 +61,7 @@ def test_a_good_part_is_not_darker_in_a_highlight_or_around_it(good, ambient):
 
 
 def test_a_lower_bound_is_never_darker_even_where_what_was_subtracted_is_not_known(good):
-    found, full = taken(good, 20.0, told=False)
+    found, full = taken(good, 20.0, reported=False)
     assert found.z[0][full].min() >= 0.0
 
 
@@ -94,7 +94,7 @@ def test_mirrored_images_of_a_nearly_symmetric_part_are_refused(good):
 
 
 @pytest.mark.parametrize(
-    ("spoilt", "told"),
+    ("spoilt", "reported"),
     [
         (lambda level, top: level[:, ::-1, ::-1], "far better turned by 180°.*turn them, or correct the camera's roll"),
         (lambda level, top: level[:, :, ::-1], "far better mirrored left to right.*flip the images; turning"),
@@ -106,14 +106,14 @@ def test_mirrored_images_of_a_nearly_symmetric_part_are_refused(good):
         (lambda level, top: np.roll(level, 20, 2), "check that rig, part, placement"),
     ],
 )
-def test_images_that_are_not_of_this_part_are_refused_with_what_they_show(spoilt, told):
+def test_images_that_are_not_of_this_part_are_refused_with_what_they_show(spoilt, reported):
     rng = np.random.default_rng(2)
     model = rng.uniform(2.0, 180.0, (2, 30, 40)).astype(np.float32)
     limit = np.full_like(model, 200.0)
     seen = np.ascontiguousarray(spoilt(model, limit), np.float32)
     everywhere = np.arange(30 * 40)
     refuse_mismatch(model, model, limit, np.ones_like(model), everywhere, "set")
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=reported):
         refuse_mismatch(seen, model, limit, np.ones_like(model), everywhere, "set")
 
 
@@ -127,7 +127,7 @@ def test_an_even_plate_is_not_refused_for_having_no_variance():
 
 
 @pytest.mark.parametrize(
-    ("noise", "told"),
+    ("noise", "reported"),
     [
         ("read_noise_levels: 0.8, electrons_per_level: 60", False),
         ("read_noise_levels: 0.8", False),
@@ -135,10 +135,10 @@ def test_an_even_plate_is_not_refused_for_having_no_variance():
         ("read_noise_levels: 0", True),
     ],
 )
-def test_a_sensor_without_noise_is_warned_of(bench, noise, told):
+def test_a_sensor_without_noise_is_warned_of(bench, noise, reported):
     bench.edit("rig.yaml", "read_noise_levels: 0.8, electrons_per_level: 60", noise)
     words = inspection_warnings(load_rig(bench.rig), [], InspectOptions())
-    assert any("read_noise_levels" in word for word in words) == told
+    assert any("read_noise_levels" in word for word in words) == reported
 
 
 def test_warnings_of_the_registration_are_said(bench):

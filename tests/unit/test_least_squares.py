@@ -129,12 +129,12 @@ def test_a_direction_is_let_go_once_the_misfit_of_the_start_is_gone(away):
 def test_what_is_barely_determined_has_the_error_that_it_has():
     """Whether it is held at nominal or not: never one of nothing."""
     rng = np.random.default_rng(6)
-    for told in (0.5, 0.9, 1.1, 1.5, 1.9, 2.1):
-        size = np.sqrt(told / (400 * 0.5**2))
+    for reported in (0.5, 0.9, 1.1, 1.5, 1.9, 2.1):
+        size = np.sqrt(reported / (400 * 0.5**2))
         a = rng.normal(size=(400, 3)) * np.array([30.0, 30.0, size])
         found = solve(linear_problem(a, rng.normal(size=400)), np.array([3.0, -3.0, 0.0]), FREE)
         sound(found, FREE)
-        assert found.errors[2] == pytest.approx(0.5 / np.sqrt(told), rel=0.4)
+        assert found.errors[2] == pytest.approx(0.5 / np.sqrt(reported), rel=0.4)
 
 
 def test_what_scatters_too_much_in_the_end_stays_nominal():

@@ -21,7 +21,7 @@ PLATFORMS = [
 ]
 
 
-def asked(extras) -> list[Requirement]:
+def requested(extras) -> list[Requirement]:
     """Direct dependencies as pyproject.toml has them, and the package that builds lightopt."""
     # Python 3.10 has no reader of TOML
     lists = dict(re.findall(r"^(\w+) = \[(.*?)\][ ]*(?:#[^\n]*)?$", PYPROJECT, re.MULTILINE | re.DOTALL))
@@ -38,7 +38,7 @@ def locked(name) -> list[tuple[Requirement, int]]:
 
 
 def test_direct_dependencies_are_read():
-    names = {requirement.name for requirement in asked(EXTRAS["ci"])}
+    names = {requirement.name for requirement in requested(EXTRAS["ci"])}
     assert {"setuptools", "numba", "pytest", "ruff", "PyGObject", "harvesters"} <= names
     assert len(names) > 25
 
@@ -60,7 +60,7 @@ def test_a_lock_is_within_the_ranges_of_every_direct_dependency(name, environmen
             key = canonicalize_name(requirement.name)
             assert key not in versions, f"{key} twice"
             versions[key] = next(iter(requirement.specifier)).version
-    for requirement in asked(EXTRAS[name]):
+    for requirement in requested(EXTRAS[name]):
         version = versions.get(canonicalize_name(requirement.name))
         assert version is not None, f"make lock: {requirement.name} is not in requirements/{name}.lock"
         assert requirement.specifier.contains(version, prereleases=True), f"make lock: {requirement}, not {version}"

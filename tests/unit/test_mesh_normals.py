@@ -56,7 +56,7 @@ def reference_normals(vertices, faces, crease):
     return result / np.linalg.norm(result, axis=2)[..., None]
 
 
-def test_cube_stays_sharp_and_is_round_only_when_asked(tmp_path):
+def test_cube_stays_sharp_and_is_round_only_when_requested(tmp_path):
     path = stl(tmp_path, trimesh.creation.box())
     sharp = load(path).mesh
     assert len(sharp.vertices) == 24

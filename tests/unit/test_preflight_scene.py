@@ -198,7 +198,7 @@ def test_three_faces_at_an_edge(check):
     assert (mesh.values["open_edges"], mesh.values["nonmanifold_edges"]) == (2, 1)
 
 
-def test_repairs_are_told_once(check):
+def test_repairs_are_reported_once(check):
     turned = BLOCK.copy()
     turned[0] = turned[0][::-1]
     report = check(turned, placement={"translate_mm": [20, 0, 0]})
@@ -317,7 +317,7 @@ def test_points(check, sigma, points, level):
     assert "light1, light2" in finding.text
 
 
-def test_points_of_unlike_panels_are_told_apart(check):
+def test_points_of_unlike_panels_are_distinguished(check):
     findings = find(check(BLOCK, rig=make_rig(light={"points": "auto"})), "points")
     assert [f.level for f in findings] == ["ok", "note"]
     assert findings[0].where.endswith("lights[0].points")

@@ -129,7 +129,7 @@ def test_all_packages_that_results_come_from_are_named():
 # --- differences in words
 
 
-def test_differences_are_told_in_order_and_names_of_files_are_none():
+def test_differences_are_reported_in_order_and_names_of_files_are_none():
     there = provenance.provenance(
         {"rig": {"file": "a.yaml", "sha256": "1"}, "image_sets": [{"manifest_sha256": "1"}]}, {"points": 4}
     )
@@ -150,10 +150,10 @@ def test_differences_are_told_in_order_and_names_of_files_are_none():
     assert provenance.differences(there, {"options": {"points": 4}}) != ""
 
 
-def test_of_many_differences_some_are_told():
-    told = provenance.differences({}, {f"option{i}": i for i in range(10)})
-    assert told.count("; ") == 6
-    assert told.endswith("; and 4 more")
+def test_of_many_differences_some_are_reported():
+    reported = provenance.differences({}, {f"option{i}": i for i in range(10)})
+    assert reported.count("; ") == 6
+    assert reported.endswith("; and 4 more")
     assert "…" in provenance.differences({}, {"long": "x" * 500})
 
 
@@ -266,8 +266,8 @@ def test_a_render_is_not_resumed_by_other_code(bench, snapshot, other_code, othe
     (bench.out / "posture_-10_170" / "light3.exr").unlink()
     before = snapshot(bench.out)
     other_code() if what == "code" else other_package()
-    told = "the code of lightopt has changed" if what == "code" else r"versions\.embreex: there"
-    with pytest.raises(InputError, match=f"image set of another run .*{told}.*option 'force'"):
+    reported = "the code of lightopt has changed" if what == "code" else r"versions\.embreex: there"
+    with pytest.raises(InputError, match=f"image set of another run .*{reported}.*option 'force'"):
         render_image_set(bench.rig, bench.part, bench.out, options=options)
     assert snapshot(bench.out) == before
     done = render_image_set(bench.rig, bench.part, bench.out, options=options, force=True)
@@ -312,7 +312,7 @@ def test_a_kept_matrix_of_other_code_is_not_reused(movable, other_code, other_pa
     assert run(movable).reused == 2, "it was kept anew"
 
 
-def test_a_kept_matrix_is_read_only_where_that_is_asked_for(movable):
+def test_a_kept_matrix_is_read_only_where_that_is_requested(movable):
     run(movable)
     assert run(movable, keep=False).reused == 0
     assert run(movable).reused == 2

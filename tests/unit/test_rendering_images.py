@@ -144,7 +144,7 @@ def test_warnings_of_unlike_panels_stay_apart(bench, tmp_path):
     assert [text.partition(":")[0] for text in done.warnings] == ["light1", "light3"]
 
 
-def test_back_faces_are_black_counted_and_told(bench, tmp_path):
+def test_back_faces_are_black_counted_and_reported(bench, tmp_path):
     """A single triangle seen from behind: an open mesh, whose inside has no reflection."""
     bench.mesh.write_text(
         "solid s\nfacet normal 0 0 0\nouter loop\nvertex -15 -15 0\nvertex 0 15 3\nvertex 15 -15 0\n"

@@ -71,10 +71,10 @@ def test_rows_are_postures_and_columns_are_lights(tmp_path: Path, lights: int, p
     levels = {(name, pose, 1.0): 5 + r * lights + c for r, pose in enumerate(poses) for c, name in enumerate(names)}
     picture = sheet_of(make_set(tmp_path / "set", levels), tmp_path / "sheet.png")
     # the outermost and one in the middle are enough
-    looked = [poses[i] for i in sorted({0, postures // 2, postures - 1})]
+    examined = [poses[i] for i in sorted({0, postures // 2, postures - 1})]
     columns = [names[i] for i in sorted({0, lights // 2, lights - 1})]
-    boxes = [[box_of(picture, levels[name, pose, 1.0]) for name in columns] for pose in looked]
-    for r in range(len(looked)):
+    boxes = [[box_of(picture, levels[name, pose, 1.0]) for name in columns] for pose in examined]
+    for r in range(len(examined)):
         assert len({box[1] for box in boxes[r]}) == 1
         assert r == 0 or boxes[r][0][1] > boxes[r - 1][0][3]
     for c in range(len(columns)):
@@ -91,7 +91,7 @@ def test_same_set_same_bytes(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["1.png", "2.png", "3.png", "set"]
 
 
-def test_the_longest_exposure_unless_another_is_asked_for(tmp_path: Path) -> None:
+def test_the_longest_exposure_unless_another_is_requested(tmp_path: Path) -> None:
     levels = {("a", Posture(0, 0), 0.25): 21, ("a", Posture(0, 0), 1.0): 84}
     image_set = make_set(tmp_path / "set", levels)
     box_of(sheet_of(image_set, tmp_path / "1.png"), 84)

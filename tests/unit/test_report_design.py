@@ -185,7 +185,7 @@ def test_curves_pass_through_the_best_set_and_are_in_the_result(done, blocks):
     assert len(charts) == 4, "elevation and azimuth of both postures"
 
 
-def test_all_that_it_rests_on_is_told(done, blocks):
+def test_all_that_it_rests_on_is_reported(done, blocks):
     bench, output = done
     rows = dict(row for block in blocks if isinstance(block, Facts) for row in block.rows)
     assert rows["levels"].startswith("8 bit, black level 0; shaded below 10, saturated from 255 on")
@@ -310,11 +310,11 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
         ]
         assert [labels[k] for k in layer.of_face] == expected
     # the legend has the table's shares
-    told = {kind.label: kind.amount for kind in reasons.classes if kind.amount}
-    assert told["seen"] == share_text(spots["chosen"]["seen"], spots["grain"])
+    reported_ones = {kind.label: kind.amount for kind in reasons.classes if kind.amount}
+    assert reported_ones["seen"] == share_text(spots["chosen"]["seen"], spots["grain"])
     for one in spots["chosen"]["blind"]:
         if not one["reason"].startswith("saturated"):
-            assert told[one["reason"]] == share_text(one["share"], spots["grain"])
+            assert reported_ones[one["reason"]] == share_text(one["share"], spots["grain"])
     # and the surface the colours of blind.ply
     colours = {one.label: "#{:02x}{:02x}{:02x}".format(*one.colour) for one in BLIND_CLASSES}
     assert {kind.label: kind.colour for kind in reasons.classes}.items() <= colours.items()
@@ -352,19 +352,19 @@ def with_options(output, options):
 
 
 @pytest.mark.slow
-def test_what_was_assumed_of_defects_and_tolerances_is_told(inspected, done, undrawn):
+def test_what_was_assumed_of_defects_and_tolerances_is_reported(inspected, done, undrawn):
     _, output = inspected
     tolerances = {"light_deg": 2.0, "pose_deg": 1.0, "target": 0.95, "draws": 100, "seed": 0}
     options = {**output.document["provenance"]["options"], "tolerances": tolerances}
-    told = assumed(replace(output, document=with_options(output, options)))
+    reported_ones = assumed(replace(output, document=with_options(output, options)))
     names = ", ".join(result_of(output.result.folder)["results"][0]["objectives"][0]["defects"])
-    assert told["defects looked for"].startswith(f"{names}: ")
-    assert told["directions of walls"] == "8, evenly around"
+    assert reported_ones["defects looked for"].startswith(f"{names}: ")
+    assert reported_ones["directions of walls"] == "8, evenly around"
     min_images, threshold = options["min_images"], options["threshold"]
-    assert f"by {threshold:g} times the noise or more, in {min_images} image" in told["a defect is seen"]
-    assert told["left out"] == "what the camera sees at more than 80° to the normal"
-    assert told["tolerances"].startswith("lights 2°, part 1°; 100 draws of seed 0")
-    assert "not part of the score" not in told["sensor noise"]
+    assert f"by {threshold:g} times the noise or more, in {min_images} image" in reported_ones["a defect is seen"]
+    assert reported_ones["left out"] == "what the camera sees at more than 80° to the normal"
+    assert reported_ones["tolerances"].startswith("lights 2°, part 1°; 100 draws of seed 0")
+    assert "not part of the score" not in reported_ones["sensor noise"]
     other = assumed(done[1])
     assert other["sensor noise"].endswith("not part of the score")
     assert not {"defects looked for", "a defect is seen", "tolerances"} & set(other)
@@ -461,23 +461,23 @@ def test_a_plan_is_shown_as_the_result_has_it(done, undrawn):
     # as they are captured
     assert table.rows == [["(20°, 90°)", "2", "1", "20 %", "90 %"], ["(0°, 0°)", "1", "1, 0.25", "70 %", "70 %"]]
     assert "Shares are of all that is seen." in table.caption
-    told = dict(facts.rows)
-    assert told["the same number of others shows at most"] == "93 %"
-    assert told["travel from (0°, 0°)"] == "110.0 s at 1°/s, as the stage says"
-    assert told["90 % takes at least"] == "2 postures"
-    assert told["with the lights as they stood"] == "85 % in 3 postures, of some patches, at exposure 1"
-    assert told["the first 1 chosen show"] == "70 %"
+    reported_ones = dict(facts.rows)
+    assert reported_ones["the same number of others shows at most"] == "93 %"
+    assert reported_ones["travel from (0°, 0°)"] == "110.0 s at 1°/s, as the stage says"
+    assert reported_ones["90 % takes at least"] == "2 postures"
+    assert reported_ones["with the lights as they stood"] == "85 % in 3 postures, of some patches, at exposure 1"
+    assert reported_ones["the first 1 chosen show"] == "70 %"
     # the target was met by fewer than might be
-    assert "postures that were asked for" not in told
+    assert "postures that were asked for" not in reported_ones
     untargeted = {**PLANNED["chosen_postures"], "target": None}
     facts = posture_blocks(replace(output, document={**output.document, "chosen_postures": untargeted}))[1]
     assert dict(facts.rows)["postures that were asked for"] == "3"
-    assert told["each patch counts as its middle does"] == (
+    assert reported_ones["each patch counts as its middle does"] == (
         "800 patches with edges up to 1.25 mm, where a pixel has 0.05 mm: shares may be off by some 2 points"
     )
     assert left.rows == [["(45°, 0°)", "the part leaves the image"]]
     assert command.text == PLANNED["commands"][0]
-    assert told["these postures have at least"] == "75 % of the best with these lights"
+    assert reported_ones["these postures have at least"] == "75 % of the best with these lights"
     assert "up to 2 of each; together, what is seen in 2 images" in table.caption
     lead = design_page(output).lead
     (answer,) = (block for block in lead if isinstance(block, Answer))
@@ -505,7 +505,7 @@ def test_a_plan_is_shown_as_the_result_has_it(done, undrawn):
     ]
 
 
-def test_the_way_of_several_commands_is_told_command_by_command(done, undrawn):
+def test_the_way_of_several_commands_is_reported_command_by_command(done, undrawn):
     rounds = [
         {"command": "one", "order_of_travel": [place(20, 90)], "travel_s": 90.0},
         {"command": "two", "order_of_travel": [place(0, 0)], "travel_s": 40.25},
@@ -530,7 +530,7 @@ def test_the_way_of_several_commands_is_told_command_by_command(done, undrawn):
         ("target", "adds 1 % or more, or where the target takes it."),
     ],
 )
-def test_exposures_that_the_target_takes_are_told(done, undrawn, why, expected):
+def test_exposures_that_the_target_takes_are_reported(done, undrawn, why, expected):
     planned = PLANNED["exposures"]
     first, other = planned["shots"]
     planned = {**planned, "shots": [first, {**other, "planned": True, "planned_for": why}]}
@@ -539,7 +539,7 @@ def test_exposures_that_the_target_takes_are_told(done, undrawn, why, expected):
     assert note.text.endswith(expected)
 
 
-def test_where_one_image_is_enough_the_greedy_bound_is_told(done, undrawn):
+def test_where_one_image_is_enough_the_greedy_bound_is_reported(done, undrawn):
     one = {**PLANNED["chosen_postures"], "min_images": 1, "every_combination_tried": False}
     one |= {"lights_best_for_postures": False, "iterations_on_all_patches": False}
     output = replace(done[1], document={**done[1].document, "chosen_postures": one})
@@ -552,21 +552,21 @@ def test_where_one_image_is_enough_the_greedy_bound_is_told(done, undrawn):
     assert "no other positions of the lights" not in proof
 
 
-def test_the_best_of_all_sets_is_told_and_whether_it_is_the_plan(done, undrawn):
+def test_the_best_of_all_sets_is_reported_and_whether_it_is_the_plan(done, undrawn):
     chosen = {**PLANNED["chosen_postures"], "best_of_sets": 66, "min_images": 1}
 
-    def told(**more):
+    def reported_ones(**more):
         output = replace(done[1], document={**done[1].document, "chosen_postures": {**chosen, **more}})
         (proof,) = (
             block.text for block in design_page(output).lead if isinstance(block, Note) and "roven" in block.text
         )
         return proof, dict(posture_blocks(output)[1].rows)["the same number of others shows at most"]
 
-    proof, bound = told()
+    proof, bound = reported_ones()
     whatever = ", at any of the exposures offered."
     assert f"with these lights none of the 66 sets of 2 postures shows more than 93 %{whatever}" in proof
     assert bound == "93 %: the best of all 66 sets with these lights"
-    proof, bound = told(proven_with_these_lights=True, bounds_with_any_of_exposures=[1.0])
+    proof, bound = reported_ones(proven_with_these_lights=True, bounds_with_any_of_exposures=[1.0])
     assert "with these lights none of the 66 sets of 2 postures shows more." in proof
     assert bound == "93 %: these are the best of all 66 sets with these lights"
 

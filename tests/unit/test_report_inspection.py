@@ -30,7 +30,7 @@ def true_set(sizes, found):
     return SetEvaluation(defects=defects, hidden=("behind",), false_alarms=3, postures=2, areas=(0.9, 0.92))
 
 
-def test_the_truth_is_told_with_curves_where_hits_and_misses_tell_them():
+def test_the_truth_is_reported_with_curves_where_hits_and_misses_give_them():
     rng = np.random.default_rng(2)
     sizes = rng.uniform(0.2, 3.0, 60)
     found = rng.random(60) < 1.0 / (1.0 + np.exp(-4.0 * np.log(sizes / 0.8)))
@@ -146,10 +146,10 @@ def test_the_synthetic_png_of_a_dark_part_shows_it_and_says_how(tmp_path):
     level[:2, :4] = 200.0
     shown = grey_picture(level, np.ones(level.shape, bool))
     assert shown.grey[20, 20] > 50
-    told = shown.as_dict()
-    assert told["power"] < 1.0
-    share = (level[20, 20] - told["black_level"]) / (told["white_level"] - told["black_level"])
-    assert 255.0 * share ** told["power"] == pytest.approx(shown.grey[20, 20], abs=0.51)
+    reported = shown.as_dict()
+    assert reported["power"] < 1.0
+    share = (level[20, 20] - reported["black_level"]) / (reported["white_level"] - reported["black_level"])
+    assert 255.0 * share ** reported["power"] == pytest.approx(shown.grey[20, 20], abs=0.51)
     even = grey_picture(100.0 * level, level < 1.0).as_dict()
     assert even == {"black_level": 0.0, "white_level": 40.0, "power": 1.0}
 

@@ -135,7 +135,7 @@ def test_line_breaks_in_a_name_do_not_break_the_line() -> None:
 
 
 @fixed_style()
-def test_lines_are_where_they_are_asked_for() -> None:
+def test_lines_are_where_they_are_requested() -> None:
     drawing = Drawing(40, 30)
     drawing.line(np.array([[10.0, 5.0], [10.0, 25.0]]), colour="#000000", width=1.0)
     picture = np.asarray(drawing.image())[..., 0].astype(float)

@@ -194,7 +194,7 @@ def test_lights_stand_where_they_are_said_to(block):
     assert np.allclose(lights["light3"].centre, 330 * np.array([-0.5, -0.5, s]))
 
 
-def test_points_asked_for_replace_all_others(block):
+def test_points_requested_replace_all_others(block):
     block.edit("rig.yaml", "gain: 0.8", "points: 16")
     assert [light.points for light in build_scene(block.rig, block.part, points="auto").lights] == ["auto"] * 2
     assert [light.points for light in build_scene(block.rig, block.part, points=1).lights] == [1, 1]
@@ -203,7 +203,7 @@ def test_points_asked_for_replace_all_others(block):
             build_scene(block.rig, block.part, points=wrong)
 
 
-def test_lights_asked_for_come_in_the_order_of_the_rig(block):
+def test_lights_requested_come_in_the_order_of_the_rig(block):
     names = [light.name for light in build_scene(block.rig, block.part, lights=["light3", "light1"]).lights]
     assert names == ["light1", "light3"]
     assert [light.name for light in build_scene(block.rig, block.part, lights=["light3"]).lights] == ["light3"]
@@ -221,10 +221,10 @@ def test_every_unknown_light_is_named(block):
 # --- postures
 
 
-def test_postures_are_those_of_the_part_or_those_asked_for(bench):
+def test_postures_are_those_of_the_part_or_those_requested(bench):
     assert build_scene(bench.rig, bench.part).postures == (Posture(0.0, 0.0), Posture(-10.0, 170.0))
-    asked = [Posture(45.0, 360.0), Posture(-45.0, 0.0)]  # the ends of the stage's ranges
-    assert build_scene(bench.rig, bench.part, postures=asked).postures == tuple(asked)
+    requested = [Posture(45.0, 360.0), Posture(-45.0, 0.0)]  # the ends of the stage's ranges
+    assert build_scene(bench.rig, bench.part, postures=requested).postures == tuple(requested)
 
 
 def test_postures_beyond_the_stage_name_both_places(bench):

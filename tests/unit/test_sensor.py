@@ -44,7 +44,7 @@ def test_twelve_bit_sensor_that_tops_out_at_4080():
     assert saturated(quantised, sensor).tolist() == [[False, True, True, True]]
 
 
-def test_saturated_is_full_scale_unless_told():
+def test_saturated_is_full_scale_by_default():
     assert saturated(np.array([[253, 254, 255]], np.uint8), EIGHT_BIT).tolist() == [[False, False, True]]
 
 
@@ -185,7 +185,7 @@ def test_impossible_sensors_are_refused_by_name(values: dict, named: str):
         Sensor(**values)
 
 
-def test_all_problems_of_a_sensor_are_told_at_once():
+def test_all_problems_of_a_sensor_are_reported_at_once():
     with pytest.raises(InputError) as caught:
         Sensor(bit_depth=8, saturation_level=300, read_noise_levels=-1)
     assert len(caught.value.messages) == 2

@@ -128,7 +128,7 @@ class AcquisitionEngine:
         with self._timing.spent("moving_s"):
             state = self.devices.move_to(posture)
         self._stage_settled = time.monotonic() + self._plan.wiring.hardware.timing.stage_ms / 1e3
-        self._stage = {"asked": posture.as_dict(), "read": state.posture.as_dict()}
+        self._stage = {"requested": posture.as_dict(), "read": state.posture.as_dict()}
         self._changed = True
 
     def confirm_stage(self) -> None:
@@ -155,7 +155,7 @@ class AcquisitionEngine:
         facts = {
             "controller": channel.controller,
             "channel": channel.channel,
-            "level": {"asked": channel.level, "read": held},
+            "level": {"requested": channel.level, "read": held},
         }
         self._lit = (name, facts)
         self._changed = True
@@ -220,7 +220,7 @@ class AcquisitionEngine:
         held = first.exposure_us
         facts: dict[str, Any] = {
             "time": begun,
-            "exposure_us": {"asked": self._plan.exposure_us(exposure), "read": held},
+            "exposure_us": {"requested": self._plan.exposure_us(exposure), "read": held},
             "frames": len(counted),
             "frame_numbers": [first.number, last.number],
             "light": None if self._lit is None else self._lit[1],
