@@ -148,7 +148,7 @@ def report_unexpected(error: BaseException) -> None:
         except Exception as problem:  # noqa: BLE001  (the first error is reported, whatever this one is)
             where, shown = (f"its traceback is above, because no file can be written: {error_text(problem)}", True)
     with contextlib.suppress(Exception):
-        sys.stderr.write(f"{text if shown else ''}error: unexpected {what} (a defect of lightopt); {where}\n")
+        sys.stderr.write(f"{text if shown else ''}error: unexpected {what} (a bug in lightopt); {where}\n")
         sys.stderr.flush()
 
 

@@ -54,7 +54,7 @@ def test_a_defect_is_one_line_and_a_traceback_in_a_file(schema, temporary):
     assert (ran.status, ran.out) == (70, "")
     (path,) = temporary.iterdir()
     assert ran.err == (
-        f"error: unexpected ZeroDivisionError: division by zero (a defect of lightopt); its traceback is in {path}; "
+        f"error: unexpected ZeroDivisionError: division by zero (a bug in lightopt); its traceback is in {path}; "
         "--debug or LIGHTOPT_DEBUG=1 shows it on the terminal\n"
     )
     text = path.read_text(encoding="utf-8")
@@ -83,7 +83,7 @@ def test_debug_shows_the_traceback(schema, cli, temporary, monkeypatch, where):
         ran = cli("schema", "rig", "--debug")
     assert ran.status == 70
     assert "Traceback (most recent call last)" in ran.err
-    assert ran.err.endswith("error: unexpected ValueError: oh (a defect of lightopt); its traceback is above\n")
+    assert ran.err.endswith("error: unexpected ValueError: oh (a bug in lightopt); its traceback is above\n")
     assert os.environ.get("LIGHTOPT_DEBUG") == ("1" if where == "environment" else None)
     assert len(list(temporary.iterdir())) == (where == "after")
 
@@ -94,7 +94,7 @@ def test_a_traceback_that_cannot_be_written_is_printed(schema, temporary, monkey
     assert ran.status == 70
     assert ran.err.startswith("Traceback (most recent call last)")
     last = ran.err.splitlines()[-1]
-    assert last.startswith("error: unexpected ValueError: oh (a defect of lightopt); its traceback is above, because ")
+    assert last.startswith("error: unexpected ValueError: oh (a bug in lightopt); its traceback is above, because ")
     assert "No such file" in last
 
 
@@ -105,7 +105,7 @@ def test_an_exception_that_cannot_say_what_it_is(schema, temporary):
 
     ran = schema(MuteError())
     assert ran.status == 70
-    assert "unexpected MuteError (a defect of lightopt)" in ran.err
+    assert "unexpected MuteError (a bug in lightopt)" in ran.err
     (path,) = temporary.iterdir()
     assert "in fail" in path.read_text(encoding="utf-8")
 
