@@ -29,4 +29,4 @@ from lightopt.config._part import (
     PlacementConfig as PlacementConfig,
 )
 from lightopt.config._rig import LightConfig as LightConfig, RigConfig as RigConfig
-from lightopt.config._source import Source as Source
+from lightopt.config._source_file import Source as Source

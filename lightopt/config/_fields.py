@@ -21,7 +21,7 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from lightopt.config._source import Source
+from lightopt.config._source_file import Source
 
 MOST_POINTS = 65_536
 

@@ -19,7 +19,7 @@ from lightopt.config._hardware import ChannelConfig, ControllerConfig, HardwareC
 from lightopt.config._messages import describe, model_problems
 from lightopt.config._part import PartConfig
 from lightopt.config._rig import RigConfig
-from lightopt.config._source import Source, dotted
+from lightopt.config._source_file import Source, dotted
 from lightopt.config._strict_yaml import Document, Problem, YamlError, parse
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256

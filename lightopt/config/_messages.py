@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args, get_origin
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 
-from lightopt.config._source import Keys
+from lightopt.config._source_file import Keys
 from lightopt.config._strict_yaml import INVALID, Document, Problem, is_number
 
 _LONGEST = 60

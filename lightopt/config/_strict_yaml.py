@@ -15,7 +15,7 @@ from typing import Final
 
 import yaml
 
-from lightopt.config._source import Keys
+from lightopt.config._source_file import Keys
 
 MAX_NODES = 20_000
 MAX_DEPTH = 40

@@ -7,7 +7,6 @@ from lightopt.images._atomic import (
     write_npz_atomic as write_npz_atomic,
     write_text_atomic as write_text_atomic,
 )
-from lightopt.images._exr import read_exr as read_exr, read_exr_metadata as read_exr_metadata, write_exr as write_exr
 from lightopt.images._file_names import (
     MANIFEST_NAME as MANIFEST_NAME,
     dark_name as dark_name,
@@ -31,11 +30,20 @@ from lightopt.images._overlap import (
     write_overlap_map as write_overlap_map,
     write_overlaps as write_overlaps,
 )
-from lightopt.images._png import read_png as read_png, read_png_metadata as read_png_metadata, write_png as write_png
 from lightopt.images._result_folder import ResultFolder as ResultFolder
 from lightopt.images._set_reader import ImageSet as ImageSet, read_image_set as read_image_set
 from lightopt.images._set_writer import (
     ImageSetWriter as ImageSetWriter,
     remove_image_set as remove_image_set,
     resumable_manifest as resumable_manifest,
+)
+from lightopt.images.formats._exr import (
+    read_exr as read_exr,
+    read_exr_metadata as read_exr_metadata,
+    write_exr as write_exr,
+)
+from lightopt.images.formats._png import (
+    read_png as read_png,
+    read_png_metadata as read_png_metadata,
+    write_png as write_png,
 )

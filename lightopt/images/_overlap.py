@@ -14,9 +14,9 @@ from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
 from lightopt.images._file_names import posture_folder
 from lightopt.images._manifest import ImageEntry
-from lightopt.images._png import write_png
 from lightopt.images._result_folder import ResultFolder
 from lightopt.images._set_reader import ImageSet
+from lightopt.images.formats._png import write_png
 
 ONE_COLOUR = (70, 110, 190)
 SEVERAL_COLOUR = (230, 60, 40)

@@ -11,7 +11,7 @@ from typing import Any
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
 from lightopt.optics import Sensor
-from lightopt.rig.capture._exposures import ExposureImage, FrameMean
+from lightopt.rig.capture._merged_exposures import ExposureImage, FrameMean
 from lightopt.rig.capture._plan import CapturePlan
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._software_cameras import FolderCamera

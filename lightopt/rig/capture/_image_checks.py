@@ -19,7 +19,7 @@ from lightopt.geometry import RayCaster
 from lightopt.optics import Sensor
 from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.rig.capture._acquisition import AcquiredImage
-from lightopt.rig.capture._exposures import ExposureImage, exposure_mismatch
+from lightopt.rig.capture._merged_exposures import ExposureImage, exposure_mismatch
 from lightopt.scene import Scene
 
 AMBIENT_LEVELS = 0.5  # ambient light that shifts levels by more than this causes a warning [sensor level]

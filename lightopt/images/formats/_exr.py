@@ -8,7 +8,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float32
 from lightopt.core.errors import InputError
-from lightopt.images._oiio import open_input, openimageio, read_metadata, write_image
+from lightopt.images.formats._openimageio import open_input, openimageio, read_metadata, write_image
 
 Channel = Float32
 

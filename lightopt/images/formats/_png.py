@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lightopt.core.arrays import UInt8
 from lightopt.core.errors import InputError
-from lightopt.images._oiio import open_input, openimageio, read_metadata, write_image
+from lightopt.images.formats._openimageio import open_input, openimageio, read_metadata, write_image
 
 Levels = UInt8 | NDArray[np.uint16]
 
