@@ -136,7 +136,8 @@ class Prediction:
 
     def seen(self, min_images: int) -> Bool:
         """Whether enough images show each trial on each patch, shape (p, t)."""
-        words = self.visibility.seen((0,) * len(self.visibility.words), min_images)
+        one_each = self.visibility.rows([np.zeros(1, np.int64)] * len(self.visibility.words))
+        words = one_each.reachable(min_images)
         return unpack_flags(words, len(self.trials))
 
     def trials_of(self, name: str) -> Bool:

@@ -76,7 +76,9 @@ def pits_of(case: Case, rig: RigConfig, part: PartConfig, finish: str, count: in
             for mean, own in counts.items():
                 own += off(noisy[:mean].mean(axis=0), plain[:mean].mean(axis=0), case.scene, case.contrast.threshold)
         for min_images, mean in itertools.product(SEEN_IN, MEANS):
-            flags = unpack_flags(visibility.seen((0,) * len(good.lights), min_images), len(trials))
+            flags = unpack_flags(
+                visibility.rows([np.zeros(1, np.int64)] * len(good.lights)).reachable(min_images), len(trials)
+            )
             yield Point(
                 part=part.name, finish=finish, kind=f"pits of {slope:g}°", min_images=min_images, pixels=mean,
                 predicted=float(flags[rows, toward].mean()),

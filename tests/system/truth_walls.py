@@ -61,7 +61,7 @@ def walls(case: Case, part: PartConfig, finish: str) -> Iterator[Point]:
     names = [trial.name for trial in trials]
     for min_images, pixels in itertools.product(SEEN_IN, MEANS):
         measured = (counts[pixels] >= min_images) @ areas / areas.sum()
-        flags = unpack_flags(visibility.seen((0,) * len(lights), min_images), len(trials))
+        flags = unpack_flags(visibility.rows([np.zeros(1, np.int64)] * len(lights)).reachable(min_images), len(trials))
         predicted = visibility.areas @ flags / visibility.areas.sum()
         for kind in (*dict.fromkeys(names), "all"):
             own = weights * np.array([kind in (name, "all") for name in names])

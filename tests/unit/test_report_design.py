@@ -310,11 +310,11 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
         ]
         assert [labels[k] for k in layer.of_face] == expected
     # the legend has the table's shares
-    reported_ones = {kind.label: kind.amount for kind in reasons.classes if kind.amount}
-    assert reported_ones["seen"] == share_text(spots["chosen"]["seen"], spots["grain"])
+    amounts = {kind.label: kind.amount for kind in reasons.classes if kind.amount}
+    assert amounts["seen"] == share_text(spots["chosen"]["seen"], spots["grain"])
     for one in spots["chosen"]["blind"]:
         if not one["reason"].startswith("saturated"):
-            assert reported_ones[one["reason"]] == share_text(one["share"], spots["grain"])
+            assert amounts[one["reason"]] == share_text(one["share"], spots["grain"])
     # and the surface the colours of blind.ply
     colours = {one.label: "#{:02x}{:02x}{:02x}".format(*one.colour) for one in BLIND_CLASSES}
     assert {kind.label: kind.colour for kind in reasons.classes}.items() <= colours.items()
@@ -356,15 +356,15 @@ def test_what_was_assumed_of_defects_and_tolerances_is_reported(inspected, done,
     _, output = inspected
     tolerances = {"light_deg": 2.0, "pose_deg": 1.0, "target": 0.95, "draws": 100, "seed": 0}
     options = {**output.document["provenance"]["options"], "tolerances": tolerances}
-    reported_ones = assumed(replace(output, document=with_options(output, options)))
+    amounts = assumed(replace(output, document=with_options(output, options)))
     names = ", ".join(result_of(output.result.folder)["results"][0]["objectives"][0]["defects"])
-    assert reported_ones["defects looked for"].startswith(f"{names}: ")
-    assert reported_ones["directions of walls"] == "8, evenly around"
+    assert amounts["defects looked for"].startswith(f"{names}: ")
+    assert amounts["directions of walls"] == "8, evenly around"
     min_images, threshold = options["min_images"], options["threshold"]
-    assert f"by {threshold:g} times the noise or more, in {min_images} image" in reported_ones["a defect is seen"]
-    assert reported_ones["left out"] == "what the camera sees at more than 80° to the normal"
-    assert reported_ones["tolerances"].startswith("lights 2°, part 1°; 100 draws of seed 0")
-    assert "not part of the score" not in reported_ones["sensor noise"]
+    assert f"by {threshold:g} times the noise or more, in {min_images} image" in amounts["a defect is seen"]
+    assert amounts["left out"] == "what the camera sees at more than 80° to the normal"
+    assert amounts["tolerances"].startswith("lights 2°, part 1°; 100 draws of seed 0")
+    assert "not part of the score" not in amounts["sensor noise"]
     other = assumed(done[1])
     assert other["sensor noise"].endswith("not part of the score")
     assert not {"defects looked for", "a defect is seen", "tolerances"} & set(other)
@@ -461,23 +461,23 @@ def test_a_plan_is_shown_as_the_result_has_it(done, undrawn):
     # as they are captured
     assert table.rows == [["(20°, 90°)", "2", "1", "20 %", "90 %"], ["(0°, 0°)", "1", "1, 0.25", "70 %", "70 %"]]
     assert "Shares are of all that is seen." in table.caption
-    reported_ones = dict(facts.rows)
-    assert reported_ones["the same number of others shows at most"] == "93 %"
-    assert reported_ones["travel from (0°, 0°)"] == "110.0 s at 1°/s, as the stage says"
-    assert reported_ones["90 % takes at least"] == "2 postures"
-    assert reported_ones["with the lights as they stood"] == "85 % in 3 postures, of some patches, at exposure 1"
-    assert reported_ones["the first 1 chosen show"] == "70 %"
+    amounts = dict(facts.rows)
+    assert amounts["the same number of others shows at most"] == "93 %"
+    assert amounts["travel from (0°, 0°)"] == "110.0 s at 1°/s, as the stage says"
+    assert amounts["90 % takes at least"] == "2 postures"
+    assert amounts["with the lights as they stood"] == "85 % in 3 postures, of some patches, at exposure 1"
+    assert amounts["the first 1 chosen show"] == "70 %"
     # the target was met by fewer than might be
-    assert "postures that were asked for" not in reported_ones
+    assert "postures that were asked for" not in amounts
     untargeted = {**PLANNED["chosen_postures"], "target": None}
     facts = posture_blocks(replace(output, document={**output.document, "chosen_postures": untargeted}))[1]
     assert dict(facts.rows)["postures that were asked for"] == "3"
-    assert reported_ones["each patch counts as its middle does"] == (
+    assert amounts["each patch counts as its middle does"] == (
         "800 patches with edges up to 1.25 mm, where a pixel has 0.05 mm: shares may be off by some 2 points"
     )
     assert left.rows == [["(45°, 0°)", "the part leaves the image"]]
     assert command.text == PLANNED["commands"][0]
-    assert reported_ones["these postures have at least"] == "75 % of the best with these lights"
+    assert amounts["these postures have at least"] == "75 % of the best with these lights"
     assert "up to 2 of each; together, what is seen in 2 images" in table.caption
     lead = design_page(output).lead
     (answer,) = (block for block in lead if isinstance(block, Answer))
@@ -555,18 +555,18 @@ def test_where_one_image_is_enough_the_greedy_bound_is_reported(done, undrawn):
 def test_the_best_of_all_sets_is_reported_and_whether_it_is_the_plan(done, undrawn):
     chosen = {**PLANNED["chosen_postures"], "best_of_sets": 66, "min_images": 1}
 
-    def reported_ones(**more):
+    def amounts(**more):
         output = replace(done[1], document={**done[1].document, "chosen_postures": {**chosen, **more}})
         (proof,) = (
             block.text for block in design_page(output).lead if isinstance(block, Note) and "roven" in block.text
         )
         return proof, dict(posture_blocks(output)[1].rows)["the same number of others shows at most"]
 
-    proof, bound = reported_ones()
+    proof, bound = amounts()
     whatever = ", at any of the exposures offered."
     assert f"with these lights none of the 66 sets of 2 postures shows more than 93 %{whatever}" in proof
     assert bound == "93 %: the best of all 66 sets with these lights"
-    proof, bound = reported_ones(proven_with_these_lights=True, bounds_with_any_of_exposures=[1.0])
+    proof, bound = amounts(proven_with_these_lights=True, bounds_with_any_of_exposures=[1.0])
     assert "with these lights none of the 66 sets of 2 postures shows more." in proof
     assert bound == "93 %: these are the best of all 66 sets with these lights"
 
