@@ -16,7 +16,7 @@ def declared() -> set[str]:
     return {line.strip(' ",') for line in listed.splitlines()[1:] if line.strip()}
 
 
-def test_every_room_is_installed_and_nothing_else(declared):
+def test_every_package_is_installed_and_nothing_else(declared):
     rooms = {".".join(folder.parent.relative_to(ROOT).parts) for folder in (ROOT / "lightopt").rglob("__init__.py")}
     assert {name for name in declared if not name.startswith("lightopt.samples")} == rooms
 
