@@ -19,7 +19,7 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
-from lightopt.geometry._topology import join, merge_rows, sort_by_keys
+from lightopt.geometry._topology import corners_by_edge, end_of_edge, join, merge_rows, next_corner
 
 _log = logging.getLogger("lightopt.geometry")
 
@@ -63,7 +63,10 @@ class BlockerMaps:
         if self._closed is None:
             planes = _planes(self._vertices, self._faces)
             _, welded = merge_rows(self._vertices.astype(np.float64))  # the first vertex at each place
-            closed, folded = _closed_and_folded(self._vertices, self._faces, planes, welded)
+            around = welded[self._faces]
+            order = corners_by_edge(around)
+            flat = around.reshape(-1)
+            closed, folded = _closed_and_folded(self._vertices, self._faces, planes, welded, flat, order)
             self._closed = bool(closed)
             if not closed:
                 _log.info("the mesh is open or its faces disagree in direction: every shadow ray is cast")
@@ -235,44 +238,27 @@ def _fill(
 
 
 @kernel
-def _closed_and_folded(vertices: Float32, faces: Int32, planes: Float32, welded: Int32) -> tuple[bool, Bool]:
+def _closed_and_folded(
+    vertices: Float32, faces: Int32, planes: Float32, welded: Int32, flat: Int32, order: Int32
+) -> tuple[bool, Bool]:
     # whether directed edges cancel, each edge's two ways taken as often; and the vertices at folds of less than 90°
     folded = np.zeros(len(vertices), np.bool_)
     sharp = np.zeros(len(vertices), np.bool_)  # by welded vertex
-    # the edges of each vertex to those of larger numbers: the other end, and the face, −1 − face where it runs back
-    first = np.zeros(len(vertices) + 1, np.int64)
-    for f in range(len(faces)):
-        for k in range(3):
-            a, b = welded[faces[f, k]], welded[faces[f, (k + 1) % 3]]
-            if a != b:
-                first[min(a, b) + 1] += 1
-    for i in range(len(vertices)):
-        first[i + 1] += first[i]
-    other, face = np.empty(first[-1], np.int32), np.empty(first[-1], np.int32)
-    place = first[:-1].copy()
-    for f in range(len(faces)):
-        for k in range(3):
-            a, b = welded[faces[f, k]], welded[faces[f, (k + 1) % 3]]
-            if a != b:
-                low, high = min(a, b), max(a, b)
-                other[place[low]], face[place[low]] = high, f if a < b else -1 - f
-                place[low] += 1
-    for low in range(len(vertices)):
-        begin, end = first[low], first[low + 1]
-        sort_by_keys(other[begin:end], face[begin:end])
-        while begin < end:
-            uses, balance, high, one = 0, 0, other[begin], face[begin]
-            fold = False
-            while begin < end and other[begin] == high:
-                uses += 1
-                balance += 1 if face[begin] >= 0 else -1
-                fold = fold or (uses == 2 and _is_fold(vertices, faces, planes, one, face[begin], welded, low, high))
-                begin += 1
+    begin = 0
+    while begin < len(order):
+        end = end_of_edge(flat, order, begin)
+        a, b = flat[order[begin]], flat[next_corner(order[begin])]
+        uses, balance = end - begin, 0
+        for k in range(begin, end):
+            balance += 1 if flat[order[k]] < flat[next_corner(order[k])] else -1
+        if a != b:
             if balance != 0:
                 return False, folded
-            if fold or uses > 2:
-                sharp[low] = True
-                sharp[high] = True
+            one, two = order[begin] // 3, order[begin + 1] // 3
+            if uses > 2 or _is_fold(vertices, faces, planes, one, two, welded, a, b):
+                sharp[a] = True
+                sharp[b] = True
+        begin = end
     for i in range(len(vertices)):
         folded[i] = sharp[welded[i]]
     return True, folded
@@ -280,9 +266,9 @@ def _closed_and_folded(vertices: Float32, faces: Int32, planes: Float32, welded:
 
 @kernel
 def _is_fold(
-    vertices: Float32, faces: Int32, planes: Float32, one: int, two: int, welded: Int32, low: int, high: int
+    vertices: Float32, faces: Int32, planes: Float32, f: int, g: int, welded: Int32, low: int, high: int
 ) -> bool:
-    f, g = one if one >= 0 else -1 - one, two if two >= 0 else -1 - two
+    # whether two faces meet at less than 90° across the edge between two welded vertices
     if planes[f, 0] * planes[g, 0] + planes[f, 1] * planes[g, 1] + planes[f, 2] * planes[g, 2] > 0.01:
         return False
     for k in range(3):

@@ -6,7 +6,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64, Int32
 from lightopt.core.kernels import kernel
-from lightopt.geometry._topology import EdgePairs, join, merge_rows
+from lightopt.geometry._topology import EdgePairs, join, merge_rows, next_corner
 from lightopt.geometry._triangle_mesh import TriangleMesh, face_cross
 
 # Facet normals of coordinates in float64 are good to about this [rad].
@@ -94,8 +94,8 @@ def _smeared_creases(given: Float64, vertex: Int32, flat: Float64, pairs: EdgePa
     # vertex: of each corner
     sharp = pairs.corners[_bends(flat, pairs.corners) > crease_angle + _ANGLE_ROUNDING]
     c, d = sharp[:, 0], sharp[:, 1]
-    level = (np.abs(given[vertex[c]] - given[vertex[_next(d)]]) < _SAME_NORMAL).all(axis=1)
-    level &= (np.abs(given[vertex[d]] - given[vertex[_next(c)]]) < _SAME_NORMAL).all(axis=1)
+    level = (np.abs(given[vertex[c]] - given[vertex[next_corner(d)]]) < _SAME_NORMAL).all(axis=1)
+    level &= (np.abs(given[vertex[d]] - given[vertex[next_corner(c)]]) < _SAME_NORMAL).all(axis=1)
     if not level.any():
         return []
     message = (
@@ -116,11 +116,6 @@ def _bends(flat: Float64, pairs: Int32) -> Float64:
         x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
         angles[e] = math.atan2(math.sqrt(x * x + y * y + z * z), a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
     return angles
-
-
-def _next(corners: Int32) -> Int32:
-    """Corner after each corner in its face."""
-    return corners - corners % 3 + (corners + 1) % 3
 
 
 @kernel
@@ -160,8 +155,8 @@ def _join_corners(corner_count: int, pairs: Int32) -> Int32:
     for e in range(len(pairs)):
         c, d = pairs[e, 0], pairs[e, 1]
         # the faces run along the edge in opposite directions: the start in one is the end in the other
-        join(parent, c, d - d % 3 + (d + 1) % 3)
-        join(parent, d, c - c % 3 + (c + 1) % 3)
+        join(parent, c, next_corner(d))
+        join(parent, d, next_corner(c))
     for x in range(corner_count):
         parent[x] = parent[parent[x]]
     return parent

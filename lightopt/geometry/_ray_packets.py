@@ -72,6 +72,19 @@ def _aligned(count: int) -> Float32:
 
 
 @kernel
+def _load(ray: Float32, valid: Int32, first: int, origins: Float32, directions: Float32, furthest: float) -> None:
+    # the rays from number `first` on into a packet; places beyond the last ray are not valid
+    width, n = len(valid), len(origins)
+    for j in range(width):
+        i = min(first + j, n - 1)
+        valid[j] = -1 if first + j < n else 0
+        for axis in range(3):
+            ray[axis * width + j] = origins[i, axis]
+            ray[(4 + axis) * width + j] = directions[i, axis]
+        ray[_FURTHEST * width + j] = furthest
+
+
+@kernel
 def _blocked(function: int, scene: int, arguments: int, width: int, origins: Float32, directions: Float32) -> Int32:
     # 0 where anything lies within the length of a direction, −1 where nothing does
     n = len(origins)
@@ -80,13 +93,7 @@ def _blocked(function: int, scene: int, arguments: int, width: int, origins: Flo
     valid = _aligned(width).view(np.int32)
     ray.view(np.int32)[_MASK * width : (_MASK + 1) * width] = -1
     for first in range(0, n, width):
-        for j in range(width):
-            i = min(first + j, n - 1)
-            valid[j] = -1 if first + j < n else 0
-            for axis in range(3):
-                ray[axis * width + j] = origins[i, axis]
-                ray[(4 + axis) * width + j] = directions[i, axis]
-            ray[_FURTHEST * width + j] = 1.0
+        _load(ray, valid, first, origins, directions, 1.0)
         call_address(function, valid.ctypes.data, scene, ray.ctypes.data, arguments)
         for j in range(min(width, n - first)):
             # Embree's sign for a ray that is blocked
@@ -164,14 +171,8 @@ def _nearest_in_packets(
     number[_MASK * width : (_MASK + 1) * width] = -1
     valid = _aligned(width).view(np.int32)
     for first in range(0, n, width):
-        for j in range(width):
-            i = min(first + j, n - 1)
-            valid[j] = -1 if first + j < n else 0
-            for axis in range(3):
-                ray[axis * width + j] = origins[i, axis]
-                ray[(4 + axis) * width + j] = directions[i, axis]
-            ray[_FURTHEST * width + j] = np.inf
-            number[_GEOMETRY * width + j] = -1
+        _load(ray, valid, first, origins, directions, np.inf)
+        number[_GEOMETRY * width : (_GEOMETRY + 1) * width] = -1
         call_address(packet, valid.ctypes.data, scene, ray.ctypes.data, arguments)
         for j in range(min(width, n - first)):
             i = first + j

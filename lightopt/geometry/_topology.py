@@ -1,6 +1,7 @@
 """Which vertices coincide and which edges two faces share: what repairing and smoothing stand on."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +62,7 @@ def mesh_edges(faces: NDArray[np.integer]) -> MeshEdges:
     faces: Vertex indices, shape (m, 3); edges meet where these are the same, whatever the positions are
     """
     faces = np.ascontiguousarray(faces, np.int32)
-    order = _corners_by_edge(faces)
+    order = corners_by_edge(faces)
     start, end = faces.reshape(-1)[order], faces[:, (1, 2, 0)].reshape(-1)[order]
     ends = np.stack([np.minimum(start, end), np.maximum(start, end)], axis=1).astype(np.int64)
     first = np.flatnonzero(np.concatenate([[True], (ends[1:] != ends[:-1]).any(axis=1)]))
@@ -72,34 +73,54 @@ def mesh_edges(faces: NDArray[np.integer]) -> MeshEdges:
 
 def edge_pairs(faces: Int32) -> EdgePairs:
     """Match the edges of all faces."""
-    return EdgePairs(*_pairs(faces, _corners_by_edge(faces)))
+    return EdgePairs(*_pairs(faces, corners_by_edge(faces)))
 
 
 @kernel
-def _corners_by_edge(faces: Int32) -> Int32:
-    # all corners, 3·face + corner, those of one edge after the other; edges by their lower vertex, then by the other
-    # one, and corners of an edge ascending
+def corners_by_edge(faces: Int32) -> Int32:
+    """All corners, 3·face + corner, those that begin the same edge one after the other, shape (3·m,).
+
+    Edges come by their lower vertex, then by the other one; corners of an edge ascend. A degenerate face has edges from
+    a vertex to itself.
+    """
     flat = faces.reshape(-1)
     first = np.zeros(flat.max() + 2, np.int64)
     for c in range(len(flat)):
-        first[min(flat[c], flat[_next_corner(c)]) + 1] += 1
+        first[min(flat[c], flat[next_corner(c)]) + 1] += 1
     for i in range(len(first) - 1):
         first[i + 1] += first[i]
     place = first[:-1].copy()
     order, other = np.empty(len(flat), np.int32), np.empty(len(flat), np.int32)
     for c in range(len(flat)):
-        a, b = flat[c], flat[_next_corner(c)]
+        a, b = flat[c], flat[next_corner(c)]
         at = place[min(a, b)]
         order[at], other[at] = c, max(a, b)
         place[min(a, b)] += 1
     for i in range(len(first) - 1):
-        sort_by_keys(other[first[i] : first[i + 1]], order[first[i] : first[i + 1]])
+        _sort_by_keys(other[first[i] : first[i + 1]], order[first[i] : first[i + 1]])
     return order
 
 
 @kernel
-def _next_corner(corner: int) -> int:
+def next_corner(corner: Any) -> Any:
+    """The corner after a corner in its face; of one or of an array."""
     return corner - corner % 3 + (corner + 1) % 3
+
+
+@kernel
+def end_of_edge(flat: Int32, order: Int32, begin: int) -> int:
+    """Where in the order of :func:`corners_by_edge` the corners end that begin the same edge as that at `begin`.
+
+    flat: Vertices of all corners, shape (3·m,)
+    """
+    a, b = flat[order[begin]], flat[next_corner(order[begin])]
+    end = begin + 1
+    while end < len(order):
+        c, d = flat[order[end]], flat[next_corner(order[end])]
+        if min(c, d) != min(a, b) or max(c, d) != max(a, b):
+            break
+        end += 1
+    return end
 
 
 @kernel
@@ -109,13 +130,7 @@ def _pairs(faces: Int32, order: Int32) -> tuple[Int32, Bool, Bool]:
     rim = np.zeros(len(faces), np.bool_)
     begin = count = 0
     while begin < len(order):
-        a, b = flat[order[begin]], flat[_next_corner(order[begin])]
-        end = begin + 1
-        while end < len(order):
-            c, d = flat[order[end]], flat[_next_corner(order[end])]
-            if min(c, d) != min(a, b) or max(c, d) != max(a, b):
-                break
-            end += 1
+        end = end_of_edge(flat, order, begin)
         if end - begin == 2:
             pairs[count, 0], pairs[count, 1] = order[begin], order[begin + 1]
             same[count] = flat[order[begin]] == flat[order[begin + 1]]
@@ -128,8 +143,8 @@ def _pairs(faces: Int32, order: Int32) -> tuple[Int32, Bool, Bool]:
 
 
 @kernel
-def sort_by_keys(keys: Int32, values: Int32) -> None:
-    """Sort both by the keys, in place; values of equal keys keep their order."""
+def _sort_by_keys(keys: Int32, values: Int32) -> None:
+    # both in place; values of equal keys keep their order
     if len(keys) > 32:
         order = np.argsort(keys, kind="mergesort")
         keys[:], values[:] = keys[order], values[order]

@@ -40,7 +40,7 @@ DEFAULT_PATCH_BUDGET = 200_000
 # the geometry image holds patch numbers as float32, which counts no further
 _MOST_PATCHES = 1 << 24
 
-# image rows whose rays are cast at once, and points that are looked at at once: they bound the memory
+# image rows whose rays are cast at once, and points that are tested at once: they bound the memory
 _BLOCK_ROWS, _BLOCK_POINTS = 32, 1 << 16
 
 
@@ -192,12 +192,12 @@ def build_patches(
     shape, candidates = (len(views), len(patches)), np.flatnonzero(seen[patches.face])
     visible, grazing = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
 
-    def look(view: int, some: slice) -> None:
+    def find_visible(view: int, some: slice) -> None:
         patch = candidates[some]
         points, normals, own_facets = patches.centroids[patch], patches.normals[patch], facets[patches.face[patch]]
         visible[view, patch], grazing[view, patch] = camera_visibility(points, normals, own_facets, views[view], caster)
 
-    in_blocks(look, len(candidates))
+    in_blocks(find_visible, len(candidates))
     over = shown < budget < int(visible.any(axis=0).sum()) and most > budget - shown
     return PatchTable(
         patches=patches,

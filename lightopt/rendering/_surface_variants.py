@@ -227,14 +227,8 @@ def _point_kernel(
     # the processor takes several variants at once in loops without branches over numbers that lie side by side
     c0, c1, c2 = lean[:, 0].copy(), lean[:, 1].copy(), lean[:, 2].copy()
     least_chord = most / inverse
-    # where the half vector is further from the surface's own normal than this, no variant has a lobe
-    furthest = 0.0
-    for t in range(tries):
-        lobe = math.acos(max(-1.0, 1.0 - 0.5 * least_chord[t]))
-        furthest = max(furthest, math.acos(min(1.0, max(-1.0, c0[t]))) + lobe + 1e-6)
-    least_cosine = math.cos(min(furthest, math.pi)) - 1e-9
     n_dot_v, n_dot_l, chord = np.empty(tries), np.empty(tries), np.empty(tries)
-    d_sums, s_sums, near = np.empty(tries), np.empty(tries), np.empty(tries, np.int64)
+    d_sums, s_sums, near = np.empty(tries), np.empty(tries), np.empty(tries, np.bool_)
     for i in range(count):
         if not clear[:, i].any():
             continue
@@ -245,7 +239,6 @@ def _point_kernel(
             n_dot_v[t] = c0[t] * v0 + c1[t] * v1 + c2[t] * v2
             d_sums[t] = s_sums[t] = 0.0
         d_sum = s_sum = 0.0
-        glossy = False
         for k in range(len(grid)):
             if not clear[k, i]:
                 continue
@@ -266,24 +259,18 @@ def _point_kernel(
                 n_dot_l[t] = c0[t] * l0 + c1[t] * l1 + c2[t] * l2
             for t in range(tries):
                 d_sums[t] += arriving * lambert(n_dot_l[t])
-            if h0 < least_cosine:
-                continue
             for t in range(tries):
                 # |N − H|² of unit vectors; in float64 it is off by 1e-16 where it is 1e-6 and more that matter
                 chord[t] = max(0.0, 2.0 - 2.0 * (c0[t] * h0 + c1[t] * h1 + c2[t] * h2))
             some = 0
             for t in range(tries):
-                near[t] = np.int64((n_dot_l[t] > 0.0) & (n_dot_v[t] > 0.0) & (chord[t] < least_chord[t]))
+                near[t] = (n_dot_l[t] > 0.0) & (n_dot_v[t] > 0.0) & (chord[t] < least_chord[t])
                 some += near[t]
             if some > 0:
-                glossy = True
                 for t in range(tries):
                     if near[t]:
                         s_sums[t] += arriving * specular_lobe(chord[t], inverse[t])
         diffuse[i], specular[i] = d_sum, s_sum
         for t in range(tries):
-            varied[i, t] = R_d[t] * d_sums[t]
-        if glossy:
-            for t in range(tries):
-                varied[i, t] += R_s[t] * s_sums[t] / specular_cosine(n_dot_v[t])
+            varied[i, t] = R_d[t] * d_sums[t] + R_s[t] * s_sums[t] / specular_cosine(n_dot_v[t])
     return diffuse, specular, varied
