@@ -12,8 +12,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from lightopt.lights import panel_grid
 from lightopt.optics import MIN_COS_VIEW, Reflectance
-from lightopt.scene import PinholeCamera, Scene, panel_grid, pixel_directions, screen_window
+from lightopt.scene import PinholeCamera, Scene, pixel_directions, screen_window
 
 Float32 = NDArray[np.float32]
 Int32 = NDArray[np.int32]

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks._numpy_shading import camera_rays
+from lightopt.lights import panel_grid
 from lightopt.optics import MIN_COS_VIEW
-from lightopt.scene import Scene, panel_grid
+from lightopt.scene import Scene
 
 Float32 = NDArray[np.float32]
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.geometry import RayCaster
+from lightopt.lights import PanelLight, panel_grid
 from lightopt.optics import MIN_COS_VIEW, Reflectance
 from lightopt.rendering import SurfacePoints
-from lightopt.scene import PanelLight, panel_grid
 
 Float64 = NDArray[np.float64]
 

@@ -27,8 +27,9 @@ from lightopt.design import (
     search,
 )
 from lightopt.geometry import RayCaster
+from lightopt.lights import PanelLight
 from lightopt.rendering import PatchTable, build_patches, cast_rays_at
-from lightopt.scene import PanelLight, Scene
+from lightopt.scene import Scene
 
 PARTS = ("cover-knob", "spout")
 THRESHOLDS = LevelThresholds(shade=10, saturation=255)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.transforms import azimuth_tangent, direction, elevation_tangent, rotation_x, rotation_z
+from lightopt.lights import panel_grid, place_light
 from lightopt.report._drawing import CAP_HEIGHT, INK, LINE_HEIGHT, SOFT, Box, Drawing, Label, fixed_style, sub
 from lightopt.report._images import check_png_path, write_picture
 from lightopt.report._rig_elements import (
@@ -31,7 +32,7 @@ from lightopt.report._rig_elements import (
     square,
 )
 from lightopt.report._view import ORIGIN, X, Y, Z, arc, fit_view
-from lightopt.scene import panel_grid, pixel_directions, place_camera, place_light, project
+from lightopt.scene import pixel_directions, place_camera, project
 
 Float64 = NDArray[np.float64]
 

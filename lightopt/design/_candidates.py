@@ -12,17 +12,9 @@ from lightopt.config import LightConfig, RigConfig
 from lightopt.core.arrays import Bool
 from lightopt.core.errors import InputError, counted
 from lightopt.design.search._combinations import CombinationSpace, Rows
+from lightopt.lights import PanelLight, panel_corners, rectangles_meet
 from lightopt.rendering import panels_in_part
-from lightopt.scene import (
-    PanelLight,
-    PinholeCamera,
-    Scene,
-    build_camera,
-    build_lights,
-    image_area,
-    panel_corners,
-    rectangles_meet,
-)
+from lightopt.scene import PinholeCamera, Scene, build_camera, build_lights, image_area
 
 Angles = tuple[float, float]  # elevation and azimuth [°]
 Reason = tuple[str, str, float | None]  # text, kind and amount of an `ExcludedPosition`

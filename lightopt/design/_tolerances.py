@@ -32,8 +32,9 @@ from lightopt.design.responses._image_evaluator import ImageEvaluator, scattered
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
 from lightopt.design.responses._packed_bits import counts_of_images
 from lightopt.geometry import face_normals
+from lightopt.lights import PanelLight
 from lightopt.rendering import PatchTable, camera_visibility
-from lightopt.scene import PanelLight, view_from_part
+from lightopt.scene import view_from_part
 
 T = TypeVar("T")
 Offset = tuple[float, float]  # elevation and azimuth of a light, or tilt and rotation of the part, off by so much [°]

@@ -8,8 +8,9 @@ from typing import Any, Literal, get_args
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.transforms import Posture
 from lightopt.geometry import Hits, RayCaster
+from lightopt.lights import PanelLight
 from lightopt.rendering import SurfacePoints
-from lightopt.scene import Framing, PanelLight, PartView, PinholeCamera, Scene
+from lightopt.scene import Framing, PartView, PinholeCamera, Scene
 
 # from best to worst: as it should be; good to know; will probably disappoint; impossible
 Level = Literal["ok", "note", "warning", "error"]

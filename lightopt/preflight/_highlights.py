@@ -21,9 +21,10 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64
 from lightopt.geometry import TriangleMesh, face_normals, mesh_edges
+from lightopt.lights import PanelLight
 from lightopt.preflight._findings import CheckedScene, Finding
 from lightopt.rendering import highlight_level
-from lightopt.scene import PanelLight, coarse_points, like_panels, point_spacing, points_advice
+from lightopt.scene import coarse_points, like_panels, point_spacing, points_advice
 
 NEGLIGIBLE_ERROR = 0.015
 

@@ -7,9 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from lightopt.config import RigConfig
+from lightopt.lights import PanelLight, panel_corners, rectangles_meet, segments_blocked
 from lightopt.preflight._findings import CheckedRig, CheckedScene, Finding, percent
 from lightopt.rendering import panels_in_part
-from lightopt.scene import PanelLight, build_lights, image_area, panel_corners, rectangles_meet, segments_blocked
+from lightopt.scene import build_lights, image_area
 
 STEP_DEG = 5.0  # a light's ranges are tried at least this finely where the camera's view is concerned
 

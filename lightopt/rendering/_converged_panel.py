@@ -13,16 +13,16 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float64, Index, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
+from lightopt.core.vectors import Vector, dot, vector_at
 from lightopt.geometry import RayCaster
+from lightopt.lights import PanelLight, panel_grid, panel_numbers
 from lightopt.optics import Reflectance
-from lightopt.rendering._panel_emission import panel_numbers
 from lightopt.rendering._panel_quadrature import WHOLE_PANEL, out_of_reach, rectangle_diffuse, rectangle_specular
 from lightopt.rendering._penumbra import shade_penumbra
 from lightopt.rendering._penumbra_cells import ConvergedLight
 from lightopt.rendering._point_lights import clear_targets, facing_targets, visible_counts
 from lightopt.rendering._surface import SurfacePoints
-from lightopt.rendering._vectors import Vector, dot, vector_at
-from lightopt.scene import PanelLight, Scene, panel_grid
+from lightopt.scene import Scene
 
 DIFFUSE_TOLERANCE = 1e-4  # error of the diffuse quadrature per unit of R_d: 0.025 level of 255
 PROBE_INSET = 0.98  # the rays to the corners go this far from the panel's centre towards them

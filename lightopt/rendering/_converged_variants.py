@@ -12,10 +12,11 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Int64
 from lightopt.core.kernels import kernel
+from lightopt.core.vectors import Vector, cross, dot, minus, vector_at
 from lightopt.geometry import RayCaster
+from lightopt.lights import PanelNumbers, attenuated, panel_grid, panel_numbers, panel_point
 from lightopt.optics import specular_cosine
 from lightopt.rendering._converged_panel import ConvergedPanel, panel_probes
-from lightopt.rendering._panel_emission import PanelNumbers, attenuated, panel_numbers, panel_point
 from lightopt.rendering._panel_quadrature import (
     NODES,
     WEIGHTS,
@@ -26,8 +27,6 @@ from lightopt.rendering._panel_quadrature import (
     rectangle_specular,
 )
 from lightopt.rendering._surface import SurfacePoints
-from lightopt.rendering._vectors import Vector, cross, dot, minus, vector_at
-from lightopt.scene import panel_grid
 
 CELLS = 4  # cells along a side of a panel of which a part hides some
 

@@ -13,11 +13,11 @@ import numpy as np
 from lightopt.core.arrays import Float64, Index, Int32
 from lightopt.defects import PlacedDefect, mark_surface
 from lightopt.geometry import RayCaster
+from lightopt.lights import PanelLight
 from lightopt.optics import Reflectance
 from lightopt.rendering._converged_panel import ConvergedPanel, PanelVisibility, shade_changed_points
 from lightopt.rendering._point_lights import shade_points
 from lightopt.rendering._surface import SurfacePoints
-from lightopt.scene import PanelLight
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

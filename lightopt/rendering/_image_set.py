@@ -17,11 +17,12 @@ from lightopt.core.run_context import RunContext, part_of
 from lightopt.core.threads import BackgroundTasks
 from lightopt.core.transforms import Posture
 from lightopt.images import ImageEntry, ImageSetWriter, Manifest, SourceFile
+from lightopt.lights import PanelLight
 from lightopt.optics import expose, image_rng
 from lightopt.rendering._images import Geometry, LightImage, PostureImages, cast_rays_at, rays_of_images, render_posture
 from lightopt.rendering._patches import DEFAULT_PATCH_BUDGET, build_patches
 from lightopt.rendering._scene_checks import refuse_unusable_scene
-from lightopt.scene import PanelLight, Scene, build_scene, coarse_warnings, defect_facts, pixel_footprint
+from lightopt.scene import Scene, build_scene, coarse_warnings, defect_facts, pixel_footprint
 
 BACK_FACE_SHARE = 1e-4
 """Share of the part's pixels that may see back faces without a warning: at the silhouette of a closed mesh, where a ray

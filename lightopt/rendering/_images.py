@@ -13,7 +13,9 @@ from lightopt.core.kernels import kernel
 from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
+from lightopt.core.vectors import dot, vector_at
 from lightopt.geometry import Hits, Patches, RayCaster
+from lightopt.lights import PanelLight
 from lightopt.rendering._converged_panel import (
     ConvergedPanel,
     PanelVisibility,
@@ -24,8 +26,7 @@ from lightopt.rendering._converged_panel import (
 from lightopt.rendering._defect_shading import DefectSamples, defect_samples
 from lightopt.rendering._point_lights import shade_points
 from lightopt.rendering._surface import SurfacePoints, trace_samples
-from lightopt.rendering._vectors import dot, vector_at
-from lightopt.scene import PanelLight, PartView, Scene, screen_window, view_from_part
+from lightopt.scene import PartView, Scene, screen_window, view_from_part
 
 _log = logging.getLogger("lightopt.rendering")
 

@@ -14,9 +14,10 @@ import numpy as np
 from lightopt.core.arrays import Float64, Index
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
+from lightopt.core.vectors import Vector, divided, dot, length, minus, plus, vector_at
 from lightopt.geometry import RayCaster
+from lightopt.lights import PanelLight, PanelNumbers, panel_grid, panel_numbers, panel_point
 from lightopt.rendering._converged_panel import converged_panel
-from lightopt.rendering._panel_emission import PanelNumbers, panel_numbers, panel_point
 from lightopt.rendering._panel_quadrature import (
     WHOLE_PANEL,
     mirror_point,
@@ -26,8 +27,6 @@ from lightopt.rendering._panel_quadrature import (
 )
 from lightopt.rendering._point_lights import point_terms
 from lightopt.rendering._surface import SurfacePoints
-from lightopt.rendering._vectors import Vector, divided, dot, length, minus, plus, vector_at
-from lightopt.scene import PanelLight, panel_grid
 
 _CHUNK = 8192
 

@@ -15,9 +15,9 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
-from lightopt.rendering._panel_emission import PanelNumbers, half_diagonal, panel_point
+from lightopt.core.vectors import Vector, cross, divided, dot, length, minus, plus, scaled
+from lightopt.lights import PanelNumbers, half_diagonal, panel_point
 from lightopt.rendering._point_lights import point_terms
-from lightopt.rendering._vectors import Vector, cross, divided, dot, length, minus, plus, scaled
 
 # most Gauss–Legendre nodes along a side; only a view or a light that grazes the surface asks for as many
 MAX_NODES = 48

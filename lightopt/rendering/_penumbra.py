@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.geometry import RayCaster
-from lightopt.rendering._panel_emission import PanelNumbers, panel_point
+from lightopt.lights import PanelNumbers, panel_point
 from lightopt.rendering._penumbra_cells import (
     BELOW,
     BLOCKED,

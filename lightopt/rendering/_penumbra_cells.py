@@ -20,9 +20,9 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Int32, Int64, UInt8
 from lightopt.core.kernels import kernel
-from lightopt.rendering._panel_emission import PanelNumbers
+from lightopt.core.vectors import dot, vector_at
+from lightopt.lights import PanelNumbers
 from lightopt.rendering._panel_quadrature import Rectangle, out_of_reach, rectangle_diffuse, rectangle_specular
-from lightopt.rendering._vectors import dot, vector_at
 
 # what a surface point sees at a place of the panel: its own horizon's far side, the panel, or an obstacle
 BELOW, VISIBLE, BLOCKED = 1, 2, 3

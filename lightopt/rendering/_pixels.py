@@ -10,12 +10,13 @@ from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
+from lightopt.core.vectors import dot, minus, vector_at
 from lightopt.geometry import RayCaster
+from lightopt.lights import PanelLight
 from lightopt.rendering._converged_panel import shadow_targets
 from lightopt.rendering._point_lights import visible_counts
 from lightopt.rendering._surface import GRAZING_COSINE, SurfacePoints, trace_samples
-from lightopt.rendering._vectors import dot, minus, vector_at
-from lightopt.scene import PanelLight, PartView, Scene, screen_window, view_from_part
+from lightopt.scene import PartView, Scene, screen_window, view_from_part
 
 UNLIT, WHOLE, LEFT_OUT = 0, 1, 2
 """What a pixel sees of a panel: nothing, all of it, or (penumbrae) something that is not predicted here."""

@@ -7,12 +7,11 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float64, Index
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
+from lightopt.core.vectors import Vector, dot, minus, plus, scaled, vector_at
 from lightopt.geometry import RayCaster
+from lightopt.lights import PanelLight, PanelNumbers, attenuated, panel_grid, panel_numbers
 from lightopt.optics import MAX_LOBE_EXPONENT, lambert, specular_cosine, specular_lobe
-from lightopt.rendering._panel_emission import PanelNumbers, attenuated, panel_numbers
 from lightopt.rendering._surface import SurfacePoints
-from lightopt.rendering._vectors import Vector, dot, minus, plus, scaled, vector_at
-from lightopt.scene import PanelLight, panel_grid
 
 # pairs of surface point and point light that are shaded at once: some 60 MiB, and 0.2 s that Ctrl-C waits
 PAIRS_AT_ONCE = 1 << 20

@@ -8,8 +8,9 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, counted
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster, points_inside
+from lightopt.lights import panel_grid
 from lightopt.rendering._surface import trace_hits
-from lightopt.scene import PartView, Scene, panel_grid, pixel_footprint, screen_window, unit_hint, view_from_part
+from lightopt.scene import PartView, Scene, pixel_footprint, screen_window, unit_hint, view_from_part
 
 PANEL_POINTS = 25  # points of a panel that are tried
 LEAST_PIXELS = 16  # least number of pixels that see the part, in the posture that shows it best

@@ -9,8 +9,8 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Index, Int32
 from lightopt.core.kernels import kernel
+from lightopt.core.vectors import Vector, cross, divided, dot, length, minus, vector_at
 from lightopt.geometry import Hits, RayCaster, TriangleMesh, resolve_hits
-from lightopt.rendering._vectors import Vector, cross, divided, dot, length, minus, vector_at
 from lightopt.scene import PinholeCamera, pixel_directions
 
 GRAZING_DEG = 80.0

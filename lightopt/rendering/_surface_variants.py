@@ -14,7 +14,9 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
+from lightopt.core.vectors import cross, dot, minus, plus, scaled, vector_at
 from lightopt.geometry import RayCaster
+from lightopt.lights import PanelLight, PanelNumbers, attenuated, panel_grid, panel_numbers
 from lightopt.optics import MIN_COS_VIEW, Reflectance, lambert, specular_cosine, specular_lobe
 from lightopt.rendering._converged_panel import (
     ConvergedPanel,
@@ -24,11 +26,8 @@ from lightopt.rendering._converged_panel import (
     shade_converged,
 )
 from lightopt.rendering._converged_variants import VariantNumbers, panel_variants
-from lightopt.rendering._panel_emission import PanelNumbers, attenuated, panel_numbers
 from lightopt.rendering._point_lights import PAIRS_AT_ONCE, clear_targets, point_terms
 from lightopt.rendering._surface import SurfacePoints
-from lightopt.rendering._vectors import cross, dot, minus, plus, scaled, vector_at
-from lightopt.scene import PanelLight, panel_grid
 
 # surface points under a converged panel that are shaded at once: some 0.1 s, the longest that Ctrl-C waits
 CONVERGED_AT_ONCE = 1 << 13

@@ -12,6 +12,7 @@ from PIL import Image
 from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture, rotation_x
 from lightopt.geometry import RayCaster
+from lightopt.lights import panel_corners
 from lightopt.rendering import cast_rays_at
 from lightopt.report._drawing import CAP_HEIGHT, FAINT, LINE_HEIGHT, SOFT, Box, Drawing, fit_text, fixed_style, sub
 from lightopt.report._images import check_png_path, write_picture
@@ -30,7 +31,7 @@ from lightopt.report._rig_elements import (
     table_grid,
 )
 from lightopt.report._view import ParallelView, X, Y, Z, arc, cast_part, fit_view
-from lightopt.scene import Scene, panel_corners, pixel_footprint
+from lightopt.scene import Scene, pixel_footprint
 
 MAIN_WIDTH, LEAST_HEIGHT, MARGIN = 1060, 1080, 40
 # of more lights than that only a few get arcs, which would hide each other; all angles are in the table

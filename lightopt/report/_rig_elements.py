@@ -8,9 +8,10 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture, rigid_transform
+from lightopt.lights import PanelLight, panel_corners, panel_grid
 from lightopt.report._drawing import INK, SOFT, Drawing, Label, sub
 from lightopt.report._view import ORIGIN, ParallelView, PartPicture, X, Y, Z, arc
-from lightopt.scene import PanelLight, PinholeCamera, Scene, panel_corners, panel_grid, pixel_directions
+from lightopt.scene import PinholeCamera, Scene, pixel_directions
 
 GRID = "#dfe3e8"
 CAMERA, LIGHT, THETA, PHI, STAGE = "#45535f", "#b07d04", "#7a2f9b", "#0a8580", "#a8324a"

@@ -5,7 +5,6 @@
 
 from lightopt.scene._build import (
     build_camera as build_camera,
-    build_lights as build_lights,
     build_scene as build_scene,
     build_sensor as build_sensor,
     chord_tolerance as chord_tolerance,
@@ -27,15 +26,8 @@ from lightopt.scene._defects import (
     defect_facts as defect_facts,
     place_defects as place_defects,
 )
-from lightopt.scene._panel_light import (
-    PanelLight as PanelLight,
-    image_area as image_area,
-    panel_corners as panel_corners,
-    panel_grid as panel_grid,
-    place_light as place_light,
-    rectangles_meet as rectangles_meet,
-    segments_blocked as segments_blocked,
-)
+from lightopt.scene._image_area import image_area as image_area
+from lightopt.scene._lights import build_lights as build_lights
 from lightopt.scene._part_size import guess_unit as guess_unit, is_absurd as is_absurd, view_size as view_size
 from lightopt.scene._point_spacing import (
     coarse_points as coarse_points,

@@ -8,7 +8,7 @@ import numpy as np
 
 from lightopt.config import MOST_POINTS
 from lightopt.core.arrays import Float64
-from lightopt.scene._panel_light import PanelLight
+from lightopt.lights import PanelLight
 
 COARSE_SHARE = 0.1
 """A saturated area that is off by more than this share causes a warning."""

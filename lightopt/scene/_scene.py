@@ -8,9 +8,9 @@ from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture
 from lightopt.defects import PlacedDefect
 from lightopt.geometry import TriangleMesh, transformed
+from lightopt.lights import PanelLight
 from lightopt.optics import Reflectance, Sensor
 from lightopt.scene._camera import PinholeCamera
-from lightopt.scene._panel_light import PanelLight
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

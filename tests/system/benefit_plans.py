@@ -20,7 +20,8 @@ from lightopt.design._candidates import Candidates
 from lightopt.design.postures._exposures import DEFAULT_EXPOSURE_GAIN
 from lightopt.design.postures._joint_choice import choose_with_exposures
 from lightopt.design.postures._posture_grid import posture_grid, usable_postures
-from lightopt.scene import PanelLight, build_lights
+from lightopt.lights import PanelLight
+from lightopt.scene import build_lights
 
 __all__ = ["plans"]
 

@@ -17,8 +17,9 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.core.transforms import Posture
 from lightopt.defects import PlacedDefect
 from lightopt.design import Contrast, DefectHypothesis, DetectionModel, ImageEvaluator, defect_hypotheses
+from lightopt.lights import PanelLight
 from lightopt.rendering import build_patches, cast_rays_at
-from lightopt.scene import PanelLight, Scene, build_catalogue
+from lightopt.scene import Scene, build_catalogue
 
 __all__ = ["Looked", "Row", "finished", "look_at", "places_text"]
 

@@ -13,8 +13,9 @@ from lightopt.defects import PlacedDefect, mark_surface, surface_coordinates, ta
 from lightopt.defects._placed_defects import Marks
 from lightopt.design import DIRECTIONS
 from lightopt.geometry import Patches, RayCaster
+from lightopt.lights import PanelLight
 from lightopt.rendering import SurfacePoints, shade_points, trace_samples
-from lightopt.scene import PanelLight, PartView, Scene, pixel_footprint
+from lightopt.scene import PartView, Scene, pixel_footprint
 
 __all__ = ["Piece", "leans_of", "piece_of"]
 

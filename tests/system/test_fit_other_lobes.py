@@ -17,9 +17,9 @@ from lightopt.estimate.reflectance._fit_samples import fit_reflectance
 from lightopt.estimate.reflectance._quality import assess_quality, poor_fit_warnings
 from lightopt.estimate.reflectance._samples import collect_samples
 from lightopt.estimate.reflectance._validation import leave_lights_out
+from lightopt.lights import panel_grid
 from lightopt.optics import expose, image_rng
 from lightopt.rendering import UNLIT, cast_rays_at, panel_visibility, trace_pixels
-from lightopt.scene import panel_grid
 
 
 def heavy_tails(delta, width):

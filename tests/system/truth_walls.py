@@ -15,8 +15,9 @@ from truth_case import MEANS, SEEN_IN, Case, Point, noisy_levels, trace
 from lightopt.config import PartConfig
 from lightopt.defects import tangent_references
 from lightopt.design import DefectHypothesis, defect_hypotheses, unpack_flags
+from lightopt.lights import PanelLight
 from lightopt.rendering import GRAZING_COSINE, SurfacePoints, shade_points
-from lightopt.scene import PanelLight, Scene, build_catalogue, view_from_part
+from lightopt.scene import Scene, build_catalogue, view_from_part
 
 __all__ = ["walls"]
 

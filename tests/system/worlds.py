@@ -11,8 +11,9 @@ import reference as ref
 from lightopt import build_scene, render
 from lightopt.core.transforms import Posture
 from lightopt.geometry import TriangleMesh
+from lightopt.lights import place_light
 from lightopt.optics import Reflectance, Sensor
-from lightopt.scene import Scene, place_camera, place_light
+from lightopt.scene import Scene, place_camera
 from lightopt.scene._camera import Distortion
 
 PARTS = Path(__file__).parents[2] / "configs" / "parts"

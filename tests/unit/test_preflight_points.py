@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from lightopt.scene import PanelLight, coarse_points, panel_grid, place_light, point_spacing
+from lightopt.lights import PanelLight, panel_grid, place_light
+from lightopt.scene import coarse_points, point_spacing
 
 
 def panel(points, *, size=(60.0, 60.0), distance=330.0, normalisation="mean") -> PanelLight:

@@ -13,18 +13,10 @@ from hypothesis import given, strategies as st
 
 from lightopt.config import RigConfig, load_rig
 from lightopt.core.errors import InputError
+from lightopt.lights import PanelLight, panel_corners, place_light, rectangles_meet, segments_blocked
 from lightopt.preflight import check_rig
 from lightopt.preflight._findings import CheckResult, Finding
-from lightopt.scene import (
-    PanelLight,
-    image_area,
-    panel_corners,
-    pixel_directions,
-    place_camera,
-    place_light,
-    rectangles_meet,
-    segments_blocked,
-)
+from lightopt.scene import image_area, pixel_directions, place_camera
 from lightopt.scene._camera import Distortion
 
 SAMPLE = Path(__file__).parents[2] / "configs" / "rigs" / "four-panel.yaml"

@@ -13,6 +13,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture, direction
 from lightopt.geometry import TriangleMesh
 from lightopt.images import read_png
+from lightopt.lights import PanelLight, panel_corners, place_light
 from lightopt.optics import Reflectance, Sensor
 from lightopt.rendering import cast_rays_at
 from lightopt.report import rig_drawing
@@ -20,7 +21,7 @@ from lightopt.report._drawing import Drawing, fixed_style, text_width
 from lightopt.report._rig_drawing import draw_stage
 from lightopt.report._rig_elements import BORDER_STEPS, camera_shape, nice_step, part_box, round_up
 from lightopt.report._view import FINE, cast_part, fit_view
-from lightopt.scene import PanelLight, Scene, panel_corners, place_camera, place_light, project
+from lightopt.scene import Scene, place_camera, project
 from lightopt.scene._camera import Distortion
 
 

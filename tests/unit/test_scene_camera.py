@@ -11,15 +11,14 @@ from hypothesis import given, strategies as st
 
 from lightopt.core.transforms import Posture, rigid_transform
 from lightopt.geometry import TriangleMesh, points_inside, transformed
+from lightopt.lights import panel_grid, place_light
 from lightopt.optics import Reflectance, Sensor
 from lightopt.scene import (
     Scene,
     frame_part,
-    panel_grid,
     pixel_directions,
     pixel_footprint,
     place_camera,
-    place_light,
     project,
     screen_window,
     view_from_part,

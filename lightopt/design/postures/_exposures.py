@@ -22,7 +22,7 @@ from lightopt.core.run_context import Share
 from lightopt.core.transforms import Posture
 from lightopt.design.responses._image_evaluator import ImageEvaluator, scattered_flags
 from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, add_counts, counts_of_images
-from lightopt.scene import PanelLight
+from lightopt.lights import PanelLight
 
 DEFAULT_EXPOSURE_GAIN = 1.0
 """Points (hundredths of the pairs) that a further exposure of a posture has to add by default."""

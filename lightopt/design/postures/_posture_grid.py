@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
+from lightopt.lights import PanelLight
 from lightopt.rendering import panels_in_part
-from lightopt.scene import PanelLight, Scene, frame_part, part_postures, view_from_part
+from lightopt.scene import Scene, frame_part, part_postures, view_from_part
 
 # of tilt and rotation [°], by default: a stage of ±45° and a full turn then has 80 postures
 DEFAULT_POSTURE_STEP = 22.5

@@ -20,7 +20,6 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext, Share
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
-from lightopt.design.postures._choice import Cover, Lights, PostureChoice, PostureRequest, Solution
 from lightopt.design.postures._cover_search import best_set, greedy_cover, improve_by_exchange
 from lightopt.design.postures._light_positions import (
     MOST_COUNT_BYTES,
@@ -30,9 +29,10 @@ from lightopt.design.postures._light_positions import (
     first_allowed,
     position_counts_fit,
 )
+from lightopt.design.postures._posture_choice import Cover, Lights, PostureChoice, PostureRequest, Solution
 from lightopt.design.responses._image_evaluator import FlagCache, ImageEvaluator
 from lightopt.design.responses._packed_bits import Counts
-from lightopt.scene import PanelLight
+from lightopt.lights import PanelLight
 
 MOST_ITERATIONS, MOST_FINAL_ITERATIONS = 6, 3  # of the alternating search, on drawn patches and on all
 DRAWN_MARGIN = 0.01  # share by which what drawn patches show may fall short of a target and still be tried on all

@@ -36,9 +36,10 @@ from lightopt.defects import PIXEL_RATIOS, DefectShape, pixel_shares, tangent_re
 from lightopt.design.responses._defect_hypotheses import DefectHypothesis
 from lightopt.design.responses._packed_bits import Words
 from lightopt.geometry import RayCaster
+from lightopt.lights import PanelLight
 from lightopt.optics import Sensor
 from lightopt.rendering import SurfacePoints, converged_panel, shade_variants, surface_variants
-from lightopt.scene import PanelLight, Scene, pixel_footprint, view_from_part
+from lightopt.scene import Scene, pixel_footprint, view_from_part
 
 # Default multiple of the noise by which a level must be off. Of the two million pixels of an image noise alone takes
 # one for a defect at 5, and five thousand at 3. Rose found the same 5 for what people make out in pictures (J. Opt.

@@ -22,9 +22,10 @@ from lightopt.design.responses._detection import DetectionModel, PatchDetection
 from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Visibility, area_units
 from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, counts_of_images, weight_planes
 from lightopt.geometry import RayCaster, face_normals
+from lightopt.lights import PanelLight
 from lightopt.optics import expose
 from lightopt.rendering import PatchTable, SurfacePoints, converged_panel, shade_converged, shade_points, shadow_targets
-from lightopt.scene import PanelLight, Scene, view_from_part
+from lightopt.scene import Scene, view_from_part
 
 BLOCK_PATCHES = 1 << 15  # patches that a thread works on at once
 

@@ -18,6 +18,7 @@ from lightopt.design import (
     share_text,
     shares_of,
 )
+from lightopt.lights import PanelLight
 from lightopt.rendering import GRAZING_DEG
 from lightopt.report._contact_sheet import degrees
 from lightopt.report._page import Answer, Block, Facts, Note, Page, Section, Table, Warnings, page_html
@@ -32,7 +33,7 @@ from lightopt.report.design._plan import (
     tolerance_blocks,
 )
 from lightopt.report.design._surface import surface_blocks
-from lightopt.scene import PanelLight, build_catalogue
+from lightopt.scene import build_catalogue
 
 
 def design_report(output: DesignOutput) -> str:

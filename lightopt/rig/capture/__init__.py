@@ -10,6 +10,11 @@
 
 from lightopt.rig.capture._acquisition import Timing as Timing
 from lightopt.rig.capture._capture import CaptureResult as CaptureResult, capture as capture
+from lightopt.rig.capture._capture_plan import (
+    CaptureOptions as CaptureOptions,
+    CapturePlan as CapturePlan,
+    make_plan as make_plan,
+)
 from lightopt.rig.capture._captured_set import check_folder as check_folder
 from lightopt.rig.capture._connect import check_devices as check_devices, connect_devices as connect_devices
 from lightopt.rig.capture._lights_off import switch_off as switch_off
@@ -24,11 +29,6 @@ from lightopt.rig.capture._manual_control import (
     hold_light as hold_light,
     snap as snap,
     snap_on_s as snap_on_s,
-)
-from lightopt.rig.capture._plan import (
-    CaptureOptions as CaptureOptions,
-    CapturePlan as CapturePlan,
-    make_plan as make_plan,
 )
 from lightopt.rig.capture._safe_devices import Devices as Devices
 from lightopt.rig.capture._wiring import start_bench as start_bench, wiring_of as wiring_of

@@ -11,8 +11,8 @@ from typing import Any
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
 from lightopt.optics import Sensor
+from lightopt.rig.capture._capture_plan import CapturePlan
 from lightopt.rig.capture._merged_exposures import ExposureImage, FrameMean
-from lightopt.rig.capture._plan import CapturePlan
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._software_cameras import FolderCamera
 from lightopt.rig.devices import Event, Frame

@@ -14,9 +14,9 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.images import make_folder
 from lightopt.rig.capture._acquisition import Timing
+from lightopt.rig.capture._capture_plan import CaptureOptions, CapturePlan, make_plan
 from lightopt.rig.capture._captured_set import open_set
 from lightopt.rig.capture._connect import connect_devices
-from lightopt.rig.capture._plan import CaptureOptions, CapturePlan, make_plan
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._session import CaptureSession
 from lightopt.scene import build_scene

@@ -28,8 +28,8 @@ from lightopt.images import (
 )
 from lightopt.rendering import set_manifest
 from lightopt.rig.capture._acquisition import AcquiredImage
+from lightopt.rig.capture._capture_plan import CapturePlan
 from lightopt.rig.capture._merged_exposures import ExposureImage, FrameMean, merge_exposures
-from lightopt.rig.capture._plan import CapturePlan
 from lightopt.scene import Scene, build_scene
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, LightoptError
 from lightopt.core.run_context import RunContext
+from lightopt.rig.capture._capture_plan import CapturePlan
 from lightopt.rig.capture._lights_off import open_lights
-from lightopt.rig.capture._plan import CapturePlan
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._software_cameras import FolderCamera, VirtualCamera

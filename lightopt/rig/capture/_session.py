@@ -14,10 +14,10 @@ from lightopt.core.transforms import Posture
 from lightopt.images import EVENTS_KEY, REPEATABILITY_KEY
 from lightopt.rig.capture._acquisition import AcquiredImage, AcquisitionEngine, Timing
 from lightopt.rig.capture._background_writer import BackgroundWriter
+from lightopt.rig.capture._capture_plan import CapturePlan
 from lightopt.rig.capture._captured_set import CapturedSet
 from lightopt.rig.capture._image_checks import ImageChecker
 from lightopt.rig.capture._merged_exposures import ExposureImage
-from lightopt.rig.capture._plan import CapturePlan
 from lightopt.rig.capture._repeatability import measure_repeatability
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._signals import EndSignals

@@ -10,7 +10,7 @@ from lightopt.core.transforms import Posture
 from lightopt.design.postures._exposures import Brackets
 from lightopt.design.postures._light_positions import PositionCounts
 from lightopt.design.search._exact_search import DEFAULT_LIMIT
-from lightopt.scene import PanelLight
+from lightopt.lights import PanelLight
 
 Lights = tuple[int, ...] | None  # candidate of each light; None for the rig's own positions
 

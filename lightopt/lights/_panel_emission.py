@@ -7,8 +7,8 @@ import math
 from typing import NamedTuple
 
 from lightopt.core.kernels import kernel
-from lightopt.rendering._vectors import Vector
-from lightopt.scene import PanelLight
+from lightopt.core.vectors import Vector
+from lightopt.lights._panel import PanelLight
 
 
 class PanelNumbers(NamedTuple):

@@ -1,0 +1,85 @@
+"""How much of the image a flat polygon in the scene covers, such as a light in front of the camera."""
+
+import numpy as np
+
+from lightopt.core.arrays import Float64
+from lightopt.scene._camera import PinholeCamera, pixel_directions, project
+
+_NEAR_MM = 1e-3
+
+_CHORDS = 32  # of an edge that a lens bends, each drawn as a straight line
+_LEAST_AREA = 1e-6  # bent outlines that run along the image's border leave less than this by rounding [px²]
+
+
+def image_area(camera: PinholeCamera, polygon: Float64) -> float:
+    """How much of the image a flat convex polygon covers [px²].
+
+    polygon: Corners in order [mm], shape (k, 3), frame of the camera's vectors
+    """
+    offset = polygon - camera.position
+    # right, down, forward; the viewing pyramid then is |x| ≤ w·z, |y| ≤ h·z
+    local = np.stack([offset @ camera.right, -(offset @ camera.up), offset @ camera.forward], axis=1)
+    scale = camera.image_distance / camera.pixel_size
+    w, h = _half_view(camera)
+    local = _in_view(_clip(local, np.array([0.0, 0.0, 1.0]), _NEAR_MM), w, h)
+    if len(local) and not camera.distortion.is_zero:
+        return _bent_area(camera, local)
+    return _area(local[:, :2] / local[:, 2:] * scale)
+
+
+def _half_view(camera: PinholeCamera) -> tuple[float, float]:
+    # the least rectangle about the optical axis, at depth 1, that has all that the lens shows
+    scale = camera.image_distance / camera.pixel_size
+    w, h = 0.5 * camera.width / scale, 0.5 * camera.height / scale
+    if camera.distortion.is_zero:
+        return w, h
+    across, down = np.linspace(0.0, camera.width, 65), np.linspace(0.0, camera.height, 65)
+    columns = np.concatenate([across, across, np.zeros(65), np.full(65, float(camera.width))])
+    rows = np.concatenate([np.zeros(65), np.full(65, float(camera.height)), down, down])
+    rays = pixel_directions(camera, columns, rows)
+    depth = rays @ camera.forward
+    margin = 1.01  # between the samples
+    return (
+        margin * float(np.abs(rays @ camera.right / depth).max()),
+        margin * float(np.abs(rays @ camera.up / depth).max()),
+    )
+
+
+def _bent_area(camera: PinholeCamera, local: Float64) -> float:
+    # the outline in short chords through the lens, cut by the image's border
+    steps = np.arange(_CHORDS)[:, None] / _CHORDS
+    outline = np.concatenate([a + steps * (b - a) for a, b in zip(local, np.roll(local, -1, axis=0), strict=True)])
+    world = camera.position + outline @ np.array([camera.right, -camera.up, camera.forward])
+    columns, rows, _ = project(camera, world)
+    flat = np.stack([columns - 0.5 * camera.width, rows - 0.5 * camera.height, np.ones(len(columns))], axis=1)
+    area = _area(_in_view(flat, 0.5 * camera.width, 0.5 * camera.height)[:, :2])
+    return area if area > _LEAST_AREA else 0.0
+
+
+def _in_view(polygon: Float64, w: float, h: float) -> Float64:
+    # the part of a polygon in the pyramid |x| ≤ w·z, |y| ≤ h·z; none of it where less than a triangle is left
+    for plane in ((1.0, 0.0, w), (-1.0, 0.0, w), (0.0, 1.0, h), (0.0, -1.0, h)):
+        if len(polygon) < 3:
+            return np.zeros((0, 3))
+        polygon = _clip(polygon, np.array(plane), 0.0)
+    return polygon if len(polygon) >= 3 else np.zeros((0, 3))
+
+
+def _area(polygon: Float64) -> float:
+    # shoelace formula
+    x, y = polygon.T
+    return 0.5 * abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))))
+
+
+def _clip(polygon: Float64, plane: Float64, least: float) -> Float64:
+    # the part of a polygon where plane·x ≥ least (Sutherland and Hodgman 1974, doi:10.1145/360767.360802); parts of one
+    # that is not convex stay joined along the plane, which does not change the area
+    height = polygon @ plane - least
+    clipped: list[Float64] = []
+    for i in range(len(polygon)):
+        j = (i + 1) % len(polygon)
+        if height[i] >= 0.0:
+            clipped.append(polygon[i])
+        if (height[i] >= 0.0) != (height[j] >= 0.0):
+            clipped.append(polygon[i] + height[i] / (height[i] - height[j]) * (polygon[j] - polygon[i]))
+    return np.array(clipped).reshape(-1, 3)
