@@ -12,6 +12,7 @@ from threading import Event
 from typing import Any, TypeVar
 
 T = TypeVar("T")
+U = TypeVar("U")
 Task = tuple[Callable[..., None], tuple[Any, ...]]  # a function and its arguments
 
 
@@ -59,6 +60,17 @@ def in_threads(work: Callable[[int], T], starts: Sequence[int], threads: int | N
 
     run_all(((one, pair) for pair in enumerate(starts)), threads=count)
     return [results[place] for place in range(len(starts))]
+
+
+def side_by_side(first: Callable[[], T], second: Callable[[], U]) -> tuple[T, U]:
+    """Results of two functions, which run at the same time."""
+    results: dict[str, Any] = {}
+
+    def run(name: str, function: Callable[[], Any]) -> None:
+        results[name] = function()
+
+    run_all([(run, ("first", first)), (run, ("second", second))], threads=2)
+    return results["first"], results["second"]
 
 
 class BackgroundTasks:

@@ -18,14 +18,14 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
-from lightopt.core.threads import in_threads
-from lightopt.geometry._topology import corners_by_edge, end_of_edge, join, merge_rows, next_corner
+from lightopt.core.threads import in_threads, side_by_side
+from lightopt.geometry._topology import corners_by_edge, join, merge_rows, next_corner
 
 _log = logging.getLogger("lightopt.geometry")
 
-TEXELS = 256  # texels of a map, along each side
+TEXELS = 384  # texels of a map, along each side
 LEAST_DISTANCE = 1.5  # of a target from the mesh's centre, in radii of the mesh; nearer ones get no map
-MOST_MAPS = 256  # maps that are held at once: 64 MiB
+MOST_MAPS = 256  # maps that are held at once: 144 MiB
 MOST_BODIES = 100  # of a mesh; of more, all triangles are taken to touch another one
 FEW_TRIANGLES = 300_000  # of maps that are made in less time than threads take to begin
 WORTHWHILE_SHARE = 0.1  # a map is made where as many rays as this share of the triangles may go to its target
@@ -61,18 +61,20 @@ class BlockerMaps:
 
     def _is_closed(self) -> bool:
         if self._closed is None:
-            planes = _planes(self._vertices, self._faces)
-            _, welded = merge_rows(self._vertices.astype(np.float64))  # the first vertex at each place
-            around = welded[self._faces]
-            order = corners_by_edge(around)
-            flat = around.reshape(-1)
-            closed, folded = _closed_and_folded(self._vertices, self._faces, planes, welded, flat, order)
+            vertices, faces = self._vertices, self._faces
+            planes, (_, welded) = side_by_side(  # the first vertex at each place
+                lambda: _planes(vertices, faces), lambda: merge_rows(vertices.astype(np.float64))
+            )
+            (closed, folded), body = side_by_side(
+                lambda: _closed_and_folded(vertices, faces, planes, welded, *corners_by_edge(welded[faces])),
+                lambda: _bodies(welded, faces),
+            )
             self._closed = bool(closed)
             if not closed:
                 _log.info("the mesh is open or its faces disagree in direction: every shadow ray is cast")
             else:
-                doubtful = _near_other_bodies(self._vertices, self._faces, _bodies(welded, self._faces))
-                _add_folds(self._faces, folded, doubtful)
+                doubtful = _near_other_bodies(vertices, faces, body)
+                _add_folds(faces, folded, doubtful)
                 self._surface = planes, doubtful
         return bool(self._closed)
 
@@ -107,14 +109,14 @@ class BlockerMaps:
         with self._lock:
             if rays <= WORTHWHILE_SHARE * len(self._faces) or not self._is_closed():
                 return
-            assert self._surface is not None
-            planes, either = self._surface
+            surface = self._surface
+            assert surface is not None
             distance = np.linalg.norm(targets, axis=1)
             keys = [key for i, key in enumerate(_keys(targets)) if distance[i] >= LEAST_DISTANCE]
             fresh = [key for key in dict.fromkeys(keys) if key not in self._maps][:MOST_MAPS]
             few = len(fresh) * len(self._faces) < FEW_TRIANGLES
             made = in_threads(
-                lambda i: _made(self._vertices, self._faces, planes, either, np.frombuffer(fresh[i])),
+                lambda i: _made(self._vertices, self._faces, *surface, np.frombuffer(fresh[i])),
                 range(len(fresh)),
                 1 if few else threads,
             )
@@ -239,26 +241,26 @@ def _fill(
 
 @kernel
 def _closed_and_folded(
-    vertices: Float32, faces: Int32, planes: Float32, welded: Int32, flat: Int32, order: Int32
+    vertices: Float32, faces: Int32, planes: Float32, welded: Int32, order: Int32, begins: Int32
 ) -> tuple[bool, Bool]:
     # whether directed edges cancel, each edge's two ways taken as often; and the vertices at folds of less than 90°
+    corners = faces.reshape(-1)
     folded = np.zeros(len(vertices), np.bool_)
     sharp = np.zeros(len(vertices), np.bool_)  # by welded vertex
-    begin = 0
-    while begin < len(order):
-        end = end_of_edge(flat, order, begin)
-        a, b = flat[order[begin]], flat[next_corner(order[begin])]
-        uses, balance = end - begin, 0
+    for edge in range(len(begins) - 1):
+        begin, end = begins[edge], begins[edge + 1]
+        a, b = welded[corners[order[begin]]], welded[corners[next_corner(order[begin])]]
+        if a == b:
+            continue
+        balance = 0
         for k in range(begin, end):
-            balance += 1 if flat[order[k]] < flat[next_corner(order[k])] else -1
-        if a != b:
-            if balance != 0:
-                return False, folded
-            one, two = order[begin] // 3, order[begin + 1] // 3
-            if uses > 2 or _is_fold(vertices, faces, planes, one, two, welded, a, b):
-                sharp[a] = True
-                sharp[b] = True
-        begin = end
+            balance += 1 if welded[corners[order[k]]] == a else -1
+        if balance != 0:
+            return False, folded
+        one, two = order[begin] // 3, order[begin + 1] // 3
+        if end - begin > 2 or _is_fold(vertices, faces, planes, one, two, welded, a, b):
+            sharp[a] = True
+            sharp[b] = True
     for i in range(len(vertices)):
         folded[i] = sharp[welded[i]]
     return True, folded

@@ -13,9 +13,9 @@ from embreex.mesh_construction import TriangleMesh as EmbreeMesh
 
 from lightopt.core.arrays import Bool, Float32, Float64, Int32
 from lightopt.core.kernels import kernel
-from lightopt.core.threads import in_threads
+from lightopt.core.threads import side_by_side
 from lightopt.geometry._blocker_maps import BlockerMaps
-from lightopt.geometry._ray_packets import PacketScene, packet_scene
+from lightopt.geometry._ray_packets import packet_scene
 from lightopt.geometry._triangle_mesh import bounding_box
 
 _log = logging.getLogger("lightopt.geometry")
@@ -54,15 +54,8 @@ class RayCaster:
         local = _local_vertices(vertices, self.centre, self.radius)
         faces = np.ascontiguousarray(faces, dtype=np.int32)
         self._maps = BlockerMaps(local, faces)
-        self._packets: PacketScene | None = None
-
-        def prepare(task: int) -> None:
-            if task == 0:
-                self._packets = packet_scene(local, faces, few_rays=rays < FEW_RAYS * len(faces))
-            else:
-                self._maps.check()
-
-        in_threads(prepare, range(2), 2)
+        few = rays < FEW_RAYS * len(faces)
+        self._packets, _ = side_by_side(lambda: packet_scene(local, faces, few_rays=few), self._maps.check)
         if self._packets is None:
             self._scene: Any = rtcore_scene.EmbreeScene(robust=True)  # pyright: ignore[reportAttributeAccessIssue]
             self._mesh = EmbreeMesh(self._scene, local, faces)

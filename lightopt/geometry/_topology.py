@@ -62,43 +62,53 @@ def mesh_edges(faces: NDArray[np.integer]) -> MeshEdges:
     faces: Vertex indices, shape (m, 3); edges meet where these are the same, whatever the positions are
     """
     faces = np.ascontiguousarray(faces, np.int32)
-    order = corners_by_edge(faces)
-    start, end = faces.reshape(-1)[order], faces[:, (1, 2, 0)].reshape(-1)[order]
+    order, begins = corners_by_edge(faces)
+    first, last = order[begins[:-1]], order[begins[1:] - 1]
+    start, end = faces.reshape(-1)[first], faces[:, (1, 2, 0)].reshape(-1)[first]
     ends = np.stack([np.minimum(start, end), np.maximum(start, end)], axis=1).astype(np.int64)
-    first = np.flatnonzero(np.concatenate([[True], (ends[1:] != ends[:-1]).any(axis=1)]))
-    last = np.append(first[1:], len(ends)) - 1
-    corners = np.stack([order[first], order[last]], axis=1).astype(np.int64)
-    return MeshEdges(ends=ends[first], uses=last - first + 1, corners=corners)
+    corners = np.stack([first, last], axis=1).astype(np.int64)
+    return MeshEdges(ends=ends, uses=np.diff(begins).astype(np.int64), corners=corners)
 
 
 def edge_pairs(faces: Int32) -> EdgePairs:
     """Match the edges of all faces."""
-    return EdgePairs(*_pairs(faces, corners_by_edge(faces)))
+    return EdgePairs(*_pairs(faces, *corners_by_edge(faces)))
 
 
 @kernel
-def corners_by_edge(faces: Int32) -> Int32:
-    """All corners, 3·face + corner, those that begin the same edge one after the other, shape (3·m,).
+def corners_by_edge(faces: Int32) -> tuple[Int32, Int32]:
+    """All corners, 3·face + corner, those that begin the same edge one after the other, and where each edge begins.
 
     Edges come by their lower vertex, then by the other one; corners of an edge ascend. A degenerate face has edges from
-    a vertex to itself.
+    a vertex to itself. Shapes (3·m,) and (e + 1,): edge i has the corners from number ``begins[i]`` up to
+    ``begins[i + 1]``.
     """
-    flat = faces.reshape(-1)
-    first = np.zeros(flat.max() + 2, np.int64)
-    for c in range(len(flat)):
-        first[min(flat[c], flat[next_corner(c)]) + 1] += 1
+    count = 3 * len(faces)
+    first = np.zeros(faces.max() + 2, np.int32)
+    for f in range(len(faces)):
+        for k in range(3):
+            first[min(faces[f, k], faces[f, (k + 1) % 3]) + 1] += 1
     for i in range(len(first) - 1):
         first[i + 1] += first[i]
     place = first[:-1].copy()
-    order, other = np.empty(len(flat), np.int32), np.empty(len(flat), np.int32)
-    for c in range(len(flat)):
-        a, b = flat[c], flat[next_corner(c)]
-        at = place[min(a, b)]
-        order[at], other[at] = c, max(a, b)
-        place[min(a, b)] += 1
+    order, other = np.empty(count, np.int32), np.empty(count, np.int32)
+    for f in range(len(faces)):
+        for k in range(3):
+            a, b = faces[f, k], faces[f, (k + 1) % 3]
+            at = place[min(a, b)]
+            order[at], other[at] = 3 * f + k, max(a, b)
+            place[min(a, b)] += 1
+    begins = np.empty(count + 1, np.int32)
+    edges = 0
     for i in range(len(first) - 1):
-        _sort_by_keys(other[first[i] : first[i + 1]], order[first[i] : first[i + 1]])
-    return order
+        begin, end = first[i], first[i + 1]
+        _sort_by_keys(other[begin:end], order[begin:end])
+        for at in range(begin, end):
+            if at == begin or other[at] != other[at - 1]:
+                begins[edges] = at
+                edges += 1
+    begins[edges] = count
+    return order, begins[: edges + 1].copy()
 
 
 @kernel
@@ -108,29 +118,13 @@ def next_corner(corner: Any) -> Any:
 
 
 @kernel
-def end_of_edge(flat: Int32, order: Int32, begin: int) -> int:
-    """Where in the order of :func:`corners_by_edge` the corners end that begin the same edge as that at `begin`.
-
-    flat: Vertices of all corners, shape (3·m,)
-    """
-    a, b = flat[order[begin]], flat[next_corner(order[begin])]
-    end = begin + 1
-    while end < len(order):
-        c, d = flat[order[end]], flat[next_corner(order[end])]
-        if min(c, d) != min(a, b) or max(c, d) != max(a, b):
-            break
-        end += 1
-    return end
-
-
-@kernel
-def _pairs(faces: Int32, order: Int32) -> tuple[Int32, Bool, Bool]:
+def _pairs(faces: Int32, order: Int32, begins: Int32) -> tuple[Int32, Bool, Bool]:
     flat = faces.reshape(-1)
     pairs, same = np.empty((len(flat) // 2, 2), np.int32), np.empty(len(flat) // 2, np.bool_)
     rim = np.zeros(len(faces), np.bool_)
-    begin = count = 0
-    while begin < len(order):
-        end = end_of_edge(flat, order, begin)
+    count = 0
+    for edge in range(len(begins) - 1):
+        begin, end = begins[edge], begins[edge + 1]
         if end - begin == 2:
             pairs[count, 0], pairs[count, 1] = order[begin], order[begin + 1]
             same[count] = flat[order[begin]] == flat[order[begin + 1]]
@@ -138,7 +132,6 @@ def _pairs(faces: Int32, order: Int32) -> tuple[Int32, Bool, Bool]:
         else:
             for k in range(begin, end):
                 rim[order[k] // 3] = True
-        begin = end
     return pairs[:count].copy(), same[:count].copy(), rim
 
 

@@ -5,6 +5,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from time import monotonic
+from typing import Any
 
 import numpy as np
 
@@ -34,8 +35,9 @@ _log = logging.getLogger("lightopt.rendering")
 # large enough to hide Python's overhead
 BLOCK_SAMPLES = 32_768
 
-
 TILE = 4  # rows and columns of the tiles of an image whose rays are cast together
+
+_Places = tuple[Int32, Int32, Int32]  # numbers of rays, and rows and columns of their pixels
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,32 +243,37 @@ class _PostureJob:
         grid = (len(rows), len(columns))
         own = slice(self.halo, grid[0] - self.halo)
         target = (slice(top, bottom), slice(left, right))
+        places = None
         if n == 1:
-            self._store_geometry(hits, surface, marked, grid, own, target)
+            places = _places(hits.ray, grid[1], own.start, own.stop, top, left)
+            self._store_geometry(hits, surface, marked, places)
         else:
             centre_hits, centres = self._trace(_centres(left, right), _centres(top, bottom))
-            pixels = (bottom - top, right - left)
-            self._store_geometry(centre_hits, centres, self._in_defects(centres), pixels, slice(0, pixels[0]), target)
+            centre_places = _places(centre_hits.ray, right - left, 0, bottom - top, top, left)
+            self._store_geometry(centre_hits, centres, self._in_defects(centres), centre_places)
         reflectance = self.scene.reflectance
         sample = hits.ray.astype(np.intp)
         for panel, image in zip(self.panels, self.images, strict=True):
             d, s, visibility = self._shade(surface, panel, sample, grid)
-            light = reflectance.R_d * d, reflectance.R_s * s
+            diffuse, specular = reflectance.R_d * d, reflectance.R_s * s
             for some in marked:
-                light[0][some.index], light[1][some.index] = some.light(
+                diffuse[some.index], specular[some.index] = some.light(
                     panel, visibility, sample=sample, shape=grid, caster=self.shadow_caster
                 )
-            diffuse, specular = (self._pixels(values, hits, grid, own) for values in light)
-            image.level[target] = diffuse + specular
-            if image.diffuse is not None and image.specular is not None:
-                image.diffuse[target], image.specular[target] = diffuse, specular
+            if places is None:
+                diffuse, specular = (self._means(values, hits, grid, own) for values in (diffuse, specular))
+            light = (image.level, diffuse + specular), (image.diffuse, diffuse), (image.specular, specular)
+            for pixels, values in light:
+                if pixels is None:
+                    continue
+                if places is None:
+                    pixels[target] = values
+                else:
+                    _store_values(*places, values, pixels)
 
     def _trace(self, columns: Float64, rows: Float64) -> tuple[Hits, SurfacePoints]:
-        order = _tiles(len(rows), len(columns))
-        row, column = np.divmod(order, len(columns))
-        hits, surface = trace_samples(
-            self.caster, self.scene.mesh, self.view.camera, columns[column], rows[row], neighbours=True
-        )
+        order, *at = _tiles(columns, rows)
+        hits, surface = trace_samples(self.caster, self.scene.mesh, self.view.camera, *at, neighbours=True)
         return replace(hits, ray=order[hits.ray]), surface
 
     def _in_defects(self, surface: SurfacePoints) -> tuple[DefectSamples, ...]:
@@ -282,84 +289,105 @@ class _PostureJob:
         d, s = shade_points(surface, panel, points=panel.points, sigma=reflectance.sigma, caster=caster)
         return d, s, None
 
-    def _pixels(self, values: Float64, hits: Hits, grid: tuple[int, int], own: slice) -> Float64:
-        # means over the samples of each pixel; 0 where a ray misses the part
+    def _means(self, values: Float64, hits: Hits, grid: tuple[int, int], own: slice) -> Float64:
+        # over the samples of each pixel; 0 where a ray misses the part
         samples, n = np.zeros(grid), self.supersample
         samples.ravel()[hits.ray] = values
         samples = samples[own]
         rows, columns = samples.shape
-        return samples.reshape(rows // n, n, columns // n, n).mean(axis=(1, 3)) if n > 1 else samples
+        return samples.reshape(rows // n, n, columns // n, n).mean(axis=(1, 3))
 
     def _store_geometry(
-        self,
-        hits: Hits,
-        surface: SurfacePoints,
-        marked: tuple[DefectSamples, ...],
-        grid: tuple[int, int],
-        own: slice,
-        target: tuple[slice, slice],
+        self, hits: Hits, surface: SurfacePoints, marked: tuple[DefectSamples, ...], places: _Places
     ) -> None:
-        g, (row, column) = self.geometry, np.divmod(hits.ray, grid[1])
-        inside = slice(None) if own == slice(0, grid[0]) else (row >= own.start) & (row < own.stop)
-        place = target[0].start + row[inside] - own.start, target[1].start + column[inside]
+        g = self.geometry
         _store_surface(
-            *place,
-            surface.points[inside],
-            surface.normals[inside],
-            hits.distance[inside],
+            *places,
+            surface.points,
+            surface.normals,
+            hits.distance,
+            surface.front,
             self.view.rotation,
             self.view.translation,
             g.points,
             g.normals,
             g.distance,
+            g.hit,
+            self.back,
         )
-        g.hit[place] = True
-        self.back[place] = ~surface.front[inside]
         if self.patches is not None:
-            g.patch[place] = self.patches.patch_at(hits.face, hits.u, hits.v)[inside]
+            _store_values(*places, self.patches.patch_at(hits.face, hits.u, hits.v), g.patch)
         if g.defect is not None:
             label = np.full(len(surface), -1, np.int32)
             for some in marked:
                 label[some.index] = some.label
-            g.defect[place] = label[inside]
+            _store_values(*places, label, g.defect)
 
 
 @kernel
-def _tiles(rows: int, columns: int) -> Int32:
-    # the raveled grid, tile by tile: rays that go nearly the same way follow each other
-    order = np.empty(rows * columns, np.int32)
+def _tiles(columns: Float64, rows: Float64) -> tuple[Int32, Float64, Float64]:
+    # the raveled grid, tile by tile, so that rays that go nearly the same way follow each other: index in the grid,
+    # column and row
+    count = len(rows) * len(columns)
+    order, x, y = np.empty(count, np.int32), np.empty(count), np.empty(count)
     k = 0
-    for top in range(0, rows, TILE):
-        for left in range(0, columns, TILE):
-            for row in range(top, min(top + TILE, rows)):
-                for column in range(left, min(left + TILE, columns)):
-                    order[k] = row * columns + column
+    for top in range(0, len(rows), TILE):
+        for left in range(0, len(columns), TILE):
+            for row in range(top, min(top + TILE, len(rows))):
+                for column in range(left, min(left + TILE, len(columns))):
+                    order[k] = row * len(columns) + column
+                    x[k], y[k] = columns[column], rows[row]
                     k += 1
-    return order
+    return order, x, y
+
+
+@kernel
+def _places(ray: Int32, columns: int, own_start: int, own_end: int, top: int, left: int) -> _Places:
+    # which of the rays of a grid belong to its own rows, and the rows and columns of their pixels
+    index, row, column = np.empty(len(ray), np.int32), np.empty(len(ray), np.int32), np.empty(len(ray), np.int32)
+    k = 0
+    for i in range(len(ray)):
+        y = ray[i] // columns
+        if own_start <= y < own_end:
+            index[k], row[k], column[k] = i, top + y - own_start, left + ray[i] - y * columns
+            k += 1
+    return index[:k], row[:k], column[:k]
 
 
 @kernel
 def _store_surface(
+    index: Int32,
     row: Int32,
     column: Int32,
     points: Float64,
     normals: Float64,
     distance: Float64,
+    front: Bool,
     rotation: Float64,
     translation: Float64,
     point_image: Float32,
     normal_image: Float32,
     distance_image: Float32,
+    hit_image: Bool,
+    back_image: Bool,
 ) -> None:
     # turned into the world's frame
-    for j in range(len(row)):
-        y, x = row[j], column[j]
-        p, n = vector_at(points, j), vector_at(normals, j)
+    for j in range(len(index)):
+        i, y, x = index[j], row[j], column[j]
+        p, n = vector_at(points, i), vector_at(normals, i)
         for axis in range(3):
             turned = vector_at(rotation, axis)
             point_image[y, x, axis] = dot(turned, p) + translation[axis]
             normal_image[y, x, axis] = dot(turned, n)
-        distance_image[y, x] = distance[j]
+        distance_image[y, x] = distance[i]
+        hit_image[y, x] = True
+        back_image[y, x] = not front[i]
+
+
+@kernel
+def _store_values(index: Int32, row: Int32, column: Int32, values: Any, image: Any) -> None:
+    for j in range(len(index)):
+        image[row[j], column[j]] = values[index[j]]
 
 
 def _centres(first: int, end: int) -> Float64:

@@ -105,10 +105,7 @@ def facing_targets(surface: SurfacePoints, targets: Float64, *, geometric: bool)
     geometric: Whether the face's own plane, too, must face the light: below it, the face itself is in the way
     """
     found = np.empty((len(targets), len(surface)), np.bool_)
-    for target, row in zip(targets, found, strict=True):
-        _facing(surface.points, surface.normals, surface.front, target, row)
-        if geometric:
-            _facing(surface.points, surface.facets, row, target, row)
+    _facing(surface.points, surface.normals, surface.facets, surface.front, targets, geometric, found)
     return found
 
 
@@ -131,10 +128,15 @@ def visible_counts(surface: SurfacePoints, targets: Float64, caster: RayCaster) 
 
 
 @kernel
-def _facing(points: Float64, normals: Float64, allowed: Bool, target: Float64, found: Bool) -> None:
-    q = Vector(target[0], target[1], target[2])
+def _facing(
+    points: Float64, normals: Float64, facets: Float64, front: Bool, targets: Float64, geometric: bool, found: Bool
+) -> None:
     for i in range(len(points)):
-        found[i] = allowed[i] & (dot(vector_at(normals, i), minus(q, vector_at(points, i))) > 0.0)
+        p, n, facet = vector_at(points, i), vector_at(normals, i), vector_at(facets, i)
+        for k in range(len(targets)):
+            light = minus(vector_at(targets, k), p)
+            above = not geometric or dot(facet, light) > 0.0
+            found[k, i] = front[i] & above & (dot(n, light) > 0.0)
 
 
 @kernel
