@@ -90,6 +90,21 @@ def _call(_typing: Any, _function: Any, _a: Any, _b: Any, _c: Any, _d: Any) -> A
 call_address: Any = intrinsic(_call)
 
 
+def _same_bits(kind_from: Any, kind_to: Any) -> Any:
+    def typed(_typing: Any, _value: Any) -> Any:
+        def generate(context: Any, builder: Any, _signature: Any, values: Any) -> Any:
+            return builder.bitcast(values[0], context.get_value_type(kind_to))
+
+        return kind_to(kind_from), generate
+
+    return typed
+
+
+# the number in whose place, from a kernel, another one of the same bits is taken: float64 to int64, and back
+bits_of_float: Any = intrinsic(_same_bits(types.float64, types.int64))
+float_of_bits: Any = intrinsic(_same_bits(types.int64, types.float64))
+
+
 def fingerprint(compiled: Any) -> str:
     """Digest of all that the machine code of a kernel depends on, but the types of its arguments and the processor.
 

@@ -7,8 +7,10 @@ A model is a scalar function compiled as a kernel, called per surface point and 
 from lightopt.optics._reflection_model import (
     MAX_LOBE_EXPONENT as MAX_LOBE_EXPONENT,
     MIN_COS_VIEW as MIN_COS_VIEW,
+    NARROW_CHORD_SQUARED as NARROW_CHORD_SQUARED,
     Reflectance as Reflectance,
     lambert as lambert,
+    narrow_specular_lobe as narrow_specular_lobe,
     specular_cosine as specular_cosine,
     specular_lobe as specular_lobe,
 )

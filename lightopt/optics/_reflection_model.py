@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 from lightopt.core.kernels import kernel
+from lightopt.optics._exponential import exponential
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,24 +48,26 @@ def lambert(n_dot_l: float) -> float:
     return max(0.0, n_dot_l)
 
 
-@kernel
-def half_vector_angle_squared(chord_squared: float) -> float:
-    """δ² [rad²] of the angle between the unit vectors N and H, from c² = |N − H|².
+NARROW_CHORD_SQUARED = 0.25
+"""Lobes where |N − H|² is less than this, δ < 0.505 rad, are computed without branches."""
 
-    The arc cosine of N·H loses half its digits near zero; δ = 2·arcsin(c/2) does not. Below c = ½ its square is summed
-    as Σ 2·c²ⁿ / (n²·binomial(2n, n)), to 1e-10 of itself.
+
+@kernel
+def narrow_specular_lobe(chord_squared: float, inverse_two_sigma_squared: float) -> float:
+    """:func:`specular_lobe` below :data:`NARROW_CHORD_SQUARED`, without branches; there they are the same.
+
+    The arc cosine of N·H loses half its digits near zero; δ = 2·arcsin(c/2) of the chord c = |N − H| does not. Its
+    square is summed as Σ 2·c²ⁿ / (n²·binomial(2n, n)), to 1e-10 of itself.
     """
     c = chord_squared
-    if c < 0.25:
-        series = 1.0 / 84084.0 + c * (1.0 / 411840.0)
-        series = 1.0 / 16632.0 + c * series
-        series = 1.0 / 3150.0 + c * series
-        series = 1.0 / 560.0 + c * series
-        series = 1.0 / 90.0 + c * series
-        series = 1.0 / 12.0 + c * series
-        return c * (1.0 + c * series)
-    delta = 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(c)))
-    return delta * delta
+    series = 1.0 / 84084.0 + c * (1.0 / 411840.0)
+    series = 1.0 / 16632.0 + c * series
+    series = 1.0 / 3150.0 + c * series
+    series = 1.0 / 560.0 + c * series
+    series = 1.0 / 90.0 + c * series
+    series = 1.0 / 12.0 + c * series
+    exponent = min(c * (1.0 + c * series) * inverse_two_sigma_squared, 2.0 * MAX_LOBE_EXPONENT)
+    return exponential(-exponent) if c * inverse_two_sigma_squared <= MAX_LOBE_EXPONENT else 0.0
 
 
 @kernel
@@ -77,8 +80,10 @@ def specular_lobe(chord_squared: float, inverse_two_sigma_squared: float) -> flo
     # δ is never less than the chord, so that most pixels of a glossy part need no exponential
     if chord_squared * inverse_two_sigma_squared > MAX_LOBE_EXPONENT:
         return 0.0
-    exponent = half_vector_angle_squared(chord_squared) * inverse_two_sigma_squared
-    return math.exp(-exponent)
+    if chord_squared < NARROW_CHORD_SQUARED:
+        return narrow_specular_lobe(chord_squared, inverse_two_sigma_squared)
+    delta = 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(chord_squared)))
+    return exponential(-(delta * delta * inverse_two_sigma_squared))
 
 
 @kernel

@@ -10,13 +10,22 @@ from lightopt.core.threads import end_if_stopped
 from lightopt.core.vectors import Vector, dot, minus, plus, scaled, vector_at
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, PanelNumbers, attenuated, panel_grid, panel_numbers
-from lightopt.optics import MAX_LOBE_EXPONENT, lambert, specular_cosine, specular_lobe
+from lightopt.optics import (
+    MAX_LOBE_EXPONENT,
+    NARROW_CHORD_SQUARED,
+    lambert,
+    narrow_specular_lobe,
+    specular_cosine,
+    specular_lobe,
+)
 from lightopt.rendering._surface import SurfacePoints
 
 # pairs of surface point and point light that are shaded at once: some 60 MiB, and 0.2 s that Ctrl-C waits
 PAIRS_AT_ONCE = 1 << 20
 
 _AT_ONCE = 1024  # points whose terms are in the processor's nearest cache together
+# share of those near the lobe from which on all their lobes are computed at once, and not one by one
+_LEAST_SHARE = 0.25
 
 
 @kernel
@@ -155,7 +164,7 @@ def _accumulate(
     p, n, v = np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE))
     n_dot_v, chord_squared = np.empty(_AT_ONCE), np.empty(_AT_ONCE)
     terms, r2, cosine = np.empty(_AT_ONCE), np.empty(_AT_ONCE), np.empty(_AT_ONCE)
-    near = np.empty(_AT_ONCE, np.bool_)
+    near, lobes = np.empty(_AT_ONCE, np.bool_), np.empty(_AT_ONCE)
     for first in range(0, len(points), _AT_ONCE):
         count = min(_AT_ONCE, len(points) - first)
         for j in range(count):
@@ -185,9 +194,16 @@ def _accumulate(
                 near[j] = lit & (n_dot_v[j] > 0.0) & lobe
             for j in range(count):
                 diffuse[first + j] += weight * (attenuated(1.0, panel, r2[j], cosine[j]) * terms[j])
+            all_at_once = np.count_nonzero(near[:count]) > _LEAST_SHARE * count
+            if all_at_once:
+                for j in range(count):
+                    chord = min(chord_squared[j], NARROW_CHORD_SQUARED)
+                    lobes[j] = narrow_specular_lobe(chord, inverse_two_sigma_squared)
             for j in range(count):
                 if near[j]:
-                    lobe = specular_lobe(chord_squared[j], inverse_two_sigma_squared) / specular_cosine(n_dot_v[j])
+                    narrow = all_at_once and chord_squared[j] < NARROW_CHORD_SQUARED
+                    lobe = lobes[j] if narrow else specular_lobe(chord_squared[j], inverse_two_sigma_squared)
+                    lobe = lobe / specular_cosine(n_dot_v[j])
                     specular[first + j] += weight * (attenuated(1.0, panel, r2[j], cosine[j]) * lobe)
     return diffuse, specular
 

@@ -17,7 +17,15 @@ from lightopt.core.threads import end_if_stopped
 from lightopt.core.vectors import cross, dot, minus, plus, scaled, vector_at
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, PanelNumbers, attenuated, panel_grid, panel_numbers
-from lightopt.optics import MIN_COS_VIEW, Reflectance, lambert, specular_cosine, specular_lobe
+from lightopt.optics import (
+    MIN_COS_VIEW,
+    NARROW_CHORD_SQUARED,
+    Reflectance,
+    lambert,
+    narrow_specular_lobe,
+    specular_cosine,
+    specular_lobe,
+)
 from lightopt.rendering._converged_panel import (
     ConvergedPanel,
     classify_probes,
@@ -34,6 +42,9 @@ CONVERGED_AT_ONCE = 1 << 13
 
 # lobes are left out of variants where they are nowhere more than this [grey level]: 0.26 of a level of 16 bits
 NEGLIGIBLE_LEVEL = 1e-3
+
+# share of variants near the lobe from which on all lobes are computed at once, and not one by one
+_LEAST_SHARE = 0.25
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -261,13 +272,19 @@ def _point_kernel(
             for t in range(tries):
                 # |N − H|² of unit vectors; in float64 it is off by 1e-16 where it is 1e-6 and more that matter
                 chord[t] = max(0.0, 2.0 - 2.0 * (c0[t] * h0 + c1[t] * h1 + c2[t] * h2))
-            some = 0
+            some = wide = 0
             for t in range(tries):
                 near[t] = (n_dot_l[t] > 0.0) & (n_dot_v[t] > 0.0) & (chord[t] < least_chord[t])
                 some += near[t]
-            if some > 0:
+                wide += near[t] & (chord[t] >= NARROW_CHORD_SQUARED)
+            all_at_once = some > _LEAST_SHARE * tries
+            if all_at_once:
                 for t in range(tries):
-                    if near[t]:
+                    lobe = arriving * narrow_specular_lobe(min(chord[t], NARROW_CHORD_SQUARED), inverse[t])
+                    s_sums[t] += lobe if near[t] & (chord[t] < NARROW_CHORD_SQUARED) else 0.0
+            if wide > 0 or (some > 0 and not all_at_once):
+                for t in range(tries):
+                    if near[t] and not (all_at_once and chord[t] < NARROW_CHORD_SQUARED):
                         s_sums[t] += arriving * specular_lobe(chord[t], inverse[t])
         diffuse[i], specular[i] = d_sum, s_sum
         for t in range(tries):
