@@ -1,26 +1,22 @@
 """Each peer in a process of its own: a library that is missing, or that ends its process, takes no other peer along.
 
-As a program, ``python -m benchmarks._peer_process NAME SIZE PART`` reads ``build`` and ``images`` from standard input,
-one a line, does it, and answers each with the seconds that it took; ``save PATH`` writes the images.
+``benchmarks/_peer_server.py`` is that process.
 """
 
 from __future__ import annotations
 
 import contextlib
-import gc
 import json
-import os
 import re
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks._case import FULL, QUICK, SCENES, TOY, Size
+from benchmarks._case import Size
 
 Float32 = NDArray[np.float32]
 
@@ -84,7 +80,7 @@ class PeerProcess:
     def __init__(self, name: str, size: Size, part: str, *, program: tuple[str, ...] | None = None) -> None:
         self.name = name
         self._errors = tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")  # noqa: SIM115
-        own = (sys.executable, "-m", "benchmarks._peer_process", name, size.name, part)
+        own = (sys.executable, "-m", "benchmarks._peer_server", name, size.name, part)
         self._process = subprocess.Popen(
             program or own,
             stdin=subprocess.PIPE,
@@ -135,35 +131,3 @@ class PeerProcess:
         reason = _explain(self.name, self._errors.read(), status)
         self.close()
         raise PeerError(f"{self.name} does not run here and is left out: {reason}")
-
-
-def _serve(name: str, size: Size, part: str) -> None:
-    # libraries may print: what they print to standard output must not be taken for an answer
-    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)
-
-    def answer(found: object) -> None:
-        answers.write(json.dumps(found) + "\n")
-        answers.flush()
-
-    from benchmarks.peers import PEERS
-
-    peer = PEERS[name](SCENES[part](size))
-    built: object = None
-    images: list[Float32] = []
-    answer("ready")
-    for line in sys.stdin:
-        what, _, path = line.rstrip("\n").partition(" ")
-        gc.collect()
-        begun = time.perf_counter()
-        if what == "build":
-            built = peer.build()
-        elif what == "images":
-            images = peer.images(built)
-        else:
-            np.save(path, np.stack(images))
-        answer(time.perf_counter() - begun)
-
-
-if __name__ == "__main__":
-    _serve(sys.argv[1], {size.name: size for size in (FULL, QUICK, TOY)}[sys.argv[2]], sys.argv[3])

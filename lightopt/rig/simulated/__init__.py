@@ -8,7 +8,8 @@ not import the driver, nor the driver it: the two meet on the wire only.
 """
 
 from lightopt.rig.simulated._bench_process import BenchProcess as BenchProcess
-from lightopt.rig.simulated._camera import (
+from lightopt.rig.simulated._camera_gige import GigeCamera as GigeCamera
+from lightopt.rig.simulated._camera_setup import (
     CAMERA as CAMERA,
     EXPOSURE_RANGE_US as EXPOSURE_RANGE_US,
     AxisWire as AxisWire,
@@ -16,4 +17,3 @@ from lightopt.rig.simulated._camera import (
     CameraSetup as CameraSetup,
     LightWire as LightWire,
 )
-from lightopt.rig.simulated._camera_gige import GigeCamera as GigeCamera

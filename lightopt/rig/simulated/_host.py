@@ -18,8 +18,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from lightopt.core.errors import error_text
-from lightopt.rig.simulated._camera import CAMERA, BenchCamera, CameraSetup, Handler, Response
+from lightopt.rig.simulated._camera import BenchCamera, Handler, Response
 from lightopt.rig.simulated._camera_gige import GigeCamera
+from lightopt.rig.simulated._camera_setup import CAMERA, CameraSetup
 from lightopt.rig.simulated._devices import SimulatedDevices
 from lightopt.rig.simulated._firmware import Trigger
 

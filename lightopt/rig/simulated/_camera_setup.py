@@ -1,0 +1,87 @@
+"""What the virtual bench's camera looks at: files, wiring, and where the bench differs from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+CAMERA = "camera"
+"""Name of a GigE camera among the devices of a bench."""
+
+EXPOSURE_RANGE_US = (10.0, 10e6)
+"""Shortest and longest exposure time of the virtual camera [µs]; it holds whole microseconds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BenchTruth:
+    """Where the bench differs from the files: the ground truth of tests.
+
+    seed: Seed of the noise.
+    gains: Factor on the brightness of a light, by its name; 1 where none is given.
+    part_offset_mm: How far from its place the part lies, world frame at posture (0, 0) [mm].
+    dark_level: Added to the sensor's black level [sensor level].
+    ambient_level: Light that is always there, everywhere in the image [grey level at exposure 1].
+    triggered: Whether the camera's frames begin on request; otherwise they follow one another, and the first after a
+        change began before it.
+    """
+
+    seed: int = 1
+    gains: Mapping[str, float] = field(default_factory=dict[str, float])
+    part_offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    dark_level: float = 0.0
+    ambient_level: float = 0.0
+    triggered: bool = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightWire:
+    """Where a light is plugged in, and the share of the highest intensity at which it is as the rig describes."""
+
+    light: str
+    device: str
+    channel: int
+    share: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisWire:
+    """Which axis of a device is the tilt or the rotation, its units per degree, and where 0° is."""
+
+    device: str
+    axis: str
+    steps_per_deg: float
+    zero: float
+
+    def angle_deg(self, positions: Mapping[str, float]) -> float:
+        return (positions[self.axis] - self.zero) / self.steps_per_deg
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraSetup:
+    """What the camera looks at: files of rig and part, the wiring of lights and axes, and where the bench differs.
+
+    exposure_us: Exposure time of exposure 1 [µs].
+    elevation, rotation: Axes; None: fixed at 0.
+    gige: Whether the camera is a GigE Vision camera on the loopback.
+    """
+
+    rig: str
+    part: str
+    exposure_us: float
+    lights: tuple[LightWire, ...]
+    elevation: AxisWire | None = None
+    rotation: AxisWire | None = None
+    truth: BenchTruth = field(default_factory=BenchTruth)
+    gige: bool = False
+
+    @classmethod
+    def of(cls, data: Mapping[str, Any]) -> CameraSetup:
+        parts: dict[str, Any] = {
+            "lights": tuple(LightWire(**wire) for wire in data["lights"]),
+            "truth": BenchTruth(**data["truth"]),
+        }
+        for name in ("elevation", "rotation"):
+            if data.get(name) is not None:
+                parts[name] = AxisWire(**data[name])
+        return cls(**{**data, **parts})
