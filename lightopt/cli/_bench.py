@@ -40,16 +40,17 @@ def light(
     rig: common.RigFile,
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the light in RIG.")],
     level: Annotated[
-        int | None, typer.Argument(metavar="LEVEL", help="Intensity level of the controller; default: that of RIG.")
+        int | None,
+        typer.Argument(metavar="LEVEL", help="Intensity level of the controller.", show_default="the level in RIG"),
     ] = None,
     seconds: Annotated[
-        float | None, typer.Option(metavar="S", min=0.0, help="Time [s]; default: until Enter is pressed.")
+        float | None, typer.Option(metavar="S", min=0.0, help="Time [s].", show_default="until Enter is pressed")
     ] = None,
     serial_log: common.SerialLog = None,
 ) -> None:
-    """Switch a light on until Enter is pressed or for --seconds.
+    """Switch a light on, until Enter is pressed or for the time given by --seconds.
 
-    A time above the light's max_on_s is refused.
+    A time above max_on_s of the light is an error.
     """
     from lightopt.config import load_rig
     from lightopt.rig.capture import check_level, check_on_time, hold_light, wiring_of
@@ -75,8 +76,8 @@ def light(
 def off(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
     """Switch every channel of every controller off.
 
-    Stage and camera are not needed. Only the controllers must be readable in RIG; its other problems are reported
-    afterwards.
+    Stage and camera are not used. Of RIG only the controllers must be valid; other errors in it are reported as
+    warnings at the end.
     """
     from lightopt.config import load_lights
     from lightopt.rig.capture import switch_off
@@ -110,8 +111,10 @@ def home(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
 @bench.command(cls=common.HeadedCommand)
 def move(
     rig: common.RigFile,
-    elevation: Annotated[float | None, typer.Option(metavar="θ", help="Tilt [deg]; default: unchanged.")] = None,
-    rotation: Annotated[float | None, typer.Option(metavar="φ", help="Rotation [deg]; default: unchanged.")] = None,
+    elevation: Annotated[float | None, typer.Option(metavar="θ", help="Tilt [deg].", show_default="unchanged")] = None,
+    rotation: Annotated[
+        float | None, typer.Option(metavar="φ", help="Rotation [deg].", show_default="unchanged")
+    ] = None,
     home: Annotated[bool, typer.Option("--home", help="Home the stage first.")] = False,
     serial_log: common.SerialLog = None,
 ) -> None:
@@ -145,11 +148,11 @@ def snap(
     rig: common.RigFile,
     file: Annotated[Path, typer.Argument(metavar="FILE", help="PNG file to write.")],
     light: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Switch this light on for the frame; default: none.")
+        str | None, typer.Option(metavar="NAME", help="Switch this light on for the frame.", show_default="no light")
     ] = None,
     exposure: Annotated[str, typer.Option(metavar="X", help="Relative exposure time, such as 1 or 1/16.")] = "1",
     part: Annotated[
-        Path | None, typer.Option(metavar="PART", help="Part file (YAML); only the virtual camera needs it.")
+        Path | None, typer.Option(metavar="PART", help="Part file (YAML); required with the virtual camera only.")
     ] = None,
     serial_log: common.SerialLog = None,
     force: common.Force = False,
@@ -184,10 +187,10 @@ def snap(
 @bench.command("devices", cls=common.HeadedCommand)
 def list_devices(
     rig: Annotated[
-        Path | None, typer.Argument(metavar="RIG", help="Rig file (YAML); also show which of its devices are present.")
+        Path | None, typer.Argument(metavar="RIG", help="Rig file (YAML); also print which of its devices are present.")
     ] = None,
 ) -> None:
-    """List serial ports and the cameras that answer; open no port."""
+    """List the serial ports, and the cameras that answer; open no port."""
     from lightopt.rig.devices import serial_ports
 
     ports = [(port.name, " ".join(filter(None, (port.description, port.usb)))) for port in serial_ports()]

@@ -27,7 +27,7 @@ def capture(
     exposures: common.Exposures = "1",
     average: Annotated[int, common.selection_option(metavar="N", min=1, help="Average N frames per image.")] = 1,
     dark: Annotated[
-        bool, common.selection_option("--dark", help="Also capture dark frames; they are subtracted in the EXR.")
+        bool, common.selection_option("--dark", help="Also capture dark frames, and subtract them in the EXR.")
     ] = False,
     home: Annotated[bool, common.hardware_option("--home", help="Home the stage first.")] = False,
     check_lights: Annotated[
@@ -57,9 +57,9 @@ def capture(
 ) -> None:
     """Capture an image of PART on RIG for each light, posture and exposure.
 
-    Writes the camera's PNGs, a linear EXR per light and posture, and manifest.json; other commands read the folder like
-    a rendered image set. If RIG has no hardware section, the virtual bench is used: simulated devices and a rendering
-    camera. All lights are switched off at the start, at the end, after an error and after Ctrl-C.
+    Writes the camera's PNGs, a linear EXR per light and posture, and manifest.json. Other commands read the folder like
+    a rendered image set. If RIG has no hardware section, the virtual bench is used: simulated devices, and a camera
+    that renders the part. All lights are switched off at the start, at the end, after an error and after Ctrl-C.
 
     Example: lightopt capture rig.yaml part.yaml -o captured --exposures 1,1/16
     """

@@ -56,7 +56,11 @@ def fit_diffuse(
     lambda_d: Annotated[float, paper_option(metavar="LEVEL", help="λ_d: tolerance of the mean brightness.")] = 0.01,
     start_rd: Annotated[float, paper_option(metavar="LEVEL", help="Starting value of R_d.")] = 10.0,
     highlight_margin: Annotated[
-        float, paper_option(metavar="DEG", help="Minimum angle between a pixel's normal and one that mirrors a panel.")
+        float,
+        paper_option(
+            metavar="DEG",
+            help="Minimum angle between the normal of a pixel that is used and any normal that mirrors a panel.",
+        ),
     ] = 20.0,
     write_noise: WriteNoise = False,
     allow_unconverged: AllowUnconverged = False,
@@ -67,8 +71,8 @@ def fit_diffuse(
 ) -> None:
     """Fit the diffuse coefficient R_d to the pixels of IMAGES outside all highlights.
 
-    Writes part.fitted.yaml (PART with the fitted value) and fit.json; with --free or --write-noise rig.fitted.yaml,
-    with --method paper a chart, fit.png.
+    Writes part.fitted.yaml (PART with the fitted value) and fit.json. With --free or --write-noise it also writes
+    rig.fitted.yaml. With --method paper it also writes a chart, fit.png.
 
     Example: lightopt fit-diffuse rig.yaml part.yaml captured/ -o fitted
     """
@@ -90,7 +94,7 @@ def fit_specular(
     out: common.Out,
     method: Method = "likelihood",
     joint: Annotated[
-        bool, common.model_option("--joint", help="Fit R_d as well, instead of using PART's value.")
+        bool, common.model_option("--joint", help="Fit R_d as well, instead of taking it from PART.")
     ] = False,
     register: common.Register = False,
     free: Free = None,
@@ -98,14 +102,17 @@ def fit_specular(
         str | None,
         common.model_option(
             metavar="M,…",
-            help="Point lights per panel: 1, 4, 9, 16, … or auto (continuous panel); a list such as 1,4,9 is compared.",
+            help="Point lights per panel: 1, 4, 9, 16, … or auto (continuous panel). With a list such as 1,4,9, fit "
+            "each number and select the best.",
             show_default="as the rig file says",
         ),
     ] = None,
     pixels: Pixels = 1_500_000,
     validate: Annotated[
         bool,
-        common.model_option("--validate/--no-validate", help="Cross-validate: predict each light from the others."),
+        common.model_option(
+            "--validate/--no-validate", help="Cross-validate: predict each light from the other lights."
+        ),
     ] = True,
     lambda_s1: Annotated[
         float, paper_option(metavar="SHARE", help="λ_s1: tolerance of the number of saturated pixels.")
@@ -123,11 +130,11 @@ def fit_specular(
     quiet: common.Quiet = False,
     verbose: common.Verbose = False,
 ) -> None:
-    """Fit the specular coefficient R_s and the roughness σ to IMAGES. R_d is PART's, unless --joint fits it.
+    """Fit the specular coefficient R_s and the roughness σ to IMAGES. Take R_d from PART, or fit it too with --joint.
 
-    Writes part.fitted.yaml (PART with the fitted values), fit.json, a chart of the fit over σ (fit.png), and in
-    left-out/ pictures of measured minus predicted levels, each light predicted from the others; with --free or
-    --write-noise rig.fitted.yaml.
+    Writes part.fitted.yaml (PART with the fitted values), fit.json, a chart of the fit over σ (fit.png), and pictures
+    of measured minus predicted levels (left-out/), in which each light is predicted from the other lights. With --free
+    or --write-noise it also writes rig.fitted.yaml.
 
     Example: lightopt fit-specular rig.yaml part.yaml captured/ -o fitted --joint
     """

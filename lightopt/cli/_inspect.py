@@ -50,8 +50,8 @@ def inspect(
         float | None,
         common.model_option(
             metavar="N",
-            help="False alarms per posture if only noise differs, from 1e-9 to 1; with --calibrate or --calibration "
-            "the share of good parts with a false alarm in a posture.",
+            help="Expected false alarms per posture from noise alone, from 1e-9 to 1. With --calibrate or "
+            "--calibration: share of good parts with a false alarm in a posture.",
             show_default="0.05",
         ),
     ] = None,
@@ -59,7 +59,9 @@ def inspect(
     register: common.Register = True,
     calibrate: Annotated[
         bool,
-        calibration_option("--calibrate", help="Write calibration.json from IMAGES of good parts; inspect nothing."),
+        calibration_option(
+            "--calibrate", help="Write calibration.json from IMAGES of good parts; do not inspect them."
+        ),
     ] = False,
     calibration: Annotated[
         Path | None,
@@ -69,8 +71,8 @@ def inspect(
         bool,
         common.output_option(
             "--evaluate",
-            help="Evaluate against ground truth (labels of the sets, or defects of their part file): recall, false "
-            "alarms, ROC, detection curve; write truth.json.",
+            help="Compare with ground truth (labels of the sets, or defects of their part file) and write truth.json: "
+            "recall, false alarms, ROC, detection curve.",
         ),
     ] = False,
     fail_on_defect: Annotated[
@@ -84,9 +86,10 @@ def inspect(
 ) -> None:
     """Find defects in IMAGES of PART and locate them on the part.
 
-    Writes report.html, defects.json, .csv and .ply, and for each posture the synthetic image without highlights with
-    its uncertainty, scores and an overlay. Several sets get a folder each, and a common batch.json. The limits for OK
-    and NG are under inspection: in PART. With --calibrate only calibration.json is written.
+    Writes report.html, defects.json, defects.csv and defects.ply. Also writes for each posture the synthetic image
+    without highlights, its uncertainty, the scores, and an overlay of the defects. Each of several sets gets a folder;
+    batch.json lists them. The inspection section of PART has the limits for OK and NG. With --calibrate, only
+    calibration.json and its maps are written.
 
     Example: lightopt inspect rig.yaml part.yaml captured/ -o inspected
     """

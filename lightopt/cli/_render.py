@@ -35,9 +35,9 @@ def render(
 ) -> None:
     """Render the images that the camera of RIG would take of PART, for each light and posture.
 
-    Writes a linear EXR per light and posture, the camera's PNG per exposure, the geometry of each posture (points,
-    normals, depth, patch, and defect if PART lists any), patches.npz, and manifest.json. The same command continues an
-    interrupted run.
+    Writes per light and posture a linear EXR and, for each exposure, the PNG of the camera. Also writes a geometry EXR
+    per posture (points, normals, depth, patch numbers, and defect numbers if PART lists defects), patches.npz, and
+    manifest.json. The same command continues an interrupted run.
 
     Example: lightopt render rig.yaml part.yaml -o out --exposures 1,1/16
     """
