@@ -56,7 +56,7 @@ def light(
     from lightopt.rig.capture import check_level, check_on_time, hold_light, wiring_of
 
     if seconds is None and not sys.stdin.isatty():
-        raise InputError("--seconds: expected, because nobody can press Enter here")
+        raise InputError("--seconds: required, because standard input is not a terminal")
     loaded = load_rig(rig)
     wiring = wiring_of(loaded)
     chosen = check_level(wiring, loaded, name, level)
@@ -90,7 +90,7 @@ def off(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
             echo_warning(problem)
     which, unverified = f"({', '.join(done.controllers)})", ", ".join(done.unverified)
     if unverified:
-        echo(f"all lights of {lights.name} were switched off {which}; {unverified} cannot be read back: look")
+        echo(f"all lights of {lights.name} were switched off {which}; {unverified} cannot be read back: check by eye")
     else:
         echo(f"all lights of {lights.name} are off {which}")
 
@@ -105,7 +105,7 @@ def home(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
         devices.home()
         assert devices.stage is not None
         state = devices.stage.state()
-    echo(f"the stage stands at {state.posture}")
+    echo(f"the stage is at {state.posture}")
 
 
 @bench.command(cls=common.HeadedCommand)
@@ -140,7 +140,7 @@ def move(
         tilt = here.elevation_deg if elevation is None else elevation
         turn = here.rotation_deg if rotation is None else rotation
         state = devices.move_to(Posture(tilt, turn))
-    echo(f"the stage stands at {state.posture}")
+    echo(f"the stage is at {state.posture}")
 
 
 @bench.command(cls=common.HeadedCommand)
@@ -172,7 +172,7 @@ def snap(
     loaded, loaded_part = common.load_inputs(rig, part)
     wiring = wiring_of(loaded)
     if wiring.camera_is_virtual and loaded_part is None:
-        raise InputError("--part: the virtual camera needs to know which part lies on the bench")
+        raise InputError("--part: required with the virtual camera, which renders the part")
     check_exposure(wiring, loaded, relative)
     if light is not None:
         check_level(wiring, loaded, light, None)
@@ -195,7 +195,7 @@ def list_devices(
 
     ports = [(port.name, " ".join(filter(None, (port.description, port.usb)))) for port in serial_ports()]
     if ports:
-        show_table(("port", "is"), ports, numbers_from=2)
+        show_table(("port", "description"), ports, numbers_from=2)
     else:
         echo("no serial ports on this computer")
     if rig is None:
@@ -216,7 +216,7 @@ def list_devices(
         if "://" in port:
             return "not tried"
         problem = port_problem(port)
-        return "there, not opened" if problem is None else f"NO: {problem.partition('; ')[0]}"
+        return "present, not opened" if problem is None else f"NO: {problem.partition('; ')[0]}"
 
     rows = [
         (f"controller {name}", config.driver, config.port, port_state(config.port))
@@ -227,11 +227,11 @@ def list_devices(
     camera = hardware.camera
     rows.append(("camera", camera.driver, camera.folder or camera.port or "", _camera_state(camera, cameras)))
     echo("")
-    show_table(("device", "driver", "port", "there"), rows, numbers_from=4)
+    show_table(("device", "driver", "port", "present"), rows, numbers_from=4)
 
 
 def _show_cameras(producer: Path | None) -> list[CameraInfo]:
-    """List the cameras that answer, and say what could not be asked."""
+    """List the cameras that answer, and print what could not be searched."""
     from lightopt.rig.devices import find_cameras
 
     cameras, problems = find_cameras(producer)

@@ -42,7 +42,7 @@ def init(
     taken = [name for name in outputs if (folder / name).exists()]
     if taken and not force:
         raise InputError(
-            f"{folder} already has {', '.join(taken)}; use --force to replace them, or choose another folder"
+            f"{folder} already has {', '.join(taken)}; use --force to overwrite them, or choose another folder"
         )
     make_folder(folder)
     for name, content in outputs.items():
@@ -96,7 +96,7 @@ def check(
     from lightopt.preflight import check_rig, check_scene
 
     if drawing is not None and part is None:
-        raise InputError("--drawing: needs a part file, too")
+        raise InputError("--drawing: expected a part file as well")
     loaded_rig, loaded_part = common.load_inputs(rig, part)
     report = check_rig(loaded_rig) if loaded_part is None else check_scene(loaded_rig, loaded_part)
     levels = Counter(finding.level for finding in report.findings)
@@ -154,7 +154,7 @@ def defects(
     from lightopt.images import make_folder
 
     loaded_rig, loaded_part = common.load_inputs(rig, part)
-    comment = f"{counted(count, 'defect')}, scattered by: lightopt defects --seed {seed} --count {count}"
+    comment = f"{counted(count, 'defect')}, placed at random by: lightopt defects --seed {seed} --count {count}"
     run = RunContext(threads=threads)
     placed = inspection.place_random_defects(loaded_rig, loaded_part, count=count, seed=seed, run=run)
     made_from = inspection.random_defect_provenance(loaded_rig, loaded_part, count=count, seed=seed)

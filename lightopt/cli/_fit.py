@@ -193,7 +193,7 @@ def _run(
             echo(f"{path}")
     if not result.converged and not allow_unconverged:
         raise CheckFailed(
-            "the fit did not converge; its files are written all the same. --allow-unconverged takes it as it is"
+            "the fit did not converge; its files were written. To accept the result, use --allow-unconverged"
         )
 
 
@@ -214,11 +214,11 @@ def _complete(kind: str, options: FitOptions, free: list[str] | None, points: st
     if options.method == "likelihood":
         usual = PaperOptions().as_dict()
         changed = [flag(name) for name, value in options.paper.as_dict().items() if value != usual[name]]
-        problems += [f"{name}: belongs to --method paper, which was not given" for name in changed]
+        problems += [f"{name}: has no effect without --method paper" for name in changed]
     elif free or options.joint or options.register:
-        problems.append("--method paper: takes none of --free, --joint and --register")
+        problems.append("--method paper: cannot be combined with --free, --joint or --register")
     elif options.write_noise:
-        problems.append("--method paper: estimates no noise, so that --write-noise has nothing to write")
+        problems.append("--method paper: estimates no noise; omit --write-noise")
     if problems:
         raise InputError(*problems)
     return replace(options, gain="gain" in (free or ()), dark="dark" in (free or ()), points=chosen)
@@ -257,7 +257,7 @@ def _show(result: FitResult, verbose: bool) -> None:
     show_table(["", "value", "std. error", "95 % interval"], rows)
     if result.highlights is not None:
         r_s, sigma = result.highlights
-        echo(f"R_s {r_s:.4g} and σ {sigma:.4g} rad were fitted to know where the highlights are; they are not written")
+        echo(f"R_s {r_s:.4g} and σ {sigma:.4g} rad were fitted only to locate the highlights; they are not written")
     if result.paper is not None:
         echo(f"from {result.paper.image}; this method gives no uncertainty")
     if result.correlation is not None:
@@ -278,14 +278,14 @@ def _show(result: FitResult, verbose: bool) -> None:
         p = result.placement
         turn, error = math.degrees(p.turn), math.degrees(p.errors[2])
         echo(
-            f"the part lies {p.x:+.3f} mm in x, {p.y:+.3f} mm in y and {turn:+.3f}° from where its file has it "
+            f"placement: the part is displaced by {p.x:+.3f} mm in x, {p.y:+.3f} mm in y and rotated by {turn:+.3f}° "
             f"(standard errors {p.errors[0]:.1g} mm, {p.errors[1]:.1g} mm, {error:.1g}°)"
         )
     if result.quality is not None:
         q = result.quality
         echo(
             f"{result.observations:,} levels of {result.pixels:,} pixels; residual {q.rms:.3g} sensor levels rms ("
-            f"noise {q.floor:.2g}), {100.0 * q.epsilon:.2f} % of the pixels unexplained"
+            f"noise {q.floor:.2g}), {100.0 * q.epsilon:.2f} % of the pixels are outliers"
         )
     if result.rows:
         _show_points(result)
@@ -315,7 +315,7 @@ def _show_points(result: FitResult) -> None:
             f"{row.perimeter:,.0f}",
             f"{row.measured_perimeter:,.0f}",
             "-" if row.likelihood is None else f"{row.likelihood:.5f}",
-            "kept" if row.points == result.points else "",
+            "selected" if row.points == result.points else "",
         ]
         for row in result.rows
     ]
@@ -326,7 +326,7 @@ def _summarise_left_out(result: FitResult) -> None:
     images = [(image, left) for left in result.left_out for image in left.images]
     worst, _ = max(images, key=lambda pair: pair[0].rms_sensor)
     overlaps = [image.iou for image, _ in images if image.iou is not None]
-    own = f" ({', '.join(result.not_left_out)} as all images have it)" if result.not_left_out else ""
+    own = f" ({', '.join(result.not_left_out)} from all images)" if result.not_left_out else ""
     least = f", saturated areas overlap by {min(overlaps):.3f} (IoU) or more" if overlaps else ""
     echo(
         f"each light predicted from the others{own}: residual {worst.rms_sensor:.3g} sensor levels rms at most "

@@ -109,7 +109,9 @@ def inspect(
     problems = options.problems()
     if calibrate:
         given = {"--calibration": learned is not None, "--evaluate": evaluate, "--fail-on-defect": fail_on_defect}
-        problems += [f"{name}: not with --calibrate, which inspects nothing" for name, is_ in given.items() if is_]
+        problems += [
+            f"{name}: cannot be combined with --calibrate, which does not inspect" for name, is_ in given.items() if is_
+        ]
     if problems:
         raise InputError(*problems)
     loaded_rig, loaded_part = common.load_inputs(rig, part)
@@ -312,8 +314,8 @@ def _show_calibration(calibration: inspection.Calibration, rate: float) -> None:
     show_table(["greatest score", *(str(posture.posture) for posture in calibration.postures)], rows)
     count = len(calibration.sets)
     echo(
-        f"{count} good sets hold a rate of {rate:g}, the share of good parts with a false alarm in a posture; they "
-        f"would hold {least_rate(count):.3g}"
+        f"{count} good sets support a rate of {rate:g} (share of good parts with a false alarm in a posture); the "
+        f"lowest rate that they support is {least_rate(count):.3g}"
     )
 
 
@@ -324,7 +326,7 @@ def _show_evaluation(summary: Mapping[str, Any], *, verbose: bool) -> None:
     alarms, hidden, area = summary["false_alarms_per_posture"], summary["hidden"], summary["roc_auc"]
     why = " (out of view, at an edge, or narrower than a pixel)" if hidden else ""
     echo(
-        f"{summary['found']} of {summary['defects']} defects found, {len(hidden)} shown by no pixel to judge{why}; "
+        f"{summary['found']} of {summary['defects']} defects found, {len(hidden)} without an evaluable pixel{why}; "
         f"{alarms:g} false alarm{'' if alarms == 1.0 else 's'} per posture; area under the pixels' ROC "
         f"{'-' if area is None else area}"
     )
@@ -343,7 +345,7 @@ def _show_inspection(result: inspection.InspectionResult, verdict: inspection.Ve
         if not verbose and len(result.defects) > MOST_DEFECTS:
             echo(f"and {len(result.defects) - MOST_DEFECTS} more; --verbose shows them")
     if result.placement is not None and (place := placement_text(result.placement)):
-        echo(f"the part lies off its nominal place by {place}")
+        echo(f"displacement of the part from nominal: {place}")
     echo(f"{REFERENCE_DEFECT} is found on {percent(verdict.finds)} of the visible surface{dark_text(verdict)}")
     if verbose:
         show_page_table(surface_table(result))

@@ -188,7 +188,7 @@ def optimize(
         ("--tolerance-target", tolerance_target, tolerance, "--light-tolerance or --pose-tolerance"),
     )
     problems = [
-        f"{option}: does nothing without {other}"
+        f"{option}: has no effect without {other}"
         for option, value, used, other in dependent
         if value is not None and not used
     ]
@@ -263,7 +263,7 @@ def optimize(
         if answer.nothing is not None
     ]
     if messages:
-        raise CheckFailed(*messages, f"no rig was written for these postures; {out / 'result.json'} says the same")
+        raise CheckFailed(*messages, f"no rig was written for these postures; see {out / 'result.json'}")
 
 
 def _given(**options: object) -> dict[str, Any]:
@@ -283,8 +283,8 @@ def _show_reachable(error: TargetNotReached) -> None:
         )
         for number, step in enumerate(error.steps, start=1)
     ]
-    show_table(("postures", "the last of them", "show at least", "with these lights at most"), rows)
+    show_table(("postures", "posture added", "share shown at least", "at most with these lights"), rows)
     echo(
-        "at least: what these postures show, chosen one after the other with one set of lights for all of them; "
-        "--choose-postures N places the lights for N, and may choose others"
+        "at least: share that these postures show, chosen one after the other for one set of lights; "
+        "--choose-postures N places the lights for N postures, and may choose others"
     )

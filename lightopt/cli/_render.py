@@ -60,10 +60,10 @@ def render(
         run = RunContext(threads=threads, progress=progress, warn=echo_warning)
         done = render_image_set(loaded_rig, loaded_part, out, options=options, force=force, run=run)
     if not quiet:
-        resumed = f" ({done.resumed} of them were there already)" if done.resumed else ""
+        resumed = f" ({done.resumed} of them existed already)" if done.resumed else ""
         echo(f"{counted(done.images, 'image')}{resumed}, {done.rays / 1e6:.1f} million rays")
         if done.replaced:
-            echo(f"replaced the image set that was there ({counted(done.replaced, 'file')})")
+            echo(f"replaced the existing image set ({counted(done.replaced, 'file')})")
         if done.patches is not None:
             echo(done.patches)
         echo(f"{done.folder / 'manifest.json'}")

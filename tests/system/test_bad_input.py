@@ -220,7 +220,7 @@ WORDS = {
         "image_distance_mm: 55\n  focal_length_mm: 50",
         9,
         "camera.focal_length_mm",
-        "expected one of the two",
+        "expected only one of them",
     ),
     "a lens too long to focus": (
         RIG,
