@@ -40,22 +40,23 @@ def light(
     rig: common.RigFile,
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the light in RIG.")],
     level: Annotated[
-        int | None, typer.Argument(metavar="LEVEL", help="Intensity level of the controller; default: that of RIG.")
+        int | None,
+        typer.Argument(metavar="LEVEL", help="Intensity level of the controller.", show_default="the level in RIG"),
     ] = None,
     seconds: Annotated[
-        float | None, typer.Option(metavar="S", min=0.0, help="Time [s]; default: until Enter is pressed.")
+        float | None, typer.Option(metavar="S", min=0.0, help="Time [s].", show_default="until Enter is pressed")
     ] = None,
     serial_log: common.SerialLog = None,
 ) -> None:
-    """Switch a light on until Enter is pressed or for --seconds.
+    """Switch a light on, until Enter is pressed or for the time given by --seconds.
 
-    A time above the light's max_on_s is refused.
+    A time above max_on_s of the light is an error.
     """
     from lightopt.config import load_rig
     from lightopt.rig.capture import check_level, check_on_time, hold_light, wiring_of
 
     if seconds is None and not sys.stdin.isatty():
-        raise InputError("--seconds: expected, because nobody can press Enter here")
+        raise InputError("--seconds: required, because standard input is not a terminal")
     loaded = load_rig(rig)
     wiring = wiring_of(loaded)
     chosen = check_level(wiring, loaded, name, level)
@@ -75,8 +76,8 @@ def light(
 def off(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
     """Switch every channel of every controller off.
 
-    Stage and camera are not needed. Only the controllers must be readable in RIG; its other problems are reported
-    afterwards.
+    Stage and camera are not used. Of RIG only the controllers must be valid; other errors in it are reported as
+    warnings at the end.
     """
     from lightopt.config import load_lights
     from lightopt.rig.capture import switch_off
@@ -89,7 +90,7 @@ def off(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
             echo_warning(problem)
     which, unverified = f"({', '.join(done.controllers)})", ", ".join(done.unverified)
     if unverified:
-        echo(f"all lights of {lights.name} were switched off {which}; {unverified} cannot be read back: look")
+        echo(f"all lights of {lights.name} were switched off {which}; {unverified} cannot be read back: check by eye")
     else:
         echo(f"all lights of {lights.name} are off {which}")
 
@@ -104,14 +105,16 @@ def home(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
         devices.home()
         assert devices.stage is not None
         state = devices.stage.state()
-    echo(f"the stage stands at {state.posture}")
+    echo(f"the stage is at {state.posture}")
 
 
 @bench.command(cls=common.HeadedCommand)
 def move(
     rig: common.RigFile,
-    elevation: Annotated[float | None, typer.Option(metavar="θ", help="Tilt [deg]; default: unchanged.")] = None,
-    rotation: Annotated[float | None, typer.Option(metavar="φ", help="Rotation [deg]; default: unchanged.")] = None,
+    elevation: Annotated[float | None, typer.Option(metavar="θ", help="Tilt [deg].", show_default="unchanged")] = None,
+    rotation: Annotated[
+        float | None, typer.Option(metavar="φ", help="Rotation [deg].", show_default="unchanged")
+    ] = None,
     home: Annotated[bool, typer.Option("--home", help="Home the stage first.")] = False,
     serial_log: common.SerialLog = None,
 ) -> None:
@@ -137,7 +140,7 @@ def move(
         tilt = here.elevation_deg if elevation is None else elevation
         turn = here.rotation_deg if rotation is None else rotation
         state = devices.move_to(Posture(tilt, turn))
-    echo(f"the stage stands at {state.posture}")
+    echo(f"the stage is at {state.posture}")
 
 
 @bench.command(cls=common.HeadedCommand)
@@ -145,11 +148,11 @@ def snap(
     rig: common.RigFile,
     file: Annotated[Path, typer.Argument(metavar="FILE", help="PNG file to write.")],
     light: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Switch this light on for the frame; default: none.")
+        str | None, typer.Option(metavar="NAME", help="Switch this light on for the frame.", show_default="no light")
     ] = None,
     exposure: Annotated[str, typer.Option(metavar="X", help="Relative exposure time, such as 1 or 1/16.")] = "1",
     part: Annotated[
-        Path | None, typer.Option(metavar="PART", help="Part file (YAML); only the virtual camera needs it.")
+        Path | None, typer.Option(metavar="PART", help="Part file (YAML); required with the virtual camera only.")
     ] = None,
     serial_log: common.SerialLog = None,
     force: common.Force = False,
@@ -169,7 +172,7 @@ def snap(
     loaded, loaded_part = common.load_inputs(rig, part)
     wiring = wiring_of(loaded)
     if wiring.camera_is_virtual and loaded_part is None:
-        raise InputError("--part: the virtual camera needs to know which part lies on the bench")
+        raise InputError("--part: required with the virtual camera, which renders the part")
     check_exposure(wiring, loaded, relative)
     if light is not None:
         check_level(wiring, loaded, light, None)
@@ -184,15 +187,15 @@ def snap(
 @bench.command("devices", cls=common.HeadedCommand)
 def list_devices(
     rig: Annotated[
-        Path | None, typer.Argument(metavar="RIG", help="Rig file (YAML); also show which of its devices are present.")
+        Path | None, typer.Argument(metavar="RIG", help="Rig file (YAML); also print which of its devices are present.")
     ] = None,
 ) -> None:
-    """List serial ports and the cameras that answer; open no port."""
+    """List the serial ports, and the cameras that answer; open no port."""
     from lightopt.rig.devices import serial_ports
 
     ports = [(port.name, " ".join(filter(None, (port.description, port.usb)))) for port in serial_ports()]
     if ports:
-        show_table(("port", "is"), ports, numbers_from=2)
+        show_table(("port", "description"), ports, numbers_from=2)
     else:
         echo("no serial ports on this computer")
     if rig is None:
@@ -213,7 +216,7 @@ def list_devices(
         if "://" in port:
             return "not tried"
         problem = port_problem(port)
-        return "there, not opened" if problem is None else f"NO: {problem.partition('; ')[0]}"
+        return "present, not opened" if problem is None else f"NO: {problem.partition('; ')[0]}"
 
     rows = [
         (f"controller {name}", config.driver, config.port, port_state(config.port))
@@ -224,11 +227,11 @@ def list_devices(
     camera = hardware.camera
     rows.append(("camera", camera.driver, camera.folder or camera.port or "", _camera_state(camera, cameras)))
     echo("")
-    show_table(("device", "driver", "port", "there"), rows, numbers_from=4)
+    show_table(("device", "driver", "port", "present"), rows, numbers_from=4)
 
 
 def _show_cameras(producer: Path | None) -> list[CameraInfo]:
-    """List the cameras that answer, and say what could not be asked."""
+    """List the cameras that answer, and print what could not be searched."""
     from lightopt.rig.devices import find_cameras
 
     cameras, problems = find_cameras(producer)

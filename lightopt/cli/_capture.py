@@ -27,7 +27,7 @@ def capture(
     exposures: common.Exposures = "1",
     average: Annotated[int, common.selection_option(metavar="N", min=1, help="Average N frames per image.")] = 1,
     dark: Annotated[
-        bool, common.selection_option("--dark", help="Also capture dark frames; they are subtracted in the EXR.")
+        bool, common.selection_option("--dark", help="Also capture dark frames, and subtract them in the EXR.")
     ] = False,
     home: Annotated[bool, common.hardware_option("--home", help="Home the stage first.")] = False,
     check_lights: Annotated[
@@ -57,14 +57,14 @@ def capture(
 ) -> None:
     """Capture an image of PART on RIG for each light, posture and exposure.
 
-    Writes the camera's PNGs, a linear EXR per light and posture, and manifest.json; other commands read the folder like
-    a rendered image set. If RIG has no hardware section, the virtual bench is used: simulated devices and a rendering
-    camera. All lights are switched off at the start, at the end, after an error and after Ctrl-C.
+    Writes the camera's PNGs, a linear EXR per light and posture, and manifest.json. Other commands read the folder like
+    a rendered image set. If RIG has no hardware section, the virtual bench is used: simulated devices, and a camera
+    that renders the part. All lights are switched off at the start, at the end, after an error and after Ctrl-C.
 
     Example: lightopt capture rig.yaml part.yaml -o captured --exposures 1,1/16
     """
     if out is None and not dry_run:
-        raise InputError("--out: expected a folder for the image set; --dry-run alone needs none")
+        raise InputError("--out: expected a folder for the image set; it is optional with --dry-run only")
 
     from lightopt.rig.capture import CaptureOptions, capture as run, check_devices, check_folder, make_plan
 
@@ -81,7 +81,7 @@ def capture(
     loaded_rig, loaded_part = common.load_inputs(rig, part)
     if dry_run:
         plan = make_plan(loaded_rig, loaded_part, options)
-        _show_plan(plan)  # it can be read where the devices are not
+        _show_plan(plan)  # before devices that are missing are reported
         problems: list[str] = []
         try:
             check_devices(loaded_rig, plan.wiring, plan)
@@ -120,25 +120,25 @@ def capture(
 
 def _show_plan(plan: CapturePlan) -> None:
     if not plan.wiring.given:
-        echo("no hardware section in the rig: the virtual bench")
+        echo("no hardware section in the rig file: using the virtual bench")
     steps = list(plan.steps())
     *starts, end = itertools.accumulate((step.seconds for step in steps), initial=0.0)
     rows = [(f"{at:.2f}", f"{step.seconds:.2f}", str(step)) for at, step in zip(starts, steps, strict=True)]
     show_table(("at [s]", "takes [s]", "step"), rows, numbers_from=3)
-    renders = "; opening and rendering come on top" if plan.wiring.camera_is_virtual else ""
+    renders = ", plus the time for opening the devices and rendering" if plan.wiring.camera_is_virtual else ""
     travel = sum(step.seconds for step in steps if step.kind == "move")
     way = f", {travel:.1f} s of them travel" if plan.wiring.hardware.stage is not None else ""
-    echo(f"{counted(len(plan.keys), 'image')} in {end:.0f} s{way}{renders}; nothing was opened or moved")
+    echo(f"{counted(len(plan.keys), 'image')} in {end:.0f} s{way}{renders}; no device was opened or moved")
 
 
 def _show_result(done: CaptureResult) -> None:
     if done.replaced:
-        echo(f"replaced the image set that was there ({counted(done.replaced, 'file')})")
+        echo(f"replaced the existing image set ({counted(done.replaced, 'file')})")
     there = done.images - done.taken
-    were_there = f" ({there} of them were there already)" if there else ""
+    were_there = f" ({there} of them existed already)" if there else ""
     echo(f"{counted(done.images, 'image')}{were_there} in {done.timing.whole_s:.0f} s")
     if done.retries:
-        echo(f"{counted(done.retries, 'command')} had to be sent again; the manifest says at which images")
+        echo(f"{counted(done.retries, 'command')} had to be sent again; the manifest lists them by image")
     echo(f"{done.folder / 'manifest.json'}")
     if done.virtual_bench:
-        echo("all devices were the VIRTUAL BENCH: the rig file has no hardware section, and no real device was touched")
+        echo("all devices were simulated (VIRTUAL BENCH): the rig file has no hardware section")

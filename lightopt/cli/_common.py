@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from fractions import Fraction
 from functools import partial
@@ -39,12 +40,16 @@ Sheet = Annotated[
     bool, output_option("--sheet", help="Write a labelled contact sheet per exposure, contact-sheet*.png.")
 ]
 Lights = Annotated[
-    list[str] | None, selection_option("--light", metavar="NAME", help="Use only this light; repeatable.")
+    list[str] | None,
+    selection_option("--light", metavar="NAME", help="Use only this light; repeatable.", show_default="all lights"),
 ]
 Postures = Annotated[
     list[str] | None,
     selection_option(
-        "--posture", metavar="θ,φ", help="Use this tilt and rotation [deg] instead of the part's postures; repeatable."
+        "--posture",
+        metavar="θ,φ",
+        help="Use this posture: tilt and rotation [deg]; repeatable.",
+        show_default="the postures of PART",
     ),
 ]
 Exposures = Annotated[str, selection_option(metavar="X,…", help="Relative exposure times, such as 1,1/16.")]
@@ -100,7 +105,7 @@ def _parse_posture(text: str) -> Posture:
     except ValueError:
         elevation = rotation = math.nan
     if not (math.isfinite(elevation) and math.isfinite(rotation)):
-        raise InputError(f'--posture: expected elevation,rotation in degrees such as 0,82, found "{text}"')
+        raise InputError(f'--posture: expected tilt,rotation in degrees, such as 0,82, found "{text}"')
     return Posture(elevation, rotation)
 
 
@@ -189,11 +194,23 @@ class HeadedCommand(typer.core.TyperCommand):
         for parameter in self.get_params(ctx):
             record = parameter.get_help_record(ctx)
             if record is not None:
-                sections.setdefault(heading(parameter), []).append(record)
+                sections.setdefault(heading(parameter), []).append(_plain(parameter, *record))
         for name, records in sections.items():
             if records:
                 with formatter.section(name):
                     formatter.write_dl(records)
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """The words of the usage line: ``RIG`` is required, ``[PART]`` is optional."""
+        return [re.sub(r"^\{(.*)\}", r"\1", piece) for piece in super().collect_usage_pieces(ctx)]
+
+
+def _plain(parameter: Any, name: str, text: str) -> tuple[str, str]:
+    # without typer's Python types, its brackets around a default in words, and its x for a number
+    if parameter.param_type_name == "argument":
+        name = name.partition(" <")[0]
+    text = re.sub(r"\[default: \((.*?)\)(; .*)?\]$", r"[default: \1\2]", text)
+    return name, re.sub(r"\bx>=(\S+?)(?:\.0)?\]$", r"at least \1]", text)
 
 
 def heading(parameter: Any) -> str:

@@ -42,7 +42,7 @@ def init(
     taken = [name for name in outputs if (folder / name).exists()]
     if taken and not force:
         raise InputError(
-            f"{folder} already has {', '.join(taken)}; use --force to replace them, or choose another folder"
+            f"{folder} already has {', '.join(taken)}; use --force to overwrite them, or choose another folder"
         )
     make_folder(folder)
     for name, content in outputs.items():
@@ -56,9 +56,11 @@ def schema(
 ) -> None:
     """Print the JSON schema of a rig or part file, for editors and other programs.
 
-    An editor with the YAML language server uses it if the first line of the YAML file names it.
+    Example: lightopt schema rig > rig.json
 
-    Example: # yaml-language-server: $schema=rig.json
+    An editor with the YAML language server uses this schema if the first line of a YAML file is
+
+    # yaml-language-server: $schema=rig.json
     """
     echo(_schema_text(kind))
 
@@ -86,15 +88,15 @@ def check(
     """Validate RIG and PART and summarise the set-up, before anything is rendered.
 
     Checks the pixel footprint, field of view, part size, panel points and facets relative to the lobe width, lights in
-    the camera's view, and surface that no camera ray reaches. Exit status 1 if a finding is an error, 2 if a file
-    cannot be used. Of several findings on one topic that are ok, the first is shown; --verbose shows all.
+    the camera's view, and surface that no camera ray reaches. If several findings on one topic are ok, only the first
+    is printed; --verbose prints all. Exit status 1 if a finding is an error, 2 if a file cannot be used.
 
     Example: lightopt check rig.yaml part.yaml --drawing rig.png
     """
     from lightopt.preflight import check_rig, check_scene
 
     if drawing is not None and part is None:
-        raise InputError("--drawing: needs a part file, too")
+        raise InputError("--drawing: expected a part file as well")
     loaded_rig, loaded_part = common.load_inputs(rig, part)
     report = check_rig(loaded_rig) if loaded_part is None else check_scene(loaded_rig, loaded_part)
     levels = Counter(finding.level for finding in report.findings)
@@ -140,11 +142,11 @@ def defects(
     quiet: common.Quiet = False,
     _verbose: common.Verbose = False,
 ) -> None:
-    """Place random defects for testing on the surface of PART that the camera of RIG sees in at least one posture.
+    """Place random defects on PART for testing, where the camera of RIG sees the part in at least one posture.
 
-    Uses the entries of the part's defect_catalogue, or of the built-in one (docs/how-to/defects.md), in turn. Positions
-    are uniform by area, and clear of silhouettes, creases and each other. Writes a copy of PART, comments included,
-    with the defects at its end; render shows them.
+    Takes the entries of the part's defect_catalogue, or of the built-in catalogue (docs/how-to/defects.md), in turn.
+    Positions are uniform by area. They keep clear of silhouettes, creases and other defects. Writes a copy of PART,
+    including its comments, with the list of defects at the end. render shows these defects.
 
     Example: lightopt defects rig.yaml part.yaml --seed 1 --count 14 -o part.defects.yaml
     """
@@ -152,7 +154,7 @@ def defects(
     from lightopt.images import make_folder
 
     loaded_rig, loaded_part = common.load_inputs(rig, part)
-    comment = f"{counted(count, 'defect')}, scattered by: lightopt defects --seed {seed} --count {count}"
+    comment = f"{counted(count, 'defect')}, placed at random by: lightopt defects --seed {seed} --count {count}"
     run = RunContext(threads=threads)
     placed = inspection.place_random_defects(loaded_rig, loaded_part, count=count, seed=seed, run=run)
     made_from = inspection.random_defect_provenance(loaded_rig, loaded_part, count=count, seed=seed)

@@ -56,7 +56,11 @@ def fit_diffuse(
     lambda_d: Annotated[float, paper_option(metavar="LEVEL", help="λ_d: tolerance of the mean brightness.")] = 0.01,
     start_rd: Annotated[float, paper_option(metavar="LEVEL", help="Starting value of R_d.")] = 10.0,
     highlight_margin: Annotated[
-        float, paper_option(metavar="DEG", help="Minimum angle between a pixel's normal and one that mirrors a panel.")
+        float,
+        paper_option(
+            metavar="DEG",
+            help="Minimum angle between the normal of a pixel that is used and any normal that mirrors a panel.",
+        ),
     ] = 20.0,
     write_noise: WriteNoise = False,
     allow_unconverged: AllowUnconverged = False,
@@ -67,8 +71,8 @@ def fit_diffuse(
 ) -> None:
     """Fit the diffuse coefficient R_d to the pixels of IMAGES outside all highlights.
 
-    Writes part.fitted.yaml (PART with the fitted value) and fit.json; with --free or --write-noise rig.fitted.yaml,
-    with --method paper a chart, fit.png.
+    Writes part.fitted.yaml (PART with the fitted value) and fit.json. With --free or --write-noise it also writes
+    rig.fitted.yaml. With --method paper it also writes a chart, fit.png.
 
     Example: lightopt fit-diffuse rig.yaml part.yaml captured/ -o fitted
     """
@@ -90,7 +94,7 @@ def fit_specular(
     out: common.Out,
     method: Method = "likelihood",
     joint: Annotated[
-        bool, common.model_option("--joint", help="Fit R_d as well, instead of using PART's value.")
+        bool, common.model_option("--joint", help="Fit R_d as well, instead of taking it from PART.")
     ] = False,
     register: common.Register = False,
     free: Free = None,
@@ -98,14 +102,17 @@ def fit_specular(
         str | None,
         common.model_option(
             metavar="M,…",
-            help="Point lights per panel: 1, 4, 9, 16, … or auto (continuous panel); a list such as 1,4,9 is compared.",
+            help="Point lights per panel: 1, 4, 9, 16, … or auto (continuous panel). With a list such as 1,4,9, fit "
+            "each number and select the best.",
             show_default="as the rig file says",
         ),
     ] = None,
     pixels: Pixels = 1_500_000,
     validate: Annotated[
         bool,
-        common.model_option("--validate/--no-validate", help="Cross-validate: predict each light from the others."),
+        common.model_option(
+            "--validate/--no-validate", help="Cross-validate: predict each light from the other lights."
+        ),
     ] = True,
     lambda_s1: Annotated[
         float, paper_option(metavar="SHARE", help="λ_s1: tolerance of the number of saturated pixels.")
@@ -123,11 +130,11 @@ def fit_specular(
     quiet: common.Quiet = False,
     verbose: common.Verbose = False,
 ) -> None:
-    """Fit the specular coefficient R_s and the roughness σ to IMAGES. R_d is PART's, unless --joint fits it.
+    """Fit the specular coefficient R_s and the roughness σ to IMAGES. Take R_d from PART, or fit it too with --joint.
 
-    Writes part.fitted.yaml (PART with the fitted values), fit.json, a chart of the fit over σ (fit.png), and in
-    left-out/ pictures of measured minus predicted levels, each light predicted from the others; with --free or
-    --write-noise rig.fitted.yaml.
+    Writes part.fitted.yaml (PART with the fitted values), fit.json, a chart of the fit over σ (fit.png), and pictures
+    of measured minus predicted levels (left-out/), in which each light is predicted from the other lights. With --free
+    or --write-noise it also writes rig.fitted.yaml.
 
     Example: lightopt fit-specular rig.yaml part.yaml captured/ -o fitted --joint
     """
@@ -186,7 +193,7 @@ def _run(
             echo(f"{path}")
     if not result.converged and not allow_unconverged:
         raise CheckFailed(
-            "the fit did not converge; its files are written all the same. --allow-unconverged takes it as it is"
+            "the fit did not converge; its files were written. To accept the result, use --allow-unconverged"
         )
 
 
@@ -207,11 +214,11 @@ def _complete(kind: str, options: FitOptions, free: list[str] | None, points: st
     if options.method == "likelihood":
         usual = PaperOptions().as_dict()
         changed = [flag(name) for name, value in options.paper.as_dict().items() if value != usual[name]]
-        problems += [f"{name}: belongs to --method paper, which was not given" for name in changed]
+        problems += [f"{name}: has no effect without --method paper" for name in changed]
     elif free or options.joint or options.register:
-        problems.append("--method paper: takes none of --free, --joint and --register")
+        problems.append("--method paper: cannot be combined with --free, --joint or --register")
     elif options.write_noise:
-        problems.append("--method paper: estimates no noise, so that --write-noise has nothing to write")
+        problems.append("--method paper: estimates no noise; omit --write-noise")
     if problems:
         raise InputError(*problems)
     return replace(options, gain="gain" in (free or ()), dark="dark" in (free or ()), points=chosen)
@@ -250,7 +257,7 @@ def _show(result: FitResult, verbose: bool) -> None:
     show_table(["", "value", "std. error", "95 % interval"], rows)
     if result.highlights is not None:
         r_s, sigma = result.highlights
-        echo(f"R_s {r_s:.4g} and σ {sigma:.4g} rad were fitted to know where the highlights are; they are not written")
+        echo(f"R_s {r_s:.4g} and σ {sigma:.4g} rad were fitted only to locate the highlights; they are not written")
     if result.paper is not None:
         echo(f"from {result.paper.image}; this method gives no uncertainty")
     if result.correlation is not None:
@@ -271,14 +278,14 @@ def _show(result: FitResult, verbose: bool) -> None:
         p = result.placement
         turn, error = math.degrees(p.turn), math.degrees(p.errors[2])
         echo(
-            f"the part lies {p.x:+.3f} mm in x, {p.y:+.3f} mm in y and {turn:+.3f}° from where its file has it "
+            f"placement: the part is displaced by {p.x:+.3f} mm in x, {p.y:+.3f} mm in y and rotated by {turn:+.3f}° "
             f"(standard errors {p.errors[0]:.1g} mm, {p.errors[1]:.1g} mm, {error:.1g}°)"
         )
     if result.quality is not None:
         q = result.quality
         echo(
             f"{result.observations:,} levels of {result.pixels:,} pixels; residual {q.rms:.3g} sensor levels rms ("
-            f"noise {q.floor:.2g}), {100.0 * q.epsilon:.2f} % of the pixels unexplained"
+            f"noise {q.floor:.2g}), {100.0 * q.epsilon:.2f} % of the pixels are outliers"
         )
     if result.rows:
         _show_points(result)
@@ -308,7 +315,7 @@ def _show_points(result: FitResult) -> None:
             f"{row.perimeter:,.0f}",
             f"{row.measured_perimeter:,.0f}",
             "-" if row.likelihood is None else f"{row.likelihood:.5f}",
-            "kept" if row.points == result.points else "",
+            "selected" if row.points == result.points else "",
         ]
         for row in result.rows
     ]
@@ -319,7 +326,7 @@ def _summarise_left_out(result: FitResult) -> None:
     images = [(image, left) for left in result.left_out for image in left.images]
     worst, _ = max(images, key=lambda pair: pair[0].rms_sensor)
     overlaps = [image.iou for image, _ in images if image.iou is not None]
-    own = f" ({', '.join(result.not_left_out)} as all images have it)" if result.not_left_out else ""
+    own = f" ({', '.join(result.not_left_out)} from all images)" if result.not_left_out else ""
     least = f", saturated areas overlap by {min(overlaps):.3f} (IoU) or more" if overlaps else ""
     echo(
         f"each light predicted from the others{own}: residual {worst.rms_sensor:.3g} sensor levels rms at most "

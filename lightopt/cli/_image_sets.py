@@ -28,7 +28,7 @@ def overlap(
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", "-o", metavar="DIR", help="Write maps (PNG) and overlap.json to this folder; created if missing."
+            "--out", "-o", metavar="DIR", help="Output folder for maps (PNG) and overlap.json; created if missing."
         ),
     ] = None,
     force: common.Force = False,
@@ -37,8 +37,8 @@ def overlap(
 ) -> None:
     """Report where the saturated regions of a posture's images overlap.
 
-    Per posture and exposure: number of pixels saturated under each light, under both lights of each pair, and in two
-    images or more. The maps show pixels saturated in one image in blue, in several in red.
+    Prints per posture and exposure the number of pixels that are saturated under each light, under both lights of each
+    pair, and in two images or more. With --out, maps show pixels saturated in one image in blue, in several in red.
 
     Example: lightopt overlap captured/ -o overlaps
     """
@@ -64,22 +64,22 @@ def compare(
         float,
         threshold_option(
             metavar="LEVEL",
-            help="A pixel differs if it deviates by more than this plus --relative times the golden level.",
+            help="A pixel differs if B deviates from A by more than this plus --relative times the level of A.",
         ),
     ] = 0.05,
-    relative: Annotated[float, threshold_option(metavar="SHARE", help="Relative threshold; see --absolute.")] = 0.001,
+    relative: Annotated[
+        float, threshold_option(metavar="SHARE", help="Relative part of the threshold; see --absolute.")
+    ] = 0.001,
     max_share: Annotated[
         float,
-        threshold_option(
-            metavar="SHARE", help="Share of pixels that may differ, of those that show the part in A or B."
-        ),
+        threshold_option(metavar="SHARE", help="Share that may differ of the pixels that show the part in A or B."),
     ] = 0.001,
     geometry_absolute: Annotated[
         float, threshold_option(metavar="MM", help="Threshold for geometry images (normals: no unit) and patch tables.")
     ] = 0.001,
     min_iou: Annotated[
         float | None,
-        threshold_option(metavar="IOU", help="Minimum IoU of the saturated areas; not checked by default."),
+        threshold_option(metavar="IOU", help="Minimum IoU of the saturated areas.", show_default="not checked"),
     ] = None,
     saturation: Annotated[
         float | None,
@@ -102,11 +102,11 @@ def compare(
 ) -> None:
     """Compare a new image or image set B with a golden one A; exit status 1 if they differ too much.
 
-    Per channel: maximum and rms difference, 99th percentile, share of differing pixels, and intersection over union
-    (IoU) of the saturated areas. Pixels that are background in both images (level 0 or the black level, rays that miss
-    the part) do not count, so the result does not depend on the size of the background. In a PNG with noise all pixels
-    count. A file missing in B is a failure, one missing in A a note. Exit status 2 if A or B is neither an image
-    nor an image set.
+    Prints per channel the maximum and rms difference, the 99th percentile, the share of differing pixels, and the
+    intersection over union (IoU) of the saturated areas. Pixels that are background in both images (level 0 or the
+    black level, rays that miss the part) do not count, so the result does not depend on the size of the background. In
+    a PNG with noise all pixels count. A file that is missing in B is a failure; a file that is missing in A is a note.
+    Exit status 2 if A or B is neither an image nor an image set.
 
     Example: lightopt compare golden/ out/ --diff differences/
     """

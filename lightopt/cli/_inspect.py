@@ -50,8 +50,8 @@ def inspect(
         float | None,
         common.model_option(
             metavar="N",
-            help="False alarms per posture if only noise differs, from 1e-9 to 1; with --calibrate or --calibration "
-            "the share of good parts with a false alarm in a posture.",
+            help="Expected false alarms per posture from noise alone, from 1e-9 to 1. With --calibrate or "
+            "--calibration: share of good parts with a false alarm in a posture.",
             show_default="0.05",
         ),
     ] = None,
@@ -59,7 +59,9 @@ def inspect(
     register: common.Register = True,
     calibrate: Annotated[
         bool,
-        calibration_option("--calibrate", help="Write calibration.json from IMAGES of good parts; inspect nothing."),
+        calibration_option(
+            "--calibrate", help="Write calibration.json from IMAGES of good parts; do not inspect them."
+        ),
     ] = False,
     calibration: Annotated[
         Path | None,
@@ -69,8 +71,8 @@ def inspect(
         bool,
         common.output_option(
             "--evaluate",
-            help="Evaluate against ground truth (labels of the sets, or defects of their part file): recall, false "
-            "alarms, ROC, detection curve; write truth.json.",
+            help="Compare with ground truth (labels of the sets, or defects of their part file) and write truth.json: "
+            "recall, false alarms, ROC, detection curve.",
         ),
     ] = False,
     fail_on_defect: Annotated[
@@ -84,9 +86,10 @@ def inspect(
 ) -> None:
     """Find defects in IMAGES of PART and locate them on the part.
 
-    Writes report.html, defects.json, .csv and .ply, and for each posture the synthetic image without highlights with
-    its uncertainty, scores and an overlay. Several sets get a folder each, and a common batch.json. The limits for OK
-    and NG are under inspection: in PART. With --calibrate only calibration.json is written.
+    Writes report.html, defects.json, defects.csv and defects.ply. Also writes for each posture the synthetic image
+    without highlights, its uncertainty, the scores, and an overlay of the defects. Each of several sets gets a folder;
+    batch.json lists them. The inspection section of PART has the limits for OK and NG. With --calibrate, only
+    calibration.json and its maps are written.
 
     Example: lightopt inspect rig.yaml part.yaml captured/ -o inspected
     """
@@ -106,7 +109,9 @@ def inspect(
     problems = options.problems()
     if calibrate:
         given = {"--calibration": learned is not None, "--evaluate": evaluate, "--fail-on-defect": fail_on_defect}
-        problems += [f"{name}: not with --calibrate, which inspects nothing" for name, is_ in given.items() if is_]
+        problems += [
+            f"{name}: cannot be combined with --calibrate, which does not inspect" for name, is_ in given.items() if is_
+        ]
     if problems:
         raise InputError(*problems)
     loaded_rig, loaded_part = common.load_inputs(rig, part)
@@ -309,8 +314,8 @@ def _show_calibration(calibration: inspection.Calibration, rate: float) -> None:
     show_table(["greatest score", *(str(posture.posture) for posture in calibration.postures)], rows)
     count = len(calibration.sets)
     echo(
-        f"{count} good sets hold a rate of {rate:g}, the share of good parts with a false alarm in a posture; they "
-        f"would hold {least_rate(count):.3g}"
+        f"{count} good sets support a rate of {rate:g} (share of good parts with a false alarm in a posture); the "
+        f"lowest rate that they support is {least_rate(count):.3g}"
     )
 
 
@@ -321,7 +326,7 @@ def _show_evaluation(summary: Mapping[str, Any], *, verbose: bool) -> None:
     alarms, hidden, area = summary["false_alarms_per_posture"], summary["hidden"], summary["roc_auc"]
     why = " (out of view, at an edge, or narrower than a pixel)" if hidden else ""
     echo(
-        f"{summary['found']} of {summary['defects']} defects found, {len(hidden)} shown by no pixel to judge{why}; "
+        f"{summary['found']} of {summary['defects']} defects found, {len(hidden)} without an evaluable pixel{why}; "
         f"{alarms:g} false alarm{'' if alarms == 1.0 else 's'} per posture; area under the pixels' ROC "
         f"{'-' if area is None else area}"
     )
@@ -340,7 +345,7 @@ def _show_inspection(result: inspection.InspectionResult, verdict: inspection.Ve
         if not verbose and len(result.defects) > MOST_DEFECTS:
             echo(f"and {len(result.defects) - MOST_DEFECTS} more; --verbose shows them")
     if result.placement is not None and (place := placement_text(result.placement)):
-        echo(f"the part lies off its nominal place by {place}")
+        echo(f"displacement of the part from nominal: {place}")
     echo(f"{REFERENCE_DEFECT} is found on {percent(verdict.finds)} of the visible surface{dark_text(verdict)}")
     if verbose:
         show_page_table(surface_table(result))

@@ -29,16 +29,21 @@ def optimize(
     posture: common.Postures = None,
     step: Annotated[float, light_option(metavar="DEG", help="Step of the angles within the lights' ranges.")] = 5.0,
     common_elevation: Annotated[
-        bool, light_option("--common-elevation", help="Same elevation for all lights that move in elevation.")
+        bool, light_option("--common-elevation", help="Use the same elevation for all lights that move in elevation.")
     ] = False,
     common_lights: Annotated[
-        bool, light_option("--common-lights", help="Same light positions for all postures, by the sum of their scores.")
+        bool,
+        light_option(
+            "--common-lights",
+            help="Use the same light positions for all postures: those with the greatest sum of scores over the "
+            "postures.",
+        ),
     ] = False,
     max_combinations: Annotated[
         int | None,
         light_option(
             metavar="N",
-            help="Stop after about N combinations and report a bound; each branching step counts as 20000.",
+            help="Stop after about N combinations and report a bound. Each branching step counts as 20000.",
             show_default="200000000",
         ),
     ] = None,
@@ -47,7 +52,7 @@ def optimize(
         objective_option(
             "--objective",
             metavar="coverage|paper|detectability",
-            help="Repeatable; the first determines the light positions.",
+            help="Score of a combination of positions; repeatable. The first one determines the light positions.",
             show_default="coverage, paper",
         ),
     ] = None,
@@ -67,14 +72,14 @@ def optimize(
         float | None,
         objective_option(
             metavar="T",
-            help="detectability: a defect shows if it changes a level by T times the sensor's noise.",
+            help="detectability: an image shows a defect if the defect changes a level by T times the sensor's noise.",
             show_default="5",
         ),
     ] = None,
     choose_postures: Annotated[
         int | None,
         posture_option(
-            metavar="N", help="Choose the N postures with the best joint detectability; a maximum with --target."
+            metavar="N", help="Choose the N postures with the best joint detectability. With --target: at most N."
         ),
     ] = None,
     target: Annotated[
@@ -89,31 +94,37 @@ def optimize(
     allow_outside: Annotated[
         float | None,
         posture_option(
-            metavar="PX", help="How far the part may extend beyond the image in a candidate posture.", show_default="10"
+            metavar="PX",
+            help="Number of pixels by which the part may extend beyond the image in a candidate posture.",
+            show_default="10",
         ),
     ] = None,
     exposures: Annotated[
         str | None,
-        exposure_option(metavar="X,…", help="Candidate relative exposure times beside 1, such as 1/16,1/4,4,16."),
+        exposure_option(
+            metavar="X,…", help="Candidate relative exposure times in addition to 1, such as 1/16,1/4,4,16."
+        ),
     ] = None,
     exposure_gain: Annotated[
         float | None,
         exposure_option(
             metavar="POINTS",
-            help="Minimum gain in detectability by a further exposure, in percentage points.",
+            help="Minimum increase of detectability for each exposure that is added [percentage points].",
             show_default="1",
         ),
     ] = None,
     light_tolerance: Annotated[
         float | None,
         tolerance_option(
-            metavar="DEG", help="Report the loss of score if each light is off by this angle in elevation and azimuth."
+            metavar="DEG",
+            help="Report the loss of score if the elevation and azimuth of each light are off by up to this angle.",
         ),
     ] = None,
     pose_tolerance: Annotated[
         float | None,
         tolerance_option(
-            metavar="DEG", help="Report the loss of score if the part is off by this angle in tilt and rotation."
+            metavar="DEG",
+            help="Report the loss of score if the tilt and rotation of the part are off by up to this angle.",
         ),
     ] = None,
     tolerance_target: Annotated[
@@ -145,19 +156,19 @@ def optimize(
 ) -> None:
     """Find the best positions of RIG's lights for PART by exact search.
 
-    Scores every combination of positions within the lights' ranges by the levels that the camera would deliver.
-    Objectives: coverage is the area that is usable (neither shaded nor saturated) in two images or more and saturated
-    in at most one; paper is the sum of each patch's usable levels without the highest and lowest level; detectability
-    is the share of surface × defects of the part's catalogue that the images show above the noise, and has a table of
-    blind spots.
+    Scores every combination of positions within the lights' ranges by the levels that the camera would deliver. The
+    objectives are: coverage, the area that is usable (neither shaded nor saturated) in two images or more and saturated
+    in at most one; paper, the sum of each patch's usable levels without the highest and lowest level; detectability,
+    the share of surface × defects of the part's catalogue that the images show above the noise. detectability also
+    reports blind spots.
 
     Writes result.json, ranking.csv, rig.optimized.yaml (one per posture if they differ), images with the best light
     positions (images/), maps of overlapping saturated regions (overlap.png), and report.html. Exit status 1 if no
     combination makes any surface usable.
 
     --choose-postures and --target choose postures from the stage's range by detectability, with the same light
-    positions for all; they are written to part.planned.yaml. Exposures are chosen and tolerances analysed for the
-    resulting lights and postures.
+    positions for all postures, and write them to part.planned.yaml. --exposures, --light-tolerance and
+    --pose-tolerance refer to the resulting lights and postures.
 
     Example: lightopt optimize rig.yaml part.yaml -o best --step 5 --common-lights
     """
@@ -177,7 +188,7 @@ def optimize(
         ("--tolerance-target", tolerance_target, tolerance, "--light-tolerance or --pose-tolerance"),
     )
     problems = [
-        f"{option}: does nothing without {other}"
+        f"{option}: has no effect without {other}"
         for option, value, used, other in dependent
         if value is not None and not used
     ]
@@ -252,7 +263,7 @@ def optimize(
         if answer.nothing is not None
     ]
     if messages:
-        raise CheckFailed(*messages, f"no rig was written for these postures; {out / 'result.json'} says the same")
+        raise CheckFailed(*messages, f"no rig was written for these postures; see {out / 'result.json'}")
 
 
 def _given(**options: object) -> dict[str, Any]:
@@ -272,8 +283,8 @@ def _show_reachable(error: TargetNotReached) -> None:
         )
         for number, step in enumerate(error.steps, start=1)
     ]
-    show_table(("postures", "the last of them", "show at least", "with these lights at most"), rows)
+    show_table(("postures", "posture added", "share shown at least", "at most with these lights"), rows)
     echo(
-        "at least: what these postures show, chosen one after the other with one set of lights for all of them; "
-        "--choose-postures N places the lights for N, and may choose others"
+        "at least: share that these postures show, chosen one after the other for one set of lights; "
+        "--choose-postures N places the lights for N postures, and may choose others"
     )

@@ -83,7 +83,7 @@ def _show_best(found: design.DesignResult, *, verbose: bool) -> None:
         echo(f"shares of {' and '.join(surface_names)}: of {surface}")
     echo(LEFT_OUT_MEANING)
     echo(near_meaning(objectives))
-    echo("of each light its elevation and its azimuth about Z from +X")
+    echo("angles of each light: elevation, and azimuth about Z from +X")
 
 
 def _cells(answer: design.ObjectiveResult, result: design.SetResult, found: design.DesignResult) -> list[str]:
@@ -138,7 +138,10 @@ def show_plan(result: design.PlanResult, *, verbose: bool) -> None:
             show_page_table(table)
         else:
             worst, most = (row[-1] for row in table.rows[:2])
-            echo(f"off by the tolerance, {table.header[-1]}: the worst corner keeps {worst}, 95 % of draws {most}")
+            echo(
+                f"angles off by the tolerances, {table.header[-1]}: the worst corner keeps {worst} of the score, 95 % "
+                f"of random draws keep {most}"
+            )
 
 
 def show_commands(result: design.PlanResult, folder: Path, *, verbose: bool) -> None:
@@ -147,7 +150,7 @@ def show_commands(result: design.PlanResult, folder: Path, *, verbose: bool) -> 
 
     document = plan_document(result)
     if "commands" in document:
-        echo(f"to carry the plan out, in {folder}:")
+        echo(f"commands to carry out the plan, to be run in {folder}:")
         for command in document["commands"]:
             echo(f"  {command}")
         if verbose and len(document["rounds"]) > 1:
@@ -157,7 +160,7 @@ def show_commands(result: design.PlanResult, folder: Path, *, verbose: bool) -> 
                 order = " → ".join(str(Posture.from_dict(posture)) for posture in one["order_of_travel"])
                 echo(f"stage, capture {number}: {order}, {one['travel_s']:.1f} s of travel")
             total = sum(one["travel_s"] for one in document["rounds"])
-            echo(f"together {total:.1f} s of travel, without the ways back to (0°, 0°)")
+            echo(f"total travel {total:.1f} s, without the returns to (0°, 0°)")
 
 
 def _show_postures(document: Section, *, verbose: bool) -> None:
@@ -171,7 +174,7 @@ def _show_postures(document: Section, *, verbose: bool) -> None:
     number, images = counted(len(chosen["postures"]), "posture"), counted(chosen["min_images"], "image")
     echo(
         f"{number} of {chosen['candidates']} show {text(chosen['share'])} of the surface × defects in {images} or "
-        "more, all planned images together and no others"
+        "more of the planned images"
     )
     show_page_table(table)
     _show_spare(chosen, text)
@@ -192,10 +195,10 @@ def _show_spare(chosen: Section, text: partial[str]) -> None:
     count, sufficient = len(chosen["postures"]), chosen["postures_to_a_tenth_of_a_point"]
     if chosen["requested"] is not None and count < chosen["requested"] and chosen["target"] is None:
         why = "there are no others" if count == chosen["candidates"] else "no other adds anything with these lights"
-        echo(f"{chosen['requested']} postures were asked for: {why}")
+        echo(f"{counted(chosen['requested'], 'posture')} requested, {count} chosen: {why}")
     if sufficient < count:
         share = text(chosen["postures"][sufficient - 1]["share"])
         echo(
-            f"the first {sufficient} chosen show {share}, the others less than 0.1 points more: "
-            f"--choose-postures {sufficient} does nearly as well"
+            f"the first {sufficient} chosen postures show {share}, the others add less than 0.1 points: "
+            f"--choose-postures {sufficient} is nearly as good"
         )

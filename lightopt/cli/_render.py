@@ -35,9 +35,9 @@ def render(
 ) -> None:
     """Render the images that the camera of RIG would take of PART, for each light and posture.
 
-    Writes a linear EXR per light and posture, the camera's PNG per exposure, the geometry of each posture (points,
-    normals, depth, patch, and defect if PART lists any), patches.npz, and manifest.json. The same command continues an
-    interrupted run.
+    Writes per light and posture a linear EXR and, for each exposure, the PNG of the camera. Also writes a geometry EXR
+    per posture (points, normals, depth, patch numbers, and defect numbers if PART lists defects), patches.npz, and
+    manifest.json. The same command continues an interrupted run.
 
     Example: lightopt render rig.yaml part.yaml -o out --exposures 1,1/16
     """
@@ -60,10 +60,10 @@ def render(
         run = RunContext(threads=threads, progress=progress, warn=echo_warning)
         done = render_image_set(loaded_rig, loaded_part, out, options=options, force=force, run=run)
     if not quiet:
-        resumed = f" ({done.resumed} of them were there already)" if done.resumed else ""
+        resumed = f" ({done.resumed} of them existed already)" if done.resumed else ""
         echo(f"{counted(done.images, 'image')}{resumed}, {done.rays / 1e6:.1f} million rays")
         if done.replaced:
-            echo(f"replaced the image set that was there ({counted(done.replaced, 'file')})")
+            echo(f"replaced the existing image set ({counted(done.replaced, 'file')})")
         if done.patches is not None:
             echo(done.patches)
         echo(f"{done.folder / 'manifest.json'}")

@@ -148,7 +148,7 @@ class CameraDeviceConfig(fields.Frozen):
     port: fields.Text | None = Field(
         default=None,
         description="aravis, genicam: serial number, address or identifier of the camera, in quotes, as lightopt bench "
-        "devices lists it; the only camera that there is if absent. aravis: virtual is a GigE Vision camera simulated "
+        "devices lists it; if absent, the only camera that answers. aravis: virtual is a GigE Vision camera simulated "
         "on this computer.",
     )
     producer: fields.Text | None = Field(
@@ -171,8 +171,8 @@ class CameraDeviceConfig(fields.Frozen):
     )
     trigger: Literal["auto", "software", "none"] = Field(
         default="auto",
-        description="aravis, genicam: software: each frame is triggered; none: the camera runs freely and "
-        "timing.discard_frames are thrown away after each change; auto: software where the camera has it.",
+        description="aravis, genicam: software: each frame is triggered; none: the camera is free-running and "
+        "timing.discard_frames are discarded after each change; auto: software where the camera has it.",
     )
     fixed_exposure_us: fields.Positive | None = Field(
         default=None, description="aravis, genicam: exposure time [us] of a camera on which it cannot be set."

@@ -34,12 +34,12 @@ _OWNERS: Mapping[str, tuple[str, ...]] = {
 class PixelPlaceConfig(fields.Frozen):
     """A place on the part as a pixel of the rig's camera sees it."""
 
-    posture: fields.PostureConfig = Field(description="Posture that the part is seen in.")
+    posture: fields.PostureConfig = Field(description="Posture in which the pixel sees the part.")
     pixel: Annotated[
         tuple[_PixelIndex, _PixelIndex],
         Field(strict=False),
         fields.expecting("[column, row], two whole numbers from 0 to 65535; the top left pixel is [0, 0]"),
-    ] = Field(description="Column and row of the pixel, counted from 0 at the top left; its centre is meant.")
+    ] = Field(description="Column and row of the pixel, counted from 0 at the top left; the defect is at its centre.")
 
 
 class CatalogueEntryConfig(fields.Frozen):
@@ -64,12 +64,10 @@ class CatalogueEntryConfig(fields.Frozen):
         description="Depth, or height of bumps and blisters [mm]. Shapes have this or slope_deg; the other follows.",
         validate_default=True,
     )
-    R_d_factor: _Factor | None = Field(
-        default=None, description="Stains: by which R_d is multiplied; not 1.", validate_default=True
-    )
+    R_d_factor: _Factor | None = Field(default=None, description="Stains: factor on R_d; not 1.", validate_default=True)
     sigma_factor: _WidthFactor | None = Field(
         default=None,
-        description="Hazes: by which sigma is multiplied; not 1. R_s is divided by its square, so that the lobe "
+        description="Hazes: factor on sigma; not 1. R_s is divided by its square, so that the lobe "
         "reflects as much light as before.",
         validate_default=True,
     )
@@ -119,9 +117,9 @@ class CatalogueEntryConfig(fields.Frozen):
         name = str(info.field_name)
         (owner,) = _OWNERS[name]
         if info.data.get("kind") == owner and factor is None:
-            raise fields.absent(f'missing key "{name}": a {owner} is nothing without it', name)
+            raise fields.absent(f'missing key "{name}": required for a {owner}', name)
         if factor == 1.0:
-            raise fields.complaint(f"expected another number than 1, which makes no {owner}")
+            raise fields.complaint(f"expected a number other than 1: with 1 there is no {owner}")
         return factor
 
     @property
@@ -146,8 +144,8 @@ class DefectConfig(CatalogueEntryConfig):
 
     at_mm: fields.Coordinates | None = Field(
         default=None,
-        description="Its centre in the coordinates of the mesh file, in mm; the nearest point of the surface is taken, "
-        "which must be near. Give this or at_pixel.",
+        description="Its centre in the coordinates of the mesh file, in mm; the nearest point of the surface is used, "
+        "which must be close. Give this or at_pixel.",
     )
     at_pixel: PixelPlaceConfig | None = Field(
         default=None,
@@ -164,7 +162,7 @@ class DefectConfig(CatalogueEntryConfig):
     @classmethod
     def _one_place(cls, pixel: PixelPlaceConfig | None, info: ValidationInfo) -> PixelPlaceConfig | None:
         if "at_mm" in info.data:
-            missing = 'missing key "at_mm" or "at_pixel": say where the defect is'
+            missing = 'missing key "at_mm" or "at_pixel": the position of the defect'
             fields.exactly_one(pixel, info, other="at_mm", missing=missing)
         return pixel
 

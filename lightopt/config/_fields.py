@@ -101,7 +101,7 @@ def exactly_one(value: object, info: ValidationInfo, *, other: str, missing: str
     if value is None and info.data[other] is None:
         raise absent(missing, other, str(info.field_name))
     if value is not None and info.data[other] is not None:
-        raise complaint(f"given together with {other}; expected one of the two")
+        raise complaint(f"given together with {other}; expected only one of them")
 
 
 def repeated(keys: Iterable[Hashable | None]) -> Iterator[tuple[int, int]]:

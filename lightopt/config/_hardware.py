@@ -98,7 +98,9 @@ class TemplateConfig(fields.Frozen):
         default=None,
         description="Regular expression that the whole reply matches, without its end; none: there is no reply.",
     )
-    off: Command | None = Field(default=None, description="Command that darkens; `set` with level 0 if absent.")
+    off: Command | None = Field(
+        default=None, description="Command that switches a channel off; `set` with level 0 if absent."
+    )
     off_reply: Pattern | None = Field(
         default=None, description="Regular expression of the reply to `off`; none: there is no reply."
     )
@@ -179,7 +181,7 @@ class ChannelConfig(fields.Frozen):
         default=None, description="Intensity never exceeded; the controller's highest if absent."
     )
     max_on_s: fields.Positive | None = Field(
-        default=None, description="Longest time that the light may be on at a stretch [s]; any if absent."
+        default=None, description="Maximum time that the light may be on without a break [s]; no limit if absent."
     )
 
 
@@ -211,16 +213,15 @@ class AxisConfig(fields.Frozen):
         AfterValidator(_not_zero),
         fields.expecting("a number other than 0, from -1e7 to 1e7"),
     ] = Field(
-        default=1.0, description="Device units per degree; negative where the device counts against the rig's sense."
+        default=1.0, description="Device units per degree; negative if the device counts against the rig's direction."
     )
     zero: Annotated[float, Field(ge=-1e9, le=1e9), fields.expecting("a number")] = Field(
         default=0.0, description="Device units at which the rig's angle is 0."
     )
     home_sense: Annotated[int, Field(ge=-1, le=1), AfterValidator(_not_zero), fields.expecting("1 or -1")] = Field(
-        default=-1,
-        description="Sense of the device's count in which it seeks its origin, 1 or -1; for gsc, which must be told.",
+        default=-1, description="gsc: direction of the device's count in which it searches its origin, 1 or -1."
     )
-    speed_deg_per_s: fields.Positive = Field(default=20.0, description="Speed that the device is set to [deg/s].")
+    speed_deg_per_s: fields.Positive = Field(default=20.0, description="Speed that is set in the device [deg/s].")
 
 
 class StageDeviceConfig(fields.Frozen):
@@ -239,7 +240,7 @@ class StageDeviceConfig(fields.Frozen):
     home_timeout_s: fields.Positive = Field(default=180.0, description="Longest time that homing may take [s].")
     assume_referenced: bool = Field(
         default=False,
-        description="Whether a stage that cannot report whether it was homed is moved without homing it first.",
+        description="Whether a stage that cannot report whether it was homed may be moved without homing first.",
     )
 
     @field_validator("elevation", "rotation")
@@ -267,12 +268,12 @@ class StageDeviceConfig(fields.Frozen):
 
 
 class TimingConfig(fields.Frozen):
-    """What is waited for before an exposure."""
+    """Waiting times before an exposure."""
 
     light_ms: _Milliseconds = Field(default=100.0, description="From light on to the exposure [ms].")
     stage_ms: _Milliseconds = Field(default=200.0, description="From the end of a move to the exposure [ms].")
     discard_frames: Annotated[int, Field(ge=0, le=20), fields.expecting("a whole number from 0 to 20")] = Field(
-        default=1, description="Frames thrown away after a change, by a camera that has no software trigger."
+        default=1, description="Frames discarded after a change, if the camera has no software trigger."
     )
     frame_timeout_s: _Seconds = Field(default=5.0, description="Longest wait for a frame beyond its exposure [s].")
 
@@ -281,10 +282,10 @@ class HardwareConfig(fields.Frozen):
     """The devices of a rig."""
 
     controllers: dict[fields.FileName, ControllerConfig] = Field(description="The light controllers by name.")
-    lights: dict[fields.FileName, ChannelConfig] = Field(description="Where each light of the rig is plugged in.")
-    stage: StageDeviceConfig | None = Field(default=None, description="The stage; none: the part stands still.")
+    lights: dict[fields.FileName, ChannelConfig] = Field(description="Controller and channel of each light of the rig.")
+    stage: StageDeviceConfig | None = Field(default=None, description="The stage; none: the part does not move.")
     camera: CameraDeviceConfig = Field(description="The camera.")
-    timing: TimingConfig = Field(default=TimingConfig(), description="What is waited for.")
+    timing: TimingConfig = Field(default=TimingConfig(), description="Waiting times.")
 
 
 _REAL_CAMERAS = {*get_args(CameraDeviceConfig.model_fields["driver"].annotation)} - {"virtual"}

@@ -10,7 +10,7 @@ from lightopt.config import _fields as fields
 _Normalisation = Literal["mean", "sum"]
 _Falloff = Literal["none", "inverse_square"]
 _Exponent = Annotated[float, Field(ge=0, le=1000), fields.expecting("a number from 0 to 1000")]
-_AUTO_SUM = "sum cannot be used with points: auto, which stands for infinitely many; use mean"
+_AUTO_SUM = "sum cannot be used with points: auto, a continuous panel; use mean"
 
 
 class LightSourceConfig(fields.Frozen):
@@ -82,7 +82,7 @@ class LightConfig(fields.Frozen):
         now = info.data.get(angle)
         if ends is not None and now is not None and not ends[0] <= now <= ends[1]:
             raise fields.complaint(
-                f"the light stands at {angle} {now:g}, outside [{ends[0]:g}, {ends[1]:g}]; "
+                f"the light is at {angle} {now:g}, outside [{ends[0]:g}, {ends[1]:g}]; "
                 "widen the range or move the light into it"
             )
         return ends

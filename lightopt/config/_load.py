@@ -232,8 +232,8 @@ def _read_what_is_valid(path: Path, wrong: InputError) -> LightsOnly:
     if not controllers:
         reason = f"no controller can be read; lights that may be on: {', '.join(unknown) or 'all of them'}"
         if not section:
-            reason = "no hardware section can be read here, so nobody knows which lights may be on"
-        advice = "mend the file and repeat, or switch the controllers off by hand"
+            reason = "no hardware section can be read here; any light may be on"
+        advice = "correct the file and repeat, or switch the controllers off by hand"
         raise InputError(*wrong.messages, f"nothing was switched off: {reason}; {advice}")
     name = mapping(rig).get("name")
     return LightsOnly(

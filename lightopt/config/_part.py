@@ -21,7 +21,7 @@ class InspectionConfig(fields.Frozen):
     """Limits by which `lightopt inspect` judges OK or NG."""
 
     most_defects: Annotated[int, Field(ge=0, le=10**6), fields.expecting("a whole number from 0 to 1000000")] = Field(
-        default=0, description="A part with more defects than this is no good."
+        default=0, description="A part with more defects than this is NG."
     )
     least_size_mm: Annotated[float, Field(ge=0, le=1e3), fields.expecting("a number from 0 to 1000 (mm)")] = Field(
         default=0.0, description="Defects shorter than this do not count [mm]."
@@ -33,8 +33,8 @@ class InspectionConfig(fields.Frozen):
     )
     least_inspected: _Share = Field(
         default=0.0,
-        description="A part of whose visible surface, over all postures, less than this share could be inspected, if "
-        "only for glints, is no good.",
+        description="A part is NG if less than this share of its visible surface, over all postures, was inspected. "
+        "Surface inspected only for glints counts.",
     )
 
 
@@ -52,7 +52,7 @@ class MeshConfig(fields.Frozen):
     units: Literal["um", "mm", "cm", "m", "inch", "ft"] | None = Field(
         default=None,
         description="Length unit of the mesh file: um, mm, cm, m, inch or ft. Mandatory for .stl, .ply and "
-        ".obj, which carry none; for .glb (metres) and STEP only what the file itself says.",
+        ".obj, which contain none. For .glb (metres) and STEP, only the unit of the file itself.",
         validate_default=True,
     )
     normals: Literal["smooth", "facet"] = Field(
@@ -149,7 +149,7 @@ class ReflectanceConfig(fields.Frozen):
         Field(description="Width σ of the specular lobe [rad]: 0.003 is polished chrome, 0.05 satin plating.")
     )
     full_scale: fields.Positive = Field(
-        default=255.0, description="Full scale that R_d and R_s are expressed in [levels]."
+        default=255.0, description="Full scale in which R_d and R_s are expressed [levels]."
     )
 
 
@@ -160,18 +160,18 @@ class PartConfig(fields.FileConfig):
     name: fields.Text = Field(description="Name of the part, for people.")
     mesh: MeshConfig = Field(description="The part's shape.")
     placement: PlacementConfig = Field(
-        default=PlacementConfig(), description="How the part lies on the table; resting at its centre if absent."
+        default=PlacementConfig(), description="Placement of the part on the table; resting at its centre if absent."
     )
     postures: Annotated[tuple[fields.PostureConfig, ...], Field(strict=False, min_length=1, max_length=1000)] = Field(
         default=(fields.PostureConfig(elevation_deg=0.0, rotation_deg=0.0),),
-        description="Postures the part is inspected in; (0, 0) alone if absent.",
+        description="Postures in which the part is inspected; (0, 0) only if absent.",
     )
     reflectance: ReflectanceConfig = Field(description="Reflection of the part's surface.")
     defects: Annotated[tuple[DefectConfig, ...], Field(strict=False, max_length=500)] = Field(
         default=(), description="Defects that are on this part; renders show them. None if absent."
     )
     defect_catalogue: _Catalogue | None = Field(
-        default=None, description="Kinds of defect that the inspection is planned for; the built-in ones if absent."
+        default=None, description="Kinds of defect for which the inspection is planned; the built-in ones if absent."
     )
     inspection: InspectionConfig = Field(
         default=InspectionConfig(),

@@ -128,4 +128,4 @@ def _difference(key: str, old: str | None, new: str | None) -> tuple[int, str]:
         text if len(text) <= _MOST_CHARACTERS else f"{text[:_MOST_CHARACTERS]}…"
         for text in (old or "absent", new or "absent")
     )
-    return int(key.startswith("versions.")), f"{key}: there {there}, now {now}"
+    return int(key.startswith("versions.")), f"{key}: previously {there}, now {now}"

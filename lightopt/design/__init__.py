@@ -1,4 +1,4 @@
-"""Where the lights go, in which postures and at which exposures; how exactly the angles must hold; what stays unseen.
+"""Choice of light positions, postures and exposures; tolerances of the angles; blind spots.
 
 :func:`optimize` is the pipeline, from a rig and a part to a :class:`DesignResult`; :func:`write_design` and
 :func:`finish_design` write its files.

@@ -1,4 +1,4 @@
-"""Candidate positions of the lights: the angles in their ranges, which are excluded and why, and which collide."""
+"""Candidate positions of the lights: the angles in their ranges, exclusions with reasons, and collisions."""
 
 import itertools
 import math
@@ -48,7 +48,7 @@ def light_angles(
     if len(elevations) * len(azimuths) > MOST_POSITIONS:
         raise InputError(
             f"{rig.source.at('lights', index)}: at option 'step_deg' {step_deg:g} light {light.name} has more than "
-            f"{MOST_POSITIONS:,} positions, the most that are accepted; take a larger step"
+            f"{MOST_POSITIONS:,} positions, the maximum; take a larger step"
         )
     return [(elevation, azimuth) for elevation in elevations for azimuth in azimuths]
 
@@ -169,7 +169,7 @@ def find_candidates(
     for index, others in always_colliding.items():
         for k, other in sorted(others.items()):
             name = rig.lights[index].name
-            reason = f"collides with {rig.lights[other].name} wherever that one stands"
+            reason = f"collides with {rig.lights[other].name} in all of its positions"
             left_out.append(ExcludedPosition(name, *possible[index][k][0], reason, "collision"))
     rows = [[k for k in range(len(some)) if k not in always_colliding[i]] for i, some in enumerate(possible)]
     _check_any(rig, rows, left_out)

@@ -1,4 +1,4 @@
-"""Commands: the one that requests a plan, and those that carry it out, with the stage's way in each."""
+"""Commands: the one that requests a plan, and those that carry it out, with the travel of the stage in each."""
 
 import shlex
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ HOME = Posture(0.0, 0.0)  # where the stage's way begins
 
 @dataclass(frozen=True, kw_only=True)
 class Way:
-    """The way of the stage through postures, in the order that takes least time from (0°, 0°)."""
+    """The travel of the stage through postures, in the order that takes least time from (0°, 0°)."""
 
     order: tuple[Posture, ...]
     seconds: float
@@ -81,7 +81,7 @@ def command_text(rig: Path, part: Path, options: OptimizeOptions, plan: PlanOpti
 
 
 def _render_words(options: OptimizeOptions) -> list[str]:
-    """The options of ``lightopt render`` that make it see what the plan saw, where they differ from its defaults."""
+    """The options of ``lightopt render`` that reproduce the plan's images, where they differ from its defaults."""
     default = OptimizeOptions()
     words = _differing(
         ("--points", options.points, default.points), ("--patches", options.patch_budget, default.patch_budget)

@@ -83,7 +83,7 @@ def _edited(config: RigConfig | PartConfig, kind: str, what: str, edit: Callable
     path = config.source.path
     if not config.source.text:
         raise InputError(
-            f"{path}: {kind} was built in code, so that there is no file to write {what} into; load it from one"
+            f"{path}: {kind} was built in code, so there is no file to write {what} into; load it from one"
         )
     try:
         return edit()
@@ -109,7 +109,7 @@ def planned_part_text(part: PartConfig, postures: Sequence[Posture], *, folder: 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DesignOutput:
-    """A design whose files are written but for its report and result.json.
+    """A design whose files are written, except its report and result.json.
 
     document: What result.json will say.
     overlaps: Saturated regions of the images, in the order of the postures.
@@ -140,7 +140,7 @@ def write_design(
     force: bool = False,
     run: RunContext | None = None,
 ) -> DesignOutput:
-    """Write the files of a design but for its report and result.json; :func:`finish_design` must follow.
+    """Write the files of a design except its report and result.json; :func:`finish_design` must follow.
 
     `blind_pictures` has a picture of shape (height, width, 3) for each posture. With `force`, a previous result.json
     goes first, then all that it lists.
@@ -176,7 +176,7 @@ def write_design(
 
 
 def finish_design(output: DesignOutput, report: str | None = None) -> None:
-    """Write the HTML of the report, where the options ask for one, and last result.json: then all files are there."""
+    """Write the report, if the options request it, and result.json last: then all files are complete."""
     folder = output.result.folder
     if (report is not None) != output.result.options.report:
         raise ValueError("a report is given where, and only where, the options ask for one")

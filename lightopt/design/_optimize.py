@@ -59,7 +59,7 @@ def optimize(
     force: bool = False,
     run: RunContext | None = None,
 ) -> DesignResult:
-    """Find the best positions of a rig's lights for a part (paper, section 5), and plan what `plan` asks for.
+    """Find the best positions of a rig's lights for a part (paper, section 5), and plan what `plan` requests.
 
     In the output folder only luminance matrices are cached; :func:`lightopt.design.write_design` writes the results.
     With `force`, the folder may hold other results.
@@ -131,7 +131,7 @@ def _check_image_count(rig: RigConfig, part: PartConfig, options: OptimizeOption
         postures = options.postures or part.postures
         images = len(rig.lights) * len(postures)
         of = f"{counted(len(rig.lights), 'light')} × {counted(len(postures), 'posture')}"
-        what = f"images of the plan: {of}, further exposures of the same light not being others"
+        what = f"images of the plan: {of}, further exposures of the same light do not count"
     else:
         return
     if options.min_images > images:
@@ -151,12 +151,12 @@ def _check_choice_of_postures(rig: RigConfig, options: OptimizeOptions, plan: Pl
             if value is not None
         )
         problems.append(
-            f"option 'postures': given together with {given}, by which postures are chosen from the stage's range; "
-            f"leave option 'postures' out, or {given}"
+            f"option 'postures': cannot be combined with {given}: postures are chosen from the stage's range; omit "
+            "one or the other"
         )
     if options.objectives and options.objectives[0] != DEFECT_OBJECTIVE:
         problems.append(
-            "option 'objectives': postures are chosen by what they show of the defects: expected "
+            "option 'objectives': postures are chosen by the defects that they show: expected "
             f"{DEFECT_OBJECTIVE} first, "
             f'found "{options.objectives[0]}"'
         )

@@ -1,4 +1,4 @@
-"""What to optimise, what to plan beside the lights, and the provenance of a run."""
+"""What to optimise, what to plan in addition to the lights, and the provenance of a run."""
 
 import math
 from collections.abc import Mapping
@@ -63,7 +63,7 @@ class OptimizeOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanOptions:
-    """What to plan beside the positions of the lights; nothing by default.
+    """What to plan in addition to the positions of the lights; nothing by default.
 
     choose_postures: How many to choose; as many as the target takes where None.
     target: Share of the pairs of patch and defect that the chosen ones are to show; None for no matter.
@@ -87,7 +87,7 @@ class PlanOptions:
 
     @property
     def all_exposures(self) -> tuple[float, ...]:
-        """Exposure 1, and those to choose from."""
+        """Exposure 1 and the candidate exposures."""
         return (1.0, *(exposure for exposure in self.exposures if exposure != 1.0))
 
     def facts(self) -> dict[str, Any]:

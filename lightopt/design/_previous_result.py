@@ -76,7 +76,7 @@ def begin_writing(folder: Path, listed: Mapping[str, Any], *, force: bool) -> bo
 
 
 def end_writing(folder: Path) -> None:
-    """Remove the list of files to come: all are there, result.json too."""
+    """Remove the list of files to come: all files are complete, result.json too."""
     _unlink(folder / UNFINISHED_NAME)
 
 

@@ -1,4 +1,4 @@
-"""What a design is searched for: a rig and a part as a scene, objectives, and candidate positions of the lights."""
+"""The problem to solve: a rig and a part as a scene, objectives, and candidate positions of the lights."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

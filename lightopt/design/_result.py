@@ -144,7 +144,7 @@ NEGLIGIBLE_SHARE = 0.001  # of the pairs: what further postures add together tha
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ChosenPostures:
-    """The postures of a plan, and what there was to choose from.
+    """The postures of a plan, and the candidates from which they were chosen.
 
     evaluator: All postures to choose from, and the patches for the last iterations and all figures.
     drawn: Number of patches for the first iterations.
@@ -193,7 +193,7 @@ class ToleranceResult:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanResult:
-    """What was planned beside the lights.
+    """What was planned in addition to the lights.
 
     chosen: Postures; None where the part's own were taken.
     brackets: Exposures; None where there were no others to choose from.
@@ -213,7 +213,7 @@ class PlanResult:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DesignResult(Problem):
-    """Best light positions for a part, and what was planned beside them; `candidates` are those of `results`.
+    """Best light positions for a part, and the plan made for them; `candidates` are those of `results`.
 
     command: The command line that asks for this result.
     patches: None where all matrices came from the cache and there is no report.

@@ -1,4 +1,4 @@
-"""How a design reads as JSON and CSV."""
+"""A design as JSON and CSV."""
 
 import csv
 import io

@@ -65,7 +65,7 @@ ImageKey = tuple[int, Offset, int, Offset]  # a posture, the offset of the part,
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerances:
-    """How far angles may be off, and what is to be kept.
+    """The tolerances to analyse, and the share of the score to keep.
 
     light_deg: Elevation and azimuth of each light [°].
     pose_deg: Tilt and rotation of the part [°].
@@ -96,12 +96,12 @@ class Tolerances:
 
 
 def check_light_count(lights: int) -> None:
-    """Refuse more lights than all corners can be tried of."""
+    """Refuse more lights than the number for which all corners can be tried."""
     if lights > MOST_LIGHTS:
         raise InputError(
             "option 'light_deg', option 'pose_deg': all corners of the lights' angles are tried, 4 per light: expected "
-            f"at most {MOST_LIGHTS} lights ({4**MOST_LIGHTS:,} corners), found {lights}; leave the tolerances out, or "
-            "some lights out of the rig"
+            f"at most {MOST_LIGHTS} lights ({4**MOST_LIGHTS:,} corners), found {lights}; omit the tolerances, or "
+            "remove lights from the rig"
         )
 
 
@@ -235,7 +235,7 @@ def _widest_tolerance(
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """Postures that are judged together, and the positions of the lights in them.
+    """Postures that are evaluated together, and the positions of the lights in them.
 
     angles: Elevation and azimuth of each light, posture by posture [°].
     exposures: Posture by posture, 1 among them.
@@ -288,7 +288,7 @@ class _Assessment(ABC):
 
     @abstractmethod
     def keep(self, matrices: Sequence[LuminanceMatrix], light: int, at: int) -> Any:
-        """What is stored of an image: row `at` of a light, in matrices of all exposures."""
+        """The stored part of an image: row `at` of a light, in matrices of all exposures."""
 
     def _compute_images(self, posture: int, pose: Offset, lights: Sequence[Sequence[Offset]]) -> None:
         # the images that are not known yet, those of all lights in one go

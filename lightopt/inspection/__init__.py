@@ -1,4 +1,4 @@
-"""Inspecting a part: its images fused into one without highlights, its defects found, measured and judged."""
+"""Inspection of a part: prediction, detection and measurement of defects, verdict, and an image without highlights."""
 
 from lightopt.inspection._files import (
     REPORT_NAME as REPORT_NAME,

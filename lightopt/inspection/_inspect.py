@@ -62,7 +62,7 @@ def inspect_set(
 
 @dataclass(frozen=True, kw_only=True)
 class InspectedSet:
-    """What the inspection of one image set of a batch gave.
+    """The result of the inspection of one image set of a batch.
 
     result, verdict: None where the set was refused.
     evaluation: against ground truth, where that was given.
@@ -227,13 +227,13 @@ def inspection_warnings(
     registration: Sequence[str] = (),
     calibrated: bool = False,
 ) -> tuple[str, ...]:
-    """Warnings of an inspection; `expected` are the postures that there should be images of."""
+    """Warnings of an inspection; `expected` are the postures of which there should be images."""
     warnings = [*([] if calibrated else _uncalibrated_warnings(rig, options)), *registration]
     for one in postures:
         warnings += [f"posture {one.view.posture}: {text}" for text in _posture_warnings(rig, one, options)]
     there = {one.view.posture for one in postures}
     warnings += [
-        f"posture {posture}: no images; what only it shows was not inspected"
+        f"posture {posture}: no images; surface that only this posture shows was not inspected"
         for posture in expected
         if posture not in there
     ]
@@ -247,8 +247,8 @@ def _uncalibrated_warnings(rig: RigConfig, options: InspectOptions) -> list[str]
         warnings.append(f"detector {options.detector}: {caveat}")
     if sensor.read_noise_levels == 0.0 and not sensor.electrons_per_level:
         warnings.append(
-            f"{rig.source.at('camera', 'sensor')}: no read_noise_levels and no electrons_per_level, so that rounding "
-            "is all the noise there is; good parts may show regions; give what the sensor has"
+            f"{rig.source.at('camera', 'sensor')}: no read_noise_levels and no electrons_per_level, so the only "
+            "noise is rounding, and good parts may show regions; give the values of the sensor"
         )
     return warnings
 
@@ -259,14 +259,14 @@ def _posture_warnings(rig: RigConfig, inspected: InspectedPosture, options: Insp
     if abs(dark) > max(DARK_SPREAD, MOST_DARK_SHARE * 2**sensor.bit_depth):
         side = "above" if dark > 0.0 else "below"
         warnings.append(
-            f"black is {abs(dark):.3g} sensor levels {side} the rig's black_level of {sensor.black_level:g}; judged "
-            "with that taken out; correct the rig file, or keep other light off the part"
+            f"black is {abs(dark):.3g} sensor levels {side} the rig's black_level of {sensor.black_level:g}; the "
+            "difference was subtracted; correct the rig file, or keep other light off the part"
         )
     if missing := [light.name for light in rig.lights if light.name not in view.lights]:
-        warnings.append(f"no image under {', '.join(missing)}; judged without")
+        warnings.append(f"no image under {', '.join(missing)}; inspected without it")
     if len(view.lights) < options.min_images:
         warnings.append(
-            f"fewer images than the {options.min_images} that a defect must show in; what shows in all there are counts"
+            f"fewer images than the {options.min_images} that must show a defect; a defect must show in all of these"
         )
     if not view.clean.any():
         warnings.append("no pixel shows the part off its edges; nothing was inspected")

@@ -1,4 +1,4 @@
-"""How to inspect: all that a user chooses."""
+"""Options of an inspection."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from lightopt.inspection.fusion._gradient_fusion import FUSIONS, Fusion
 
 @dataclass(frozen=True, kw_only=True)
 class InspectOptions:
-    """How to inspect.
+    """Options of an inspection.
 
     detector: ``residual``: measured against predicted; ``template``: dots and lines in the synthetic image.
     fusion: rule that the synthetic image is made by; None for no such image, which the template detector needs.

@@ -45,7 +45,7 @@ _PROVENANCE = "provenance: "
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RandomDefect:
-    """A defect as a part file is to name it.
+    """A defect as an entry of a part file.
 
     entry: the kind of the catalogue.
     at_mm: centre in the mesh file's coordinates [mm].
@@ -102,7 +102,7 @@ def place_random_defects(
         raise InputError(
             f"{part.source.path}: room for {count - len(lost)} of {counted(count, 'defect')}, each seen whole in a "
             f"posture and apart from the others, was found in {TRIES * ROUNDS} tries each; none for "
-            f"{', '.join(dict.fromkeys(lost))}; ask for fewer, or give the part a defect_catalogue with smaller ones"
+            f"{', '.join(dict.fromkeys(lost))}; place fewer, or give the part a defect_catalogue with smaller ones"
         )
     numbers: Counter[str] = Counter()
     result: list[RandomDefect] = []
@@ -199,18 +199,18 @@ def random_defect_provenance(rig: RigConfig, part: PartConfig, *, count: int, se
 def random_defects_text(
     part: PartConfig, defects: Sequence[RandomDefect], *, folder: Path, comment: str, made_from: Mapping[str, Any]
 ) -> str:
-    """Text of a part file with defects: the part's own, comments and all, and the list at its end.
+    """Text of a part file with defects: the part's own text with comments, and the list at its end.
 
     part: Read from a file that names no defects.
     folder: That the text will lie in: the mesh is named relative to it.
     comment: Of the list.
     made_from: From :func:`random_defect_provenance`: a second line of comment, as JSON.
-    Raises InputError: the part names defects already, or its file is written so that nothing can be added to it.
+    Raises InputError: the part file lists defects already, or its file is written so that nothing can be added to it.
     """
     if ("defects",) in part.source.lines:
         raise InputError(
-            f"{part.source.at('defects')}: this part names defects already; take the list out, or start from the good "
-            "part"
+            f"{part.source.at('defects')}: this part file lists defects already; remove the list, or use that "
+            "of the good part"
         )
     text = copied_text(part, folder)
     comment = f"{comment}\n{_PROVENANCE}{json.dumps(made_from, ensure_ascii=False)}"
@@ -227,7 +227,7 @@ def write_random_defects(path: Path, text: str, *, force: bool) -> None:
     if path.exists() and not force and path.read_bytes() != text.encode():
         changed = differences(_provenance(path.read_text("utf-8", errors="replace")), _provenance(text))
         raise InputError(
-            f"{path}: already there and different{f' ({changed})' if changed else ''}; use option 'force' to replace "
+            f"{path}: exists with other content{f' ({changed})' if changed else ''}; use option 'force' to replace "
             "it, or choose another name"
         )
     write_text_atomic(path, text)

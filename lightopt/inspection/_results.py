@@ -1,4 +1,4 @@
-"""What an inspection found, and the verdict by the limits of the part file."""
+"""The result of an inspection, and the verdict by the limits of the part file."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -57,7 +57,7 @@ class InspectedPosture:
 
 @dataclass(frozen=True, kw_only=True)
 class InspectionResult:
-    """What an inspection of one set of images found.
+    """The result of the inspection of one set of images.
 
     placement: where the part lies from where its file has it; None where it was not searched for.
     registration: the search that found it, or the part of the batch that it lies near; None where there was none.
@@ -113,7 +113,7 @@ class Verdict:
 
     @property
     def explanation(self) -> str:
-        """The reasons, or what speaks for the part."""
+        """The reasons why the part is OK or NG."""
         if self.reasons:
             return "; ".join(self.reasons)
         if self.counting:
@@ -161,7 +161,7 @@ class BatchRow:
 
 
 def judge(result: InspectionResult, limits: InspectionConfig) -> Verdict:
-    """Hold an inspection against the limits of the part's file."""
+    """Compare an inspection with the limits of the part file."""
     counting = [
         defect.number
         for defect in result.defects
@@ -194,7 +194,7 @@ def _count_text(count: int, allowed: int) -> str:
 
 
 def rejections(sets: Sequence[ImageSet], rows: Sequence[BatchRow]) -> list[str]:
-    """Which image sets show a part that is no good, and why: a line for each."""
+    """The image sets whose part is NG, with reasons: a line for each."""
     return [
         f"{image_set.folder}: NG, {'; '.join(row.verdict.reasons)}"
         for image_set, row in zip(sets, rows, strict=True)

@@ -156,7 +156,7 @@ def check_below_table(checked: CheckedScene) -> Iterator[Finding]:
             yield Finding("warning", "table", text, checked.part.source.at("placement"), values)
         else:
             text = (
-                f"posture {sample.posture}: the tilt makes the part dip {-lowest:.3g} mm below the plane Z = 0. "
+                f"posture {sample.posture}: the tilt moves the part {-lowest:.3g} mm below the plane Z = 0. "
                 "Nothing is hidden by the table here; on a stage whose table does not tilt along, raise the part or "
                 "the pivot"
             )

@@ -221,7 +221,7 @@ def test_lights_go_off_when_the_command_is_ended(outside, tmp_path, name):
     assert process.returncode == 130
     # a busy machine may make a reply late, which is told
     first, last = (line for line in errors.splitlines() if not line.startswith("warning: "))
-    assert re.fullmatch(r"all lights are off; \d of 4 images are on disk; go on with --resume.*", first)
+    assert re.fullmatch(r"all lights are off; \d of 4 images are on disk; continue with --resume.*", first)
     assert last == "interrupted; files that were finished are complete"
     assert not any(bench.levels("lights").values())
     read_image_set(tmp_path / "out")
@@ -342,7 +342,7 @@ def test_a_stage_switched_off_and_on_away_from_its_origin_is_noticed_before_its_
     with pytest.raises(HardwareError) as raised:
         capture(rig, part, tmp_path / "set", options=options, connect=connect)
     said = str(raised.value)
-    assert "while checking that the stage still stands where it was left" in said
+    assert "while checking that the stage has not moved" in said
     assert "those taken in this run were not kept" in said
     assert "all lights are off" in said
     assert not read_image_set(tmp_path / "set").images

@@ -138,7 +138,7 @@ def test_nothing_waits_for_a_mute_controller(bench, rig_on):
     started = bench.state()["time"]
     with pytest.raises(HardwareError, match="lights that may still be on: light1") as raised:
         switch_off(load_lights(slower))
-    assert raised.value.messages[-2] == "controllers that went dark: right"
+    assert raised.value.messages[-2] == "controllers switched off: right"
     dark_at = max(t for t, name, _, level in bench.trace() if name == "right" and level == 0)
     assert dark_at - started < 1.0
 
@@ -169,8 +169,8 @@ def test_a_controller_that_the_file_has_wrong_is_named_and_the_others_are_dark(b
     ran = cli("bench", "off", path)
     assert (ran.status, ran.out) == (2, "")
     assert dark(bench, "left", "right") == [False, True]
-    assert "not switched off, because the file is wrong there: controller left; mend it" in ran.err
-    assert "controllers that went dark: right" in ran.err
+    assert "not switched off, because of errors in the file: controller left; correct them" in ran.err
+    assert "controllers switched off: right" in ran.err
     assert "lights that may still be on: light1" in ran.err
     assert "warning: " in ran.err
 

@@ -162,6 +162,6 @@ def test_one_that_says_that_it_is_not_homed_is_not_vouched_for(wired):
     said = b"@01 1 %02d OK IDLE WR 0\r\n"
     turn = 'rotation: {axis: "1", steps_per_deg: 20}\n    assume_referenced: true'
     rig, _, script = wired([(frame(1, 1, 1, "get pos"), said % 1)], stage=turn, driver="zaber")
-    with pytest.raises(HardwareError, match="does not know where its origin is"), opened(rig) as devices:
+    with pytest.raises(HardwareError, match="the stage has no reference position"), opened(rig) as devices:
         devices.move_to(Posture(0.0, 90.0))
     assert script.ended()

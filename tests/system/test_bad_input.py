@@ -220,7 +220,7 @@ WORDS = {
         "image_distance_mm: 55\n  focal_length_mm: 50",
         9,
         "camera.focal_length_mm",
-        "expected one of the two",
+        "expected only one of them",
     ),
     "a lens too long to focus": (
         RIG,
@@ -381,7 +381,7 @@ OPTIONS = {
     "exposure twice": (("--exposures", "0.5,1/2"), "the same exposure was given twice"),
     "posture of one angle": (
         ("--posture", "82"),
-        '--posture: expected elevation,rotation in degrees such as 0,82, found "82"',
+        '--posture: expected tilt,rotation in degrees, such as 0,82, found "82"',
     ),
     "posture NaN": (("--posture", "0,nan"), 'found "0,nan"'),
     "posture twice": (("--posture", "0,82", "--posture", "0,82.0"), "the same posture was given twice"),

@@ -189,4 +189,4 @@ def test_other_facets_than_those_of_the_images_turn_no_part(scene_of, sections):
     assert place.errors[2] == pytest.approx(math.radians(6.0))
     assert (place.x, place.y) == pytest.approx((away.x, away.y), abs=0.05)
     (reported, *_) = found.warnings
-    assert reported.startswith("the turn about the rotary axis cannot be determined from these images")
+    assert reported.startswith("the rotation about the rotary axis cannot be determined from these images")

@@ -160,7 +160,7 @@ CHROME = Surface(0.6, 1.12, ((280.0, 0.03), (30.0, 0.09)))
     ("change", "words"),
     [
         (lambda image: np.roll(image, 3, axis=1), r"shifted by (2\.[5-9]|3\.[0-5]) px"),
-        (lambda image: image[::-1, ::-1], "they fit far better turned by 180°"),
+        (lambda image: image[::-1, ::-1], "they fit far better rotated by 180°"),
         pytest.param(lambda image: image, None, marks=pytest.mark.nightly),
     ],
     ids=["shifted", "turned", "in place"],

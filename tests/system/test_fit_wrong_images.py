@@ -64,7 +64,7 @@ def rolled(images, pixels, axis):
     )  # fmt: skip
 
 
-def refused_shift(scene, images, reported="Fit the shift"):
+def refused_shift(scene, images, reported="Register the part"):
     with pytest.raises(InputError, match=reported) as refused:
         judged(scene, images)
     found = re.search(r"shifted by ([0-9.]+) px", str(refused.value))
@@ -84,7 +84,7 @@ def refused_shift(scene, images, reported="Fit the shift"):
 def test_a_camera_that_is_off_is_refused(scene, pixels, axis, exposures):
     """All images are shifted alike, which no place of the part does once the stage has turned it."""
     images = rolled(captured(scene, exposures=exposures), pixels, axis)
-    reported = "no one place on the stage explains the images of all postures: correct the camera"
+    reported = "no single placement explains the images of all postures: correct the camera"
     # 1.1 is within a tenth of 1, but for rounding
     assert refused_shift(scene, images, reported) == pytest.approx(abs(pixels), rel=0.1 + 1e-9)
 

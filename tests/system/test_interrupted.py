@@ -120,7 +120,7 @@ def test_a_killed_run_is_completed_by_the_same_command(shared_bench, tmp_path, u
     before = len(read_image_set(out).images)
     said = complete(shared_bench, out)
     if before:
-        assert f"({before} of them were there already)" in said
+        assert f"({before} of them existed already)" in said
     assert snapshot(out) == undisturbed
 
 

@@ -155,4 +155,6 @@ def test_a_body_of_revolution_is_taken_to_lie_as_its_file_has_it(tmp_path, share
     assert found.turn == 0.0
     assert found.observable == (True, True, False)
     (reported,) = registration.warnings
-    assert reported.startswith("the turn about the rotary axis cannot be determined from these images; assumed as in")
+    assert reported.startswith(
+        "the rotation about the rotary axis cannot be determined from these images; assumed as in"
+    )

@@ -202,7 +202,7 @@ def test_the_report_of_a_plan(planned):
             for one in result["exposures"]["shots"]
         ]
         # tolerances, of each posture and of all
-        header, worst, *_ = table_under(seen, "How exact the angles must be")
+        header, worst, *_ = table_under(seen, "Tolerances of the angles")
         assert header[-1] == "all 2 postures"
         assert worst[1:] == [
             share_text(one["worst_corner"]["share_of_score"], one["grain"]) for one in result["tolerances"]

@@ -48,7 +48,7 @@ def towers():
     return trimesh.util.concatenate(parts)
 
 
-TURN = "the turn about the rotary axis cannot be determined from these images; assumed as in the part file"
+TURN = "the rotation about the rotary axis cannot be determined from these images; assumed as in the part file"
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +124,9 @@ def test_of_even_grey_images_nothing_is_concluded(plate):
     assert (place.x, place.y, place.turn) == (0.0, 0.0, 0.0)
     assert place.observable == (False, False, False)
     (reported,) = found.warnings
-    assert reported.startswith("where the part lies cannot be determined from these images; assumed as in the part")
+    assert reported.startswith(
+        "the placement of the part cannot be determined from these images; assumed as in the part"
+    )
 
 
 @pytest.mark.parametrize(
@@ -139,7 +141,7 @@ def test_images_that_show_nothing_are_refused(plate, level, reported):
 def test_a_part_outside_the_view_is_refused(plate):
     scene, images = plate
     away = place_part(scene, Placement(x=300.0))
-    with pytest.raises(InputError, match="shows a lit surface of the part where its file has it"):
+    with pytest.raises(InputError, match="shows a lit surface of the part at its nominal placement"):
         registered(away, images)
 
 

@@ -169,7 +169,7 @@ def test_the_report_of_an_optimisation(bench, cli, images):
     with opened(bench.out / "report.html") as seen:
         page = seen.page
         page.wait_for_selector("figure[data-state=live]")
-        assert page.inner_text("h1") == 'Where the lights go: <b>knob</b> & "co"'
+        assert page.inner_text("h1") == 'Light positions: <b>knob</b> & "co"'
         answers = page.locator("p.answer").all_inner_texts()
         shares = [100 * one["objectives"][0]["share_of_inspectable_area"] for one in result["results"]]
         # so few patches tell no tenths
@@ -242,7 +242,7 @@ def test_the_reports_of_inspected_parts(bench, cli):
         pictures = page.locator("img").all()
         assert len(pictures) == 4  # still, overlay, without highlights, its uncertainty
         assert all(p.evaluate("image => image.complete && image.naturalWidth > 1") for p in pictures)
-        surface = page.locator("section", has=page.get_by_role("heading", name="What was inspected"))
+        surface = page.locator("section", has=page.get_by_role("heading", name="Inspected surface"))
         share = one["postures"][0]["surface"]["inspected"]
         assert f"{100 * share:.1f} %" in surface.inner_text()
         assert "2 of 2 defects in view" in page.inner_text("main")

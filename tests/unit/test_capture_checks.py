@@ -166,7 +166,7 @@ def test_another_part_is_reported_and_no_light_accused():
 
 def test_an_exposure_that_shows_nothing_is_not_judged():
     found = check("left", RAMP[:, ::-1], exposure=1e-4)
-    assert found.undecided == "too dark at this exposure to tell"
+    assert found.undecided == "too dark at this exposure"
 
 
 def test_saturation_is_predicted_too():

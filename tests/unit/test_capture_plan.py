@@ -117,9 +117,9 @@ def test_a_real_stage_is_homed_when_requested_only(wired):
         ({"exposures": (1e-4,)}, r"exposure 0.0001 is 0.8 µs .* outside the camera's 10 to 1e\+07 µs"),
         ({"exposures": (0.0,)}, "expected numbers above 0, found 0"),
         ({"exposures": (1.0, 1.0)}, "option 'exposures': the same one was given twice"),
-        ({"exposures": (700.0,)}, "light1: would be on for 5.65 s at a stretch .* longer than max_on_s 5"),
+        ({"exposures": (700.0,)}, "light1: would be on for 5.65 s without a break .* longer than max_on_s 5"),
         ({"average": 0}, "option 'average': expected 1 to 1000 frames, found 0"),
-        ({"average": 600}, "light1: would be on for 5.77 s at a stretch .* longer than max_on_s 5"),
+        ({"average": 600}, "light1: would be on for 5.77 s without a break .* longer than max_on_s 5"),
     ],
 )
 def test_what_cannot_be_is_refused(wired, options, says):
@@ -137,7 +137,7 @@ def test_without_a_stage_one_run_takes_one_posture(wired):
     text = wired.rig.read_text(encoding="utf-8")
     start, end = text.index("  stage:\n    driver"), text.index("  camera: {driver")
     wired.rig.write_text(text[:start] + text[end:], encoding="utf-8", newline="\n")
-    with pytest.raises(InputError, match=r"has no stage, so that one run takes one posture; .* found 2"):
+    with pytest.raises(InputError, match=r"has no stage, so one run captures one posture; .* found 2"):
         plan_of(wired)
     plan = plan_of(wired, postures=(Posture(-20.0, 30.0),))
     assert "move" not in {step.kind for step in plan.steps()}

@@ -138,7 +138,7 @@ def test_a_stage_that_lost_steps_on_its_way_is_reported(take, world, bench) -> N
     done = take(check_repeatability=True)
     (reported,) = done.warnings
     assert reported.startswith(
-        "came back to (0°, 0°): the part has turned since the first image there, its elevation by roughly +"
+        "repeated image at (0°, 0°): the part has rotated since the first image, its elevation by roughly +"
     )
     assert "it lost steps, or the part slipped; home the stage and capture again" in reported
     manifest = json.loads((bench.out / "manifest.json").read_text(encoding="utf-8"))

@@ -56,7 +56,7 @@ def test_images_before_a_frame_that_was_not_dark_are_not_kept_and_taken_anew(tak
     world.trouble = changing_at(world, 3, glowing(16))  # light3, whose image alone does not show it
     with pytest.raises(HardwareError, match="the frame without light looks like light1") as raised:
         take(postures=HERE)
-    assert "were not kept; option 'resume' takes them again" in str(raised.value)
+    assert "were not kept; option 'resume' captures them again" in str(raised.value)
     assert manifest(bench)["images"] == []
     assert not list(bench.out.rglob("*.png"))
     undisturbed(world)
@@ -73,7 +73,7 @@ def test_images_that_no_dark_frame_followed_are_taken_anew(take, world, bench):
 
     world.trouble = trouble
     with pytest.raises(
-        Interrupted, match="4 of 4 images are on disk; go on with option 'resume', which takes 2 of them"
+        Interrupted, match="4 of 4 images are on disk; continue with option 'resume', which captures 2 of them"
     ):
         take()
     assert len(manifest(bench)["ended_dark"]) == 1
@@ -254,10 +254,12 @@ def test_a_disk_that_hangs_is_waited_for_and_the_folder_stays_locked(take, world
     monkeypatch.setattr(_set_writer, "write_png", hang)
     at_the_keys = threading.Thread(target=person)
     at_the_keys.start()
-    with pytest.raises(Interrupted, match="all lights are off; 1 of 4 images are on disk; go on with option 'resume'"):
+    with pytest.raises(
+        Interrupted, match="all lights are off; 1 of 4 images are on disk; continue with option 'resume'"
+    ):
         take(run=RunContext(warn=said.append))
     at_the_keys.join()
-    assert said == ["all lights are off; waiting for the disk to take what was exposed; Ctrl-C waits for it, too"]
+    assert said == ["all lights are off; waiting until the disk has written the exposed images; Ctrl-C also waits"]
     assert seen == [set(), True]
     assert not (bench.out / LOCK_NAME).exists()
     assert not [t.name for t in threading.enumerate() if t.name.startswith(("disk", "linear"))]
@@ -375,4 +377,6 @@ def test_what_differs_is_said_before_which_files_do(take, bench):
     bench.edit("part.yaml", "R_d: 45.0", "R_d: 46.0")
     with pytest.raises(InputError) as raised:
         take(postures=HERE, part=load_part(bench.part), average=2, resume=True)
-    assert "(options.average: there 1, now 2; part.sha256: another content); use option 'force'" in str(raised.value)
+    assert "(options.average: previously 1, now 2; part.sha256: another content); use option 'force'" in str(
+        raised.value
+    )

@@ -282,7 +282,7 @@ def test_resuming_refuses_another_rig_or_part(take, bench, world, file, old, new
 def test_resuming_refuses_another_plan_and_says_what_differs(take, world):
     take()
     world.log.clear()
-    with pytest.raises(InputError, match=r"options.average: there 1, now 4"):
+    with pytest.raises(InputError, match=r"options.average: previously 1, now 4"):
         take(resume=True, average=4)
     with pytest.raises(InputError, match=r"options.exposures"):
         take(resume=True, exposures=(1.0, 0.5))
@@ -345,7 +345,7 @@ def test_a_disk_that_refuses_ends_with_lights_off(take, world, monkeypatch):
         raise InputError("disk full")
 
     monkeypatch.setattr(_set_writer, "write_png", full)
-    with pytest.raises(HardwareError, match="while checking and writing the image before: disk full") as raised:
+    with pytest.raises(HardwareError, match="while checking and writing the previous image: disk full") as raised:
         take()
     assert "all lights are off" in str(raised.value)
     assert not world.lit
@@ -397,7 +397,7 @@ def test_a_lamp_that_dies_between_exposures_is_named(take, world, bench):
 
 def test_a_lamp_that_weakens_between_exposures_is_named(take, world):
     world.trouble = changing_at(world, 6, lambda world: world.levels.update({("bench1", 1): 120}))
-    with pytest.raises(HardwareError, match=r"light1 is \d+% as bright as at exposure 1: it went out, changed"):
+    with pytest.raises(HardwareError, match=r"light1 is \d+% as bright as at exposure 1: it failed, changed"):
         take(exposures=(1.0, 1 / 4, 1 / 16))
 
 
@@ -472,13 +472,15 @@ def test_force_removes_nothing_before_the_devices_are_open_and_dark(take, world,
 
 def test_without_the_check_is_another_plan(take, world):
     take()
-    with pytest.raises(InputError, match=r"options\.check: there true, now false"):
+    with pytest.raises(InputError, match=r"options\.check: previously true, now false"):
         take(resume=True, check=False)
 
 
 def test_an_interrupted_run_says_where_it_stands(take, world, bench):
     world.trouble = broken("grab", number=4, error=KeyboardInterrupt())
-    with pytest.raises(Interrupted, match="all lights are off; 2 of 4 images are on disk; go on with option 'resume'"):
+    with pytest.raises(
+        Interrupted, match="all lights are off; 2 of 4 images are on disk; continue with option 'resume'"
+    ):
         take()
     assert len(read_image_set(bench.out).images) == 2
 

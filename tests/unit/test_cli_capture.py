@@ -88,7 +88,7 @@ def test_a_dry_run_prints_every_step_and_opens_nothing(cli, wired, sealed):
     assert sum("expose light" in line for line in lines) == 8
     assert sum("expose dark" in line for line in lines) == 6
     assert lines[-1].startswith("8 images in ")
-    assert lines[-1].endswith("nothing was opened or moved")
+    assert lines[-1].endswith("no device was opened or moved")
     assert not wired.out.exists()
 
 
@@ -108,7 +108,7 @@ def test_capture_says_where_the_set_is_and_takes_nothing_twice(cli, wired):
     assert again.status == 2
     assert "use --resume" in again.err
     resumed = cli("capture", wired.rig, wired.part, "-o", wired.out, "--resume")
-    assert "4 images (4 of them were there already)" in resumed.out
+    assert "4 images (4 of them existed already)" in resumed.out
     render = cli("render", wired.rig, wired.part, "-o", wired.out, "--force", "--patches", "500")
     assert render.status == 2
     assert "captured images, which simulated ones never replace" in render.err
@@ -136,7 +136,7 @@ def test_a_dry_run_says_that_the_folder_holds_another_capture(cli, wired, sealed
     ran = cli(*whole)
     assert ran.status == 2
     assert "holds an image set; use --resume" in ran.err
-    assert "holds the image set of another run (kind: there" in cli(*whole, "--resume").err
+    assert "holds the image set of another run (kind: previously" in cli(*whole, "--resume").err
     assert cli(*whole, "--force").status == 0
     assert snapshot(wired.out) == before
 
@@ -176,13 +176,13 @@ def test_an_interrupted_capture_says_how_to_go_on(cli, wired, monkeypatch):
     from lightopt.core.errors import Interrupted
 
     def stop(*arguments, **options):
-        raise Interrupted("all lights are off; 1 of 4 images are on disk; go on with --resume")
+        raise Interrupted("all lights are off; 1 of 4 images are on disk; continue with --resume")
 
     monkeypatch.setattr(lightopt.rig.capture, "capture", stop)
     ran = cli("capture", wired.rig, wired.part, "-o", wired.out)
     assert (ran.status, ran.out) == (130, "")
     said = [line for line in ran.err.splitlines() if line]
-    assert said[0] == "all lights are off; 1 of 4 images are on disk; go on with --resume"
+    assert said[0] == "all lights are off; 1 of 4 images are on disk; continue with --resume"
     assert said[1].startswith("interrupted")
 
 
@@ -211,10 +211,10 @@ def test_a_light_burns_for_the_time_given(cli, wired):
     [
         (("light", "RIG", "light1", "221", "--seconds", "1"), "expected a level from 1 to 220"),
         (("light", "RIG", "lamp", "--seconds", "1"), 'no light "lamp"'),
-        (("light", "RIG", "light1"), "nobody can press Enter here"),
+        (("light", "RIG", "light1"), "standard input is not a terminal"),
         (("move", "RIG"), "expected --elevation, --rotation or both"),
         (("move", "RIG", "--rotation", "400"), "rotation 400° is outside the stage's range"),
-        (("snap", "RIG", "frame.png"), "--part: the virtual camera needs to know"),
+        (("snap", "RIG", "frame.png"), "--part: required with the virtual camera"),
         (("light", "RIG", "light1", "--seconds", "6"), "light1 would be on for 6 s, longer than its max_on_s of 5 s ("),
         (
             ("snap", "RIG", "frame.png", "--part", "PART", "--light", "light1", "--exposure", "700"),
@@ -230,8 +230,8 @@ def test_bench_refuses_before_anything_is_opened(cli, wired, sealed, arguments, 
 
 
 def test_home_move_and_off(cli, wired):
-    assert cli("bench", "home", wired.rig).out == "the stage stands at (0°, 0°)\n"
-    assert cli("bench", "move", wired.rig, "--rotation", "82").out == "the stage stands at (0°, 82°)\n"
+    assert cli("bench", "home", wired.rig).out == "the stage is at (0°, 0°)\n"
+    assert cli("bench", "move", wired.rig, "--rotation", "82").out == "the stage is at (0°, 82°)\n"
     assert cli("bench", "off", wired.rig).out == "all lights of small are off (main)\n"
 
 
@@ -264,7 +264,7 @@ def test_a_dry_run_sees_devices_that_cannot_be(cli, wired, sealed, old, new, say
     wired.edit("rig.yaml", old, new.replace("PLAIN", str(wired.part)))
     ran = cli("capture", wired.rig, wired.part, "--dry-run")
     assert ran.status == 2
-    assert "nothing was opened or moved" in ran.out  # the plan is shown all the same
+    assert "no device was opened or moved" in ran.out  # the plan is shown all the same
     assert says in ran.err
     whole = cli("capture", wired.rig, wired.part, "-o", wired.out)
     assert (whole.status, whole.out) == (2, "")
@@ -299,4 +299,4 @@ def test_an_exposure_that_no_camera_has_is_reported_before_how_long_a_light_woul
 @pytest.mark.skipif(sys.platform == "win32", reason="the port is one of POSIX")
 def test_a_port_that_is_there_was_not_opened(cli, wired, sealed):
     wired.edit("rig.yaml", "{driver: ccs, port: virtual,", "{driver: ccs, port: /dev/tty,")
-    assert "there, not opened" in cli("bench", "devices", wired.rig).out
+    assert "present, not opened" in cli("bench", "devices", wired.rig).out

@@ -87,7 +87,7 @@ def test_a_drawing_needs_a_part_and_nothing_is_written_without(cli, bench, snaps
     before = snapshot(bench.folder)
     ran = cli("check", bench.rig, "--drawing", bench.folder / "rig.png", "--json", bench.folder / "findings.json")
     assert ran.status == 2
-    assert ran.err == "error: --drawing: needs a part file, too\n"
+    assert ran.err == "error: --drawing: expected a part file as well\n"
     assert ran.out == ""
     assert snapshot(bench.folder) == before
 

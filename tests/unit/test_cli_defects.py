@@ -38,7 +38,9 @@ def test_a_catalogue_is_strewn_over_what_the_camera_sees(cli, catalogue):
     assert (ran.status, ran.err) == (0, "")
     assert ran.out == f"6 defects: 2 × knock, 2 × line, 2 × a spot: dark\n{catalogue.folder / 'bad.yaml'}\n"
     text = (catalogue.folder / "bad.yaml").read_text(encoding="utf-8")
-    assert text.startswith(catalogue.part.read_text(encoding="utf-8") + "\n# 6 defects, scattered by: lightopt defects")
+    assert text.startswith(
+        catalogue.part.read_text(encoding="utf-8") + "\n# 6 defects, placed at random by: lightopt defects"
+    )
     (line,) = (line for line in text.splitlines() if line.startswith("# provenance: "))
     found = json.loads(line.partition(": ")[2])
     assert found["options"] == {"seed": 3, "count": 6}
@@ -115,7 +117,9 @@ def test_another_result_is_not_overwritten(cli, catalogue):
     assert scatter(cli, catalogue).status == 0
     ran = scatter(cli, catalogue, seed=9)
     assert ran.status == 2
-    assert "bad.yaml: already there and different (options.seed: there 3, now 9); use --force to replace it" in ran.err
+    assert (
+        "bad.yaml: exists with other content (options.seed: previously 3, now 9); use --force to replace it" in ran.err
+    )
     assert scatter(cli, catalogue, "bad.yaml", "--force", seed=9).status == 0
 
 
@@ -136,7 +140,7 @@ def test_too_many_too_few_and_those_already_there_are_refused(cli, catalogue):
         "defects", catalogue.rig, catalogue.folder / "bad.yaml", "--seed", 1, "--count", 1, "-o", catalogue.folder / "x"
     )
     assert ran.status == 2
-    assert "defects: this part names defects already" in ran.err
+    assert "defects: this part file lists defects already" in ran.err
     ran = scatter(cli, catalogue, ".")
     assert "expected the name of a part file to write, found a folder" in ran.err
 
@@ -173,7 +177,7 @@ def test_a_set_with_defects_is_resumed_and_not_mixed_with_the_good_one(cli, cata
     assert cli(*command).status == 0
     again = cli(*command)
     assert again.status == 0
-    assert "4 of them were there already" in again.out
+    assert "4 of them existed already" in again.out
     ran = cli(*command, "--no-defects")
     assert ran.status == 2
     assert "holds the image set of another run" in ran.err

@@ -166,7 +166,7 @@ def test_other_thresholds_and_other_noise_are_other_matrices_and_other_results(t
     loose = result_of(three.out)["results"][0]["objectives"][0]["score"]
     ran = cli(*command, "--threshold", "20")
     assert ran.status == 2
-    assert "options.threshold: there 5.0, now 20.0" in ran.err
+    assert "options.threshold: previously 5.0, now 20.0" in ran.err
     ran = cli(*command, "--threshold", "20", "--force")
     assert ran.status == 0
     assert "reused" not in ran.out
@@ -183,8 +183,8 @@ def test_other_thresholds_and_other_noise_are_other_matrices_and_other_results(t
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--min-images", "2"), "--min-images: does nothing without --objective detectability"),
-        (("--threshold", "2"), "--threshold: does nothing without --objective detectability"),
+        (("--min-images", "2"), "--min-images: has no effect without --objective detectability"),
+        (("--threshold", "2"), "--threshold: has no effect without --objective detectability"),
         (("--objective", "detectability", "--min-images", "0"), "Invalid value for '--min-images'"),
         (("--objective", "detectability", "--min-images", "4"), "seen in 4 images, and the rig has 3 lights only"),
         (("--objective", "detectability", "--threshold", "0"), "--threshold: expected a number above 0"),

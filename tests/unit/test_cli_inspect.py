@@ -197,7 +197,7 @@ def test_limits_of_the_part_say_what_counts(cli, bench, parts):
     rows = list(csv.DictReader((bench.out / "defects.csv").read_text(encoding="utf-8").splitlines()))
     assert [row["counts"] for row in rows] == ["no", "no"]
     page = (bench.out / "report.html").read_text(encoding="utf-8")
-    assert "1 defect allowed; one counts from 20 mm and a contrast of 0.0 % on" in page
+    assert "at most 1 defect of 20 mm or more and a contrast of 0.0 % or more" in page
     assert "a defect shows in 2 images<" in page
     bench.part.write_text(text + "inspection: {most_defects: 5, least_inspected: 0.99}\n", encoding="utf-8")
     ran = inspect(cli, bench, parts["bad"], "--fail-on-defect", "--fusion", "none", "--force")
@@ -317,7 +317,7 @@ def test_what_a_set_lacks_is_said(cli, bench, tmp_path):
     assert surface["fewer_lights"] == pytest.approx(lit, abs=2e-5)
     assert lit > 0.5
     page = (bench.out / "report.html").read_text(encoding="utf-8")
-    assert "a defect shows in 2 images, or in all where there are fewer<" in page
+    assert "a defect must show in 2 images, or in all images where there are fewer<" in page
 
 
 @pytest.mark.slow
@@ -363,7 +363,7 @@ def test_what_is_allowed_and_what_is_found_is_said(cli, bench, parts):
     page = (bench.out / "report.html").read_text(encoding="utf-8")
     assert "1 defect that counts, 3 allowed. 2 defects on the" in page
     assert reported in page
-    assert "0 shown by no pixel to judge; 0 false alarms per posture" in ran.out
+    assert "0 without an evaluable pixel; 0 false alarms per posture" in ran.out
 
 
 def flip(folder, axis):
@@ -426,7 +426,7 @@ def test_what_cannot_be_known_is_refused_before_any_work(cli, bench, parts, imag
     for sets in (images, [parts["bad"], images]):
         ran = inspect(cli, bench, sets, "--evaluate")
         assert ran.status == 2
-        assert "nothing is known of defects on this part" in ran.err
+        assert "no ground truth for this part" in ran.err
         assert not bench.out.exists()
 
 
@@ -467,7 +467,7 @@ def test_a_black_level_that_is_off_is_reported(cli, bench, images):
     (images / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
     ran = inspect(cli, bench, images, "--fusion", "none")
     assert ran.status == 0
-    reported = re.search(r"black is ([0-9.]+) sensor levels above the rig's black_level of 0; judged", ran.err)
+    reported = re.search(r"black is ([0-9.]+) sensor levels above the rig's black_level of 0; the difference", ran.err)
     assert reported is not None
     assert float(reported.group(1)) == pytest.approx(9.0, abs=0.7)
 
@@ -480,7 +480,7 @@ def test_images_that_are_saturated_all_over_are_refused(cli, bench, images):
     (images / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
     ran = inspect(cli, bench, images, "--fail-on-defect")
     assert ran.status == 2
-    assert "pixels of the part that can be judged are saturated in each of 2 images" in ran.err
+    assert "evaluable pixels of the part are saturated in each of 2 images" in ran.err
     assert "shorter exposure" in ran.err
     assert not (bench.out / "defects.json").exists()
 

@@ -246,7 +246,7 @@ def test_another_run_is_refused_before_any_work_and_replaced_by_force(three, cli
     before = snapshot(three.out)
     ran = cli(*command, "--step", "20", "--posture", "0,0")
     assert ran.status == 2
-    assert "the result of another run (options.step_deg: there 10.0, now 20.0); use --force" in ran.err
+    assert "the result of another run (options.step_deg: previously 10.0, now 20.0); use --force" in ran.err
     assert snapshot(three.out) == before
     assert cli(*command, "--step", "20", "--force", "-q").status == 0
     assert result_of(three.out)["provenance"]["options"]["step_deg"] == 20.0
@@ -379,7 +379,7 @@ def test_plain_shapes_have_an_answer_or_an_error_in_words(three, cli, shape, obj
     assert "nan" not in (ran.out + ran.err).lower()
     if shape == "sheet":
         assert ran.status == 2
-        assert "all that the camera sees, it sees at more than 80° to the normal" in ran.err
+        assert "the camera sees surface at more than 80° to its normal only" in ran.err
         assert not (three.out / "result.json").exists()
         return
     assert ran.status == 0, ran.err
@@ -399,7 +399,7 @@ def test_one_light_is_placed_for_defects_and_refused_by_objectives_that_compare_
     with_lights(bench, ONE_LIGHT)
     refused = cli("optimize", bench.rig, bench.part, "-o", bench.out)
     assert refused.status == 2
-    assert "objective coverage wants each patch usable in 2 images, and there is one light only" in refused.err
+    assert "objective coverage requires each patch to be usable in 2 images, and there is one light only" in refused.err
     assert "use the objective detectability" in refused.err
     arguments = ("--step", "30", "--patches", "500", *BARE, "--posture", "0,0")
     ran = cli("optimize", bench.rig, bench.part, "-o", bench.out, "--objective", "detectability", *arguments)

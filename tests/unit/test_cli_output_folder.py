@@ -176,7 +176,7 @@ def test_force_removes_the_set_that_was_there_and_nothing_else(cli, bench, snaps
     few = ("--light", "light1", "--posture", "-10,170", *FEW)
     ran = cli("render", bench.rig, bench.part, "-o", bench.out, *few, "--force")
     assert ran.status == 0
-    assert ran.out.splitlines()[1] == f"replaced the image set that was there ({len(old) - 1} files)"
+    assert ran.out.splitlines()[1] == f"replaced the existing image set ({len(old) - 1} files)"
     listed = {"posture_-10_170/light1.png", "posture_-10_170/light1.exr", "posture_-10_170/geometry.exr"}
     mine = {"notes.txt", "posture_0_0/mine.png"}
     assert set(snapshot(bench.out)) == {"manifest.json", "patches.npz", *listed, *mine}

@@ -209,7 +209,7 @@ def test_the_same_command_again_gives_the_same_bytes_and_another_is_refused(plan
     other = [text if text != "2" else "3" for text in PLAN]
     ran = cli("optimize", planned.rig, planned.part, "-o", planned.out, *other)
     assert ran.status == 2
-    assert "options.choose_postures: there 2, now 3" in ran.err
+    assert "options.choose_postures: previously 2, now 3" in ran.err
 
 
 @pytest.mark.slow
@@ -308,22 +308,22 @@ def test_more_postures_than_there_are_and_such_as_add_next_to_nothing_are_report
     few = ("--patches", "100", "--step", "10", "--no-images", "--posture-step", "90", "--no-report", "-v")
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *few, "--choose-postures", "30")
     assert ran.status == 0, ran.err
-    assert "13 postures to choose from, fewer than the 30 that were asked for, 0 left out" in ran.out
+    assert "13 postures to choose from, fewer than the 30 requested, 0 left out" in ran.out
     chosen = result_of(two.out)["chosen_postures"]
     assert chosen["requested"] == 30
     number, first = len(chosen["postures"]), chosen["postures_to_a_tenth_of_a_point"]
     why = "there are no others" if number == 13 else "no other adds anything with these lights"
-    assert f"30 postures were asked for: {why}" in ran.out
+    assert f"30 postures requested, {number} chosen: {why}" in ran.out
     shares = [one["share"] for one in chosen["postures"]]
     assert shares[first - 1] >= shares[-1] - 0.001 - 1e-6
     assert first == 1 or shares[first - 2] < shares[-1] - 0.001 + 1e-6
-    assert (first < number) == (f"--choose-postures {first} does nearly as well" in ran.out)
+    assert (first < number) == (f"--choose-postures {first} is nearly as good" in ran.out)
     # how large the patches are that all this is told on
     assert chosen["patches"]["max_edge_mm"] > 1.0
     # no digit that the patches do not support, in any table
     assert not re.search(r"\d\.\d+ %", ran.out)
     points = f"{100.0 * chosen['patches']['grain']:.1g} points"
-    assert "each patch counts as its middle does: " in ran.out
+    assert "resolution: " in ran.out
     assert f"shares may be off by some {points}" in ran.out
     assert 0.01 < chosen["patches"]["grain"] < 0.1
 
@@ -422,7 +422,7 @@ def test_a_target_within_reach_takes_no_more_than_it_needs(two, cli):
     chosen = result_of(two.out)["chosen_postures"]
     assert chosen["share"] >= 0.3
     assert 1 <= chosen["fewest_possible"] <= len(chosen["postures"])
-    assert "30 % takes at least" in ran.out
+    assert "30 % needs at least" in ran.out
     assert "1 combination at most" not in ran.out, "nothing is searched a second time"
 
 
@@ -430,8 +430,8 @@ def test_a_target_within_reach_takes_no_more_than_it_needs(two, cli):
     ("why", "expected"),
     [
         ("gain", "adds 1 % or more."),
-        ("pair", "adds 1 % or more, or with another twice that."),
-        ("target", "adds 1 % or more, or where the target takes it."),
+        ("pair", "adds 1 % or more, or twice that together with another."),
+        ("target", "adds 1 % or more, or if the target needs it."),
     ],
 )
 def test_exposures_that_the_target_takes_are_reported(capsys, why, expected):
@@ -440,7 +440,7 @@ def test_exposures_that_the_target_takes_are_reported(capsys, why, expected):
     show_plan(PlanResult(brackets=brackets), verbose=False)
     reported = capsys.readouterr().out
     assert "with exposure 1 alone 90.0 %" in reported
-    assert f"One is planned where it {expected}" in reported
+    assert f"An exposure is planned if it {expected}" in reported
     assert "0.4 % " in reported
     # no digit that the patches do not support
     show_plan(PlanResult(brackets=replace(brackets, grain=0.02)), verbose=True)
@@ -473,14 +473,14 @@ def test_tolerances_of_another_objective(two, cli):
         (("--target", "950"), "such as 0.95, found 950\n"),
         (("--choose-postures", "1", "--posture-step", "0"), "--posture-step: expected degrees above 0, found 0"),
         (("--choose-postures", "1", "--posture-step", "0.1"), "take a larger step"),
-        (("--posture-step", "30"), "--posture-step: does nothing without --choose-postures or --target"),
-        (("--allow-outside", "3"), "--allow-outside: does nothing without --choose-postures or --target"),
+        (("--posture-step", "30"), "--posture-step: has no effect without --choose-postures or --target"),
+        (("--allow-outside", "3"), "--allow-outside: has no effect without --choose-postures or --target"),
         (
             ("--choose-postures", "1", "--allow-outside=-1"),
             "--allow-outside: expected a number of pixels, 0 or more, found -1",
         ),
-        (("--exposure-gain", "2"), "--exposure-gain: does nothing without --exposures"),
-        (("--tolerance-target", "0.9"), "does nothing without --light-tolerance"),
+        (("--exposure-gain", "2"), "--exposure-gain: has no effect without --exposures"),
+        (("--tolerance-target", "0.9"), "has no effect without --light-tolerance"),
         (("--exposures", "1,0"), "--exposures: expected a number from 1e-09 to 1e+09 or a fraction"),
         (("--exposures", "1,-1/4"), 'found "-1/4"'),
         (("--exposures", "1/4,1/4"), "--exposures: the same exposure was given twice"),
@@ -488,8 +488,8 @@ def test_tolerances_of_another_objective(two, cli):
         (("--light-tolerance", "-2"), "--light-tolerance: expected degrees from 0 to 16, found -2"),
         (("--pose-tolerance", "nan"), "--pose-tolerance: expected degrees from 0 to 16, found nan"),
         (("--light-tolerance", "2", "--tolerance-target", "1"), "--tolerance-target: expected a share of the score"),
-        (("--choose-postures", "1", "--posture", "0,0"), "leave --posture out, or --choose-postures"),
-        (("--target", "0.5", "--posture", "0,0"), "--posture: given together with --target, by which postures"),
+        (("--choose-postures", "1", "--posture", "0,0"), "omit one or the other"),
+        (("--target", "0.5", "--posture", "0,0"), "--posture: cannot be combined with --target: postures are chosen"),
         (("--choose-postures", "1", "--objective", "coverage"), "expected detectability first"),
         (("--choose-postures", "2", "--min-images", "0"), "Invalid value for '--min-images'"),
         (("--exposures", "1/4", "--min-images", "0"), "Invalid value for '--min-images'"),

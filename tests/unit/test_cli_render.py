@@ -90,7 +90,7 @@ def test_a_light_left_out_at_first_is_added_to_the_same_set(cli, bench):
     assert cli("render", bench.rig, bench.part, "-o", bench.out, *FEW, "-q", "--light", "light1").status == 0
     ran = cli("render", bench.rig, bench.part, "-o", bench.out, *FEW)
     assert ran.status == 0
-    assert ran.out.startswith("4 images (2 of them were there already)")
+    assert ran.out.startswith("4 images (2 of them existed already)")
     assert sorted(lights_of(bench.out)) == sorted(
         (light, posture) for light in ("light1", "light3") for posture in ("(0°, 0°)", "(-10°, 170°)")
     )
@@ -405,7 +405,7 @@ def test_the_same_run_again_changes_no_byte_and_says_so(cli, bench, snapshot):
     times = {path: path.stat().st_mtime_ns for path in bench.out.rglob("*.exr")}
     ran = cli("render", bench.rig, bench.part, "-o", bench.out, *FULL)
     assert ran.status == 0
-    assert ran.out.startswith("8 images (8 of them were there already), 0.0 million rays")
+    assert ran.out.startswith("8 images (8 of them existed already), 0.0 million rays")
     assert snapshot(bench.out) == before
     assert {path: path.stat().st_mtime_ns for path in bench.out.rglob("*.exr")} == times
 
@@ -443,7 +443,7 @@ def test_other_options_are_refused_without_force(cli, bench, snapshot, options, 
     before = snapshot(bench.out)
     ran = cli("render", bench.rig, bench.part, "-o", bench.out, *FEW, "-q", *options)
     assert ran.status == 2
-    assert ran.err.startswith(f"error: {bench.out}: holds the image set of another run ({named}: there ")
+    assert ran.err.startswith(f"error: {bench.out}: holds the image set of another run ({named}: previously ")
     assert "--force" in ran.err
     assert snapshot(bench.out) == before
     assert cli("render", bench.rig, bench.part, "-o", bench.out, *FEW, "-q", "--force", *options).status == 0

@@ -121,7 +121,7 @@ def test_panels_that_meet_are_kept_apart(tmp_path):
         rig_of(tmp_path, light("a", 45, 0, ", azimuth_range_deg: [0, 40]"), light("b", 45, 20)), step_deg=20.0
     )
     assert [(out.light, out.azimuth_deg) for out in blocked.left_out] == [("a", 20.0)]
-    assert blocked.left_out[0].reason == "collides with b wherever that one stands"
+    assert blocked.left_out[0].reason == "collides with b in all of its positions"
     assert blocked.space.clashes == {}
 
 
@@ -139,7 +139,7 @@ def test_bad_input_says_where_and_what_to_do(tmp_path):
         with pytest.raises(InputError, match="option 'step_deg': expected degrees above 0"):
             find_candidates(rig, step_deg=step)
     for step in (1e-7, 1e-310, 5e-324):
-        with pytest.raises(InputError, match="more than 100,000 positions, the most that are accepted"):
+        with pytest.raises(InputError, match="more than 100,000 positions, the maximum"):
             find_candidates(rig, step_deg=step)
 
 

@@ -296,8 +296,8 @@ def test_reasons_for_an_unreached_target_are_of_the_surface_that_the_shares_are_
     text = str(target_not_reached(1.0, choice, few, least=1))
     assert "contrast under noise" in text
     assert "never seen by the camera" not in text
-    assert "is not reached: with the lights as they stand, all" in text
-    assert "add them, such as option 'exposures' 1,4,16. Ask for less" in text
+    assert "is not reached: with the present light positions, all" in text
+    assert "add them, such as option 'exposures' 1,4,16. Lower the target" in text
     longer = replace(few, exposures=(4.0, 1.0))
     assert "--exposures" not in str(target_not_reached(1.0, choice, longer, least=1))
     # a bound that falls short of the target is not rounded up to it
@@ -306,7 +306,7 @@ def test_reasons_for_an_unreached_target_are_of_the_surface_that_the_shares_are_
         choice.cover, steps=steps, total=1_000_000, bounds=(0, 949_960), all_benefit=960_000, all_covered=960_000
     )
     short = replace(choice, postures=choice.postures[:1], cover=cover)
-    assert "show more than 94.996 % with these lights; 95 % was asked for" in str(
+    assert "show more than 94.996 % with these lights; 95 % are required" in str(
         target_not_reached(0.95, short, few, least=1)
     )
 

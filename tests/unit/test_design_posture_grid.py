@@ -119,5 +119,5 @@ def test_a_posture_may_leave_the_view_by_as_much_as_is_allowed(bench):
 
 def test_postures_that_put_a_light_into_the_part_are_left_out(bench):
     bench.edit("rig.yaml", "{name: light1, distance_mm: 330", "{name: light1, distance_mm: 5")
-    with pytest.raises(InputError, match=r"no posture of 1 is left.*a place of light1 is inside the part"):
+    with pytest.raises(InputError, match=r"no posture of 1 is left.*a position of light1 is inside the part"):
         usable(bench, (Posture(0.0, 0.0),))

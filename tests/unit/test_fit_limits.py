@@ -135,7 +135,7 @@ def test_a_profile_over_sigma_finds_every_peak_and_the_best_first():
 @pytest.mark.parametrize(
     ("sigma", "r_s", "word"),
     [(0.0009, 1e3, "lower end"), (0.001, 1e3, "lower end"), (0.2, 1e3, "upper end"), (0.28, 1e3, "upper end"),
-     (0.05, 1e12, "not bounded")],
+     (0.05, 1e12, "without an upper bound")],
 )  # fmt: skip
 def test_values_out_of_the_documented_range_are_refused(sigma, r_s, word):
     with pytest.raises(InputError, match=word):
@@ -174,11 +174,11 @@ def poor(*, free=(), lights=(0, 1)):
 
 
 def test_only_what_was_not_fitted_is_a_possible_reason():
-    everything = ("fit the shift", "fit the gains", "fit it")
+    everything = ("register the part", "fit the gains", "fit it")
     for options, placed, left in (
         ({}, False, everything),
         ({}, True, ("fit the gains", "fit it")),
-        ({"free": (DARK,)}, False, ("fit the shift", "fit the gains")),
+        ({"free": (DARK,)}, False, ("register the part", "fit the gains")),
         ({"free": (FIRST_GAIN + 1,)}, True, ("fit it",)),
         ({"lights": (1, 1)}, True, ("fit it",)),
     ):
@@ -301,7 +301,7 @@ def fit(cli, bench, images, out, *more, rig=None, pixels=1500):
 def test_the_noise_of_the_images_is_written_into_the_rig(cli, bench, noisy):
     first = fit(cli, bench, noisy, bench.out, "--write-noise", pixels=5_000)
     assert first.status == 0
-    assert "sensor levels of noise, the rig file's figures make" in first.err
+    assert "by the rig file: give read_noise_levels" in first.err
     assert "noise written" in first.out
     written = load_rig(bench.out / "rig.fitted.yaml").camera.sensor
     figures = json.loads((bench.out / "fit.json").read_text())["noise"]
@@ -379,7 +379,7 @@ def test_the_first_fit_of_fit_diffuse_has_to_converge_too(cli, bench, noisy, mon
     monkeypatch.setattr(_fit, "refuse_unexplained_images", lambda *_, **__: None)
     ran = cli("fit-diffuse", bench.rig, bench.part, noisy, "-o", bench.out, "--pixels", 6000)
     assert ran.status == 1
-    assert "where the highlights are: the fit did not converge" in ran.err
+    assert "first fit, which locates the highlights: the fit did not converge" in ran.err
     assert json.loads((bench.out / "fit.json").read_text())["converged"] is False
 
 
@@ -393,7 +393,7 @@ def test_a_search_for_the_place_that_did_not_converge_exits_1(cli, bench, noisy,
     monkeypatch.setattr(_fit, "refuse_unexplained_images", lambda *_, **__: None)
     ran = fit(cli, bench, noisy, bench.out, "--register", pixels=1000)
     assert ran.status == 1
-    assert "the search for the part's place did not converge" in ran.err
+    assert "the registration did not converge" in ran.err
     facts = json.loads((bench.out / "fit.json").read_text())
     assert facts["converged"] is False
     assert facts["registration"]["converged"] is False

@@ -254,14 +254,14 @@ def test_ctrl_c_leaves_no_temporary_file(tmp_path: Path, monkeypatch):
     ("change", "reported"),
     [
         ({"part": SourceFile("part.yaml", "c" * 64)}, r"part\.sha256: another content"),
-        ({"provenance": {"options": {**HEADER.options, "points": 9}}}, r"options\.points: there 4, now 9"),
+        ({"provenance": {"options": {**HEADER.options, "points": 9}}}, r"options\.points: previously 4, now 9"),
         (
             {"provenance": {"options": {**HEADER.options, "falloff": "none"}}},
-            r'options\.falloff: there absent, now "none"',
+            r'options\.falloff: previously absent, now "none"',
         ),
-        ({"lightopt": "0.2.0"}, r'lightopt: there "0.1.0", now "0.2.0"'),
-        ({"bit_depth": 12}, "bit_depth: there 8, now 12"),
-        ({"rig": None}, "rig: there absent, now null"),
+        ({"lightopt": "0.2.0"}, r'lightopt: previously "0.1.0", now "0.2.0"'),
+        ({"bit_depth": 12}, "bit_depth: previously 8, now 12"),
+        ({"rig": None}, "rig: previously absent, now null"),
     ],
 )
 def test_set_of_another_run_is_refused_and_left_alone(whole: Path, change: dict[str, Any], reported: str):

@@ -165,7 +165,7 @@ def inspect(cli, bench, sets, *options, out="out"):
 def learned(cli, bench, sets, *options, out="cal"):
     ran = inspect(cli, bench, sets, "--calibrate", "--false-alarms", RATE, *options, out=out)
     assert ran.status == 0, ran.err
-    reported = f"{SETS} good sets hold a rate of {RATE}, the share of good parts with a false alarm in a posture"
+    reported = f"{SETS} good sets support a rate of {RATE} (share of good parts with a false alarm in a posture)"
     assert reported in ran.out
     return bench.folder / out / "calibration.json"
 
@@ -232,13 +232,13 @@ def test_the_template_detector_is_calibrated_by_its_scores(cli, bench, good):
 def test_a_rate_that_the_good_sets_do_not_bear_is_refused(cli, bench, good, taught):
     ran = inspect(cli, bench, good[0][:8], "--calibrate")
     assert ran.status == 2
-    assert "8 good sets bear a rate of false alarms of 0.312 per posture or more with 95 % confidence" in ran.err
-    assert "0.05 takes 59" in ran.err
+    assert "8 good sets support a false-alarm rate of 0.312 per posture or more with 95 % confidence" in ran.err
+    assert "0.05 needs 59" in ran.err
     assert "a rate of 0.313" in ran.err
     assert not bench.out.exists()
     ran = inspect(cli, bench, good[0][-1:], "--calibration", taught, "--false-alarms", "0.1")
     assert ran.status == 2
-    assert "0.1 takes 29" in ran.err
+    assert "0.1 needs 29" in ran.err
 
 
 def test_another_rig_part_or_way_to_inspect_is_refused(cli, bench, good, taught):
@@ -299,4 +299,4 @@ def test_files_that_are_no_calibration_are_refused(cli, bench, good, taught):
 def test_options_of_an_inspection_are_none_of_a_calibration(cli, bench, good, option):
     ran = inspect(cli, bench, good[0][:SETS], "--calibrate", *option)
     assert ran.status == 2
-    assert f"{option[0]}: not with --calibrate" in ran.err
+    assert f"{option[0]}: cannot be combined with --calibrate" in ran.err

@@ -100,7 +100,7 @@ def test_a_captured_set_is_held_against_the_defects_of_its_part(cli, bench, requ
     bench.part.write_text(good, encoding="utf-8")
     ran = cli("inspect", bench.rig, bench.part, bench.folder / "captured", "-o", bench.folder / "none", *options)
     assert ran.status == 2
-    assert "nothing is known of defects on this part" in ran.err
+    assert "no ground truth for this part" in ran.err
     assert not (bench.folder / "none").exists()
 
 
@@ -114,13 +114,13 @@ def test_what_is_on_a_captured_part_is_in_the_file_that_it_was_taken_by(bench, r
         source = truth_source(image_set, requested)
         assert source.part is not None
         assert source.part.defects == ()
-        assert "names no defects: held to be a good part" in source.warnings[0]
+        assert "lists no defects; the part counts as good" in source.warnings[0]
     by_named = replace(image_set.manifest, part=SourceFile(named.name, load_part(named).source.sha256))
     source = truth_source(ImageSet(image_set.folder, by_named), good)
     assert [d.name for d in source.part.defects] == ["stain", "dent"]
     # not as it was then
     named.write_text(named.read_text(encoding="utf-8") + "# edited\n", encoding="utf-8")
-    with pytest.raises(InputError, match=r"taken by named\.yaml, which does not lie beside .* as it was then"):
+    with pytest.raises(InputError, match=r"captured with named\.yaml, which is not beside .* or has changed since"):
         truth_source(ImageSet(image_set.folder, by_named), good)
     # edited, and it is the one that is given
     assert len(truth_source(ImageSet(image_set.folder, by_named), load_part(named)).part.defects) == 2

@@ -141,7 +141,7 @@ def test_differences_are_reported_in_order_and_names_of_files_are_none():
         "options": {"points": 9},
     }
     assert provenance.differences(there, now) == (
-        f'options.points: there 4, now 9; versions.numpy: there "{version("numpy")}", now "0"; '
+        f'options.points: previously 4, now 9; versions.numpy: previously "{version("numpy")}", now "0"; '
         "the code of lightopt has changed; rig.sha256: another content; image_sets: another content"
     )
     renamed = {**there, "inputs": {**there["inputs"], "rig": {"file": "b.yaml", "sha256": "1"}}}
@@ -266,7 +266,7 @@ def test_a_render_is_not_resumed_by_other_code(bench, snapshot, other_code, othe
     (bench.out / "posture_-10_170" / "light3.exr").unlink()
     before = snapshot(bench.out)
     other_code() if what == "code" else other_package()
-    reported = "the code of lightopt has changed" if what == "code" else r"versions\.embreex: there"
+    reported = "the code of lightopt has changed" if what == "code" else r"versions\.embreex: previously"
     with pytest.raises(InputError, match=f"image set of another run .*{reported}.*option 'force'"):
         render_image_set(bench.rig, bench.part, bench.out, options=options)
     assert snapshot(bench.out) == before
@@ -358,7 +358,7 @@ def test_a_calibration_of_other_code_is_refused(cli, bench, other_code, tmp_path
     assert ran.status == 2
     assert "calibration.json was made by another lightopt" in ran.err
     assert "the code of lightopt has changed" in ran.err
-    assert "calibrate anew" in ran.err
+    assert "calibrate again" in ran.err
     assert not (bench.folder / "again").exists()
     del document["provenance"]["code_sha256"]
     (made / "calibration.json").write_text(json.dumps(document), encoding="utf-8")

@@ -63,7 +63,7 @@ def test_a_part_that_still_moves_in_the_last_stage_has_not_converged(staged):
     assert len(taken) == 4
     assert not found.converged
     (said,) = found.warnings
-    assert "did not converge: its last stage moved it by 1.0 px" in said
+    assert "did not converge: its last stage moved the part by 1.0 px" in said
 
 
 @pytest.mark.parametrize("number", [0, 1, 2, 3])

@@ -201,7 +201,7 @@ def test_all_that_it_rests_on_is_reported(done, blocks):
     assert [len(pictures) for _, pictures in gallery.rows] == [4, 4]
     text = (bench.out / "report.html").read_text(encoding="utf-8")
     assert str(bench.folder) not in text, "the same files give the same report wherever they lie"
-    assert f"<title>{html.escape('Where the lights go: </title><script>knob')}</title>" in text
+    assert f"<title>{html.escape('Light positions: </title><script>knob')}</title>" in text
     assert len(re.findall("<script", text)) == 4
 
 
@@ -231,7 +231,7 @@ def test_without_a_report_there_is_none_and_none_is_left(three, cli):
     assert cli(*command).status == 0
     ran = cli(*command, "--no-report")
     assert ran.status == 2
-    assert "options.report: there true, now false" in ran.err
+    assert "options.report: previously true, now false" in ran.err
     assert cli(*command, "--no-report", "--force").status == 0
     assert not (three.out / "report.html").exists()
     assert result_of(three.out)["files"] == []
@@ -358,20 +358,20 @@ def test_what_was_assumed_of_defects_and_tolerances_is_reported(inspected, done,
     options = {**output.document["provenance"]["options"], "tolerances": tolerances}
     amounts = assumed(replace(output, document=with_options(output, options)))
     names = ", ".join(result_of(output.result.folder)["results"][0]["objectives"][0]["defects"])
-    assert amounts["defects looked for"].startswith(f"{names}: ")
+    assert amounts["defect catalogue"].startswith(f"{names}: ")
     assert amounts["directions of walls"] == "8, evenly around"
     min_images, threshold = options["min_images"], options["threshold"]
     assert f"by {threshold:g} times the noise or more, in {min_images} image" in amounts["a defect is seen"]
     assert amounts["left out"] == "what the camera sees at more than 80° to the normal"
-    assert amounts["tolerances"].startswith("lights 2°, part 1°; 100 draws of seed 0")
+    assert amounts["tolerances"].startswith("lights 2°, part 1°; 100 draws with random seed 0")
     assert "not part of the score" not in amounts["sensor noise"]
     other = assumed(done[1])
     assert other["sensor noise"].endswith("not part of the score")
-    assert not {"defects looked for", "a defect is seen", "tolerances"} & set(other)
+    assert not {"defect catalogue", "a defect is seen", "tolerances"} & set(other)
 
 
 def assumed(output):
-    section = next(s for s in design_page(output).sections if s.heading == "What was assumed")
+    section = next(s for s in design_page(output).sections if s.heading == "Assumptions")
     return {name: text for block in section.blocks if isinstance(block, Facts) for name, text in block.rows}
 
 
@@ -462,30 +462,30 @@ def test_a_plan_is_shown_as_the_result_has_it(done, undrawn):
     assert table.rows == [["(20°, 90°)", "2", "1", "20 %", "90 %"], ["(0°, 0°)", "1", "1, 0.25", "70 %", "70 %"]]
     assert "Shares are of all that is seen." in table.caption
     amounts = dict(facts.rows)
-    assert amounts["the same number of others shows at most"] == "93 %"
+    assert amounts["maximum for the same number of postures"] == "93 %"
     assert amounts["travel from (0°, 0°)"] == "110.0 s at 1°/s, as the stage says"
-    assert amounts["90 % takes at least"] == "2 postures"
-    assert amounts["with the lights as they stood"] == "85 % in 3 postures, of some patches, at exposure 1"
+    assert amounts["90 % needs at least"] == "2 postures"
+    assert amounts["with the lights in their old positions"] == "85 % in 3 postures, of some patches, at exposure 1"
     assert amounts["the first 1 chosen show"] == "70 %"
     # the target was met by fewer than might be
-    assert "postures that were asked for" not in amounts
+    assert "postures requested" not in amounts
     untargeted = {**PLANNED["chosen_postures"], "target": None}
     facts = posture_blocks(replace(output, document={**output.document, "chosen_postures": untargeted}))[1]
-    assert dict(facts.rows)["postures that were asked for"] == "3"
-    assert amounts["each patch counts as its middle does"] == (
+    assert dict(facts.rows)["postures requested"] == "3"
+    assert amounts["resolution"] == (
         "800 patches with edges up to 1.25 mm, where a pixel has 0.05 mm: shares may be off by some 2 points"
     )
     assert left.rows == [["(45°, 0°)", "the part leaves the image"]]
     assert command.text == PLANNED["commands"][0]
-    assert amounts["these postures have at least"] == "75 % of the best with these lights"
+    assert amounts["these postures reach at least"] == "75 % of the maximum with these lights"
     assert "up to 2 of each; together, what is seen in 2 images" in table.caption
     lead = design_page(output).lead
     (answer,) = (block for block in lead if isinstance(block, Answer))
     assert answer.figure == "94 %"
-    assert "in 2 images or more, by all planned images together, in (20°, 90°), (0°, 0°);" in answer.text
+    assert "in 2 images or more of the planned images, in (20°, 90°), (0°, 0°);" in answer.text
     assert answer.text.endswith("With exposure 1 alone 90 %")
     (proof,) = (block.text for block in lead if isinstance(block, Note) and "roven" in block.text)
-    assert "with these lights no 2 postures of the 12 show more than 93 %, at any of the exposures offered." in proof
+    assert "with these lights no 2 postures of the 12 show more than 93 %, at any of the candidate exposures." in proof
     assert "in these postures no other positions of the lights show more" in proof
     assert "in 2 iterations, the best of 4 starts (every combination) on 100 patches, then on all 800 patches." in proof
     note, shots = sections["Exposures"]
@@ -494,7 +494,7 @@ def test_a_plan_is_shown_as_the_result_has_it(done, undrawn):
         ["(0°, 0°)", "0.25", "4 %", "yes"],
         ["(20°, 90°)", "0.25", "< 1 %", "no"],
     ]
-    (trust,) = sections["How exact the angles must be"]
+    (trust,) = sections["Tolerances of the angles"]
     assert list(trust.header[1:]) == ["posture (0°, 0°)", "all 2 postures"]
     assert "lights are off by 2° and the part by 1°" in trust.caption
     assert "before less than 95 % are kept" in trust.caption
@@ -517,8 +517,8 @@ def test_the_way_of_several_commands_is_reported_command_by_command(done, undraw
         if section.heading == "Postures"
     ).blocks
     assert dict(facts.rows)["travel from (0°, 0°)"] == (
-        "110.0 s at 1°/s, as the stage says, were all captured in one round; the 2 capture commands below take "
-        "90.0 + 40.2 = 130.2 s, each from (0°, 0°) on: (20°, 90°); (0°, 0°)"
+        "110.0 s at 1°/s, as the stage says, if all postures are captured in one round; the 2 capture commands below "
+        "take 90.0 + 40.2 = 130.2 s, each starting at (0°, 0°): (20°, 90°); (0°, 0°)"
     )
 
 
@@ -526,8 +526,8 @@ def test_the_way_of_several_commands_is_reported_command_by_command(done, undraw
     ("why", "expected"),
     [
         ("gain", "adds 1 % or more."),
-        ("pair", "adds 1 % or more, or with another twice that."),
-        ("target", "adds 1 % or more, or where the target takes it."),
+        ("pair", "adds 1 % or more, or twice that together with another."),
+        ("target", "adds 1 % or more, or if the target needs it."),
     ],
 )
 def test_exposures_that_the_target_takes_are_reported(done, undrawn, why, expected):
@@ -545,8 +545,8 @@ def test_where_one_image_is_enough_the_greedy_bound_is_reported(done, undrawn):
     output = replace(done[1], document={**done[1].document, "chosen_postures": one})
     page = design_page(output)
     table, facts, *_ = next(s for s in page.sections if s.heading == "Postures").blocks
-    assert dict(facts.rows)["these postures have at least"] == "75 % of the best with these lights"
-    assert "what each posture shows that those chosen before it do not" in table.caption
+    assert dict(facts.rows)["these postures reach at least"] == "75 % of the maximum with these lights"
+    assert "what the posture shows that the postures chosen before it do not" in table.caption
     (proof,) = (block.text for block in page.lead if isinstance(block, Note) and "roven" in block.text)
     assert "(one light moved at a time) on 100 of 800 patches." in proof
     assert "no other positions of the lights" not in proof
@@ -560,12 +560,12 @@ def test_the_best_of_all_sets_is_reported_and_whether_it_is_the_plan(done, undra
         (proof,) = (
             block.text for block in design_page(output).lead if isinstance(block, Note) and "roven" in block.text
         )
-        return proof, dict(posture_blocks(output)[1].rows)["the same number of others shows at most"]
+        return proof, dict(posture_blocks(output)[1].rows)["maximum for the same number of postures"]
 
     proof, bound = amounts()
-    whatever = ", at any of the exposures offered."
+    whatever = ", at any of the candidate exposures."
     assert f"with these lights none of the 66 sets of 2 postures shows more than 93 %{whatever}" in proof
-    assert bound == "93 %: the best of all 66 sets with these lights"
+    assert bound == "93 %: the maximum of all 66 sets with these lights"
     proof, bound = amounts(proven_with_these_lights=True, bounds_with_any_of_exposures=[1.0])
     assert "with these lights none of the 66 sets of 2 postures shows more." in proof
     assert bound == "93 %: these are the best of all 66 sets with these lights"
@@ -576,8 +576,8 @@ def test_nothing_is_shown_of_what_was_not_planned(done):
     assert headings == [
         "What the images show",
         "Images of the best set",
-        "Where the lights stand",
-        "How flat the top is",
+        "Light positions",
+        "Score against the angles",
         "Scores",
-        "What was assumed",
+        "Assumptions",
     ]

@@ -39,7 +39,7 @@ def test_the_truth_is_reported_with_curves_where_hits_and_misses_give_them():
     assert isinstance(facts, Facts)
     assert dict(facts.rows) == {
         "found": f"{found.sum()} of 60 defects in view",
-        "shown by no pixel to judge": "behind: out of view, at an edge, or narrower than a pixel",
+        "without an evaluable pixel": "behind: out of view, at an edge, or narrower than a pixel",
         "false alarms": "1.5 per posture",
         "area under the pixels' ROC": "0.9100",
     }

@@ -59,8 +59,8 @@ class CoverageObjective(Objective):
         if lights >= LEAST_USABLE:
             return None
         return (
-            f"objective coverage wants each patch usable in {LEAST_USABLE} images, and there is one light only; use "
-            "the objective detectability"
+            f"objective coverage requires each patch to be usable in {LEAST_USABLE} images, and there is one light "
+            "only; use the objective detectability"
         )
 
     def score(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:

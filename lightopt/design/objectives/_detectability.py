@@ -1,4 +1,4 @@
-"""Objective ``detectability``: of the defects that the inspection is planned for, those that enough images show.
+"""Objective ``detectability``: the planned defects that enough images show.
 
 With the hypotheses t of the part's catalogue (:mod:`lightopt.design.responses._defect_hypotheses`), n(p, t) the number
 of images in which t is visible on patch p (:mod:`lightopt.design.responses._detection`), and k from `min_images`,
@@ -77,11 +77,11 @@ class DetectabilityObjective(Objective):
         return area * self.total_weight
 
     def refusal(self, lights: int) -> str | None:
-        """There are no more images than lights, but for those of other postures."""
+        """There are no more images than lights, unless other postures add images."""
         if lights >= self.min_images or self.across_postures:
             return None
         return (
-            f"objective detectability wants each defect seen in {self.min_images} images, and the rig has "
+            f"objective detectability requires each defect to be seen in {self.min_images} images, and the rig has "
             f"{counted(lights, 'light')} only; lower option 'min_images'"
         )
 

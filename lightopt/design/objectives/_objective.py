@@ -1,4 +1,4 @@
-"""What the search needs of an objective, and how its scores read."""
+"""The interface of an objective to the search, and the printed form of its scores."""
 
 from __future__ import annotations
 

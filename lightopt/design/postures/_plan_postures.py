@@ -1,4 +1,4 @@
-"""Choose the postures of a plan, or say why a target is out of reach; then score it by all of its images together."""
+"""Choose the postures of a plan, or report why a target is not reached; then score the plan by all of its images."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -188,7 +188,7 @@ def _text(target: float, choice: PostureChoice, evaluator: ImageEvaluator, least
         return (
             f"option 'target': {counted(len(cover.steps), 'posture')} show {text(cover.share)} of the "
             f"surface × defects, and no {len(cover.steps)} of {available} show more than "
-            f"{text(cover.bound_share)} with these lights; {required} was asked for. "
+            f"{text(cover.bound_share)} with these lights; {required} are required. "
             "Raise option 'choose_postures' or leave it out"
         )
     lost = _lost(choice, evaluator, least)
@@ -196,7 +196,7 @@ def _text(target: float, choice: PostureChoice, evaluator: ImageEvaluator, least
     dim = lost.get(BlindReason.CONTRAST, 0.0) + lost.get(BlindReason.SHADOWED, 0.0)
     longer = max(evaluator.exposures) <= 1.0 and dim > 0.5 * sum(lost.values())
     hint = "Longer exposures may show some of it: add them, such as option 'exposures' 1,4,16. " * longer
-    lights = "the best lights found (others may show more)" if choice.iterations else "the lights as they stand"
+    lights = "the best lights found (others may show more)" if choice.iterations else "the present light positions"
     near = next(
         (i for i, step in enumerate(cover.steps, 1) if step.covered >= (most - NEAR_SHARE) * cover.total),
         len(cover.steps),
@@ -204,8 +204,8 @@ def _text(target: float, choice: PostureChoice, evaluator: ImageEvaluator, least
     return (
         f"option 'target': {required} of the surface × defects is not reached: with {lights}, all {available} "
         f"postures together show {text(most)}, and {counted(near, 'posture')} come within "
-        f"{100 * NEAR_SHARE:g} point of that. Of what stays unseen, {_reasons(lost, choice)}. "
-        f"{hint}Ask for less, use option 'choose_postures', or change what stands in the way"
+        f"{100 * NEAR_SHARE:g} point of that. Of the unseen share, {_reasons(lost, choice)}. "
+        f"{hint}Lower the target, use option 'choose_postures', or remove these causes"
     )
 
 
@@ -247,7 +247,7 @@ def plan_postures(
         replace(scene, postures=grid), positions, allow_outside_px=plan.allow_outside_px
     )
     few = plan.choose_postures is not None and len(postures) < plan.choose_postures
-    shortfall = f", fewer than the {plan.choose_postures} that were asked for" if few else ""
+    shortfall = f", fewer than the {plan.choose_postures} requested" if few else ""
     run.inform(
         f"{counted(len(postures), 'posture')} to choose from{shortfall}, {len(left_out)} left out; patches are cut "
         "for all of them"

@@ -112,7 +112,7 @@ class Cover:
 
 @dataclass(frozen=True, kw_only=True)
 class PostureRequest:
-    """How much the postures are to show, and how many there may be.
+    """The share that the postures are to show, and their maximum number.
 
     min_images: Images that must show a pair, of all postures together.
     count: Most postures; as many as the target takes where None.

@@ -48,7 +48,7 @@ def posture_grid(rig: RigConfig, part: PartConfig, *, step_deg: float) -> tuple[
     if len(tilts) * len(rotations) > MOST_POSTURES:
         raise InputError(
             f"option 'posture_step_deg': at {step_deg:g}° the stage has {len(tilts):,} × {len(rotations):,} postures, "
-            f"more than {MOST_POSTURES:,}, the most that are accepted; take a larger step, or narrow the stage's ranges"
+            f"more than the maximum of {MOST_POSTURES:,}; take a larger step, or narrow the stage's ranges"
         )
     (lowest, highest), (first, last) = ranges
     own = [p for p in part_postures(part) if lowest <= p.elevation_deg <= highest and first <= p.rotation_deg <= last]
@@ -69,7 +69,7 @@ def usable_postures(
     for posture in scene.postures:
         found = _out_of_view(scene, posture, allow_outside_px)
         if found is None and (inside := panels_in_part(replace(scene, lights=tuple(panels), postures=(posture,)))):
-            found = f"a place of {inside[0].light} is inside the part", "part"
+            found = f"a position of {inside[0].light} is inside the part", "part"
         if found is None:
             usable.append(posture)
         else:
@@ -117,7 +117,7 @@ def _out_of_view(scene: Scene, posture: Posture, allowed: float) -> tuple[str, s
     leaves = [
         f"{_pixels(pixels)} at the {side}" for pixels, side in zip(framing.excess, _SIDES, strict=True) if pixels > 0.0
     ]
-    limit = "so that nothing of it is seen" if framing.outside else f"{_pixels(allowed)} are allowed"
+    limit = "nothing of it is visible" if framing.outside else f"{_pixels(allowed)} are allowed"
     return f"the part leaves the view by {', '.join(leaves)}; {limit}", "view"
 
 

@@ -1,4 +1,4 @@
-"""The defects that an inspection is planned for: one hypothesis per slope and direction, stain and haze."""
+"""The defects for which an inspection is planned: one hypothesis per slope and direction, stain and haze."""
 
 import math
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ MOST_TRIALS = 1024  # more are refused: each costs a bit per patch and position 
 
 @dataclass(frozen=True, kw_only=True)
 class DefectHypothesis:
-    """What a defect makes of the surface at the place where it lies.
+    """The change of the surface by a defect, at its position.
 
     A scratch, dent, bump, pit or blister is its wall where that is steepest: a surface whose normal leans by the slope
     in one of several directions. A stain and a haze keep the normal and change the reflectance.

@@ -1,4 +1,4 @@
-"""The best light positions for every objective, compared under all; or for the others beside one placed before."""
+"""The best light positions for every objective, compared under all; or for the other objectives after the first."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -62,9 +62,9 @@ def answer_set(
     """
     for matrix, posture in zip(matrices, postures, strict=True):
         if not len(matrix.areas):
-            sight = f"all that the camera sees, it sees at more than {GRAZING_DEG:g}° to the normal"
+            sight = f"the camera sees surface at more than {GRAZING_DEG:g}° to its normal only"
             raise InputError(
-                f"posture {posture}: {sight if matrix.grazing_mm2 else 'the camera sees no patch'}, so that no "
+                f"posture {posture}: {sight if matrix.grazing_mm2 else 'the camera sees no patch'}, so no "
                 "position of the lights is better than another; check the part's placement and the posture"
             )
     thresholds, candidates = source.problem.thresholds, source.problem.candidates
@@ -108,7 +108,7 @@ def candidates_of_others(source: PostureMatrices) -> Candidates | None:
         return free
     why = "they are too many for memory" if among else "the chosen ones are not among them"
     source.run.warn(
-        f"the other objectives are scored where the lights were chosen to stand, their own best positions are not "
+        f"the other objectives are scored for the chosen light positions only; their own best positions are not "
         f"searched: {why}"
     )
     return None
@@ -186,17 +186,17 @@ def _warn_of_limit(answers: Sequence[ObjectiveResult], postures: Sequence[Postur
 
 
 def limit_warning(answer: ObjectiveResult, postures: Sequence[Posture]) -> str:
-    """The warning of a search that left combinations."""
+    """The warning about a search that stopped before all combinations were searched."""
     found, name = answer.found, answer.objective.name
     proof = (
-        "none scores more, but one of those left may score the same and win the tie"
+        "none scores more, but one that was not searched may score the same and win the tie"
         if found.proven
         else f"none scores more than {found.bound:,}"
     )
     return (
         f"objective {name}, {', '.join(map(str, postures))}: the search stopped after {found.scored:,} combinations "
-        f"with {found.left:,} left; the best found scores {found.best.score:,}, {proof}. Ties and runner-up are of "
-        "what was looked at. Raise option 'limit' or option 'step_deg'"
+        f"with {found.left:,} left; the best found scores {found.best.score:,}, {proof}. Ties and runner-up refer to "
+        "the combinations searched. Raise option 'limit' or option 'step_deg'"
     )
 
 

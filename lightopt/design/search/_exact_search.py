@@ -259,14 +259,14 @@ def _check(scorer: _BoxScorer, space: CombinationSpace) -> None:
     if sum(map(_cells, space.groups)) > MOST_COMBINATIONS:
         raise InputError(
             f"search: {lights} lights of up to {max(space.sizes):,} positions make more than 10^300 combinations; take "
-            "a larger option 'step_deg', or leave only those lights a range that are to be moved"
+            "a larger option 'step_deg', or give a range only to the lights that may be moved"
         )
     for matrix in scorer.matrices:
         if matrix.shape != space.sizes:
             raise InputError(f"search: expected candidates {space.sizes} in every posture, found {matrix.shape}")
         if not len(matrix.areas):
             raise InputError(
-                "no patch is inspectable, so that no position of the lights is better than another; check the part's "
+                "no patch is inspectable, so no position of the lights is better than another; check the part's "
                 "placement and posture"
             )
 

@@ -96,7 +96,7 @@ def fit_diffuse(
     held = np.array([whole.R_d, LEAST_R_S, whole.sigma])
     found = fit_reflectance(plain, freed=replace(freed, specular=False), held=held, run=run)
     quality = assess_quality(plain, found)
-    first = [f"where the highlights are: {text}" for text in convergence_warnings(whole)]
+    first = [f"first fit, which locates the highlights: {text}" for text in convergence_warnings(whole)]
     warnings = [
         *setup.warnings,
         *first,
@@ -105,8 +105,8 @@ def fit_diffuse(
     ]
     if widening < max(WIDENINGS):
         warnings.append(
-            f"few pixels are away from the highlights: R_d comes from those beyond {widening:g} times the width of "
-            "the lobe that was found, and heavier tails than a Gaussian's would raise it"
+            f"few pixels are away from the highlights: R_d was fitted to those beyond {widening:g} times the width of "
+            "the fitted lobe. If the true lobe has heavier tails than a Gaussian, R_d is too high"
         )
     values = fitted_values(found, full_scale=setup.scene.reflectance.full_scale)[:1]
     unfitted = (
@@ -262,7 +262,7 @@ def _diffuse_only(samples: Samples, x: Float64) -> tuple[Samples, float]:
             return samples.select(plain | unlit), widening
     raise InputError(
         "no diffuse-only pixel: the highlights reach every pixel that is lit. Add images under lights that the surface "
-        "mirrors elsewhere, or fit all coefficients at once: fit-specular, jointly"
+        "mirrors elsewhere, or fit all coefficients at once: fit-specular with option 'joint'"
     )
 
 
@@ -286,8 +286,8 @@ def _evenly_lit_warnings(setup: FitSetup, samples: Samples, found: Estimate) -> 
     lit = "1 point" if number == 1 else f"{number} points"
     text = (
         f"evenly lit panels describe these images better than {lit} per panel: R_s would be about {panels.R_s:.4g} "
-        f"and σ {panels.sigma:.4g} rad, and the intervals given here do not hold that. Use "
-        "points: auto in the rig"
+        f"and σ {panels.sigma:.4g} rad, which the intervals given here do not take into account. Use points: auto in "
+        "the rig file"
     )
     return (text,)
 
@@ -297,7 +297,8 @@ def _paper_result(setup: FitSetup, samples: Samples, paper: PaperDiffuse | Paper
     options, own = setup.options, setup.scene.reflectance
     if options.gain or options.dark or options.register or options.joint:
         raise InputError(
-            "the paper's method frees nothing else and fits nothing jointly: it fits what sections 4.2 and 4.3 fit"
+            "the paper's method has no free gains, dark level, placement or joint fit: it fits what sections 4.2 and "
+            "4.3 fit"
         )
     more = paper.warnings() if isinstance(paper, PaperSpecular) else ()
     fitted = {"R_d": paper.R_d} if isinstance(paper, PaperDiffuse) else {"R_s": paper.R_s, "sigma_rad": paper.sigma}
@@ -324,13 +325,13 @@ def _likelihood_warnings(setup: FitSetup, samples: Samples, fitted: Mapping[str,
     warnings = [*poor_fit_warnings(whole, quality, placed=placed)]
     likeliest = {"R_d": whole.R_d, "R_s": whole.R_s, "sigma_rad": whole.sigma}
     off = [
-        f"{name.replace('sigma_rad', 'σ')} {value:.4g}, there {likeliest[name]:.4g}"
+        f"{name.replace('sigma_rad', 'σ')} {value:.4g} instead of {likeliest[name]:.4g}"
         for name, value in fitted.items()
         if abs(math.log(max(value, 1e-9) / max(likeliest[name], 1e-9))) > LEAST_PAPER_DIFFERENCE
     ]
     if off:
         warnings.append(
-            f"the default method, which uses every pixel, finds other values on these images ({'; '.join(off)}): a "
-            "mean, a count and a sum hardly distinguish these"
+            f"the default method, which uses every pixel, disagrees on these images ({'; '.join(off)}): the "
+            "mean, count and sum of the paper's method hardly distinguish these values"
         )
     return tuple(warnings)

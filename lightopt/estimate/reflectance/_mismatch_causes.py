@@ -47,7 +47,7 @@ def refuse_unexplained_images(setup: FitSetup, samples: Samples, found: Estimate
     if setup.registration is None:
         shift, excluded = _better_placement(setup, samples, quality)
         if shift is not None:
-            raise InputError(f"the images do not look like this part where its file has it: {shift}")
+            raise InputError(f"the images do not show this part at its nominal placement: {shift}")
     own = _agreement(samples, found)
     if not own.mismatch:
         return excluded
@@ -57,8 +57,8 @@ def refuse_unexplained_images(setup: FitSetup, samples: Samples, found: Estimate
     )
     raise InputError(
         f"the images do not look like this part on this rig: {100.0 * quality.epsilon:.0f} % of the pixels are "
-        f"unexplained, and the residual is {own.residual:.3g} sensor levels rms where noise makes {quality.floor:.2g} "
-        f"and the model {own.level:.3g}; {hint}"
+        f"outliers, and the residual is {own.residual:.3g} sensor levels rms, where the noise is {quality.floor:.2g} "
+        f"and the model's levels are {own.level:.3g}; {hint}"
     )
 
 
@@ -70,7 +70,7 @@ def _better_placement(setup: FitSetup, samples: Samples, quality: Quality) -> tu
     """
     moved, excluded = _displacement(setup.scene, setup.observations, samples, quality)
     if moved is not None:
-        return f"{moved}. Fit the shift, or correct the part's placement or the camera", excluded
+        return f"{moved}. Register the part, or correct its placement or the camera", excluded
     first = setup.observations[0].posture
     mine = [o for o in setup.observations if o.posture == first]
     if len(mine) == len(setup.observations):
@@ -80,7 +80,7 @@ def _better_placement(setup: FitSetup, samples: Samples, quality: Quality) -> tu
     if moved is None:
         return None, excluded
     text = (
-        f"in posture {first}, {moved}, but no one place on the stage explains the images of all postures: correct the "
+        f"in posture {first}, {moved}, but no single placement explains the images of all postures: correct the "
         "camera's distance, angles or roll, or the zero of the stage's axes"
     )
     return text, excluded
@@ -119,8 +119,8 @@ def _displacement(
     if explains <= LEAST_EXPLAINED:
         return None, excluded
     text = (
-        f"with the part shifted by {pixels:.1f} px ({mm:.2f} mm) and turned by {math.degrees(abs(turn)):.1f}°, the "
-        f"model explains {100.0 * explains:.0f} % of what the fit misses"
+        f"with the part shifted by {pixels:.1f} px ({mm:.2f} mm) and rotated by {math.degrees(abs(turn)):.1f}°, "
+        f"the model explains {100.0 * explains:.0f} % of the residual"
     )
     return text, False
 
@@ -181,7 +181,7 @@ def _better_explanation(samples: Samples, noise: float) -> str | None:
     swaps, share = _swaps(few, own, noise)
     if swaps:
         exchanged = " and ".join(f"{a} and {b} exchanged" for a, b in swaps)
-        gone[f"with {exchanged}: check which light is plugged in where"] = share
+        gone[f"with {exchanged}: check the wiring of the lights"] = share
     name = max(gone, key=lambda key: gone[key])
     return f"they fit far better {name}" if gone[name] > LEAST_EXPLAINED else None
 

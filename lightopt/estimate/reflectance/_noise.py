@@ -54,7 +54,7 @@ class MeasuredNoise:
 def measure_noise(samples: Samples, mean: Float64, *, describes: bool = True) -> MeasuredNoise:
     """Read noise, and shot noise where the variance grows with the level (EMVA Standard 1288, photon transfer)."""
     if not describes:
-        return MeasuredNoise(hindrance="the model does not describe these images, and its misfit is not the camera's")
+        return MeasuredNoise(hindrance="the model does not describe these images, and its error is not noise")
     typical = image_noise(samples)
     # by the level that is predicted: that of a pixel itself would be chosen along with its noise
     clear = (mean > CLEAR_OF_ENDS * typical) & (mean < samples.sensor.saturated_from - CLEAR_OF_ENDS * typical)
@@ -80,7 +80,7 @@ def noise_warnings(noise: MeasuredNoise) -> tuple[str, ...]:
     """Warn where the noise is not, or only partly, written."""
     if noise.read_noise is None and noise.electrons is None:
         return (f"the noise is not written: {noise.hindrance}",)
-    return (f"of the noise, only a part is written: {noise.hindrance}",) if noise.hindrance else ()
+    return (f"only a part of the noise is written: {noise.hindrance}",) if noise.hindrance else ()
 
 
 def _photon_transfer(signal: Float64, variance: Float64, error: Float64, sensor: Sensor) -> MeasuredNoise:
@@ -100,17 +100,17 @@ def _photon_transfer(signal: Float64, variance: Float64, error: Float64, sensor:
         most = b + SIGNIFICANT * b_error
         least = f": there are at least {1.0 / most:.3g} electrons per level" if most > 0.0 else ""
         return MeasuredNoise(
-            hindrance=f"the images show less shot noise than the rig file's electrons_per_level makes{least}"
+            hindrance=f"the images show less shot noise than the rig file's electrons_per_level gives{least}"
             if own > b
-            else "the noise changes with the level, but not surely enough to separate read noise from shot noise; "
-            "images of more levels would"
+            else "the noise changes with the level, but not significantly enough to separate read noise from shot "
+            "noise; add images of other levels"
         )
     else:
         weight = 1.0 / error**2
         a = float(np.sum(weight * (variance - own * signal)) / np.sum(weight))
         a_error = math.sqrt(spread / float(np.sum(weight)))
     if a <= 0.0 or 0.5 * a_error > WELL_KNOWN * a:
-        return replace(shot, hindrance="shot noise hides the read noise; darker images would show it")
+        return replace(shot, hindrance="shot noise hides the read noise; add darker images")
     read = math.sqrt(a)
     return replace(shot, read_noise=read, read_noise_error=0.5 * a_error / read)
 

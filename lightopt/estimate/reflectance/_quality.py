@@ -124,7 +124,7 @@ def fit_warnings(
         width = math.log(high / max(low, 1e-9)) if low is not None and high is not None else math.inf
         correlation = found.correlation(LOG_R_S, LOG_SIGMA)
         if quality.saturated == 0.0:
-            what = "images with highlights elsewhere on the part: other postures, or other places of the lights"
+            what = "images with highlights elsewhere on the part: other postures, or other positions of the lights"
         else:
             what = "a still shorter exposure" if shorter else "a shorter exposure, such as 1/16 of this one"
         if math.isinf(width):
@@ -144,8 +144,8 @@ def fit_warnings(
         step = float(here.gradient[R_D]) / max(curvature, 1e-300)
         if abs(step) >= 0.02 * max(found.R_d, 1e-9) and abs(step) * math.sqrt(curvature) >= 5.0:
             warnings.append(
-                f"R_d is held at {found.R_d:.4g}, but these images want a {'larger' if step > 0.0 else 'smaller'} one, "
-                "and R_s and σ suffer from it: run fit-diffuse first, or fit both jointly"
+                f"R_d is held at {found.R_d:.4g}, but these images indicate a {'larger' if step > 0.0 else 'smaller'} "
+                "value. This biases R_s and σ: run fit-diffuse first, or fit R_d as well"
             )
     return tuple(warnings)
 
@@ -153,21 +153,21 @@ def fit_warnings(
 def poor_fit_warnings(found: Estimate, quality: Quality, *, placed: bool = False) -> tuple[str, ...]:
     """Warn where the model does not describe the images, or the rig file their noise.
 
-    placed: Whether the part's place is no reason: it was fitted, or no other place explains what the fit misses.
+    placed: Whether the part's placement is excluded as a cause: it was fitted, or no other explains the residual.
     """
     warnings: list[str] = []
     if quality.image_noise > MORE_NOISE * quality.noise:
         warnings.append(
-            f"the images show about {quality.image_noise:.2g} sensor levels of noise, the rig file's figures make "
-            f"{quality.noise:.2g}: give read_noise_levels and electrons_per_level of the sensor"
+            f"the noise of the images is about {quality.image_noise:.2g} sensor levels, but {quality.noise:.2g} by the "
+            "rig file: give read_noise_levels and electrons_per_level of the sensor"
         )
     if not quality.describes:
         left = (
             f"the model describes these images badly: its best fit leaves {quality.misfit:.1f} times the noise "
             f"({quality.rms:.3g} sensor levels rms)"
             if is_significant(quality.misfit)
-            else f"what the model leaves of these images ({quality.rms:.3g} sensor levels rms) is not much more than "
-            "the noise, but neither noise nor dust"
+            else f"the residual of the fit ({quality.rms:.3g} sensor levels rms) is not much larger than the noise, "
+            "but is neither noise nor dust"
         )
         warnings.append(
             f"{left}. The values are those of least squares over all pixels, which predict such images best, and the "
@@ -175,20 +175,20 @@ def poor_fit_warnings(found: Estimate, quality: Quality, *, placed: bool = False
         )
     elif quality.poor:
         warnings.append(
-            f"the model describes these images badly: {100.0 * quality.epsilon:.1f} % of the pixels are unexplained, "
-            f"and the residual is {quality.rms:.3g} sensor levels rms where noise makes {quality.floor:.2g}. "
+            f"the model describes these images badly: {100.0 * quality.epsilon:.1f} % of the pixels are outliers, "
+            f"and the residual is {quality.rms:.3g} sensor levels rms, where the noise is {quality.floor:.2g}. "
             f"{_reasons(found, placed=placed)}"
         )
     return tuple(warnings)
 
 
 def _reasons(found: Estimate, *, placed: bool) -> str:
-    # what else may be wrong, without what was fitted already
+    # other possible causes, without what was fitted already
     samples = found.criterion.samples
     lights = set(samples.facts.light[samples.image].tolist())
     reasons = ["another shape of the lobe or of the diffuse reflection", "dirt", "the mesh's normals"]
     if not placed:
-        reasons.append("the part's place (fit the shift)")
+        reasons.append("the part's placement (register the part)")
     # of one light alone R_d and R_s are its gain
     if len(lights) > 1 and not any(FIRST_GAIN <= p < found.criterion.size - 2 for p in found.free):
         reasons.append("a light's gain (fit the gains)")
@@ -218,19 +218,19 @@ def refuse_out_of_range(found: Estimate, brightest: float) -> None:
     if found.sigma < low * EDGE:
         raise InputError(
             f"σ: the best fit is at {found.sigma:.3g} rad, at or below the lower end {low:g} of the range: the "
-            "highlights are as sharp as mirror images of the panels, and it is unknown how much sharper. Check the "
-            "panels' sizes, the part's shape and its place, or add images at a shorter exposure"
+            "highlights are as sharp as mirror images of the panels, so the images give no lower bound. Check the "
+            "panels' sizes, the part's shape and its placement, or add images at a shorter exposure"
         )
     if found.sigma > high / EDGE:
         raise InputError(
             f"σ: the best fit is at {found.sigma:.3g} rad, at or beyond the upper end {high:g} of the range: the "
-            "images show no highlight, or a haze that the model has no lobe for. Add images under lights that the "
-            "surface mirrors into the camera, and check the part's shape and its place"
+            "images show no highlight, or a haze wider than any lobe of the model. Add images under lights that the "
+            "surface mirrors into the camera, and check the part's shape and its placement"
         )
     if found.R_s > MOST_R_S:
         raise InputError(
-            f"R_s: the best fit is at {found.R_s:.2g} grey levels and not bounded: the highlights show in "
-            "saturated pixels only. Add images at a shorter exposure"
+            f"R_s: the best fit is at {found.R_s:.2g} grey levels, without an upper bound: only saturated pixels show "
+            "the highlights. Add images at a shorter exposure"
         )
 
 
@@ -243,7 +243,7 @@ def convergence_warnings(found: Estimate) -> tuple[str, ...]:
         along = f" along {', '.join(names)}" if names else ""
         warnings.append(
             f"the fit did not converge: after {found.maximum.steps} steps it still improves{along}; its values and "
-            "intervals are not those of an optimum. Other images, or fewer parameters that are freed, may help"
+            "intervals are not those of an optimum. Other images, or fewer free parameters, may help"
         )
         return tuple(warnings)
     if found.unsettled_refits:
@@ -253,8 +253,8 @@ def convergence_warnings(found: Estimate) -> tuple[str, ...]:
         )
     best = max((optimum.value for optimum in found.optima if optimum.converged), default=-math.inf)
     warnings += [
-        f"the climb from σ {optimum.start_sigma:.3g} rad did not converge at σ {optimum.sigma:.3g} rad, and is not "
-        "worse than the best: another optimum may lie there"
+        f"the optimisation that started at σ {optimum.start_sigma:.3g} rad stopped at σ {optimum.sigma:.3g} rad before "
+        "convergence, with a result not worse than the best: there may be another optimum"
         for optimum in found.optima
         if not optimum.converged and optimum.value >= best
     ]

@@ -113,7 +113,7 @@ class FitResult:
     @property
     def not_left_out(self) -> tuple[str, ...]:
         """Parameters that validation takes from all images, also from those of the light that is left out."""
-        freed = (("its own gain", self.gains), ("the black level", self.dark), ("the part's place", self.placement))
+        freed = (("its own gain", self.gains), ("the black level", self.dark), ("the part's placement", self.placement))
         return tuple(name for name, value in freed if value is not None)
 
     def as_dict(self) -> dict[str, Any]:
@@ -184,7 +184,7 @@ def separate_region_warnings(values: Iterable[FittedValue]) -> tuple[str, ...]:
     if not several:
         return ()
     text = (
-        f"the images do not decide between separate ranges ({'; '.join(several)}): the 95 % intervals reach over all "
+        f"the images do not decide between separate ranges ({'; '.join(several)}): the 95 % intervals include all "
         "of these, and values between them fit worse. Images under other lights, or at another exposure, may decide"
     )
     return (text,)
@@ -241,8 +241,9 @@ def negative_black_level_warnings(dark: FittedValue | None) -> tuple[str, ...]:
     if dark is None or dark.value >= 0.0:
         return ()
     text = (
-        f"the black level that fits is {dark.value:.3g}, and a rig file knows none below 0: rig.fitted.yaml has 0, and "
-        "images predicted from it are that much too bright. The camera takes off more than its black: check its offset"
+        f"the fitted black level is {dark.value:.3g}, but a rig file has none below 0: rig.fitted.yaml has 0, and "
+        "images predicted from it are too bright by the difference. The camera subtracts more than its black level: "
+        "check its offset"
     )
     return (text,)
 

@@ -135,13 +135,13 @@ def leave_lights_out(
 def validation_warnings(left_out: tuple[LeftOut, ...], sensor: Sensor) -> tuple[str, ...]:
     """Warn of fits that did not converge and of poor predictions."""
     if not left_out:
-        return ("one light alone cannot be left out: not validated",)
+        return ("no validation: it leaves out one light, and the images show only one",)
     warnings: list[str] = []
     unsettled = [left.light for left in left_out if not left.converged]
     if unsettled:
         warnings.append(
             f"{len(unsettled)} of the {len(left_out)} fits without one light each did not converge (without "
-            f"{', '.join(unsettled)}): how well they predict its images means little"
+            f"{', '.join(unsettled)}): their prediction errors mean little"
         )
     worst = max((image for left in left_out for image in left.images), key=lambda image: image.rms_sensor)
     if worst.rms_sensor > POOR_SHARE * sensor.max_level:

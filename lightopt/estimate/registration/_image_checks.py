@@ -45,13 +45,13 @@ _ALL, _REVERSED = slice(None), slice(None, None, -1)
 FLIPS: dict[str, tuple[tuple[slice, slice], str]] = {
     "mirrored left to right": (
         (_ALL, _REVERSED),
-        "flip the images; turning them, or the camera's roll, undoes no mirror",
+        "flip the images; a rotation, or another roll of the camera, does not undo this",
     ),
     "mirrored top to bottom": (
         (_REVERSED, _ALL),
-        "flip the images; turning them, or the camera's roll, undoes no mirror",
+        "flip the images; a rotation, or another roll of the camera, does not undo this",
     ),
-    "turned by 180°": ((_REVERSED, _REVERSED), "turn them, or correct the camera's roll in the rig"),
+    "rotated by 180°": ((_REVERSED, _REVERSED), "rotate them, or correct the camera's roll in the rig file"),
 }
 """Flips of images: by name, the rows and columns that undo it, and the remedy."""
 
@@ -77,7 +77,7 @@ def refuse_useless_images(
         shown.append(~np.isfinite(light) | (light > 0.0))
     if not any(lit.any() for lit in shown):
         raise InputError(
-            f"{where}: no pixel of the {images} shows a lit surface of the part where its file has it; check the "
+            f"{where}: no pixel of the {images} shows a lit surface of the part at its nominal placement; check the "
             "part's placement, the postures, and the directions of the rig's camera and lights"
         )
     lit = {p.posture: np.any(s, axis=0) for p, s in zip(sets, shown, strict=True)}
@@ -85,8 +85,8 @@ def refuse_useless_images(
     expected = [o for o in observations if o.posture in at]
     if all(bool(o.saturated[at[o.posture]].all()) for o in expected):
         raise InputError(
-            f"{where}: every pixel of the part is saturated in each of {images}: they show nothing; take them with a "
-            "shorter exposure or less light"
+            f"{where}: every pixel of the part is saturated in each of {images}; capture them with a shorter exposure "
+            "or less light"
         )
     sensor = scene.sensor
     above = sensor.black_level + CLEAR * math.sqrt(sensor.noise_variance(0.0)) + 0.5
@@ -95,7 +95,7 @@ def refuse_useless_images(
         mean = float(np.mean([levels.mean() for levels in seen if levels.size])) - sensor.black_level
         raise InputError(
             f"{where}: the {images} are black where the part is expected: {max(mean, 0.0):.3g} sensor levels above the "
-            "black level on the mean; check the lens cap, that the lights are on, and the exposure"
+            "black level on average; check the lens cap, that the lights are on, and the exposure"
         )
 
 
@@ -167,7 +167,7 @@ def refuse_mismatch(level: Array, predicted: Array, limit: Array, deviation: Arr
         return
     raise InputError(
         f"{where}: the images do not look like this part on this rig: measured minus predicted is {own.residual:.3g} "
-        f"grey levels rms where noise makes {own.noise:.2g} and the prediction is {own.level:.3g}; {hint}"
+        f"grey levels rms, where the noise is {own.noise:.2g} and the prediction is {own.level:.3g}; {hint}"
     )
 
 
@@ -176,14 +176,14 @@ def _other_cause(seen: Array, model: Array, full: Bool) -> str:
     mean, expected = float(seen.mean()), float(model.mean())
     if mean < BLACK_SHARE * expected:
         return (
-            f"they are black: {max(mean, 0.0):.3g} grey levels on the mean, predicted {expected:.3g}; check the lens "
+            f"they are black: {max(mean, 0.0):.3g} grey levels on average, predicted {expected:.3g}; check the lens "
             "cap, that the lights are on, and the exposure"
         )
     share = float(full.mean())
     if share > MOST_SATURATED:
         return (
-            f"{100.0 * share:.0f} % of their pixels that can be judged are saturated; take them with a shorter "
-            "exposure or less light"
+            f"{100.0 * share:.0f} % of their evaluable pixels are saturated; capture them with a shorter exposure or "
+            "less light"
         )
     return (
         "check that rig, part, placement and postures are those of the images, and fit the reflectance first "

@@ -151,7 +151,7 @@ def _search_placement(scene: Scene, sets: Sequence[PixelSet], caster: RayCaster,
     # and Mead 1965, doi:10.1093/comjnl/7.4.308) within the greatest shift and turn
     from scipy import optimize  # takes long to load, and a capture seldom needs it
 
-    frame, progress = PoseFrame.of(scene), run.stage("finding the part")
+    frame, progress = PoseFrame.of(scene), run.stage("registering the part")
     done = 0
 
     def misfit(pose: Float64) -> float:
@@ -219,7 +219,7 @@ def refine_placement(
     reduced: Whether all stages have as few pixels as the first.
     """
     run = run or RunContext()
-    progress = run.stage("refining the part's place")
+    progress = run.stage("refining the registration")
     frame = PoseFrame.of(scene)
     x = start_parameters(scene, frame, start)
     limits = parameter_limits(scene, frame, x)
@@ -287,23 +287,23 @@ def _convergence_warnings(solution: Solution, frame: PoseFrame, iterations: int,
     # at most one
     if solution.at_limit[POSE].any():
         reach = f"{frame.reach[0]:g} mm and {math.degrees(frame.reach[2]):g}°"
-        text = f"the part was searched for up to {reach} from where its file has it, and seems to lie further off; "
+        text = f"the part was searched up to {reach} from its nominal placement, and seems to be further away; "
         return (text + "correct its placement in the part file",)
     if not solution.converged:
-        why = f"; the place is the best of {iterations} steps"
+        why = f"; the placement is the best of {iterations} steps"
     elif moved >= SETTLED_PX:
-        why = f": its last stage moved it by {moved:.1f} px"
+        why = f": its last stage moved the part by {moved:.1f} px"
     else:
         return ()
-    return (f"the search for the part's place did not converge{why}, and its errors may be larger than stated",)
+    return (f"the registration did not converge{why}. Its errors may be larger than stated",)
 
 
 def _undetermined_warnings(directions: Float64, share: Float64) -> tuple[str, ...]:
     # one for each direction in which the images do not determine the placement
     end = "cannot be determined from these images; assumed as in the part file"
     if len(directions) == 3:
-        return (f"where the part lies {end}",)
-    names = ("the shift along x", "the shift along y", "the turn about the rotary axis")
+        return (f"the placement of the part {end}",)
+    names = ("the shift along x", "the shift along y", "the rotation about the rotary axis")
     named = [name for name, s in zip(names, share, strict=True) if s > ALONG_AXIS]
     if len(named) == len(directions):
         return tuple(f"{name} {end}" for name in named)
@@ -311,5 +311,5 @@ def _undetermined_warnings(directions: Float64, share: Float64) -> tuple[str, ..
     for x, y, turn in directions:
         angle = math.degrees(math.atan2(y, x)) % 180.0
         along = f"the shift along {angle:.0f}° from x"
-        warnings.append(f"{along} {end}" if turn**2 < 1.0 - ALONG_AXIS else f"{along} together with a turn {end}")
+        warnings.append(f"{along} {end}" if turn**2 < 1.0 - ALONG_AXIS else f"{along} together with a rotation {end}")
     return tuple(warnings)

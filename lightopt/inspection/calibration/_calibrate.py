@@ -1,4 +1,4 @@
-"""Learn from good parts: what they have in common, and the highest scores that they reach."""
+"""Learn from good parts: their common deviations, and the highest scores that they reach."""
 
 import tempfile
 from collections.abc import Iterator, Sequence

@@ -1,4 +1,4 @@
-"""What was learned from good parts, the inspections that it is valid for, and the rate of false alarms that it holds.
+"""A calibration with good parts: what was learned, the inspections for which it is valid, and its false-alarm rate.
 
 Rates follow from order statistics, whatever the law of the scores. Of `n` good sets let the k-th largest of their
 greatest scores be the threshold. A further good set exceeds it with a probability that is distributed as
@@ -47,7 +47,7 @@ class CalibratedPosture:
     systematic: SystematicDeviations | None = field(repr=False)
 
     def threshold(self, rate: float) -> float:
-        """Score that holds a rate of false alarms.
+        """Threshold of the score for a false-alarm rate.
 
         Raises InputError: there are too few good sets for the rate.
         """
@@ -77,7 +77,7 @@ class Calibration:
     sha256: str = ""
 
     def require_match(self, rig: RigConfig, part: PartConfig, options: InspectOptions) -> None:
-        """Refuse another rig, part, way to inspect or program, and a rate that needs more good sets.
+        """Refuse another rig, part, version or options, and a rate that needs more good sets.
 
         Raises InputError: names all that differs.
         """
@@ -88,13 +88,13 @@ class Calibration:
             "mesh_sha256": f"{part.source.resolve(part.mesh.file)}: the mesh",
         }
         problems = [
-            f"{text} differ from those that {self.name} was made for; calibrate anew"
+            f"{text} differ from those that {self.name} was made for; calibrate again"
             for key, text in parts.items()
             if now[key] != self.fingerprint.get(key)
         ]
         if changed := differences(self.computed_by, computed_by()):
             problems.append(
-                f"{self.name} was made by another lightopt, whose scores may be others ({changed}); calibrate anew"
+                f"{self.name} was made by another lightopt, whose scores may be others ({changed}); calibrate again"
             )
         before = self.fingerprint.get("options")
         before = before if isinstance(before, Mapping) else {}
@@ -119,13 +119,13 @@ class Calibration:
             there = ", ".join(str(one.posture) for one in self.postures)
             raise InputError(
                 f"{where}: posture {posture} is none of those that {self.name} was made for ({there}); "
-                "calibrate anew with good sets of this posture"
+                "calibrate again with good sets of this posture"
             )
         if found.exposures != exposures:
             raise InputError(
                 f"{where}, posture {posture}: expected the images that {self.name} was made for, "
                 f"{exposures_text(found.exposures)}, found {exposures_text(exposures)}; take them as the good sets "
-                "were taken, or calibrate anew"
+                "were taken, or calibrate again"
             )
         return found
 
@@ -172,12 +172,12 @@ def _hash(values: Mapping[str, Any]) -> str:
 
 
 def sets_needed(rate: float) -> int:
-    """How many good sets it takes to hold a rate: the least n of 1 − (1 − rate)ⁿ ≥ 95 %."""
+    """Number of good sets that a rate needs: the least n with 1 − (1 − rate)ⁿ ≥ 95 %."""
     return math.ceil(math.log1p(-CONFIDENCE) / math.log1p(-min(rate, 1.0 - 1e-12)))
 
 
 def least_rate(sets: int) -> float:
-    """The least rate that so many good sets can hold."""
+    """The lowest rate that this number of good sets supports."""
     return 1.0 - (1.0 - CONFIDENCE) ** (1.0 / sets)
 
 
@@ -193,11 +193,11 @@ def tolerance_limit(peaks: Sequence[float], rate: float) -> float | None:
 
 
 def too_few_good_sets(sets: int, rate: float, where: str) -> str:
-    """Message: so many good sets cannot hold a rate; `where` names the sets."""
+    """Message that this number of good sets does not support a rate; `where` names the sets."""
     least = least_rate(sets)
     return (
-        f"{where}: {counted(sets, 'good set')} bear a rate of false alarms of {least:.3g} per posture or "
-        f"more with {100.0 * CONFIDENCE:.0f} % confidence; {rate:g} takes {sets_needed(rate)}: give more good sets, "
+        f"{where}: {counted(sets, 'good set')} support a false-alarm rate of {least:.3g} per posture or "
+        f"more with {100.0 * CONFIDENCE:.0f} % confidence; {rate:g} needs {sets_needed(rate)}: give more good sets, "
         f"or accept a rate of {math.ceil(least * 1000.0) / 1000.0:g}"
     )
 
@@ -255,7 +255,7 @@ def read_calibration(path: Path) -> Calibration:
         raise InputError(f"{path}: expected the JSON of a calibration: {error}") from error
     found = content.get("format") if isinstance(content, dict) else None
     if found != FORMAT:
-        raise InputError(f'{path}: expected a file of format {FORMAT}, found "{found}"; calibrate anew')
+        raise InputError(f'{path}: expected a file of format {FORMAT}, found "{found}"; calibrate again')
     try:
         sets = tuple(str(name) for name in content["good_sets"])
         calibration = Calibration(
@@ -269,7 +269,7 @@ def read_calibration(path: Path) -> Calibration:
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(
-            f"{path}: not a calibration that lightopt wrote: {type(error).__name__} at {error}; calibrate anew"
+            f"{path}: not a calibration that lightopt wrote: {type(error).__name__} at {error}; calibrate again"
         ) from error
     return calibration
 
@@ -289,7 +289,7 @@ def _posture(path: Path, one: Mapping[str, Any], sets: int) -> CalibratedPosture
                 f"{maps}: cannot be read: {error.strerror or error}; {path.name} needs the maps beside it"
             ) from error
         if sha256 != one["maps"]["sha256"]:
-            raise InputError(f"{maps}: not the maps that {path} was written with; calibrate anew")
+            raise InputError(f"{maps}: not the maps that {path} was written with; calibrate again")
         channels = read_exr(maps)
         mean, spread = (np.stack([channels[f"{kind}.{light}"] for light in exposures]) for kind in ("mean", "spread"))
         systematic = SystematicDeviations(mean=mean, spread=spread)

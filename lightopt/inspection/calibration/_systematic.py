@@ -1,4 +1,4 @@
-"""Systematic deviations: what good parts have in common and the model lacks, learned place by place."""
+"""Systematic deviations: common deviations of good parts from the model, learned place by place."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ GREATEST_Z = 100.0  # deviations are clipped here: a single outlier does not out
 
 @dataclass(frozen=True, kw_only=True)
 class SystematicDeviations:
-    """What good parts have in common, in the image of the part where its file has it.
+    """Common deviations of good parts, in the image of the part at its nominal placement.
 
     mean: of the deviations of good parts, in standard deviations of the noise model, shape (lights, H, W).
     spread: by how much sums of deviations scatter around that more than noise makes them, at least 1, same shape.
@@ -36,7 +36,7 @@ class SystematicDeviations:
 
 @dataclass(frozen=True)
 class PackedDeviations:
-    """Deviations of one set in one posture, at the pixels that can be judged: small enough to store those of all sets.
+    """Deviations of one set in one posture, at the evaluable pixels: small enough to store those of all sets.
 
     own, nominal: flat index of each pixel in the set's images, and in those of the part where its file has it (−1
         outside of them), shape (n,); the others have shape (lights, n).
@@ -95,7 +95,7 @@ class PackedDeviations:
 
 
 def subtract_systematic(found: Deviations, systematic: SystematicDeviations, nominal: Int32) -> Deviations:
-    """Deviations without what good parts have in common in that posture, under the same lights."""
+    """Deviations without the common deviations of good parts in that posture, under the same lights."""
     known = nominal >= 0
     at = np.where(known, nominal, 0)
     lights = len(found.z)
@@ -106,7 +106,7 @@ def subtract_systematic(found: Deviations, systematic: SystematicDeviations, nom
 
 
 class SystematicSums:
-    """Sums over good sets, from which what they have in common follows, with or without one of them."""
+    """Sums over good sets, from which their common deviations follow, with or without one of them."""
 
     def __init__(self) -> None:
         self.sets = 0
@@ -118,7 +118,7 @@ class SystematicSums:
         self.sets += 1
 
     def systematic(self, *, but: PackedDeviations | None = None) -> SystematicDeviations:
-        """What the sets have in common, without `but`, a set that was added."""
+        """The common deviations of the sets, without `but`, a set that was added."""
         sets = self.sets if but is None else self.sets - 1
         count, total, *by_scale = self._sums if but is None else self._with(but, -1.0)
         sums, squares = by_scale[: len(SCALES_PX)], by_scale[len(SCALES_PX) :]

@@ -1,4 +1,4 @@
-"""Coverage: which share of the surface was inspected, how sensitively, and why the rest was not.
+"""Coverage: share of the surface that was inspected, its sensitivity, and the reasons for the rest.
 
 Of the pixels of each posture first, then of the part's surface over all postures, each place of it counted once.
 """
@@ -35,7 +35,7 @@ REFERENCE_DEFECT: Final = (
 
 
 class SurfaceState(IntEnum):
-    """What the inspection achieved at a place, the least first; over several postures the best counts.
+    """Class of a place by the result of its inspection, the least first; over several postures the best counts.
 
     What is seen at a grazing angle only (:data:`lightopt.rendering.GRAZING_DEG`) is left out of all shares.
 
@@ -57,7 +57,7 @@ class SurfaceState(IntEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Shares:
-    """A surface by what each place of it can show, and why nothing where it can show nothing.
+    """Areas of a surface by class: the defects that a place can show, or the reason why it shows none.
 
     seen: by the camera, not at a grazing angle [mm²].
     inspected: of it, judged [mm²]: the areas of :attr:`classes`.

@@ -1,4 +1,4 @@
-"""How far each pixel is from the good part, in units of what noise and the model's own errors explain."""
+"""Deviation of each pixel from the good part, in units of its expected deviation by noise and model errors."""
 
 from __future__ import annotations
 

@@ -118,7 +118,7 @@ def core_pixels(region: Bool, fine: Float32) -> Bool:
 
 
 def split_regions(labels: Int32, count: int, score: Float32, found: Deviations, high: float) -> tuple[Int32, int]:
-    """Take off what sums only spread, and split regions whose cores lie apart, where each core would be a region.
+    """Remove what the sums only spread, and split regions whose cores lie apart, where each core would be a region.
 
     Returns Labels and number as given, parts of a region one after the other.
     """

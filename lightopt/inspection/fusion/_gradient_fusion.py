@@ -45,7 +45,7 @@ def pixel_weights(
     *,
     threads: int | None = None,
 ) -> Float32:
-    """How much each pixel of each image shows the surface and not a highlight or a shadow, 0 to 1.
+    """Weight of each pixel of each image: 1 where it shows the surface, 0 where a highlight or a shadow.
 
     0 where it is saturated or predicted to be, and next to that; 0 in shadow; the less the steeper the flank of the
     highlight that is predicted there.
@@ -292,7 +292,7 @@ class FusionRule:
 def fuse_with_prediction(
     rule: FusionRule, levels: Float32, diffuse: Float32, *, draws: int, seed: int, threads: int | None = None
 ) -> tuple[Gradients, Gradients, Gradients]:
-    """Fuse the gradients of images, and find from those of the predicted good part what the rule gets wrong.
+    """Fuse the gradients of images, and estimate the error of the rule from those of the predicted good part.
 
     Returns The fused gradients, the shading of the good part that they lack where an image is not used, and what noise
     makes of them beside scatter.

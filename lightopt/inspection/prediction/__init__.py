@@ -1,1 +1,1 @@
-"""Predict the images of a good part where the part lies, and compare the captured ones with them."""
+"""Predict the images of a good part at the registered placement, and compare the captured images with them."""

@@ -1,4 +1,4 @@
-"""Parts of a batch that lie nearly alike: their placement and their predictions without a ray of their own.
+"""Parts of a batch with nearly the same placement: registration and prediction without casting rays.
 
 The derivatives of a prediction with respect to the placement move it by a fraction of a pixel; how far it is to be
 moved is fitted to few pixels.
@@ -172,7 +172,7 @@ class PixelSample:
 
 @dataclass(frozen=True, eq=False)
 class PlacementOffset:
-    """How far a part lies from where it was predicted.
+    """Displacement of a part from its predicted placement.
 
     offset: steps in x, y and rotation about the part's middle, shape (3,).
     errors: standard errors, same shape.
@@ -186,11 +186,11 @@ class PlacementOffset:
 
     @property
     def near(self) -> bool:
-        """Whether the predictions can be moved so far."""
+        """Whether the displacement is small enough to shift the predictions."""
         return self.converged and bool(np.all(np.abs(self.offset) <= FURTHEST))
 
     def placement(self, scene: Scene, before: Placement) -> Placement:
-        """Where the part lies, given the placement that was predicted."""
+        """The placement of the part, given the predicted placement."""
         x, y, turn = self.offset * difference_steps(scene)
         ex, ey, et = (float(e) for e in self.errors * difference_steps(scene))
         return replace(before, x=before.x + x, y=before.y + y, turn=before.turn + turn, errors=(ex, ey, et))
@@ -249,7 +249,7 @@ def fit_placement_offset(
     *,
     moves: bool,
 ) -> PlacementOffset:
-    """How far a part lies from where it was predicted; gains of the lights and a dark level are fitted along.
+    """Fit the displacement of a part from its predicted placement, with the gains of the lights and a dark level.
 
     moves: whether the part may lie elsewhere; else only light is fitted.
     """

@@ -1,4 +1,4 @@
-"""The images of a posture beside the predicted good part: gains and dark level fitted, exposures merged.
+"""The images of a posture and the prediction of the good part: gains and dark level fitted, exposures merged.
 
 They are the input of fusion and detection.
 """
@@ -88,7 +88,7 @@ class PostureView:
 
     @property
     def clean(self) -> Bool:
-        """Pixels that can be judged, shape (H, W)."""
+        """Evaluable pixels, shape (H, W)."""
         return self.prediction.clean
 
 
@@ -104,8 +104,8 @@ def posture_view(
     clean = prediction.clean
     if clean.any() and all(bool((o.saturated | ~clean).all()) for o in observations):
         raise InputError(
-            f"{where}, posture {observations[0].posture}: all {clean.sum():,} pixels of the part that can be judged "
-            f"are saturated in each of {counted(len(observations), 'image')}: they show nothing; take them with a "
+            f"{where}, posture {observations[0].posture}: all {clean.sum():,} evaluable pixels of the part "
+            f"are saturated in each of {counted(len(observations), 'image')}; capture them with a "
             "shorter exposure or less light"
         )
     images = {image.light: image.level for image in prediction.images.lights}

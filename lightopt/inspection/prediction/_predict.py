@@ -1,4 +1,4 @@
-"""The good part as predicted for a posture: its images, the pixels that can be judged, its surface patches."""
+"""The good part as predicted for a posture: its images, the evaluable pixels, its surface patches."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +26,7 @@ PATCHES = 50_000
 
 @dataclass(frozen=True, kw_only=True)
 class Prediction:
-    """The good part in a posture: its images, and which pixels can be judged.
+    """The good part in a posture: its images, and its evaluable pixels.
 
     images: under each light, with the specular component apart.
     clean: pixels off silhouettes, creases, back faces and grazing views, shape (H, W).
@@ -43,7 +43,7 @@ class Prediction:
 def predict(
     scene: Scene, posture: Posture, caster: RayCaster, *, lights: Sequence[str], threads: int | None = None
 ) -> Prediction:
-    """Render the good part in a posture of a scene with the part where it lies."""
+    """Render the good part in a posture of a scene with the part at its registered placement."""
     chosen = tuple(light for light in scene.lights if light.name in lights)
     # with a trace of scattered light, what a light reaches has some, and what is in its shadow none
     reflectance = replace(scene.reflectance, R_d=max(scene.reflectance.R_d, TRACE))

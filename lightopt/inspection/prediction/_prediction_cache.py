@@ -35,7 +35,7 @@ MOST_BYTES = 1 << 30
 
 @dataclass
 class PredictionCache:
-    """The part inspected last where it lay, for the next sets of a batch.
+    """The part inspected last, at its placement, for the next sets of a batch.
 
     nominal_scenes: scenes with the part where its file has it, by postures and lights.
     placement, scene: where the last part lay, and the scene with it there.
@@ -78,7 +78,7 @@ class PredictionCache:
     def shifted_prediction(
         self, scene: Scene, posture: Posture, lights: Sequence[str], offset: Float64, *, threads: int | None
     ) -> Prediction:
-        """The prediction of a posture for a part that lies a little off the previous one: :meth:`nearby_placement`."""
+        """The prediction of a posture for a part slightly displaced from the previous one: :meth:`nearby_placement`."""
         key = posture, tuple(lights)
         moved = offset * difference_steps(scene)
         return shift_prediction(self.rendered[key], self.derivatives[key], moved, threads=threads)
@@ -86,7 +86,7 @@ class PredictionCache:
     def nearby_placement(
         self, nominal: Scene, observations: Sequence[Observation], *, threads: int | None = None
     ) -> tuple[Scene, Placement, Float64] | None:
-        """Where a part lies that lies nearly where the previous one lay; None where it does not, or none was before.
+        """Placement of a part that is close to the previous one; None if it is not close, or is the first.
 
         The scene of the predictions, the part's placement, and its offset from the predictions in steps of the
         derivatives, shape (3,). What the images do not determine is as for the previous part.

@@ -1,4 +1,4 @@
-"""A set of images with its part registered: for each posture the images beside the predicted good part.
+"""A set of images with its part registered: for each posture the images and the prediction of the good part.
 
 Also the way back from where the part lies to where its file has it: mesh file coordinates and nominal pixels.
 """
@@ -82,7 +82,7 @@ def nominal_scene(
     scenes: dict[tuple[tuple[Posture, ...], tuple[str, ...]], Scene] | None = None,
     threads: int | None = None,
 ) -> tuple[Scene, tuple[Observation, ...]]:
-    """The part without defects where its file has it, under the lights and in the postures of a set, and the images.
+    """The part without defects at its nominal placement, under the lights and in the postures of a set, and the images.
 
     scenes: Of the same rig and part by postures and lights, to reuse and to add to: reading a mesh takes time.
     """
@@ -99,7 +99,7 @@ def nominal_scene(
 def register_part(
     scene: Scene, observations: Sequence[Observation], *, run: RunContext | None = None
 ) -> tuple[Scene, Registration]:
-    """A nominal scene with its part where the images show it, and how far that is from where its file has it."""
+    """A scene with its part at the registered placement, and the displacement from the nominal one."""
     found = register(scene, observations, caster=cast_rays_at(scene), run=run)
     return place_part(scene, found.placement), found
 
@@ -145,7 +145,7 @@ def world_to_mesh_file(
 
 
 def nominal_pixels(view: PostureView, scene: Scene, placement: Placement) -> Int32:
-    """For each pixel the one that shows its place where the part's file has it: flat index or −1, shape (H, W).
+    """For each pixel the one that shows its place at nominal placement: flat index or −1, shape (H, W).
 
     scene: With the part where its file has it.
     placement: Where it lies from there.

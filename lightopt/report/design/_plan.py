@@ -59,7 +59,7 @@ def blind_tables(document: Mapping[str, Any]) -> list[Table]:
         rows.append([name, lights, *cells])
     images = counted(spots["min_images"], "image")
     caption = (
-        f"Shares of {spots['shares_of']}; seen: in {images} or more, of a posture or of all. "
+        f"Shares of {spots['shares_of']}. Seen: in {images} or more, of one posture or of all postures. "
         f"{BLIND_LIGHTS[1].capitalize()}: every light wherever it shows that defect; no one set of positions need show "
         "all of it. Left out: of the whole surface, what the camera sees at a grazing angle only."
     )
@@ -75,7 +75,7 @@ def posture_blocks(output: DesignOutput) -> list[Block]:
     blocks: list[Block] = [posture_table(chosen), Facts(rows=posture_facts(chosen, output.document.get("rounds", ())))]
     if chosen["left_out"]:
         left = [[str(Posture.from_dict(one)), one["reason"]] for one in chosen["left_out"]]
-        blocks.append(Table(header=["posture", "left out since"], rows=left, numbers_from=2))
+        blocks.append(Table(header=["posture", "left out because"], rows=left, numbers_from=2))
     return [*blocks, *_commands(output.document)]
 
 
@@ -96,13 +96,13 @@ def posture_table(chosen: Mapping[str, Any], *, with_exposures: bool = True) -> 
     ]
     k = chosen["min_images"]
     columns = (
-        "what each posture shows that those chosen before it do not, and what it shows with them."
+        "adds, what the posture shows that the postures chosen before it do not; together, what it shows with them."
         if k == 1
         else f"adds, images new to a patch and defect, up to {k} of each; together, what is seen in {k} images or more."
     )
     caption = (
-        f"In the order of least travel, were all captured in one round. Of the surface × defects: {columns} Shares are "
-        f"of {chosen['shares_of']}."
+        "In the order of least travel, if all postures are captured in one round. Of the surface × defects: "
+        f"{columns} Shares refer to {chosen['shares_of']}."
     )
     header = ["posture", "chosen as no.", *(["exposures"] if with_exposures else []), "adds", "together"]
     return Table(header=header, rows=rows, caption=caption)
@@ -120,33 +120,33 @@ def posture_facts(chosen: Mapping[str, Any], rounds: Sequence[Mapping[str, Any]]
     sight = [text(chosen[f"{which}_share_of_surface"]) for which in ("inspectable", "left_out")]
     facts = [
         ("chosen from", f"{counted(chosen['candidates'], 'posture')} that the stage reaches"),
-        ("the same number of others shows at most", _bound(chosen, text(chosen["bound"]))),
+        ("maximum for the same number of postures", _bound(chosen, text(chosen["bound"]))),
         ("all candidates together show", text(chosen["all_candidates"])),
         (
             "the camera sees, in some posture",
             f"{sight[0]} of the surface; {sight[1]} is left out, seen at a grazing angle only",
         ),
         ("travel from (0°, 0°)", _travel(chosen, rounds)),
-        ("each patch counts as its middle does", grain),
+        ("resolution", grain),
     ]
     if (initial := chosen["lights_as_they_stand"]) is not None:
         share = f"{text(initial['share'])} in {counted(initial['postures'], 'posture')}, of {initial['share_of']}"
-        facts.append(("with the lights as they stood", share))
+        facts.append(("with the lights in their old positions", share))
     if sufficient < count:
         facts.append((f"the first {sufficient} chosen show", text(chosen["postures"][sufficient - 1]["share"])))
     if chosen["requested"] is not None and chosen["target"] is None and count < chosen["requested"]:
-        facts.append(("postures that were asked for", str(chosen["requested"])))
+        facts.append(("postures requested", str(chosen["requested"])))
     if not chosen["proven_with_these_lights"]:
-        guarantee = f"{text(chosen['greedy_guarantee'])} of the best with these lights"
-        facts.append(("these postures have at least", guarantee))
+        guarantee = f"{text(chosen['greedy_guarantee'])} of the maximum with these lights"
+        facts.append(("these postures reach at least", guarantee))
     if chosen["target"] is not None and chosen["fewest_possible"] is not None:
         needed = counted(chosen["fewest_possible"], "posture")
-        facts.append((f"{100.0 * chosen['target']:.9g} % takes at least", needed))
+        facts.append((f"{100.0 * chosen['target']:.9g} % needs at least", needed))
     return facts
 
 
 def exposure_blocks(output: DesignOutput) -> list[Block]:
-    """Which further exposures pay."""
+    """Which further exposures add enough to be planned."""
     planned = output.document.get("exposures")
     if planned is None:
         return []
@@ -158,11 +158,11 @@ def exposure_note(planned: Mapping[str, Any]) -> str:
     """What the planned exposures show, and what was planned, from ``exposures`` of result.json."""
     text = partial(share_text, grain=planned["grain"])
     why = {shot["planned_for"] for shot in planned["shots"]}
-    needed = ", or with another twice that" * ("pair" in why)
-    needed += ", or where the target takes it" * ("target" in why)
+    needed = ", or twice that together with another" * ("pair" in why)
+    needed += ", or if the target needs it" * ("target" in why)
     return (
         f"With the planned exposures {text(planned['share'])} of the surface × defects is seen, with exposure 1 "
-        f"alone {text(planned['share_without'])}. One is planned where it adds "
+        f"alone {text(planned['share_without'])}. An exposure is planned if it adds "
         f"{100.0 * planned['least_gain']:g} % or more{needed}."
     )
 
@@ -188,10 +188,10 @@ def tolerance_blocks(output: DesignOutput) -> list[Block]:
         return []
     offsets = output.document["provenance"]["options"]["tolerances"]
     caption = (
-        f"Shares of the score: where lights are off by {offsets['light_deg']:g}° and the part by "
-        f"{offsets['pose_deg']:g}° in each of their angles, in the worst way, and in draws. Widest: how far each "
-        f"angle alone, or those of all lights, may be off in steps of 0.05° before less than "
-        f"{percent(offsets['target'], 0)} are kept."
+        f"Shares of the score that remain if lights are off by {offsets['light_deg']:g}° and the part by "
+        f"{offsets['pose_deg']:g}° in each of their angles: in the worst corner, and in random draws. Widest: how far "
+        f"each angle alone, or those of all lights, may be off, in steps of 0.05°, while at least "
+        f"{percent(offsets['target'], 0)} remain."
     )
     return [replace(tolerance_table(tolerances), caption=caption)]
 
@@ -214,14 +214,14 @@ def plan_proof(chosen: Mapping[str, Any]) -> str:
     """What is proven of the postures and lights, from ``chosen_postures`` of result.json."""
     number = counted(len(chosen["postures"]), "posture")
     if chosen["optimum"] == "proven":
-        return f"Proven of these patches: no {number} of the {chosen['candidates']} show more."
+        return f"Proven for these patches: no {number} of the {chosen['candidates']} show more."
     sets = f"no {number} of the {chosen['candidates']} show"
     if chosen["best_of_sets"] is not None:
         sets = f"none of the {chosen['best_of_sets']:,} sets of {number} shows"
     more = (
         "" if chosen["proven_with_these_lights"] else f" than {share_text(chosen['bound'], chosen['patches']['grain'])}"
     )
-    whatever = ", at any of the exposures offered" * (len(chosen["bounds_with_any_of_exposures"]) > 1)
+    whatever = ", at any of the candidate exposures" * (len(chosen["bounds_with_any_of_exposures"]) > 1)
     bound = f"Proven: with these lights {sets} more{more}{whatever}."
     if not chosen["iterations"]:
         return f"{bound} No light moves."
@@ -250,7 +250,7 @@ def _bound(chosen: Mapping[str, Any], share: str) -> str:
     sets = chosen["best_of_sets"]
     if sets is None:
         return share
-    best = "these are the best" if chosen["proven_with_these_lights"] else "the best"
+    best = "these are the best" if chosen["proven_with_these_lights"] else "the maximum"
     return f"{share}: {best} of all {sets:,} sets with these lights"
 
 
@@ -262,14 +262,14 @@ def _travel(chosen: Mapping[str, Any], rounds: Sequence[Mapping[str, Any]]) -> s
     total = sum(one["travel_s"] for one in rounds)
     ways = "; ".join(" → ".join(str(Posture.from_dict(p)) for p in one["order_of_travel"]) for one in rounds)
     return (
-        f"{text}, were all captured in one round; the {len(rounds)} capture commands below take {each} = "
-        f"{total:.1f} s, each from (0°, 0°) on: {ways}"
+        f"{text}, if all postures are captured in one round; the {len(rounds)} capture commands below take {each} = "
+        f"{total:.1f} s, each starting at (0°, 0°): {ways}"
     )
 
 
 def _commands(document: Mapping[str, Any]) -> list[Block]:
     commands = document.get("commands", ())
-    lead = [Note(text="To carry the plan out, in the folder of this report:")] if commands else []
+    lead = [Note(text="Commands to carry out the plan, to be run in the folder of this report:")] if commands else []
     return [*lead, *(Note(text=command) for command in commands)]
 
 

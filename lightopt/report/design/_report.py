@@ -50,15 +50,15 @@ def design_page(output: DesignOutput) -> Page:
         Section(heading="Postures", blocks=posture_blocks(output)),
         Section(heading="Exposures", blocks=exposure_blocks(output)),
         Section(heading="Images of the best set", blocks=image_blocks(output)),
-        Section(heading="Where the lights stand", blocks=drawing_blocks(output)),
-        Section(heading="How flat the top is", blocks=curve_blocks(output)),
-        Section(heading="How exact the angles must be", blocks=tolerance_blocks(output)),
+        Section(heading="Light positions", blocks=drawing_blocks(output)),
+        Section(heading="Score against the angles", blocks=curve_blocks(output)),
+        Section(heading="Tolerances of the angles", blocks=tolerance_blocks(output)),
         Section(heading="Scores", blocks=[scores_table(output)]),
-        Section(heading="What was assumed", blocks=fact_blocks(output)),
+        Section(heading="Assumptions", blocks=fact_blocks(output)),
     ]
     rig, part = output.result.rig, output.result.part
     return Page(
-        title=f"Where the lights go: {part.name}",
+        title=f"Light positions: {part.name}",
         subtitle=f"{part.name} on {rig.name}, lightopt {output.document['provenance']['lightopt']}",
         lead=answer_blocks(output),
         sections=[section for section in sections if section.blocks],
@@ -85,14 +85,14 @@ def answer_blocks(output: DesignOutput) -> list[Block]:
     ]
     if rows:
         caption = (
-            "Of each light its elevation from the table plane and its azimuth about Z from the world's +X towards +Y."
+            "Angles of each light: elevation from the table plane, and azimuth about Z from the world's +X towards +Y."
         )
         blocks.append(Table(header=header, rows=rows, caption=caption))
     proofs = [_proof(result) for result, _ in found] if chosen is None else [plan_proof(chosen)]
     blocks += [Note(text=proof) for proof in proofs]
     rigs = ", ".join(rig["file"] for rig in output.document["rigs"])
     if rigs:
-        blocks.append(Note(text=f"Rig with these angles: {rigs}"))
+        blocks.append(Note(text=f"Rig file with these angles: {rigs}"))
     return [*blocks, Warnings(texts=output.warnings)]
 
 
@@ -127,8 +127,8 @@ def _answer(result: SetResult) -> Answer:
     added = ", added up" * (len(result.postures) > 1)
     return Answer(
         figure=share_text(share, result.grain),
-        text=f"of the {surface} that the camera sees in {where}{added}, but for {result.left_out_text} that it sees "
-        f"at more than {GRAZING_DEG:g}° to the normal: {score} by {best.objective.name}",
+        text=f"of the {surface} that the camera sees in {where}{added}, without the {result.left_out_text} that it "
+        f"sees at more than {GRAZING_DEG:g}° to the normal: {score} by {best.objective.name}",
     )
 
 
@@ -136,8 +136,8 @@ def _plan_answer(chosen: Mapping[str, Any], exposures: Mapping[str, Any] | None)
     images = counted(chosen["min_images"], "image")
     postures = ", ".join(str(Posture.from_dict(one)) for one in chosen["order_of_travel"])
     text = (
-        f"of the surface × defects is seen in {images} or more, by all planned images together, in {postures}; the "
-        "surface is what the camera sees in any posture to choose from"
+        f"of the surface × defects is seen in {images} or more of the planned images, in {postures}; the surface is "
+        "what the camera sees in any candidate posture"
     )
     share, grain = chosen["share"], chosen["patches"]["grain"]
     if exposures is not None:
@@ -162,9 +162,9 @@ def _proof(result: SetResult) -> str:
     if found.proven and found.complete:
         text = f"proven, none of {total} scores more"
     elif found.proven:
-        text = f"none of {total} scores more, but one that was not looked at may score the same"
+        text = f"none of {total} scores more, but one that was not scored may score the same"
     else:
-        text = f"not proven; {found.left:,} of {total} were left, and none scores more than "
+        text = f"not proven; {found.left:,} of {total} were not searched, and none of them scores more than "
         text += result.format_score(found.bound, objective)
     runner_up = "there is no other"
     if found.gap is not None:
@@ -202,7 +202,7 @@ def fact_blocks(output: DesignOutput) -> list[Block]:
         for out in output.result.all_candidates.left_out
     ]
     if left_out:
-        blocks.append(Table(header=["light", "position", "left out since it"], rows=left_out, numbers_from=3))
+        blocks.append(Table(header=["light", "position", "left out because it"], rows=left_out, numbers_from=3))
     return blocks
 
 
@@ -217,7 +217,7 @@ def _physics(output: DesignOutput) -> list[tuple[str, str]]:
         f"{thresholds.saturation} on; at exposure 1, without noise"
     )
     options = output.document["provenance"]["options"]
-    seen_against = "what a defect has to be seen against, and no part of other scores"
+    seen_against = "used for detectability only"
     use = seen_against if "threshold" in options else "not part of the score"
     coefficients = f"R_d {reflectance.R_d:g}, R_s {reflectance.R_s:g}, σ {reflectance.sigma:g} rad"
     return [
@@ -249,7 +249,7 @@ def _search(output: DesignOutput) -> list[tuple[str, str]]:
     facts = [
         ("positions", f"{positions}, step {options['step_deg']:g}°{common}"),
         ("objectives", ", ".join(options["objectives"])),
-        ("defects", "none on the part: scores are of a good part"),
+        ("defects", "none on the part: the scores are those of a good part"),
     ]
     if "threshold" in options:
         entries = build_catalogue(output.result.part)
@@ -257,14 +257,14 @@ def _search(output: DesignOutput) -> list[tuple[str, str]]:
         images = counted(options["min_images"], "image")
         visible = f"where the level changes by {options['threshold']:g} times the noise or more, in {images} or more"
         facts += [
-            ("defects looked for", f"{', '.join(entry.name for entry in entries)}: {trials}"),
+            ("defect catalogue", f"{', '.join(entry.name for entry in entries)}: {trials}"),
             ("directions of walls", f"{DIRECTIONS}, evenly around"),
             ("a defect is seen", visible),
         ]
     if (tolerances := options.get("tolerances")) is not None:
         text = (
             f"lights {tolerances['light_deg']:g}°, part {tolerances['pose_deg']:g}°; "
-            f"{counted(tolerances['draws'], 'draw')} of seed {tolerances['seed']}; the widest keep "
+            f"{counted(tolerances['draws'], 'draw')} with random seed {tolerances['seed']}; the widest keep "
             f"{100.0 * tolerances['target']:g} % of the score"
         )
         facts.append(("tolerances", text))

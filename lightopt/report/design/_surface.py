@@ -131,7 +131,7 @@ def surface_blocks(output: DesignOutput) -> list[Block]:
 def _captions(output: DesignOutput) -> list[str]:
     low, high = output.result.thresholds.shade, output.result.thresholds.saturation
     captions = [
-        f"{output.result.part.name} as it stands at posture (0°, 0°), Z up.",
+        f"{output.result.part.name} at posture (0°, 0°), Z up.",
         f"A level from {low} on and below {high} is usable, one from {high} on saturated, one below {low} shaded.",
     ]
     if output.result.blind is not None:

@@ -119,7 +119,7 @@ def image_blocks(result: InspectionResult) -> list[Block]:
             else "the least level over the lights, black off the part"
         )
         caption = (
-            f"Posture {where}: red for a defect of shape, blue for a stain, orange for what could not be told; beneath "
+            f"Posture {where}: red for a defect of shape, blue for a stain, orange for an unknown kind; the background "
             f"is {beneath}"
         )
         blocks.append(
@@ -164,7 +164,7 @@ def _small(image: Image.Image, limit: int) -> bytes:
 
 
 PART_COLOUR = "#c9ced6"
-WORDS: Final[Mapping[Kind, str]] = {"shape": "shape", "stain": "stain", "unknown": "shape or stain: could not be told"}
+WORDS: Final[Mapping[Kind, str]] = {"shape": "shape", "stain": "stain", "unknown": "unknown kind"}
 
 # a ball's radius is at least this share of the part's size, so that the smallest defect is seen from afar
 LEAST_SHARE = 0.015
@@ -201,7 +201,7 @@ def marked_part(result: InspectionResult, name: str) -> SurfaceView:
             toward=first_view(result.nominal.camera),
         ),
         alt=f"{name} with a ball at each of its defects",
-        caption=f"{name} as it stands at posture (0°, 0°), Z up. A ball has the length of its defect as diameter, but "
+        caption=f"{name} at posture (0°, 0°), Z up. A ball has the length of its defect as diameter, but "
         f"at least {2.0 * LEAST_SHARE * size:.2g} mm.",
     )
 

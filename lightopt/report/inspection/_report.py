@@ -26,15 +26,15 @@ def inspection_report(
     truth: From :func:`lightopt.inspection.summarise`; None where nothing is known of the part.
     """
     sections = [
-        Section(heading="Where the defects are", blocks=[marked_part(result, part)]),
+        Section(heading="Positions of the defects", blocks=[marked_part(result, part)]),
         Section(
             heading="Defects",
-            blocks=[defect_table(result, verdict) if result.defects else Note(text="None was found.")],
+            blocks=[defect_table(result, verdict) if result.defects else Note(text="No defect was found.")],
         ),
         Section(heading="Images", blocks=image_blocks(result)),
-        Section(heading="What was inspected", blocks=[surface_table(result)]),
-        Section(heading="Against the truth", blocks=[] if truth is None else truth_blocks(truth)),
-        Section(heading="How it was inspected", blocks=[_facts(result, verdict, provenance)]),
+        Section(heading="Inspected surface", blocks=[surface_table(result)]),
+        Section(heading="Comparison with ground truth", blocks=[] if truth is None else truth_blocks(truth)),
+        Section(heading="Inputs and settings", blocks=[_facts(result, verdict, provenance)]),
     ]
     return page_html(
         Page(
@@ -65,30 +65,35 @@ def _facts(result: InspectionResult, verdict: Verdict, provenance: Mapping[str, 
     fewer = any(len(p.view.lights) < min_images for p in result.postures)
     rate, limits = options["false_alarms"], verdict.limits
     alarms = (
-        f"in a posture, on a share of {rate:g} of good parts" if "calibration" in inputs else f"{rate:g} per posture"
+        f"{rate:g} of good parts with a false alarm in a posture"
+        if "calibration" in inputs
+        else f"{rate:g} per posture"
     )
     counting = (
-        f"{counted(limits.most_defects, 'defect')} allowed; one counts from {limits.least_size_mm:g} mm and a contrast "
-        f"of {percent(limits.least_contrast)} on; {percent(limits.least_inspected)} of the visible surface or more to "
-        "be inspected"
+        f"at most {counted(limits.most_defects, 'defect')} of {limits.least_size_mm:g} mm or more and a contrast of "
+        f"{percent(limits.least_contrast)} or more; at least {percent(limits.least_inspected)} of the visible surface "
+        "inspected"
     )
-    shows = f"a defect shows in {counted(min_images, 'image')}"
+    shows = f"a defect must show in {counted(min_images, 'image')}"
     rows = [
         ("rig", f"{inputs['rig']['file']}, sha256 {inputs['rig']['sha256'][:16]}"),
         ("part", f"{inputs['part']['file']}, sha256 {inputs['part']['sha256'][:16]}"),
-        ("detector", f"{options['detector']}, {shows}{', or in all where there are fewer' if fewer else ''}"),
+        ("detector", f"{options['detector']}, {shows}{', or in all images where there are fewer' if fewer else ''}"),
         ("image without highlights", options["fusion"] or "none"),
-        ("false alarms asked for", alarms),
+        ("false-alarm rate", alarms),
         ("limits", counting),
-        ("calibration", inputs.get("calibration", {}).get("file", "none: by the noise of the sensor")),
+        (
+            "calibration",
+            inputs.get("calibration", {}).get("file", "none; the threshold follows from the sensor's noise"),
+        ),
     ]
     if result.placement is not None:
         place = placement_text(result.placement) or "cannot be determined; assumed as in the part file"
-        rows.append(("the part lies off its place by", place))
+        rows.append(("displacement of the part", place))
     for posture in result.postures:
         view = posture.view
         gains = ", ".join(f"{name} ×{view.photometry.gains[name]:.4f}" for name in view.lights)
-        found = f"threshold {posture.threshold:.2f}; brightness found: {gains}"
+        found = f"threshold {posture.threshold:.2f}; fitted gains: {gains}"
         rows.append((f"posture {view.posture}", f"{found}; dark {view.photometry.dark:+.2f} levels"))
     return Facts(rows=rows)
 
@@ -124,7 +129,7 @@ def batch_report(
     rest = f"; {counted(refused, 'set')} not inspected" if refused else ""
     sections = [
         Section(heading="Parts", blocks=[table]),
-        Section(heading="Against the truth", blocks=[] if truth is None else truth_blocks(truth)),
+        Section(heading="Comparison with ground truth", blocks=[] if truth is None else truth_blocks(truth)),
     ]
     return page_html(
         Page(

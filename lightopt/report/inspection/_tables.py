@@ -40,14 +40,14 @@ def defect_table(result: InspectionResult, verdict: Verdict) -> Table:
         ]
         for defect in result.defects
     ]
-    header = ["", "kind", "lights", "counts", "place [mm]", "size [mm]", "area [mm²]", "contrast", "score"]
+    header = ["", "kind", "lights", "counts", "position [mm]", "size [mm]", "area [mm²]", "contrast", "score"]
     return Table(
         header=[*header, "postures"],
         rows=rows,
         numbers_from=4,
-        caption="Places are in the coordinates of the mesh file. The score is −log₁₀ of the probability that noise "
-        "alone looks as much like a defect; lights are those that show it by themselves, by four standard "
-        "deviations or more. Where these are fewer than asked for, several together stand out of the noise.",
+        caption="Positions are in the coordinates of the mesh file. The score is −log₁₀ of the probability that noise "
+        "alone looks as much like a defect. The lights are those that show the defect by themselves, by four standard "
+        "deviations or more. If they are fewer than required, several images together exceed the noise.",
     )
 
 
@@ -78,25 +78,26 @@ def surface_notes(result: InspectionResult) -> list[str]:
     every = result.surface
     seen = max(every.seen, 1e-9)
     legend = (
-        f"Shares of the surface that the camera sees at up to {GRAZING_DEG:g}° to its normal; left out, as a share of "
-        "all that it sees, is the rest. What was inspected, by what it shows: an even disc of 5 px, half "
-        "of the time, from such a change of the light on; only stronger ones; where it is dark, only glints. The rest, "
-        "by why not. The shares of all classes except what is left out add up to 100 %."
+        f"Shares of the surface that the camera sees at up to {GRAZING_DEG:g}° to its normal. Left out: the rest, as a "
+        "share of all that it sees. The inspected surface is divided by the smallest change of the light at which an "
+        "even disc of 5 px is found half of the time, then surface that shows only stronger changes (stronger), and "
+        "dark surface that shows only glints. The surface that was not inspected is divided by reason. The shares of "
+        "all classes except left out add up to 100 %."
     )
     notes = [legend]
     if every.fewer > 0.0:
         notes.append(
-            f"{percent(every.fewer / seen)} is lit in fewer images than a defect must show in: it has to show in these "
-            "alone."
+            f"{percent(every.fewer / seen)} is lit in fewer images than must show a defect. There a defect must show "
+            "in these images alone."
         )
     if len(result.postures) > 1 or every.missing > 0.0:
         never = percent(1.0 - (every.seen + every.grazing) / max(every.area, 1e-9))
         notes.append(
-            "All postures: each place once, by the posture that shows it best; the verdict is of this. "
-            f"{never} of the part's {every.area:.0f} mm² is never seen."
+            "All postures: each place counts once, with the posture that shows it best. The verdict refers to this "
+            f"row. {never} of the part's {every.area:.0f} mm² is never seen."
         )
     if every.missing > 0.0:
-        notes.append("No images: what postures of the part's file show of which the set has none.")
+        notes.append("No images: seen only in postures of the part file of which the set has no images.")
     return notes
 
 
@@ -108,7 +109,7 @@ def dark_text(verdict: Verdict) -> str:
 def placement_text(placement: Placement) -> str:
     """How far a part lies off its place, of what the images determine: in x, in y [mm] and turned [°], with signs."""
     found = placement.as_dict()
-    forms = {"x_mm": "{} mm in x", "y_mm": "{} mm in y", "turn_deg": "turned by {}°"}
+    forms = {"x_mm": "{} mm in x", "y_mm": "{} mm in y", "turn_deg": "rotated by {}°"}
     # adding 0 makes a nought of what is rounded to minus nought
     words = [form.format(f"{round(float(f'{found[key]}'), 3) + 0.0:+.3f}") for key, form in forms.items()]
     return ", ".join(itertools.compress(words, placement.observable))
@@ -121,7 +122,7 @@ def truth_blocks(summary: Mapping[str, Any]) -> list[Block]:
     facts = [
         ("found", f"{summary['found']} of {summary['defects']} defects in view"),
         (
-            "shown by no pixel to judge",
+            "without an evaluable pixel",
             f"{hidden}: out of view, at an edge, or narrower than a pixel" if hidden else "none",
         ),
         ("false alarms", f"{summary['false_alarms_per_posture']:g} per posture"),
@@ -142,7 +143,7 @@ def detection_table(summary: Mapping[str, Any]) -> Table:
             for kind, curve in summary["detection"].items()
         ],
         caption="a90 is the size found 90 % of the time by logistic regression on ln size, a90/95 its upper bound of "
-        "95 % confidence; - where hits and misses do not tell it.",
+        "95 % confidence; a dash where hits and misses do not determine it.",
     )
 
 

@@ -135,7 +135,7 @@ class AcquisitionEngine:
         """Check that the stage stands where it was left; moves nothing."""
         if self.devices.stage is None:
             return
-        self.devices.step = "checking that the stage still stands where it was left"
+        self.devices.step = "checking that the stage has not moved"
         with self._timing.spent("moving_s"):
             self.devices.stage.confirm()
 

@@ -68,8 +68,8 @@ def check_folder(
 def _refuse_set(folder: Path, *, resume: bool, force: bool) -> None:
     if (folder / MANIFEST_NAME).exists() and not (resume or force or _lists_nothing(folder)):
         raise InputError(
-            f"{folder}: holds an image set; use option 'resume' to take what is missing of it, option 'force' to "
-            "replace it, or choose another output folder"
+            f"{folder}: holds an image set; use option 'resume' to capture the missing images, option 'force' to "
+            "replace the set, or choose another output folder"
         )
 
 

@@ -121,7 +121,7 @@ def check_light(
     """
     part = predictions.part
     if int(part.sum()) < LEAST_CELLS:
-        return LightCheck(undecided="too little of the part shows")
+        return LightCheck(undecided="too little of the part is visible")
     background = cells(dark, predictions)[part] if isinstance(dark, np.ndarray) else dark
     seen = cells(image, predictions)[part] - background
     room = sensor.saturated_from - sensor.black_level
@@ -131,7 +131,7 @@ def check_light(
     fitting = own_light * (_dot(seen, own_light) / power if power > 0.0 else 0.0)  # the multiple that fits best
     noise = float(np.std(seen - fitting)) / np.sqrt(seen.size)
     if expected <= 5.0 * max(noise, 0.02):
-        return LightCheck(undecided="too dark at this exposure to tell")
+        return LightCheck(undecided="too dark at this exposure")
     brightness = float(seen.mean()) / expected
     resemblance = {name: _correlation(seen, level) for name, level in alone.items()}
     own = resemblance.pop(light)
@@ -152,7 +152,7 @@ def check_light(
     elif best is not None and best[1] >= clearly:
         problem = (
             f"{light} was lit, but the image looks like {best[0]} (correlation {best[1]:.2f}, with {light} "
-            f"{own:.2f}): are their plugs swapped?"
+            f"{own:.2f}): check whether their plugs are swapped"
         )
     elif both is not None and both[1] >= clearly and brightness > 1.0 + STAYED_DARK:
         problem = (
@@ -160,11 +160,11 @@ def check_light(
             f"with {light} alone {own:.2f})"
         )
     elif own < RESEMBLES and _self_correlation(own_light, sensor, predictions.cell) < PLAIN:
-        undecided = "too little pattern at this exposure to tell"
+        undecided = "too little pattern at this exposure"
     elif own < RESEMBLES:
         problem = (
             f"the part does not look as predicted under any light (correlation with {light} {own:.2f}); check "
-            "that it is the part of the part file, and where it lies"
+            "that it is the part of the part file, and its placement"
         )
     elif best is not None and best[1] > own - CLEARLY_MORE:
         undecided = f"{light} and {best[0]} make images that look alike"
@@ -320,13 +320,12 @@ class ImageChecker:
             darks = (own_dark, self._dark(dark, exposure))
             problem = problem or exposure_mismatch(light, image, other, darks=darks, sensor=self._sensor)
         if problem is not None:
-            stop = "" if problem.endswith("?") else "."
             raise HardwareError(
-                f"{where} at exposure {acquired.exposure:g}: {problem}{stop} The image was not kept; "
-                "this check of the lights can be switched off"
+                f"{where} at exposure {acquired.exposure:g}: {problem}. The image was not kept; to capture without "
+                "this check, use option 'check'"
             )
         if found.undecided is not None and not others:
-            warn(f"{where}: whether it is lit by the right light is undecided: {found.undecided}")
+            warn(f"{where}: the check whether the right light is on is undecided: {found.undecided}")
         return found.as_dict()
 
     def close(self) -> None:

@@ -21,7 +21,7 @@ from lightopt.rig.devices import (
     run_in_parallel,
 )
 
-NONE_OF_THE_RIG = "none that the rig has a name for"
+NONE_OF_THE_RIG = "none that the rig names"
 
 
 @dataclass
@@ -162,14 +162,14 @@ def switch_off(lights: LightsOnly, *, serial_log: Path | None = None, run: RunCo
         messages = [message for problem in problems.values() for message in problem.messages]
         if lights.unreadable:
             messages.append(
-                f"not switched off, because the file is wrong there: controller {', '.join(lights.unreadable)}; mend "
-                "it and repeat, or switch it off by hand"
+                f"not switched off, because of errors in the file: controller {', '.join(lights.unreadable)}; "
+                "correct them and repeat, or switch it off by hand"
             )
         may_be_on += [name for name in lights.lights_unknown if name not in may_be_on]
         kind = HardwareError if problems else InputError
         raise kind(
             *messages,
-            f"controllers that went dark: {', '.join(dark.controllers) or 'none'}",
+            f"controllers switched off: {', '.join(dark.controllers) or 'none'}",
             f"lights that may still be on: {', '.join(may_be_on) or NONE_OF_THE_RIG}",
         )
     if signals.pending is not None:

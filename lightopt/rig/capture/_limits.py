@@ -21,7 +21,7 @@ def posture_problems(
     stage = wiring.hardware.stage
     if stage is None and len(named) > 1:
         yield (
-            f"{rig.source.at('hardware')}: this rig has no stage, so that one run takes one posture; place the part by "
+            f"{rig.source.at('hardware')}: this rig has no stage, so one run captures one posture; place the part by "
             f"hand and choose that one; found {len(named)} postures"
         )
     for posture, where in named:
@@ -30,7 +30,7 @@ def posture_problems(
                 yield f"{where}: {problem}"
             elif stage is not None and getattr(stage, name) is None and angle != 0.0:
                 yield (
-                    f"{where}: {name} {angle:g}°, but the stage has no {name} axis, which stands at 0° "
+                    f"{where}: {name} {angle:g}°, but the stage has no {name} axis, which is at 0° "
                     f"({rig.source.at('hardware', 'stage')})"
                 )
 
@@ -67,7 +67,7 @@ def light_problems(rig: RigConfig, wiring: Wiring, lights: Iterable[str], *, on_
             yield f"{where}: level {channel.level} is above the highest allowed, {top}"
         if channel.max_on_s is not None and on_s > channel.max_on_s:
             yield (
-                f"{where}: would be on for {on_s:.3g} s at a stretch (settling and {taken}), longer than max_on_s "
+                f"{where}: would be on for {on_s:.3g} s without a break (settling and {taken}), longer than max_on_s "
                 f"{channel.max_on_s:g}; take fewer or shorter exposures"
             )
 

@@ -106,8 +106,8 @@ def exposure_mismatch(
         if off < -allowed or (off > allowed and not least):
             share = max(found, 0.0) / should if one is short else should / max(found, 1e-3)
             return (
-                f"{light} is {share:.0%} as bright as at exposure {other.exposure:g}: it went out, changed, or another "
-                "light came on between the exposures"
+                f"{light} is {share:.0%} as bright as at exposure {other.exposure:g}: it failed, changed, or another "
+                "light was switched on between the exposures"
             )
     return None
 

@@ -198,14 +198,14 @@ class Devices:
         referenced = self.stage.state().referenced
         if referenced is False:
             raise HardwareError(
-                "the stage does not know where its origin is, so it was not moved; home it: lightopt bench home RIG, "
-                "or let this command home it first"
+                "the stage has no reference position, so it was not moved; home it: lightopt bench home RIG, or "
+                "option 'home' of this command"
             )
         if referenced is None and not config.assume_referenced:
             raise HardwareError(
-                f"a stage with driver {config.driver} cannot say whether it was homed since it was switched on, so it "
+                f"a stage with driver {config.driver} cannot report whether it was homed since power-up, so it "
                 "was not moved; home it with this command (option 'home'), or home it (lightopt bench home RIG) and "
-                "write assume_referenced: true under hardware.stage where it is homed by hand after switching on"
+                "write assume_referenced: true under hardware.stage if it is always homed by hand after power-up"
             )
 
     def home(self) -> None:
@@ -256,9 +256,9 @@ class Devices:
         try:
             state = self.stage.state()
         except Exception as error:  # noqa: BLE001  (as above)
-            return lit, f"{stopped}; where it stands is unknown: {error_text(error)}"
+            return lit, f"{stopped}; its position is unknown: {error_text(error)}"
         alarm = f", alarm: {state.alarm}" if state.alarm else ""
-        return lit, f"{stopped} and stands at {state.posture}{alarm}"
+        return lit, f"{stopped} and is at {state.posture}{alarm}"
 
     def _last_resort(self) -> None:
         """At the end of the program, if it ended without leaving these devices."""

@@ -83,10 +83,10 @@ class CaptureSession:
             return f"{on_disk}; the set is complete"
         again = self._records.in_doubt
         if not again:
-            return f"{on_disk}; go on with option 'resume'"
+            return f"{on_disk}; continue with option 'resume'"
         return (
-            f"{on_disk}; go on with option 'resume', which takes {again} of them again, because no frame without light "
-            "followed them"
+            f"{on_disk}; continue with option 'resume', which captures {again} of them again, because no frame without "
+            "light followed them"
         )
 
     def warn(self, *texts: str) -> None:
@@ -128,10 +128,10 @@ class CaptureSession:
         """Take the first posture once more: a stage that lost steps since then shows another image."""
         light, posture, exposure = self._plan.keys[0]
         engine = self._engine
-        engine.devices.step = "checking and writing the image before"
+        engine.devices.step = "checking and writing the previous image"
         self._writer.wait()
         first = self._records.read_levels(light, posture, exposure)
-        self._report_progress(f"coming back to {posture}")
+        self._report_progress(f"returning to {posture}")
         engine.move(posture)
         engine.set_exposure(exposure)
         engine.light_on(light)
@@ -139,21 +139,21 @@ class CaptureSession:
         engine.light_off()
         engine.devices.step = f"comparing the images of {posture}"
         found = measure_repeatability(first, acquired.image.mean, light=light, posture=posture, scene=self._scene)
-        prefix = f"came back to {posture}: "
+        prefix = f"repeated image at {posture}: "
         if found is None:
             self.warn(f"{prefix}{light} shows too little of the part to detect lost steps")
             return
         facts = {"light": light, "posture": posture.as_dict(), **found.as_dict()}
         self._records.writer.add_extra(REPEATABILITY_KEY, facts)
         if not found.converged:
-            text = "the comparison of its two images did not converge: whether steps were lost is unknown"
+            text = "the comparison with the first image did not converge, so lost steps would not be detected"
         elif found.deviation is not None:
             text = (
-                f"the part has turned since the first image there, {found.deviation}, and the stage does not know: "
-                "it lost steps, or the part slipped; home the stage and capture again"
+                f"the part has rotated since the first image, {found.deviation}, but the stage reports the same "
+                "position: it lost steps, or the part slipped; home the stage and capture again"
             )
         elif found.unobservable:
-            text = f"images do not show whether its {found.unobservable} is unchanged"
+            text = f"the images do not show whether the part's {found.unobservable} is unchanged"
         else:
             return
         self.warn(prefix + text)
@@ -188,7 +188,7 @@ class CaptureSession:
                 if failed:
                     self._writer.cancel_linears()
                 if not self._writer.wait_idle(DISK_WARNING_S):
-                    self._run.warn(f"{lights}waiting for the disk to take what was exposed; Ctrl-C waits for it, too")
+                    self._run.warn(f"{lights}waiting until the disk has written the exposed images; Ctrl-C also waits")
                 self._writer.close()
                 if self._started is not None:
                     self._started.close()
@@ -209,7 +209,7 @@ class CaptureSession:
         for light, missing in todo.items():
             self._capture_light(posture, light, missing, dark)
         if incomplete:
-            elsewhere = f"it may have stood elsewhere for images of {posture}: those taken in this run"
+            elsewhere = f"the stage may have been elsewhere for images of {posture}: those captured in this run"
             with self._doubting(posture, incomplete, elsewhere):
                 self._engine.confirm_stage()
         if self._plan.options.check and incomplete:
@@ -223,7 +223,9 @@ class CaptureSession:
             yield
         except HardwareError as error:
             self._in_doubt = (posture, lights)
-            raise HardwareError(*error.messages, f"{images} were not kept; option 'resume' takes them again") from error
+            raise HardwareError(
+                *error.messages, f"{images} were not kept; option 'resume' captures them again"
+            ) from error
 
     def _set_dark_references(self) -> None:
         """Compare frames without light with those of a previous run."""
@@ -258,7 +260,7 @@ class CaptureSession:
                 engine.light_off()  # before anything is done with the frames
             self._writer.submit_image(self._add, acquired, dark, captured)
             self.taken += 1
-        engine.devices.step = "checking and writing the images before"
+        engine.devices.step = "checking and writing the previous images"
         self._writer.submit_linear(self._records.add_linear, light, posture, captured, dark)
 
     def _add(self, acquired: AcquiredImage, dark: Dark, captured: dict[float, ExposureImage]) -> None:
@@ -274,8 +276,8 @@ class CaptureSession:
 
     def _check_final_dark(self, acquired: AcquiredImage, lights: Sequence[str]) -> None:
         """Check that no light stayed on; otherwise the images of the posture are dropped."""
-        on = f"it may have been on during images of {acquired.posture} as well"
-        with self._doubting(acquired.posture, lights, f"{on}: those taken since the frame without light before"):
+        on = f"the light may have been on during images of {acquired.posture} as well"
+        with self._doubting(acquired.posture, lights, f"{on}: those captured since the previous frame without light"):
             self._checker.check_dark(acquired, self.warn)
         self._records.record_dark_check(acquired.posture)
 
@@ -290,12 +292,12 @@ class CaptureSession:
         self._report_progress(f"{light or 'dark'} {posture} exposure {exposure:g}")
         engine.set_exposure(exposure)
         engine.settle()
-        engine.devices.step = "checking and writing the image before"
+        engine.devices.step = "checking and writing the previous image"
         if light is None:
             self._writer.wait_for_image()
         elif not self._writer.wait_for_image(engine.max_wait_s(rest)):
             engine.light_off()
-            engine.devices.step = "checking and writing the image before"
+            engine.devices.step = "checking and writing the previous image"
             self._writer.wait_for_image()
             engine.light_on(light)
             engine.settle(counted="writing_s")
