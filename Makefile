@@ -39,7 +39,7 @@ demo: $(BIN)/.installed  ## the whole loop on the sample: render, fit, plan the 
 	$(BIN)/lightopt fit-specular $(RIG) $(PART) $(OUT)/demo-noisy -o $(OUT)/demo-fit --joint
 	@echo "true:      $$($(call VALUES,$(PART)))"
 	@echo "recovered: $$($(call VALUES,$(OUT)/demo-fit/part.fitted.yaml))"
-	$(BIN)/lightopt optimize $(RIG) $(PART) -o $(OUT)/demo-best --objective detectability --common-lights
+	$(BIN)/lightopt optimize $(RIG) $(PART) -o $(OUT)/demo-best --objective detectability
 	$(BIN)/lightopt capture $(RIG) $(PART) -o $(OUT)/demo-captured --posture 0,82 --exposures 1,1/16 --resume
 	$(BIN)/lightopt fit-diffuse $(RIG) $(PART) $(OUT)/demo-captured -o $(OUT)/demo-captured-fit
 	$(BIN)/lightopt defects $(OUT)/demo-best/rig.optimized.yaml $(PART) -o $(OUT)/demo-defects.yaml --seed 4 --count 8

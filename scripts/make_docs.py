@@ -152,7 +152,7 @@ def report_picture(target: Path, folder: Path) -> None:
     from browsers import opened
 
     lightopt(
-        "optimize", RIGS / "four-panel.yaml", PARTS / "spout.yaml", "-o", folder / "best", "-q", "--common-lights",
+        "optimize", RIGS / "four-panel.yaml", PARTS / "spout.yaml", "-o", folder / "best", "-q",
     )  # fmt: skip
     with opened(folder / "best" / "report.html", width=1100, height=1430) as seen:
         seen.page.wait_for_selector("figure[data-state=live]")

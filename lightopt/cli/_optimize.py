@@ -34,11 +34,11 @@ def optimize(
     common_lights: Annotated[
         bool,
         light_option(
-            "--common-lights",
-            help="Use the same light positions for all postures: those with the greatest sum of scores over the "
-            "postures.",
+            "--common-lights/--lights-per-posture",
+            help="Use the same light positions for all postures, those with the greatest sum of scores over the "
+            "postures; or other positions for each posture, so that the lights have to be moved between postures.",
         ),
-    ] = False,
+    ] = True,
     max_combinations: Annotated[
         int | None,
         light_option(
@@ -170,7 +170,7 @@ def optimize(
     positions for all postures, and write them to part.planned.yaml. --exposures, --light-tolerance and
     --pose-tolerance refer to the resulting lights and postures.
 
-    Example: lightopt optimize rig.yaml part.yaml -o best --step 5 --common-lights
+    Example: lightopt optimize rig.yaml part.yaml -o best --step 5
     """
     chosen_postures = common.parse_postures(posture)
     chosen_points = common.parse_points(points)

@@ -22,10 +22,15 @@ SUMMED_UP_FILES = 3  # so many files beside the main ones, or more, are counted 
 def show_design(output: design.DesignOutput, *, verbose: bool) -> None:
     """The best sets with every objective's score, and the main files; with `verbose` all tables and files."""
     from lightopt import design
-    from lightopt.report.design import blind_tables, defect_tables
+    from lightopt.report.design import blind_tables, capture_text, defect_tables
 
     result = output.result
     _show_best(result, verbose=verbose)
+    for one in result.results:
+        if (gain := one.gain_text) is not None:
+            echo(gain if len(result.results) == 1 else f"posture {one.postures[0]}: {gain}")
+    if any(one.answers[0].nothing is None for one in result.results):
+        echo(f"capture: {capture_text(result)}")
     if verbose:
         for out in result.all_candidates.left_out:
             place = f"elevation {out.elevation_deg:g}°, azimuth {out.azimuth_deg:g}°"

@@ -103,7 +103,7 @@ def _search_words(options: OptimizeOptions) -> list[str]:
     words += _posture_words(options.postures or ())
     flags = (
         ("--common-elevation", options.common_elevation),
-        ("--common-lights", options.common_lights),
+        ("--lights-per-posture", not options.common_lights),
         ("--no-images", not options.images),
     )
     return [*words, *_render_words(options), *(flag for flag, given in flags if given)]

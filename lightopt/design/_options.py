@@ -30,7 +30,8 @@ class OptimizeOptions:
     objectives: Names; all by default. The first decides where the lights go, the others are compared with it.
     step_deg: Of the angles within the lights' ranges [°].
     common_elevation: Whether all lights that move in elevation stand at the same one.
-    common_lights: Whether the lights stand the same for all postures: the sum over the postures decides.
+    common_lights: Whether the lights stand the same for all postures: the sum over the postures decides. Otherwise they
+        have to be moved from posture to posture.
     shade_below: Share of full scale, above black, below which a level is shaded.
     min_images: Images that must show a defect, for objective detectability.
     threshold: Times the sensor's noise that a defect must change the level by, for objective detectability.
@@ -45,7 +46,7 @@ class OptimizeOptions:
     objectives: tuple[str, ...] = ()
     step_deg: float = 5.0
     common_elevation: bool = False
-    common_lights: bool = False
+    common_lights: bool = True
     shade_below: float = DEFAULT_SHADE_SHARE
     min_images: int = 1
     threshold: float = DEFAULT_CONTRAST

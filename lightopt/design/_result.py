@@ -83,6 +83,8 @@ class SetResult:
     levels: Of the best set of the first objective, for each posture: delivered levels of its visible patches under
         each light, shape (lights, p).
     curves: The first objective's score against one angle; none where nothing scores.
+    initial_score: The first objective's score of the lights as the rig file has them; None where it was not computed,
+        since nothing was searched.
     """
 
     postures: tuple[Posture, ...]
@@ -93,6 +95,7 @@ class SetResult:
     answers: tuple[ObjectiveResult, ...]
     levels: tuple[Levels, ...]
     curves: tuple[Curve, ...]
+    initial_score: int | None = None
 
     @property
     def left_out(self) -> float:
@@ -113,6 +116,22 @@ class SetResult:
         share = objective.share_of_whole(value, self.area)
         text = self.format_score(value, objective)
         return text + ("" if share is None else f" ({share_text(share, self.grain)})")
+
+    @property
+    def gain_text(self) -> str | None:
+        """What the lights as they stand score under the first objective, and what the change gains; None if unknown."""
+        first = self.answers[0]
+        if self.initial_score is None or first.nothing is not None:
+            return None
+        objective, score = first.objective, first.found.best.score
+        text = f"as the lights stand now: {self.score_text(self.initial_score, objective)}; "
+        if score <= self.initial_score:
+            return text + "no other positions score more"
+        share = objective.share_of_whole(score - self.initial_score, self.area)
+        if share is not None:
+            return text + f"the change gains {share_text(share, self.grain).removesuffix('%')}points"
+        more = 100.0 * (score - self.initial_score) / max(1, self.initial_score)
+        return text + f"the change gains {more:.1f} % of that"
 
     def gap_text(self, answer: ObjectiveResult) -> str:
         """By how much the runner-up scores less; of the combinations scored (≥) where some are left."""

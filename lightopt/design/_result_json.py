@@ -54,6 +54,7 @@ def result_document(
                 "left_out_of_visible_area": round(one.left_out, 6),
                 "grain": round(one.grain, 6),
                 "objectives": [_answer_dict(answer, one, result.candidates) for answer in one.answers],
+                "lights_as_they_stand": _initial_dict(one),
                 "curves": [curve.as_dict() for curve in one.curves],
             }
             for one in result.results
@@ -66,6 +67,18 @@ def result_document(
         "overlaps": [
             {**where, **overlap.as_dict()} for where, overlap in zip(listed["overlaps"], overlaps, strict=True)
         ],
+    }
+
+
+def _initial_dict(result: SetResult) -> dict[str, Any] | None:
+    if result.initial_score is None:
+        return None
+    objective = result.answers[0].objective
+    share = objective.share_of_whole(result.initial_score, result.area)
+    return {
+        "objective": objective.name,
+        "score": result.initial_score,
+        "share_of_inspectable_area": None if share is None else round(share, 6),
     }
 
 

@@ -109,10 +109,11 @@ Block = Answer | Note | Warnings | Facts | Table | Picture | Gallery | SurfaceVi
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """A heading and what is below it."""
+    """A heading and what is below it; on paper with `own_page` it has a page of its own."""
 
     heading: str
     blocks: Sequence[Block]
+    own_page: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +131,8 @@ def page_html(page: Page) -> str:
     links = [f'<a href="#s{i}">{escape(section.heading)}</a>' for i, section in enumerate(page.sections, start=1)]
     parts = [*map(_block, page.lead), f'<nav aria-label="Contents">{" ".join(links)}</nav>']
     for i, section in enumerate(page.sections, start=1):
-        parts += [f'<section id="s{i}">', f"<h2>{escape(section.heading)}</h2>"]
+        own = ' class="own-page"' * section.own_page
+        parts += [f'<section id="s{i}"{own}>', f"<h2>{escape(section.heading)}</h2>"]
         parts += [*map(_block, section.blocks), "</section>"]
     parts += ["</main>"]
     blocks = (*page.lead, *(block for section in page.sections for block in section.blocks))

@@ -27,7 +27,8 @@ def three(bench):
 @pytest.fixture(scope="module")
 def planned(shared_bench, tmp_path_factory):
     bench = with_lights(type(shared_bench).make(tmp_path_factory.mktemp("planned") / "bench"))
-    command = ["optimize", bench.rig, bench.part, "-o", bench.out, *FEW, *DEFECTS, "--no-images", "--keep-matrix"]
+    options = (*FEW, *DEFECTS, "--lights-per-posture", "--no-images", "--keep-matrix")
+    command = ["optimize", bench.rig, bench.part, "-o", bench.out, *options]
     assert run([str(part) for part in command]) == 0
     return bench
 

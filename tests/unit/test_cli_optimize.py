@@ -31,6 +31,7 @@ lights:   # three of them
   - {name: light3, distance_mm: 330, elevation_deg: 45, azimuth_deg: 285, elevation_range_deg: [45, 50]}
 """
 FEW = ("--patches", "800", "--step", "10")
+EACH = (*FEW, "--lights-per-posture", "--keep-matrix")
 BARE = ("--no-images", "--no-report")
 """Where only figures are looked at: the report takes longer than a small search."""
 
@@ -52,7 +53,7 @@ def three(bench):
 def optimized(shared_bench, tmp_path_factory):
     """A result with images for both postures, that the tests of its content share."""
     bench = with_lights(type(shared_bench).make(tmp_path_factory.mktemp("optimized") / "bench"))
-    assert run(["optimize", str(bench.rig), str(bench.part), "-o", str(bench.out), *FEW, "--keep-matrix"]) == 0
+    assert run(["optimize", str(bench.rig), str(bench.part), "-o", str(bench.out), *EACH]) == 0
     return bench
 
 
@@ -150,10 +151,10 @@ def images_of(bench, result, index):
 
 @pytest.mark.slow
 def test_the_same_command_gives_the_same_bytes_on_any_threads(optimized, cli, snapshot, tmp_path):
-    ran = cli("optimize", optimized.rig, optimized.part, "-o", tmp_path, *FEW, "--keep-matrix", "--threads", 1)
+    ran = cli("optimize", optimized.rig, optimized.part, "-o", tmp_path, *EACH, "--threads", 1)
     assert (ran.status, ran.err) == (0, "")
     assert snapshot(tmp_path) == snapshot(optimized.out)
-    again = cli("optimize", optimized.rig, optimized.part, "-o", tmp_path, *FEW, "--keep-matrix", "-v")
+    again = cli("optimize", optimized.rig, optimized.part, "-o", tmp_path, *EACH, "-v")
     assert again.status == 0
     assert "2 stored luminance matrices reused" in again.out
     assert snapshot(tmp_path) == snapshot(optimized.out)
@@ -161,10 +162,10 @@ def test_the_same_command_gives_the_same_bytes_on_any_threads(optimized, cli, sn
 
 @pytest.mark.slow
 def test_the_terminal_shows_the_table(optimized, cli):
-    brief = cli("optimize", optimized.rig, optimized.part, "-o", optimized.out, *FEW, "--keep-matrix").out
+    brief = cli("optimize", optimized.rig, optimized.part, "-o", optimized.out, *EACH).out
     assert brief.startswith("posture ")
     assert len(brief.splitlines()) <= 15
-    ran = cli("optimize", optimized.rig, optimized.part, "-o", optimized.out, *FEW, "--keep-matrix", "-v")
+    ran = cli("optimize", optimized.rig, optimized.part, "-o", optimized.out, *EACH, "-v")
     lines = ran.out.splitlines()
     assert lines[0] == "3 × 2 × 2 positions of light1, light2, light3: 12 combinations at most"
     assert set(brief.splitlines()) <= set(lines)
@@ -272,7 +273,7 @@ def test_common_lights_and_common_elevation(three, cli):
     three.edit("rig.yaml", "elevation_range_deg: [45, 50]", "elevation_range_deg: [45, 60]")
     ran = cli(
         "optimize", three.rig, three.part, "-o", three.out, "--patches", "800", "--step", "5", "--no-images",
-        "--no-report", "--common-lights", "--common-elevation", "--objective", "paper",
+        "--no-report", "--common-elevation", "--objective", "paper",
     )  # fmt: skip
     assert (ran.status, ran.err) == (0, "")
     result = result_of(three.out)
@@ -286,11 +287,51 @@ def test_common_lights_and_common_elevation(three, cli):
     # a common set is no better for a posture than the posture's own
     own = cli(
         "optimize", three.rig, three.part, "-o", three.folder / "own", "--patches", "800", "--step", "5", "--no-images",
-        "--common-elevation", "--objective", "paper", "-q",
+        "--lights-per-posture", "--common-elevation", "--objective", "paper", "-q",
     )  # fmt: skip
     assert own.status == 0
     singles = [group["objectives"][0]["score"] for group in result_of(three.folder / "own")["results"]]
     assert answer["score"] <= sum(singles)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("azimuth", [165, 162])  # among the candidates, and between them
+@pytest.mark.parametrize("objective", ["coverage", "detectability"])
+def test_what_the_lights_show_as_they_stand_is_what_a_fixed_rig_scores(three, cli, azimuth, objective):
+    three.edit("rig.yaml", "azimuth_deg: 165", f"azimuth_deg: {azimuth}")
+    command = ("optimize", three.rig, three.part, *FEW, *BARE, "--objective", objective)
+    ran = cli(*command, "-o", three.out)
+    assert (ran.status, ran.err) == (0, "")
+    (group,) = result_of(three.out)["results"]
+    initial, best = group["lights_as_they_stand"], group["objectives"][0]
+    assert initial["objective"] == objective
+    # a rig whose lights have no other positions
+    for old, new in (("elevation_range_deg: [40, 60]", "elevation_range_deg: [60, 60]"),
+                     ("azimuth_range_deg: [155, 165]", f"azimuth_range_deg: [{azimuth}, {azimuth}]"),
+                     ("elevation_range_deg: [45, 50]", "elevation_range_deg: [45, 45]")):  # fmt: skip
+        three.edit("rig.yaml", old, new)
+    assert cli(*command, "-o", three.folder / "fixed", "-q").status == 0
+    (fixed,) = result_of(three.folder / "fixed")["results"]
+    assert initial["score"] == fixed["objectives"][0]["score"] <= best["score"]
+    share = f"{100 * initial['share_of_inspectable_area']:.{0 if group['grain'] >= 0.01 else 1}f} %"
+    (line,) = (line for line in ran.out.splitlines() if line.startswith("as the lights stand now: "))
+    assert share in line
+    assert ("points" in line) == (best["score"] > initial["score"])
+
+
+@pytest.mark.slow
+def test_images_and_seconds_of_a_part_are_said(three, cli):
+    few = ("optimize", three.rig, three.part, *FEW, *BARE)
+    ran = cli(*few, "-o", three.out)
+    planned = cli("capture", three.out / "rig.optimized.yaml", three.part, "--dry-run")
+    assert "capture: 6 images in " in ran.out
+    whole = float(re.search(r"6 images in (\d+) s", planned.out)[1])
+    said = float(re.search(r"6 images in ([\d.]+) s per part, at the speed of the virtual bench", ran.out)[1])
+    home = float(re.search(r"^ *[\d.]+ +([\d.]+) +home", planned.out, re.MULTILINE)[1])
+    assert said == pytest.approx(whole - home, abs=0.6)
+    ran = cli(*few, "-o", three.folder / "own", "--lights-per-posture")
+    alike = len(result_of(three.folder / "own")["rigs"]) == 1
+    assert ("the lights have to be moved between postures" in ran.out) != alike
 
 
 def test_a_limit_is_said_with_its_bound(three, cli):

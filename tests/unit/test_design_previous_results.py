@@ -20,8 +20,8 @@ from lightopt.design._previous_result import begin_writing
 from lightopt.design.responses import _posture_matrices as _matrices
 from lightopt.images import ImageEntry, ImageSetWriter, Manifest
 
-EACH = OptimizeOptions(step_deg=20.0, patch_budget=500)
-ONE = OptimizeOptions(step_deg=20.0, patch_budget=500, common_lights=True)
+EACH = OptimizeOptions(step_deg=20.0, patch_budget=500, common_lights=False)
+ONE = OptimizeOptions(step_deg=20.0, patch_budget=500)
 
 
 @pytest.fixture
@@ -150,7 +150,7 @@ def test_what_cannot_be_edited_is_reported_before_rays_are_cast(three, monkeypat
         design(three.rig, three.part, three.out, options=ONE)
 
 
-KEPT = OptimizeOptions(step_deg=20.0, patch_budget=500, keep_matrix=True, images=False)
+KEPT = OptimizeOptions(step_deg=20.0, patch_budget=500, common_lights=False, keep_matrix=True, images=False)
 
 
 def test_a_kept_matrix_is_reused_as_long_as_no_level_changes(three):
@@ -174,15 +174,15 @@ def test_the_matrix_depends_on_the_version_of_what_loads_the_mesh(three, monkeyp
 def test_matrices_are_held_together_only_where_lights_are_common(three, monkeypatch):
     refs: list[weakref.ref[LuminanceMatrix]] = []
     alive: list[int] = []
-    real = _matrices.ImageEvaluator.matrices
+    real = _matrices.PostureMatrices.matrix
 
     def make(*arguments, **options):
         alive.append(sum(ref() is not None for ref in refs))
-        (made,) = real(*arguments, **options)
+        made = real(*arguments, **options)
         refs.append(weakref.ref(made))
-        return (made,)
+        return made
 
-    monkeypatch.setattr(_matrices.ImageEvaluator, "matrices", make)
+    monkeypatch.setattr(_matrices.PostureMatrices, "matrix", make)
     options = replace(KEPT, keep_matrix=False)
     design(three.rig, three.part, three.out / "own", options=options)
     design(three.rig, three.part, three.out / "common", options=replace(options, common_lights=True))

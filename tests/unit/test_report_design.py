@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lightopt.config import load_rig
 from lightopt.design import (
     BLIND_CLASSES,
     BlindReason,
@@ -51,7 +52,7 @@ def with_lights(bench):
 def done(shared_bench, tmp_path_factory):
     """A small optimisation, what its report was made of, and its files."""
     bench = with_lights(type(shared_bench).make(tmp_path_factory.mktemp("report") / "bench"))
-    options = OptimizeOptions(step_deg=10.0, patch_budget=400, report=True)
+    options = OptimizeOptions(step_deg=10.0, patch_budget=400, common_lights=False, report=True)
     return bench, reported(bench, options)
 
 
@@ -71,7 +72,7 @@ def blocks(done):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Pages without drawings of the rig and without charts, which take longer than all the rest."""
-    monkeypatch.setattr("lightopt.report.design._report.drawing_blocks", lambda _: [])
+    monkeypatch.setattr("lightopt.report.design._report.setting_blocks", lambda _: [])
     monkeypatch.setattr("lightopt.report.design._report.curve_blocks", lambda _: [])
 
 
@@ -254,11 +255,36 @@ def test_the_terminal_names_the_report(done, cli):
     assert ran.out.splitlines()[-1] == str(bench.out / "report.html")
 
 
+def test_the_setting_sheet_is_a_page_of_its_own_with_one_drawing(done):
+    bench, output = done
+    (section,) = (s for s in design_page(output).sections if s.heading == "Set the lights")
+    assert section.own_page
+    assert sum(isinstance(block, Picture) for block in section.blocks) == 1
+    tables = [block for block in section.blocks if isinstance(block, Table)]
+    sets = {tuple(map(str, rig["postures"])) for rig in result_of(bench.out)["rigs"]}
+    assert len(tables) == len(sets)
+    assert any("move the lights between the postures" in getattr(b, "text", "") for b in section.blocks) == (
+        len(sets) > 1
+    )
+    for table, rig in zip(tables, result_of(bench.out)["rigs"], strict=True):
+        lights = load_rig(bench.out / rig["file"]).lights
+        for row, light in zip(table.rows, lights, strict=True):
+            elevation, azimuth = np.radians([light.elevation_deg, light.azimuth_deg])
+            centre = light.distance_mm * np.array(
+                [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+            )
+            assert row[:2] == [light.name, f"{light.elevation_deg:g}°"]
+            assert row[3] == f"{light.distance_mm:g} mm"
+            np.testing.assert_allclose([float(text) for text in row[4].split(", ")], centre, atol=0.06)
+
+
 @pytest.fixture(scope="module")
 def inspected(shared_bench, tmp_path_factory):
     """The same with defects to be seen."""
     bench = with_lights(type(shared_bench).make(tmp_path_factory.mktemp("inspected") / "bench"))
-    options = OptimizeOptions(objectives=("detectability",), step_deg=20.0, patch_budget=400, images=False, report=True)
+    options = OptimizeOptions(
+        objectives=("detectability",), step_deg=20.0, common_lights=False, patch_budget=400, images=False, report=True
+    )
     return bench, reported(bench, options)
 
 
@@ -268,8 +294,9 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
     spots = result_of(bench.out)["blind_spots"]
     page = design_page(output)
     first = next(block for block in answer_blocks(output) if isinstance(block, Answer))
-    assert first.text.startswith("of the surface × defects (by weight) that the camera sees in posture (")
-    assert first.text.endswith(" mm² by detectability")
+    assert first.text.startswith("of the walls of the catalogue's defects, at every place of the surface, are visible ")
+    assert "it is not a share of whole defects" in first.text
+    assert " mm² by detectability). The surface is what the camera sees in posture (" in first.text
     (table,) = next(s for s in page.sections if s.heading == "Blind spots").blocks
     # the part stands in the page once, with all that it can be coloured by, defects first
     (view,) = (b for s in page.sections for b in s.blocks if isinstance(b, SurfaceView))

@@ -54,6 +54,13 @@ class CoverageObjective(Objective):
     unit: str = "µm²"
     share_of: str | None = INSPECTABLE_SURFACE
 
+    @property
+    def meaning(self) -> str:
+        return (
+            f"of the surface is usable, neither shaded nor saturated, in {LEAST_USABLE} images or more and saturated "
+            "in at most one"
+        )
+
     def refusal(self, lights: int) -> str | None:
         """One image is never two."""
         if lights >= LEAST_USABLE:

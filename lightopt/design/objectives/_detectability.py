@@ -66,6 +66,14 @@ class DetectabilityObjective(Objective):
             raise InputError(problem)
 
     @property
+    def meaning(self) -> str:
+        # a defect may be found by any of its walls
+        return (
+            f"of the walls of the catalogue's defects, at every place of the surface, are visible in "
+            f"{counted(self.min_images, 'image')} or more; it is not a share of whole defects"
+        )
+
+    @property
     def total_weight(self) -> int:
         return sum(hypothesis.weight for hypothesis in self.hypotheses)
 

@@ -76,6 +76,11 @@ class Objective(ABC):
     unit: str
     share_of: str | None
 
+    @property
+    @abstractmethod
+    def meaning(self) -> str:
+        """What a score says, in words that follow its figure."""
+
     def format_score(self, score: int, grain: float) -> str:
         """A score, or a difference of two, for people, with its unit; areas to the digits of their grain [µm²]."""
         return area_text(score, grain)

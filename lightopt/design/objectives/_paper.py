@@ -52,6 +52,10 @@ class PaperObjective(Objective):
     unit: str = "sensor level"
     share_of: str | None = None
 
+    @property
+    def meaning(self) -> str:
+        return "sum over all patches of the usable levels, without the highest and the lowest level of each patch"
+
     def format_score(self, score: int, grain: float) -> str:
         """A plain number: sums of levels have no other unit."""
         del grain

@@ -94,7 +94,26 @@ def answer_set(
         answers=tuple(answers),
         levels=tuple(np.concatenate(matrix.combination(best.candidates).levels) for matrix in matrices),
         curves=() if first.nothing is not None else score_curves(candidates, best, score),
+        initial_score=_initial_score(matrices, postures, first.objective, source),
     )
+
+
+def _initial_score(
+    matrices: Sequence[LuminanceMatrix], postures: Sequence[Posture], objective: Objective, source: PostureMatrices
+) -> int | None:
+    # of the lights as the rig file has them; None where the positions were chosen before
+    problem = source.problem
+    if problem.options.places is not None:
+        return None
+    now = [(light.elevation_deg, light.azimuth_deg) for light in problem.rig.lights]
+    angles = problem.candidates.angles
+    if all(place in some for place, some in zip(now, angles, strict=True)):
+        at = tuple(some.index(place) for place, some in zip(now, angles, strict=True))
+        initial = [matrix.combination(at) for matrix in matrices]
+    else:
+        evaluator, panels = source.evaluator(source.detection), [[panel] for panel in problem.scene.lights]
+        initial = [evaluator.matrices(posture, panels)[0] for posture in postures]
+    return _score(initial, objective, problem.thresholds)
 
 
 def candidates_of_others(source: PostureMatrices) -> Candidates | None:

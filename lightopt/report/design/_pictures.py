@@ -1,24 +1,20 @@
 """Pictures of a design: the images of the best set, the rig, and the score against the angles."""
 
 import itertools
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 from PIL import Image
 
 from lightopt.design import Curve, DesignOutput, DetectabilityObjective, SetResult
 from lightopt.images import ImageSet, read_image_set, read_png
 from lightopt.report._charts import COLOURS, chart, name_lines
-from lightopt.report._contact_sheet import degrees, entry_thumbnail, light_position, saturation_text
+from lightopt.report._contact_sheet import entry_thumbnail, light_position, saturation_text
 from lightopt.report._drawing import figure_image, fixed_style, printable
 from lightopt.report._images import png_bytes, shrunk
 from lightopt.report._page import Block, Gallery, Note, Picture
-from lightopt.report._rig_drawing import rig_image
 from lightopt.report.design._plan import postures_text
 
 SIDE = 300  # longest side of an image in the report [px]
-MOST_DRAWINGS = 4  # rigs that are drawn; of more sets only the first are, all angles are in the table
 
 
 def image_blocks(output: DesignOutput) -> list[Block]:
@@ -72,33 +68,6 @@ def _overlap(path: Path, pixels: int) -> Picture:
         alt="Map of the highlights",
         caption=f"{pixels:,} px saturated in two or more",
     )
-
-
-def drawing_blocks(output: DesignOutput) -> list[Block]:
-    """The rig with the lights of each set in their places."""
-    sets: dict[tuple[int, ...], list[SetResult]] = {}
-    for result in output.result.results:
-        if result.answers[0].nothing is None:
-            sets.setdefault(result.answers[0].found.best.candidates, []).append(result)
-    blocks: list[Block] = []
-    for best, results in list(sets.items())[:MOST_DRAWINGS]:
-        lights = tuple(panels[k] for panels, k in zip(output.result.candidates.panels, best, strict=True))
-        postures = tuple(posture for result in results for posture in result.postures)
-        angles = "; ".join(
-            f"{light.name} {degrees(round(float(np.degrees(light.elevation)), 9))}, "
-            f"{degrees(round(float(np.degrees(light.azimuth)), 9))}"
-            for light in lights
-        )
-        blocks.append(
-            Picture(
-                png=png_bytes(rig_image(replace(output.result.scene, lights=lights, postures=postures))),
-                alt=f"The rig: {angles}",
-                caption=f"For {', '.join(postures_text(result.postures) for result in results)}: {angles}.",
-            )
-        )
-    if len(sets) > MOST_DRAWINGS:
-        blocks.append(Note(text=f"The other {len(sets) - MOST_DRAWINGS} sets are in the table above."))
-    return blocks
 
 
 def curve_blocks(output: DesignOutput) -> list[Block]:

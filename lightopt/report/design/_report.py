@@ -9,7 +9,6 @@ from lightopt.design import (
     DIRECTIONS,
     LEFT_OUT_MEANING,
     DesignOutput,
-    DetectabilityObjective,
     ObjectiveResult,
     SetResult,
     angles_of,
@@ -22,7 +21,7 @@ from lightopt.lights import PanelLight
 from lightopt.rendering import GRAZING_DEG
 from lightopt.report._contact_sheet import degrees
 from lightopt.report._page import Answer, Block, Facts, Note, Page, Section, Table, Warnings, page_html
-from lightopt.report.design._pictures import curve_blocks, drawing_blocks, image_blocks
+from lightopt.report.design._pictures import curve_blocks, image_blocks
 from lightopt.report.design._plan import (
     blind_tables,
     defect_tables,
@@ -32,6 +31,7 @@ from lightopt.report.design._plan import (
     postures_text,
     tolerance_blocks,
 )
+from lightopt.report.design._setting_sheet import capture_text, setting_blocks
 from lightopt.report.design._surface import surface_blocks
 from lightopt.scene import build_catalogue
 
@@ -44,13 +44,13 @@ def design_report(output: DesignOutput) -> str:
 def design_page(output: DesignOutput) -> Page:
     """The report of an optimisation as plain values."""
     sections = [
+        Section(heading="Set the lights", blocks=setting_blocks(output), own_page=True),
         Section(heading="What the images show", blocks=surface_blocks(output)),
         Section(heading="Blind spots", blocks=blind_tables(output.document)),
         Section(heading="Defects", blocks=defect_tables(output.document)),
         Section(heading="Postures", blocks=posture_blocks(output)),
         Section(heading="Exposures", blocks=exposure_blocks(output)),
         Section(heading="Images of the best set", blocks=image_blocks(output)),
-        Section(heading="Light positions", blocks=drawing_blocks(output)),
         Section(heading="Score against the angles", blocks=curve_blocks(output)),
         Section(heading="Tolerances of the angles", blocks=tolerance_blocks(output)),
         Section(heading="Scores", blocks=[scores_table(output)]),
@@ -89,7 +89,10 @@ def answer_blocks(output: DesignOutput) -> list[Block]:
         )
         blocks.append(Table(header=header, rows=rows, caption=caption))
     proofs = [_proof(result) for result, _ in found] if chosen is None else [plan_proof(chosen)]
+    blocks += [Note(text=f"{gain[0].upper()}{gain[1:]}.") for result, _ in found if (gain := result.gain_text)]
     blocks += [Note(text=proof) for proof in proofs]
+    if found:
+        blocks.append(Note(text=f"Capture: {capture_text(output.result)}."))
     rigs = ", ".join(rig["file"] for rig in output.document["rigs"])
     if rigs:
         blocks.append(Note(text=f"Rig file with these angles: {rigs}"))
@@ -122,13 +125,12 @@ def _answer(result: SetResult) -> Answer:
     share = best.objective.share_of_whole(best.found.best.score, result.area)
     score = result.format_score(best.found.best.score, best.objective)
     if share is None:
-        return Answer(figure=score, text=f"by {best.objective.name}, {where}")
-    surface = "surface × defects (by weight)" if isinstance(best.objective, DetectabilityObjective) else "surface"
+        return Answer(figure=score, text=f"by {best.objective.name}, {where}: {best.objective.meaning}")
     added = ", added up" * (len(result.postures) > 1)
     return Answer(
         figure=share_text(share, result.grain),
-        text=f"of the {surface} that the camera sees in {where}{added}, without the {result.left_out_text} that it "
-        f"sees at more than {GRAZING_DEG:g}° to the normal: {score} by {best.objective.name}",
+        text=f"{best.objective.meaning} ({score} by {best.objective.name}). The surface is what the camera sees in "
+        f"{where}{added}, without the {result.left_out_text} that it sees at more than {GRAZING_DEG:g}° to the normal.",
     )
 
 
@@ -136,8 +138,9 @@ def _plan_answer(chosen: Mapping[str, Any], exposures: Mapping[str, Any] | None)
     images = counted(chosen["min_images"], "image")
     postures = ", ".join(str(Posture.from_dict(one)) for one in chosen["order_of_travel"])
     text = (
-        f"of the surface × defects is seen in {images} or more of the planned images, in {postures}; the surface is "
-        "what the camera sees in any candidate posture"
+        f"of the walls of the catalogue's defects, at every place of the surface, are visible in {images} or more of "
+        f"the planned images, in {postures}. It is not a share of whole defects, of which any wall may be found. The "
+        "surface is what the camera sees in any candidate posture"
     )
     share, grain = chosen["share"], chosen["patches"]["grain"]
     if exposures is not None:

@@ -13,6 +13,7 @@ from lightopt.rig.capture._capture import CaptureResult as CaptureResult, captur
 from lightopt.rig.capture._capture_plan import (
     CaptureOptions as CaptureOptions,
     CapturePlan as CapturePlan,
+    cycle_time as cycle_time,
     make_plan as make_plan,
 )
 from lightopt.rig.capture._captured_set import check_folder as check_folder
