@@ -41,7 +41,7 @@ HOW = (
     "taken again, same images",
     "stopped, by reply",
     "stopped, by image",
-    "reported in a warning",
+    "with a warning",
     "harmless, same images",
     "not noticed",
 )
@@ -228,10 +228,7 @@ def _clock_back(after: int) -> Iterator[None]:
 
 def table(found: list[Seen]) -> str:
     """Counts as Markdown."""
-    lines = [
-        "| fault | runs | " + " | ".join(HOW) + " | repeated requests | wrong |",
-        "|---|" + "---:|" * (len(HOW) + 3),
-    ]
+    lines = ["| fault | runs | " + " | ".join(HOW) + " | repeats | wrong |", "|---|" + "---:|" * (len(HOW) + 3)]
     kinds = list(dict.fromkeys(seen.case.kind for seen in found))
     for kind in [*kinds, "**all**"]:
         some = [seen for seen in found if kind in ("**all**", seen.case.kind)]

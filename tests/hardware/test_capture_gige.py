@@ -109,8 +109,8 @@ ENDS = {
     "lamp gives 80 % of its light": "not noticed",
     "plugs of two lamps swapped": "stopped, by image",
     "stage tilted by 1° more than it says, from its second move on": "not noticed",
-    "stage tilted by 1° more than it says, from its second move on, with --check-repeatability": "reported in a warning",
-    "stage turned by 1° more than it says, from its second move on, with --check-repeatability": "reported in a warning",
+    "stage tilted by 1° more than it says, from its second move on, with --check-repeatability": "with a warning",
+    "stage turned by 1° more than it says, from its second move on, with --check-repeatability": "with a warning",
 }
 """Faults that the tests above do not have, and how docs/validation/reliability.md says that they end."""
 
