@@ -125,7 +125,7 @@ def _show_plan(plan: CapturePlan) -> None:
     *starts, end = itertools.accumulate((step.seconds for step in steps), initial=0.0)
     rows = [(f"{at:.2f}", f"{step.seconds:.2f}", str(step)) for at, step in zip(starts, steps, strict=True)]
     show_table(("at [s]", "takes [s]", "step"), rows, numbers_from=3)
-    renders = ", plus the time for opening the devices and rendering" if plan.wiring.camera_is_virtual else ""
+    renders = ", plus the time for opening and rendering" if plan.wiring.camera_is_virtual else ""
     travel = sum(step.seconds for step in steps if step.kind == "move")
     way = f", {travel:.1f} s of them travel" if plan.wiring.hardware.stage is not None else ""
     echo(f"{counted(len(plan.keys), 'image')} in {end:.0f} s{way}{renders}; no device was opened or moved")

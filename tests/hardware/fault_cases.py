@@ -142,7 +142,7 @@ def line_cases(deliveries: dict[str, int], *, every: int = 1) -> Iterator[Case]:
             for after in range(0, deliveries[device], every):
                 yield Case(f"{kind}, once", device, fault, {**options, "after": after})
             for after in range(every // 2, deliveries[device], 4 * every):
-                yield Case(f"{kind}, for good", device, fault, {**options, "after": after, "count": None})
+                yield Case(f"{kind}, permanently", device, fault, {**options, "after": after, "count": None})
 
 
 def driver_cases(deliveries: dict[str, dict[str, int]]) -> Iterator[Case]:
@@ -177,7 +177,7 @@ def driver_cases(deliveries: dict[str, dict[str, int]]) -> Iterator[Case]:
                     yield Case(f"{driver}: {kind}, once", device, fault, {**options, "after": after}, stage=stage)
                 if fault != "vanish":
                     options = {**options, "after": count // 2, "count": None}
-                    yield Case(f"{driver}: {kind}, for good", device, fault, options, stage=stage)
+                    yield Case(f"{driver}: {kind}, permanently", device, fault, options, stage=stage)
 
 
 def pulled_cases(deliveries: dict[str, int], steps: int, *, every: int = 1) -> Iterator[Case]:

@@ -71,7 +71,7 @@ def table(rows: dict[str, Row]) -> str:
         (
             "| fault | runs | finished, same images | stopped, same after `--resume` "
             "| lights that may be on, named | commands sent again in finished runs "
-            "| wrong | never struck, not counted |"
+            "| wrong | did not occur, not counted |"
         ),
         "|---|---:|---:|---:|---:|---:|---:|---:|",
     ]

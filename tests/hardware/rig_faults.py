@@ -41,7 +41,7 @@ HOW = (
     "taken again, same images",
     "stopped, by reply",
     "stopped, by image",
-    "told in a warning",
+    "with a warning",
     "harmless, same images",
     "not noticed",
 )
@@ -65,7 +65,7 @@ class RigCase:
 
 @dataclass(frozen=True)
 class Seen:
-    """How a run ended: one of `HOW`, frames and commands asked for again, the message, and what is wrong."""
+    """How a run ended: one of `HOW`, frames and commands that were requested again, the message, and what is wrong."""
 
     case: RigCase
     how: str
@@ -95,9 +95,9 @@ def rig_cases(moments: int) -> Iterator[RigCase]:
     frames = [round((i + 0.5) * 12 / moments) for i in range(moments)]  # of 12 frames and more
     camera = (
         ("camera: no frame comes, once", "lost", {}),
-        ("camera: no frame comes, for good", "lost", {"count": None}),
+        ("camera: no frame comes, permanently", "lost", {"count": None}),
         ("camera: packets of a frame lost, once", "incomplete", {}),
-        ("camera: packets of a frame lost, for good", "incomplete", {"count": None}),
+        ("camera: packets of a frame lost, permanently", "incomplete", {"count": None}),
         ("camera: a frame has the number of the one before", "duplicate", {}),
         ("camera: a frame has a lower number than the one before", "order", {}),
         ("camera: a frame has an older time stamp", "stale", {}),
@@ -228,7 +228,7 @@ def _clock_back(after: int) -> Iterator[None]:
 
 def table(found: list[Seen]) -> str:
     """Counts as Markdown."""
-    lines = ["| fault | runs | " + " | ".join(HOW) + " | asked again | wrong |", "|---|" + "---:|" * (len(HOW) + 3)]
+    lines = ["| fault | runs | " + " | ".join(HOW) + " | repeats | wrong |", "|---|" + "---:|" * (len(HOW) + 3)]
     kinds = list(dict.fromkeys(seen.case.kind for seen in found))
     for kind in [*kinds, "**all**"]:
         some = [seen for seen in found if kind in ("**all**", seen.case.kind)]

@@ -42,16 +42,16 @@ MIB = 1 << 20
 
 @dataclass(frozen=True)
 class Soaked:
-    """What became of the images that were asked for.
+    """Outcome of a soak test.
 
     Attributes
     ----------
-    asked, there
+    requested, there
         Images of the plan, and those that are at the end what they are without faults, pixel for pixel.
     struck
         Faults that struck, as the bench counts them.
     retries
-        Frames and commands asked for again.
+        Frames and commands that were requested again.
     stops
         Runs that stopped and were resumed.
     begun_bytes, ended_bytes
@@ -156,10 +156,10 @@ def main(arguments: list[str] | None = None) -> int:
     with tempfile.TemporaryDirectory() as name:
         found = soak(Path(name), postures=chosen.postures, rate=chosen.rate, seed=chosen.seed)
     text = (
-        "| images asked | there at the end | lost | faults that struck | asked for again | runs stopped and resumed "
-        "| memory after a tenth of the images [MiB] | at the end [MiB] | minutes |\n"
+        "| images planned | correct at the end | lost | faults that occurred | repeated frames and commands "
+        "| runs stopped and resumed | memory after a tenth of the images [MiB] | at the end [MiB] | minutes |\n"
         "|" + "---:|" * 9 + "\n"
-        f"| {found.asked} | {found.there} | {found.asked - found.there} | {found.struck} | {found.retries} "
+        f"| {found.requested} | {found.there} | {found.requested - found.there} | {found.struck} | {found.retries} "
         f"| {found.stops} | {found.begun_bytes / MIB:.0f} | {found.ended_bytes / MIB:.0f} "
         f"| {found.seconds / 60:.1f} |\n"
         f"\n`python tests/hardware/soak.py --postures {chosen.postures} --rate {chosen.rate:g} --seed {chosen.seed}`."

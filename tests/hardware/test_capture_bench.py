@@ -343,7 +343,7 @@ def test_a_stage_switched_off_and_on_away_from_its_origin_is_noticed_before_its_
         capture(rig, part, tmp_path / "set", options=options, connect=connect)
     said = str(raised.value)
     assert "while checking that the stage has not moved" in said
-    assert "those taken in this run were not kept" in said
+    assert "those captured in this run were not kept" in said
     assert "all lights are off" in said
     assert not read_image_set(tmp_path / "set").images
     assert capture(rig, part, tmp_path / "set", options=options, resume=True).taken == 1

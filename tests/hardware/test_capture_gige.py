@@ -99,7 +99,7 @@ def test_a_clock_that_is_set_back_harms_nothing(bed, tmp_path):
 
 
 ENDS = {
-    "camera: no frame comes, for good": "stopped, by reply",
+    "camera: no frame comes, permanently": "stopped, by reply",
     "camera: a frame has the number of the one before": "taken again, same images",
     "camera: a frame has a lower number than the one before": "taken again, same images",
     "camera: exposure halves by itself": "stopped, by reply",
@@ -109,8 +109,8 @@ ENDS = {
     "lamp gives 80 % of its light": "not noticed",
     "plugs of two lamps swapped": "stopped, by image",
     "stage tilted by 1° more than it says, from its second move on": "not noticed",
-    "stage tilted by 1° more than it says, from its second move on, with --check-repeatability": "told in a warning",
-    "stage turned by 1° more than it says, from its second move on, with --check-repeatability": "told in a warning",
+    "stage tilted by 1° more than it says, from its second move on, with --check-repeatability": "with a warning",
+    "stage turned by 1° more than it says, from its second move on, with --check-repeatability": "with a warning",
 }
 """Faults that the tests above do not have, and how docs/validation/reliability.md says that they end."""
 

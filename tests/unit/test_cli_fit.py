@@ -222,7 +222,7 @@ def test_images_that_hardly_separate_the_two_ask_for_a_shorter_exposure(cli, ben
 def test_a_held_r_d_that_is_wrong_is_noticed(cli, bench, images):
     ran = cli("fit-specular", bench.rig, bench.part, images, "-o", bench.out, "--no-validate")
     assert "R_d is held at 30" in ran.err
-    assert "fit both jointly" in ran.err
+    assert "fit R_d as well" in ran.err
 
 
 @pytest.mark.slow
@@ -385,7 +385,7 @@ def test_lights_that_were_exchanged_are_reported(cli, bench, images):
     edit_manifest(images, exchange)
     # one posture is enough
     edit_manifest(images, lambda m: m.update(images=[e for e in m["images"] if e["posture"]["rotation_deg"] == 0]))
-    refused(cli, bench, images, "with light1 and light3 exchanged: check which", options=("--joint",))
+    refused(cli, bench, images, "with light1 and light3 exchanged: check the wiring", options=("--joint",))
 
 
 @pytest.mark.nightly

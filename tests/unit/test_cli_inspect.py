@@ -198,7 +198,7 @@ def test_limits_of_the_part_say_what_counts(cli, bench, parts):
     assert [row["counts"] for row in rows] == ["no", "no"]
     page = (bench.out / "report.html").read_text(encoding="utf-8")
     assert "at most 1 defect of 20 mm or more and a contrast of 0.0 % or more" in page
-    assert "a defect shows in 2 images<" in page
+    assert "a defect must show in 2 images<" in page
     bench.part.write_text(text + "inspection: {most_defects: 5, least_inspected: 0.99}\n", encoding="utf-8")
     ran = inspect(cli, bench, parts["bad"], "--fail-on-defect", "--fusion", "none", "--force")
     assert ran.status == 1

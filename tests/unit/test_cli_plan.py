@@ -280,7 +280,7 @@ def test_a_target_beyond_reach_says_what_can_be_and_why(two, cli):
     lines = ran.out.splitlines()
     start = next(i for i, line in enumerate(lines) if line.split()[:1] == ["postures"])
     end = next(i for i, line in enumerate(lines) if line.startswith("at least: "))
-    assert lines[start].endswith("show at least  with these lights at most")
+    assert lines[start].endswith("share shown at least  at most with these lights")
     shares = [float(line.split()[-4]) for line in lines[start + 1 : end]]
     bounds = [float(line.split()[-2]) for line in lines[start + 1 : end]]
     assert len(shares) >= 2

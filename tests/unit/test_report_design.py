@@ -524,7 +524,7 @@ def test_a_plan_is_shown_as_the_result_has_it(done, undrawn):
     (trust,) = sections["Tolerances of the angles"]
     assert list(trust.header[1:]) == ["posture (0°, 0°)", "all 2 postures"]
     assert "lights are off by 2° and the part by 1°" in trust.caption
-    assert "before less than 95 % are kept" in trust.caption
+    assert "while at least 95 % remain" in trust.caption
     assert trust.rows == [
         ["worst corner keeps", "91 %", "93 %"],
         ["95 % of draws keep", "95 %", "96 %"],
