@@ -151,7 +151,7 @@ def blind_row(planned, what):
 def test_kept_matrices_are_reused_and_give_the_same_bytes(planned, cli, snapshot, monkeypatch):
     before = snapshot(planned.out)
     command = ("optimize", planned.rig, planned.part, "-o", planned.out, *FEW, *DEFECTS, "--no-images")
-    ran = cli(*command, "--keep-matrix", "--threads", "1", "-v")
+    ran = cli(*command, "--lights-per-posture", "--keep-matrix", "--threads", "1", "-v")
     assert ran.status == 0
     assert "2 stored luminance matrices reused" in ran.out
     assert "never seen by the camera" in ran.out
