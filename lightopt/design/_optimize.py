@@ -154,6 +154,11 @@ def _check_choice_of_postures(rig: RigConfig, options: OptimizeOptions, plan: Pl
             f"option 'postures': cannot be combined with {given}: postures are chosen from the stage's range; omit "
             "one or the other"
         )
+    if not options.common_lights:
+        problems.append(
+            "option 'common_lights': postures are chosen with one set of light positions for all of them; expected "
+            "that, found positions for each posture"
+        )
     if options.objectives and options.objectives[0] != DEFECT_OBJECTIVE:
         problems.append(
             "option 'objectives': postures are chosen by the defects that they show: expected "

@@ -491,6 +491,7 @@ def test_tolerances_of_another_objective(two, cli):
         (("--choose-postures", "1", "--posture", "0,0"), "omit one or the other"),
         (("--target", "0.5", "--posture", "0,0"), "--posture: cannot be combined with --target: postures are chosen"),
         (("--choose-postures", "1", "--objective", "coverage"), "expected detectability first"),
+        (("--choose-postures", "1", "--lights-per-posture"), "--common-lights: postures are chosen with one set of"),
         (("--choose-postures", "2", "--min-images", "0"), "Invalid value for '--min-images'"),
         (("--exposures", "1/4", "--min-images", "0"), "Invalid value for '--min-images'"),
         (
