@@ -179,7 +179,7 @@ WORDS = {
         "azimuth_deg: 45, elevation_range_deg: [20, 50]}",
         12,
         "lights[0].elevation_range_deg",
-        "stands at elevation_deg 60, outside [20, 50]",
+        "is at elevation_deg 60, outside [20, 50]",
     ),
     "duplicate lights": (
         RIG,

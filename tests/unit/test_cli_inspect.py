@@ -266,7 +266,7 @@ def test_a_set_that_is_refused_is_reported_and_the_others_go_on(cli, bench, part
     assert "dazzled/report.html" not in page
     assert "<td>not inspected</td><td>dazzled, posture (0°, 0°): all" in page
     own = (bench.out / "good" / "report.html").read_text(encoding="utf-8")
-    assert "beneath is the least level over the lights" in own
+    assert "the background is the least level over the lights" in own
     assert "1 of 3</strong> parts are OK; 1 set not inspected" in page
 
 

@@ -386,7 +386,7 @@ def test_what_is_planned_is_rendered_as_it_is_planned(two, cli):
         assert f", {one['travel_s']:.1f} s of them travel" in ran_dry.out
         assert f"stage, capture {number}: " in ran.out
     total = sum(one["travel_s"] for one in result["rounds"])
-    assert f"together {total:.1f} s of travel" in ran.out
+    assert f"total travel {total:.1f} s, without" in ran.out
     # nothing of it stays where another plan has other image sets
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *requested, "--force")
     assert ran.status == 0, ran.err

@@ -487,7 +487,7 @@ def test_a_plan_is_shown_as_the_result_has_it(done, undrawn):
     assert "in the folder of this report" in lead.text
     # as they are captured
     assert table.rows == [["(20°, 90°)", "2", "1", "20 %", "90 %"], ["(0°, 0°)", "1", "1, 0.25", "70 %", "70 %"]]
-    assert "Shares are of all that is seen." in table.caption
+    assert "Shares refer to all that is seen." in table.caption
     amounts = dict(facts.rows)
     assert amounts["maximum for the same number of postures"] == "93 %"
     assert amounts["travel from (0°, 0°)"] == "110.0 s at 1°/s, as the stage says"

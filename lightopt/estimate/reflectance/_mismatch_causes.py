@@ -47,7 +47,7 @@ def refuse_unexplained_images(setup: FitSetup, samples: Samples, found: Estimate
     if setup.registration is None:
         shift, excluded = _better_placement(setup, samples, quality)
         if shift is not None:
-            raise InputError(f"the images do not show this part at its nominal placement: {shift}")
+            raise InputError(f"the images do not look like this part at its nominal placement: {shift}")
     own = _agreement(samples, found)
     if not own.mismatch:
         return excluded
