@@ -18,7 +18,7 @@ from benchmarks.bare import THREADS
 from lightopt.geometry import TriangleMesh
 
 ROOT = CONFIGS.parent
-HELP_TARGET = 2.5
+HELP_TARGET = 1.3
 HELP_ROUNDS = 15
 BIG_SENSOR = 4096 / 1600
 """The second sensor has this many times the pixels per side: 4096 × 3072 at full size."""
