@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from lightopt.core.arrays import Bool, Float64, Int32, UInt8, read_only
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
+from lightopt.core.vectors import vector_at
 from lightopt.geometry._triangle_mesh import TriangleMesh, face_areas, face_normals
 
 # Pending triangles of one face: one for each level of its tree. Two cuts at most halve the longest edge, so
@@ -94,29 +95,9 @@ def refine(mesh: TriangleMesh, *, max_edge_mm: float, max_patches: int, select: 
             f"patches: at an edge of {max_edge_mm:g} mm the {len(mesh.faces):,} faces give {count:,} patches "
             f"or more, at most {max_patches:,} are accepted; take a longer edge"
         )
-    vertices, triangles, weights, depth, face, roots, children, cut_edge = _build(
-        mesh.vertices, mesh.faces, selected, max_edge_mm, count
-    )
-    flat = face_normals(mesh)[face]
-    normals = flat
-    if mesh.normals is not None:
-        normals = np.einsum("pk,pkj->pj", weights, mesh.normals[mesh.faces[face]])
-        length = np.sqrt(np.einsum("ij,ij->i", normals, normals))
-        cancelled = length < 1e-9
-        normals = np.where(cancelled[:, None], flat, normals / np.where(cancelled, 1.0, length)[:, None])
-    corners = vertices[triangles]
-    return Patches(
-        vertices=vertices,
-        triangles=triangles,
-        centroids=(corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0,
-        normals=normals,
-        # a median halves the area, and halving a floating-point number is exact
-        areas=np.ldexp(face_areas(mesh)[face], -depth),
-        face=face,
-        roots=roots,
-        children=children,
-        cut_edge=cut_edge,
-    )
+    smooth = np.zeros((0, 3)) if mesh.normals is None else mesh.normals
+    of_faces = smooth, face_normals(mesh), face_areas(mesh)
+    return Patches(*_build(mesh.vertices, mesh.faces, *of_faces, selected, max_edge_mm, count))
 
 
 def estimate_patch_count(
@@ -233,19 +214,32 @@ def _count(vertices: Float64, faces: Int32, selected: Bool, limit: float, enough
 
 
 @kernel
-def _build(vertices: Float64, faces: Int32, selected: Bool, limit: float, count: int) -> tuple[NDArray[Any], ...]:
-    """Cut all faces: vertices, triangles, centroid weights, depths, faces, and the trees of `Patches`.
+def _build(
+    vertices: Float64,
+    faces: Int32,
+    smooth: Float64,
+    flat: Float64,
+    face_area: Float64,
+    selected: Bool,
+    limit: float,
+    count: int,
+) -> tuple[NDArray[Any], ...]:
+    """Cut all faces: the fields of `Patches`, in their order.
 
     Follows `_count` exactly. A child's tree entry is written into its parent when the child is taken
     up.
+
+    smooth: Normals at the vertices, none of them for facets
+    flat, face_area: Normals and areas of the faces
     """
     n, m = len(vertices), len(faces)
     cuts = count - m
     points = np.empty((n + cuts, 3))
     points[:n] = vertices
     triangles = np.empty((count, 3), dtype=np.int32)
-    weights = np.empty((count, 3))
-    depths = np.empty(count, dtype=np.int32)
+    centroids = np.empty((count, 3))
+    normals = np.empty((count, 3))
+    areas = np.empty(count)
     face = np.empty(count, dtype=np.int32)
     roots = np.empty(m, dtype=np.int32)
     children = np.empty((cuts, 2), dtype=np.int32)
@@ -256,15 +250,16 @@ def _build(vertices: Float64, faces: Int32, selected: Bool, limit: float, count:
     stack_parent = np.empty((_LEVELS, 2), dtype=np.int32)
     triangle = np.empty(3, dtype=np.int32)
     corner_weights = np.empty((3, 3))
-    middle = np.empty(3)
+    middle, mean, third = np.empty(3), np.empty(3), np.full(3, 1.0 / 3.0)
     patch, node = 0, 0
     longest = longest_edges(vertices, faces, selected)
     for f in range(m):
         if longest[f] <= limit * limit:
             roots[f] = -1 - patch
             triangles[patch] = faces[f]
-            weights[patch] = 1.0 / 3.0
-            depths[patch] = 0
+            centroids[patch] = _centroid(vertices, faces[f])
+            normals[patch] = _normal(smooth, faces[f], third, flat[f])
+            areas[patch] = face_area[f]
             face[patch] = f
             patch += 1
             continue
@@ -289,8 +284,11 @@ def _build(vertices: Float64, faces: Int32, selected: Bool, limit: float, count:
             if edge < 0:
                 triangles[patch] = triangle
                 for axis in range(3):
-                    weights[patch, axis] = corner_weights[:, axis].sum() / 3.0
-                depths[patch] = depth
+                    mean[axis] = corner_weights[:, axis].sum() / 3.0
+                centroids[patch] = _centroid(points, triangle)
+                normals[patch] = _normal(smooth, faces[f], mean, flat[f])
+                # a median halves the area, and halving a floating-point number is exact
+                areas[patch] = math.ldexp(face_area[f], -depth)
                 face[patch] = f
                 patch += 1
                 continue
@@ -308,7 +306,27 @@ def _build(vertices: Float64, faces: Int32, selected: Bool, limit: float, count:
             cut_edge[node] = edge
             node += 1
             top += 2
-    return points, triangles, weights, depths, face, roots, children, cut_edge
+    return points, triangles, centroids, normals, areas, face, roots, children, cut_edge
+
+
+@kernel
+def _centroid(points: Float64, triangle: Int32) -> tuple[float, float, float]:
+    a, b, c = vector_at(points, triangle[0]), vector_at(points, triangle[1]), vector_at(points, triangle[2])
+    return (a[0] + b[0] + c[0]) / 3.0, (a[1] + b[1] + c[1]) / 3.0, (a[2] + b[2] + c[2]) / 3.0
+
+
+@kernel
+def _normal(smooth: Float64, face: Int32, weights: Float64, flat: Float64) -> tuple[float, float, float]:
+    # the vertex normals interpolated, of unit length; the facet's where there are none or they cancel
+    x = y = z = 0.0
+    if len(smooth):
+        for k in range(3):
+            normal = vector_at(smooth, face[k])
+            x += weights[k] * normal[0]
+            y += weights[k] * normal[1]
+            z += weights[k] * normal[2]
+    length = math.sqrt(x * x + z * z + y * y)
+    return (x / length, y / length, z / length) if length >= 1e-9 else (flat[0], flat[1], flat[2])
 
 
 @kernel

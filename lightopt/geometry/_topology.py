@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Bool, Float64, Int32, Int64, UInt64
-from lightopt.core.kernels import kernel
+from lightopt.core.arrays import Bool, Float32, Float64, Int32, Int64
+from lightopt.core.kernels import bits_of_float, kernel
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,16 +44,14 @@ class MeshEdges:
         return self.corners // 3
 
 
-def merge_rows(rows: Float64) -> tuple[Int32, Int32]:
+def merge_rows(rows: Float32 | Float64) -> tuple[Int32, Int32]:
     """Find the unique rows of an array by exact value, in order of first occurrence.
 
-    rows: Positions, or positions with normals, shape (n, k)
+    rows: Positions, or positions with normals, finite, shape (n, k)
     Returns: Row numbers of the first occurrences, shape (u,), and for each row the number of its unique row, shape
         (n,).
     """
-    # adding 0.0 turns −0.0 into 0.0, so that equal numbers have equal bits
-    bits = np.ascontiguousarray(rows + 0.0).view(np.uint64)
-    return _merge_bits(bits)
+    return _merged(np.ascontiguousarray(rows))
 
 
 def mesh_edges(faces: NDArray[np.integer]) -> MeshEdges:
@@ -163,8 +161,8 @@ def join(parent: Int32, x: int, y: int) -> None:
 
 
 @kernel
-def _merge_bits(bits: UInt64) -> tuple[Int32, Int32]:
-    n, k = bits.shape
+def _merged(rows: Any) -> tuple[Int32, Int32]:
+    n, k = rows.shape
     size = 16
     while size < 2 * n:
         size *= 2
@@ -176,7 +174,8 @@ def _merge_bits(bits: UInt64) -> tuple[Int32, Int32]:
     for i in range(n):
         h = np.uint64(0x9E3779B97F4A7C15)
         for j in range(k):
-            h = (h ^ bits[i, j]) * np.uint64(0xFF51AFD7ED558CCD)
+            # adding 0.0 turns −0.0 into 0.0, so that equal numbers have equal bits
+            h = (h ^ np.uint64(bits_of_float(np.float64(rows[i, j]) + 0.0))) * np.uint64(0xFF51AFD7ED558CCD)
             h ^= h >> np.uint64(32)
         slot = h & mask
         while True:
@@ -189,7 +188,7 @@ def _merge_bits(bits: UInt64) -> tuple[Int32, Int32]:
                 break
             same = True
             for j in range(k):
-                same = same and bits[first[found], j] == bits[i, j]
+                same = same and rows[first[found], j] == rows[i, j]
             if same:
                 inverse[i] = found
                 break
