@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from lightopt.core.arrays import Bool, Float64, Int32, UInt8, read_only
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
-from lightopt.core.vectors import vector_at
 from lightopt.geometry._triangle_mesh import TriangleMesh, face_areas, face_normals
 
 # Pending triangles of one face: one for each level of its tree. Two cuts at most halve the longest edge, so
@@ -235,7 +234,9 @@ def _build(
     n, m = len(vertices), len(faces)
     cuts = count - m
     points = np.empty((n + cuts, 3))
-    points[:n] = vertices
+    for i in range(n):  # loops where array expressions would take seconds to compile
+        for axis in range(3):
+            points[i, axis] = vertices[i, axis]
     triangles = np.empty((count, 3), dtype=np.int32)
     centroids = np.empty((count, 3))
     normals = np.empty((count, 3))
@@ -256,22 +257,26 @@ def _build(
     for f in range(m):
         if longest[f] <= limit * limit:
             roots[f] = -1 - patch
-            triangles[patch] = faces[f]
-            centroids[patch] = _centroid(vertices, faces[f])
-            normals[patch] = _normal(smooth, faces[f], third, flat[f])
+            for k in range(3):
+                triangle[k] = faces[f, k]
+            _store_middle(patch, points, triangle, smooth, faces[f], third, flat[f], triangles, centroids, normals)
             areas[patch] = face_area[f]
             face[patch] = f
             patch += 1
             continue
-        stack[0] = faces[f]
-        stack_weights[0] = np.eye(3)
+        for k in range(3):
+            stack[0, k] = faces[f, k]
+            for axis in range(3):
+                stack_weights[0, k, axis] = 1.0 if k == axis else 0.0
         stack_depth[0] = 0
         stack_parent[0, 0] = -1
         top = 1
         while top > 0:
             top -= 1
-            triangle[:] = stack[top]
-            corner_weights[:] = stack_weights[top]
+            for k in range(3):
+                triangle[k] = stack[top, k]
+                for axis in range(3):
+                    corner_weights[k, axis] = stack_weights[top, k, axis]
             depth, parent, side = stack_depth[top], stack_parent[top, 0], stack_parent[top, 1]
             edge = -1
             if selected[f] and top + 2 <= _LEVELS:
@@ -282,11 +287,9 @@ def _build(
             else:
                 children[parent, side] = entry
             if edge < 0:
-                triangles[patch] = triangle
                 for axis in range(3):
-                    mean[axis] = corner_weights[:, axis].sum() / 3.0
-                centroids[patch] = _centroid(points, triangle)
-                normals[patch] = _normal(smooth, faces[f], mean, flat[f])
+                    mean[axis] = (corner_weights[0, axis] + corner_weights[1, axis] + corner_weights[2, axis]) / 3.0
+                _store_middle(patch, points, triangle, smooth, faces[f], mean, flat[f], triangles, centroids, normals)
                 # a median halves the area, and halving a floating-point number is exact
                 areas[patch] = math.ldexp(face_area[f], -depth)
                 face[patch] = f
@@ -310,23 +313,34 @@ def _build(
 
 
 @kernel
-def _centroid(points: Float64, triangle: Int32) -> tuple[float, float, float]:
-    a, b, c = vector_at(points, triangle[0]), vector_at(points, triangle[1]), vector_at(points, triangle[2])
-    return (a[0] + b[0] + c[0]) / 3.0, (a[1] + b[1] + c[1]) / 3.0, (a[2] + b[2] + c[2]) / 3.0
-
-
-@kernel
-def _normal(smooth: Float64, face: Int32, weights: Float64, flat: Float64) -> tuple[float, float, float]:
-    # the vertex normals interpolated, of unit length; the facet's where there are none or they cancel
+def _store_middle(
+    patch: int,
+    points: Float64,
+    triangle: Int32,
+    smooth: Float64,
+    face: Int32,
+    weights: Float64,
+    flat: Float64,
+    triangles: Int32,
+    centroids: Float64,
+    normals: Float64,
+) -> None:
+    # the corners of a patch, its centroid, and its normal there: the vertex normals interpolated, of unit length, or
+    # that of the facet where there are none or they cancel
     x = y = z = 0.0
-    if len(smooth):
-        for k in range(3):
-            normal = vector_at(smooth, face[k])
-            x += weights[k] * normal[0]
-            y += weights[k] * normal[1]
-            z += weights[k] * normal[2]
+    for k in range(3):
+        triangles[patch, k] = triangle[k]
+        if len(smooth):
+            x += weights[k] * smooth[face[k], 0]
+            y += weights[k] * smooth[face[k], 1]
+            z += weights[k] * smooth[face[k], 2]
     length = math.sqrt(x * x + z * z + y * y)
-    return (x / length, y / length, z / length) if length >= 1e-9 else (flat[0], flat[1], flat[2])
+    if length < 1e-9:
+        x, y, z, length = flat[0], flat[1], flat[2], 1.0
+    normals[patch, 0], normals[patch, 1], normals[patch, 2] = x / length, y / length, z / length
+    for axis in range(3):
+        summed = points[triangle[0], axis] + points[triangle[1], axis] + points[triangle[2], axis]
+        centroids[patch, axis] = summed / 3.0
 
 
 @kernel

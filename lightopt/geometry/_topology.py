@@ -135,17 +135,18 @@ def _pairs(faces: Int32, order: Int32, begins: Int32) -> tuple[Int32, Bool, Bool
 
 @kernel
 def _sort_by_keys(keys: Int32, values: Int32) -> None:
-    # both in place; values of equal keys keep their order
-    if len(keys) > 32:
-        order = np.argsort(keys, kind="mergesort")
-        keys[:], values[:] = keys[order], values[order]
-        return
-    for i in range(1, len(keys)):
-        key, value, j = keys[i], values[i], i
-        while j > 0 and keys[j - 1] > key:
-            keys[j], values[j] = keys[j - 1], values[j - 1]
-            j -= 1
-        keys[j], values[j] = key, value
+    # both in place, by Shell's method; values of equal keys ascend. NumPy's sorting takes seconds to compile
+    gap = 1
+    while len(keys) > 32 and gap < len(keys) // 3:
+        gap = 3 * gap + 1
+    while gap > 0:
+        for i in range(gap, len(keys)):
+            key, value, j = keys[i], values[i], i
+            while j >= gap and (keys[j - gap] > key or (keys[j - gap] == key and values[j - gap] > value)):
+                keys[j], values[j] = keys[j - gap], values[j - gap]
+                j -= gap
+            keys[j], values[j] = key, value
+        gap //= 3
 
 
 @kernel

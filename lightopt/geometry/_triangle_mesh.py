@@ -109,7 +109,8 @@ def face_crosses(vertices: Float64, faces: Int32) -> Float64:
     """Normals of the facets as long as twice their areas, shape (m, 3)."""
     result = np.empty((len(faces), 3))
     for i in range(len(faces)):
-        result[i] = face_cross(vertices[faces[i, 0]], vertices[faces[i, 1]], vertices[faces[i, 2]])
+        x, y, z = face_cross(vertices[faces[i, 0]], vertices[faces[i, 1]], vertices[faces[i, 2]])
+        result[i, 0], result[i, 1], result[i, 2] = x, y, z  # a row at once takes a second to compile
     return result
 
 
