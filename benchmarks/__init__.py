@@ -8,6 +8,8 @@
     ``points: auto`` against m = 4, and against 64 × 64 points.
 ``command``
     The whole command line: seconds, peak memory, and how long ``--help`` takes.
+``growth``
+    How the time of images and of the hierarchy grows with triangles, pixels, lights and points.
 ``search``
     Exact searches over light combinations against a plain NumPy loop, and the luminance matrix against its bare rays.
 ``plan``

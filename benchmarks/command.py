@@ -18,7 +18,7 @@ from benchmarks.bare import THREADS
 from lightopt.geometry import TriangleMesh
 
 ROOT = CONFIGS.parent
-HELP_TARGET = 2.5
+HELP_TARGET = 1.3
 HELP_ROUNDS = 15
 BIG_SENSOR = 4096 / 1600
 """The second sensor has this many times the pixels per side: 4096 × 3072 at full size."""
@@ -34,9 +34,9 @@ def run(size: Size) -> Report:
         large = write_rig(folder / "large.yaml", round(size.width * BIG_SENSOR))
         stl, ply = (write_part(folder / f"{kind}.yaml", f"case.{kind}") for kind in ("stl", "ply"))
         runs = {
-            f"binary STL, {size.width} px wide": (normal, stl, 1.5),
-            f"binary PLY with normals, {size.width} px wide": (normal, ply, 1.5),
-            f"binary PLY with normals, {round(size.width * BIG_SENSOR)} px wide": (large, ply, 4.0),
+            f"binary STL, {size.width} px wide": (normal, stl, 1.0),
+            f"binary PLY with normals, {size.width} px wide": (normal, ply, 1.0),
+            f"binary PLY with normals, {round(size.width * BIG_SENSOR)} px wide": (large, ply, 1.5),
         }
         measured: dict[str, list[dict[str, float]]] = {key: [] for key in runs}
         for _ in range(min(3, size.repeats)):

@@ -11,7 +11,19 @@ from pathlib import Path
 from benchmarks._case import FULL, QUICK, TOY, Size
 from benchmarks._report import Report, machine
 
-NAMES = ("bare", "peers", "auto", "command", "search", "detectability", "plan", "fit", "inspecting", "capture")
+NAMES = (
+    "bare",
+    "peers",
+    "auto",
+    "command",
+    "search",
+    "detectability",
+    "plan",
+    "fit",
+    "inspecting",
+    "capture",
+    "growth",
+)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -271,7 +271,8 @@ def test_measure_says_how_much_memory_and_refuses_a_failed_command() -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(
-    "name", ["bare", "peers", "auto", "command", "search", "detectability", "plan", "fit", "inspecting", "capture"]
+    "name",
+    ["bare", "peers", "auto", "command", "search", "detectability", "plan", "fit", "inspecting", "capture", "growth"],
 )
 def test_each_benchmark_runs_and_writes_its_numbers(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -17,7 +17,13 @@ if TYPE_CHECKING:
     from lightopt.rig.devices import CameraInfo
 
 
-bench = typer.Typer(help="Test the devices of a rig one by one.", no_args_is_help=True, rich_markup_mode=None)
+bench = typer.Typer(
+    name="bench",
+    help="Test the devices of a rig one by one.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
 
 
 @bench.command(cls=common.HeadedCommand)

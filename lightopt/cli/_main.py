@@ -1,24 +1,19 @@
+import importlib
 import io
 import os
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Generator
+from collections import UserDict
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from functools import cache
+from typing import Any
 
 import typer
+import typer.core
 
-from lightopt.cli._bench import bench
-from lightopt.cli._capture import capture
-from lightopt.cli._common import HeadedCommand
-from lightopt.cli._files import check, defects, init, schema
-from lightopt.cli._fit import fit_diffuse, fit_specular
-from lightopt.cli._image_sets import compare, overlap
-from lightopt.cli._inspect import inspect
-from lightopt.cli._optimize import optimize
 from lightopt.cli._process import DEBUG, DEFECT, INTERRUPTED, debugging, report_unexpected, system_refused
-from lightopt.cli._render import render
 from lightopt.cli._terminal import echo_error, version_wanted
 from lightopt.core.errors import LightoptError, error_text
 from lightopt.core.interrupts import interrupt
@@ -28,8 +23,65 @@ WRONG_INPUT = 2
 # what typer raises for a wrong command line; it does not export the class itself
 _UsageError: type[Exception] = typer.BadParameter.__mro__[2]  # pyright: ignore[reportAssignmentType]
 
+# each command: the module that it is in, which is imported when the command is called or its help is shown
+_COMMANDS = {
+    "init": ("_files", "Write a sample rig, part and mesh to start from."),
+    "check": ("_files", "Validate rig and part files and summarise the set-up."),
+    "render": ("_render", "Render the images that the camera would take."),
+    "capture": ("_capture", "Capture images on the rig or the virtual bench."),
+    "defects": ("_files", "Place random defects on a part for testing."),
+    "fit-diffuse": ("_fit", "Fit the diffuse coefficient to images."),
+    "fit-specular": ("_fit", "Fit specular coefficient and roughness to images."),
+    "optimize": ("_optimize", "Find the best light positions by exact search."),
+    "inspect": ("_inspect", "Find defects in images and locate them on the part."),
+    "overlap": ("_image_sets", "Report where saturated regions of images overlap."),
+    "compare": ("_image_sets", "Compare new images or image sets with golden ones."),
+    "schema": ("_files", "Print the JSON schema of a rig or part file."),
+    "bench": ("_bench", "Test the devices of a rig one by one."),
+}
+
+
+class _Commands(typer.core.TyperGroup):
+    """The commands, made when they are called and not where they are only listed."""
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        self.commands = _MadeOnDemand()
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
+        """Write their section of ``lightopt --help``."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in _COMMANDS.items()])
+
+
+class _MadeOnDemand(UserDict[str, Any]):
+    """Each command by its name."""
+
+    def __missing__(self, name: str) -> Any:
+        from lightopt.cli._common import HeadedCommand
+
+        module, text = _COMMANDS[name]
+        found = getattr(importlib.import_module(f"lightopt.cli.{module}"), name.replace("-", "_"))
+        if not isinstance(found, typer.Typer):
+            alone = typer.Typer(add_completion=False, rich_markup_mode=None)
+            alone.command(name, short_help=text, cls=HeadedCommand)(found)
+            found = alone
+        self[name] = typer.main.get_command(found)
+        return self[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in _COMMANDS
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_COMMANDS)
+
+    def __len__(self) -> int:
+        return len(_COMMANDS)
+
+
 app = typer.Typer(
     name="lightopt",
+    cls=_Commands,
     help="Plan the lights, postures and exposures of an appearance-inspection machine, and inspect parts.",
     epilog="Start with: lightopt init DIR. Exit status: 0 done, 1 a check failed, 2 wrong input, 3 hardware failed, "
     "70 unexpected error (bug), 130 interrupted.",
@@ -51,23 +103,6 @@ def _common(
     ),
 ) -> None:
     pass
-
-
-app.command(short_help="Write a sample rig, part and mesh to start from.", cls=HeadedCommand)(init)
-app.command(short_help="Validate rig and part files and summarise the set-up.", cls=HeadedCommand)(check)
-app.command(short_help="Render the images that the camera would take.", cls=HeadedCommand)(render)
-app.command(short_help="Capture images on the rig or the virtual bench.", cls=HeadedCommand)(capture)
-app.command(short_help="Place random defects on a part for testing.", cls=HeadedCommand)(defects)
-app.command("fit-diffuse", short_help="Fit the diffuse coefficient to images.", cls=HeadedCommand)(fit_diffuse)
-app.command("fit-specular", short_help="Fit specular coefficient and roughness to images.", cls=HeadedCommand)(
-    fit_specular
-)
-app.command(short_help="Find the best light positions by exact search.", cls=HeadedCommand)(optimize)
-app.command(short_help="Find defects in images and locate them on the part.", cls=HeadedCommand)(inspect)
-app.command(short_help="Report where saturated regions of images overlap.", cls=HeadedCommand)(overlap)
-app.command(short_help="Compare new images or image sets with golden ones.", cls=HeadedCommand)(compare)
-app.add_typer(bench, name="bench", short_help="Test the devices of a rig one by one.")
-app.command(short_help="Print the JSON schema of a rig or part file.", cls=HeadedCommand)(schema)
 
 
 def take_ctrl_c() -> None:

@@ -11,7 +11,6 @@ import os
 import platform
 import shlex
 import sys
-import tempfile
 import threading
 import traceback
 from collections.abc import Callable
@@ -154,6 +153,8 @@ def report_unexpected(error: BaseException) -> None:
 
 def _written(text: str) -> str:
     """Path of a new file with a traceback, and with what it takes to find its cause."""
+    import tempfile  # which takes longer to load than the rest of the module
+
     from lightopt import __version__
 
     # a new name, and mode 0600: command lines name folders of the user

@@ -98,6 +98,10 @@ def show_progress(*, quiet: bool) -> Generator[StageShare | None]:
     if quiet or not sys.stderr.isatty():
         yield None
         return
+    from lightopt.core.kernels import compiled_before
+
+    if not compiled_before():
+        typer.echo("first use on this machine: the compiler takes up to half a minute, once", err=True)
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 

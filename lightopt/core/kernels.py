@@ -67,6 +67,11 @@ def cache_folder() -> Path:
     return folder
 
 
+def compiled_before() -> bool:
+    """Whether kernels were compiled on this machine; if not, the first run takes longer than the next one."""
+    return any(cache_folder().glob("*.kernel"))
+
+
 def kernel(function: Callable[..., Any]) -> Any:
     """Decorate a function that runs compiled, on arrays and numbers, without holding the interpreter's lock."""
     compiled: Any = numba.njit(nogil=True, error_model="numpy")(function)

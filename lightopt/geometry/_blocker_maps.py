@@ -63,7 +63,7 @@ class BlockerMaps:
         if self._closed is None:
             vertices, faces = self._vertices, self._faces
             planes, (_, welded) = side_by_side(  # the first vertex at each place
-                lambda: _planes(vertices, faces), lambda: merge_rows(vertices.astype(np.float64))
+                lambda: _planes(vertices, faces), lambda: merge_rows(vertices)
             )
             (closed, folded), body = side_by_side(
                 lambda: _closed_and_folded(vertices, faces, planes, welded, *corners_by_edge(welded[faces])),

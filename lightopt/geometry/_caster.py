@@ -49,7 +49,7 @@ class RayCaster:
         self.radius = float(0.5 * np.linalg.norm(high - low))
         self._recorder = recorder
         self._lock = threading.Lock()
-        self._rays_cast = 0
+        self._rays_cast = self._rays_free = 0
         # float32 keeps 7 digits, so the mesh is centred and scaled to unit size before it is given to Embree
         local = _local_vertices(vertices, self.centre, self.radius)
         faces = np.ascontiguousarray(faces, dtype=np.int32)
@@ -68,6 +68,11 @@ class RayCaster:
     def rays_cast(self) -> int:
         """Number of rays cast so far."""
         return self._rays_cast
+
+    @property
+    def rays_free(self) -> int:
+        """Number of shadow rays so far that a map of blockers proved free."""
+        return self._rays_free
 
     def is_outside(self, point: Float64) -> bool:
         """Whether a point lies outside the mesh's bounding sphere; [mm], shape (3,)."""
@@ -121,6 +126,7 @@ class RayCaster:
             blocked = self._packets.blocked(begins, local, cast)
             with self._lock:
                 self._rays_cast += int(np.count_nonzero(cast))
+                self._rays_free += int(np.count_nonzero(candidates) - np.count_nonzero(cast))
             return candidates & ~blocked
         point, target = (index.astype(np.int32) for index in np.nonzero(cast.T))
         seen = candidates.copy()

@@ -110,9 +110,10 @@ def load_mesh(
 def _finish(name: str, raw: RawMesh, unit_mm: float, crease_angle: float | None) -> LoadedMesh:
     """Repaired mesh with normals; facets where there is no crease angle."""
     warnings = list(raw.warnings)
-    placed = raw.vertices * unit_mm
+    # rounding may merge float64 positions that are scaled; float32 ones stay as distinct as they are
+    placed, scale = (raw.vertices, unit_mm) if raw.vertices.dtype == np.float32 else (raw.vertices * unit_mm, 1.0)
     first, number = merge_rows(placed)
-    vertices, faces = placed[first], number[raw.faces]
+    vertices, faces = np.multiply(placed[first], scale, dtype=np.float64), number[raw.faces]
     cross, longest = face_crosses(vertices, faces), longest_edges(vertices, faces, np.ones(len(faces), np.bool_))
     keep = np.sqrt(np.einsum("ij,ij->i", cross, cross)) > _FLAT * longest
     if not keep.any():
@@ -136,7 +137,11 @@ def _finish(name: str, raw: RawMesh, unit_mm: float, crease_angle: float | None)
         own[turned] = own[turned][:, (0, 2, 1)]
         is_cad = raw.format == "STEP"
         mesh, replaced, merged = carried_normals(
-            placed, own, repaired.pairs, raw.normals, crease_angle=None if is_cad else crease_angle
+            np.multiply(placed, scale, dtype=np.float64),
+            own,
+            repaired.pairs,
+            raw.normals,
+            crease_angle=None if is_cad else crease_angle,
         )
         warnings += replaced
     warnings += _vertex_warnings(raw, merged)
@@ -160,14 +165,14 @@ def _check_triangles(name: str, raw: RawMesh, unit_mm: float) -> None:
             f"{low} to {high} (counted from 0) for {len(raw.vertices)} vertices. The file is damaged; "
             "export it again"
         )
-    bad = ~np.isfinite(raw.vertices).all(axis=1)
-    if bad.any():
+    farthest = max(-float(raw.vertices.min()), float(raw.vertices.max()))
+    if not math.isfinite(farthest):
+        bad = ~np.isfinite(raw.vertices).all(axis=1)
         where = int(np.argmax(bad))
         raise InputError(
             f"{name}: {np.count_nonzero(bad)} vertices have coordinates that are not finite, the first is "
             f"vertex {where} (counted from 0): {raw.vertices[where].tolist()}. Export the file again"
         )
-    farthest = float(np.abs(raw.vertices).max())
     if farthest > _FARTHEST_MM / unit_mm:
         raise InputError(
             f"{name}: coordinates up to {farthest:g} units of {unit_mm:g} mm, at most {_FARTHEST_MM:g} mm "

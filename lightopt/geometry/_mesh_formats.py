@@ -1,8 +1,8 @@
 """Faceted files (STL, PLY, OBJ, GLB) as triangles in the file's unit; the one module that calls trimesh.
 
-trimesh reads the numbers, but for those of binary STL: they are one array, and trimesh takes longer to load than most
-commands have to compute. What it would pass over in silence (a file cut off, counts that disagree with the
-header, an index out of range) is found here first, so that the message can say what is wrong with the file.
+trimesh reads the numbers, but for those of binary STL and of most binary PLY: they are arrays, and trimesh takes longer
+to load than most commands have to compute. What it would pass over in silence (a file cut off, counts that disagree
+with the header, an index out of range) is found here first, so that the message can say what is wrong with the file.
 """
 
 import io
@@ -13,12 +13,28 @@ from typing import Any
 
 import numpy as np
 
-from lightopt.core.arrays import Float64, Int64
+from lightopt.core.arrays import Float32, Float64, Int32, Int64
 from lightopt.core.errors import InputError
 from lightopt.geometry._glb import glb_triangle_count, placed, split_glb
 
 _STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("vertices", "<f4", (3, 3)), ("attributes", "<u2")])
 
+
+# a binary PLY file of vertices and faces alone, without comments
+_PLAIN_PLY = re.compile(
+    r"ply\s+format binary_(little|big)_endian 1\.0\s+element vertex ([1-9]\d*)\s+((?:property \w+ \w+\s+)+)"
+    r"element face ([1-9]\d*)\s+property list (\w+) (\w+) \w+\s+end_header\s+"
+)
+_PLY_NUMBERS = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
+}
 
 # Peak of loading and smoothing a binary STL of 1.3 million triangles: 700 bytes each, measured.
 _BYTES_PER_TRIANGLE = 700
@@ -28,7 +44,7 @@ _BYTES_PER_TRIANGLE = 700
 class RawMesh:
     """Triangles of a file in the file's unit.
 
-    vertices: Positions [file unit], Z up, shape (n, 3)
+    vertices: Positions [file unit], Z up, shape (n, 3); float32 where the file has no more
     faces: Vertex indices as found in the file, shape (m, 3)
     normals: Vertex normals carried by the file, not necessarily of unit length, shape (n, 3), or None
     format: For messages, such as "binary STL"
@@ -36,8 +52,8 @@ class RawMesh:
     warnings: What was noticed while reading
     """
 
-    vertices: Float64
-    faces: Int64
+    vertices: Float32 | Float64
+    faces: Int32 | Int64
     normals: Float64 | None
     format: str
     repeats_vertices: bool
@@ -73,7 +89,8 @@ def read_stl(name: str, data: bytes, max_triangles: int) -> RawMesh:
         if not claimed:
             raise InputError(f"{name}: the binary STL file has no triangles")
         vertices = np.frombuffer(data, _STL_TRIANGLE, offset=84)["vertices"].reshape(-1, 3)
-        return RawMesh(vertices.astype(np.float64), np.arange(3 * claimed).reshape(-1, 3), None, "binary STL", True)
+        faces = np.arange(3 * claimed, dtype=np.int32).reshape(-1, 3)
+        return RawMesh(vertices.astype(np.float32, copy=False), faces, None, "binary STL", True)
     from trimesh.exchange.stl import load_stl
 
     claimed = _check_ascii_stl(name, data)
@@ -116,8 +133,6 @@ def read_ply(name: str, data: bytes, max_triangles: int) -> RawMesh:
 
     Raises InputError: The file is cut off, is no PLY, or has more than `max_triangles`
     """
-    from trimesh.exchange.ply import load_ply
-
     end = re.search(rb"^end_header[ \t]*\r?\n", data, re.MULTILINE)
     if not data.startswith(b"ply") or end is None:
         raise InputError(f"{name}: not a PLY file, or cut off in its header: expected 'ply' … 'end_header'")
@@ -132,6 +147,10 @@ def read_ply(name: str, data: bytes, max_triangles: int) -> RawMesh:
                 f"{name}: the PLY header announces {sum(counts.values()):,} lines ({_listed(counts)}), the "
                 f"file has {rows:,}: cut off. Export or copy it again"
             )
+    if (raw := _plain_ply(data, end.end(), header)) is not None:
+        return raw
+    from trimesh.exchange.ply import load_ply
+
     kind = "ASCII PLY" if is_ascii else "binary PLY"
     loaded = _trimesh(
         name, f"{kind} ({_listed(counts)})", lambda: load_ply(io.BytesIO(data), fix_texture=False, skip_materials=True)
@@ -145,6 +164,41 @@ def read_ply(name: str, data: bytes, max_triangles: int) -> RawMesh:
             f"{len(raw.faces)} triangles. The file is damaged; export it again"
         )
     return raw
+
+
+def _plain_ply(data: bytes, begin: int, header: str) -> RawMesh | None:
+    """A binary PLY file of vertices and triangles alone, whose data begins at a byte; None of any other file."""
+    found = _PLAIN_PLY.fullmatch(re.sub(r"^(?:comment|obj_info)\b.*\n", "", header, flags=re.MULTILINE))
+    if found is None:
+        return None
+    order = "<" if found[1] == "little" else ">"
+    properties = re.findall(r"property (\w+) (\w+)", found[3])
+    names = [name for _, name in properties]
+    kinds = [_PLY_NUMBERS.get(kind) for kind in (*(kind for kind, _ in properties), found[5], found[6])]
+    if None in kinds or len(set(names)) < len(names) or not set("xyz") <= set(names):
+        return None
+    vertex = np.dtype([(name, f"{order}{kind}") for name, kind in zip(names, kinds, strict=False)])
+    face = np.dtype([("count", f"{order}{kinds[-2]}"), ("corners", f"{order}{kinds[-1]}", 3)])
+    vertex_count, face_count = int(found[2]), int(found[4])
+    middle = begin + vertex_count * vertex.itemsize
+    if len(data) != middle + face_count * face.itemsize or kinds[-1] in ("f4", "f8"):
+        return None
+    faces = np.frombuffer(data, face, offset=middle)
+    if (faces["count"] != 3).any():
+        return None
+    vertices = np.frombuffer(data, vertex, vertex_count, begin)
+
+    def rows(columns: tuple[str, str, str], kind: type[np.floating]) -> Any:
+        return np.stack([vertices[name] for name in columns], axis=1).astype(kind, copy=False)
+
+    of_float32 = all(vertex[name].kind == "f" and vertex[name].itemsize == 4 for name in "xyz")
+    return RawMesh(
+        rows(("x", "y", "z"), np.float32 if of_float32 else np.float64),
+        faces["corners"].astype(np.int64) if kinds[-1] == "u4" else faces["corners"].astype(np.int32),
+        rows(("nx", "ny", "nz"), np.float64) if {"nx", "ny", "nz"} <= set(names) else None,
+        "binary PLY",
+        repeats_vertices=False,
+    )
 
 
 def _listed(counts: dict[str, int]) -> str:

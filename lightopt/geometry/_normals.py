@@ -124,7 +124,7 @@ def _unit_crosses(vertices: Float64, faces: Int32) -> Float64:
     for f in range(len(faces)):
         x, y, z = face_cross(vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]])
         length = math.sqrt(x * x + z * z + y * y)
-        normals[f] = x / length, y / length, z / length
+        normals[f, 0], normals[f, 1], normals[f, 2] = x / length, y / length, z / length
     return normals
 
 

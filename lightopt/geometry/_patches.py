@@ -94,29 +94,9 @@ def refine(mesh: TriangleMesh, *, max_edge_mm: float, max_patches: int, select: 
             f"patches: at an edge of {max_edge_mm:g} mm the {len(mesh.faces):,} faces give {count:,} patches "
             f"or more, at most {max_patches:,} are accepted; take a longer edge"
         )
-    vertices, triangles, weights, depth, face, roots, children, cut_edge = _build(
-        mesh.vertices, mesh.faces, selected, max_edge_mm, count
-    )
-    flat = face_normals(mesh)[face]
-    normals = flat
-    if mesh.normals is not None:
-        normals = np.einsum("pk,pkj->pj", weights, mesh.normals[mesh.faces[face]])
-        length = np.sqrt(np.einsum("ij,ij->i", normals, normals))
-        cancelled = length < 1e-9
-        normals = np.where(cancelled[:, None], flat, normals / np.where(cancelled, 1.0, length)[:, None])
-    corners = vertices[triangles]
-    return Patches(
-        vertices=vertices,
-        triangles=triangles,
-        centroids=(corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0,
-        normals=normals,
-        # a median halves the area, and halving a floating-point number is exact
-        areas=np.ldexp(face_areas(mesh)[face], -depth),
-        face=face,
-        roots=roots,
-        children=children,
-        cut_edge=cut_edge,
-    )
+    smooth = np.zeros((0, 3)) if mesh.normals is None else mesh.normals
+    of_faces = smooth, face_normals(mesh), face_areas(mesh)
+    return Patches(*_build(mesh.vertices, mesh.faces, *of_faces, selected, max_edge_mm, count))
 
 
 def estimate_patch_count(
@@ -233,19 +213,34 @@ def _count(vertices: Float64, faces: Int32, selected: Bool, limit: float, enough
 
 
 @kernel
-def _build(vertices: Float64, faces: Int32, selected: Bool, limit: float, count: int) -> tuple[NDArray[Any], ...]:
-    """Cut all faces: vertices, triangles, centroid weights, depths, faces, and the trees of `Patches`.
+def _build(
+    vertices: Float64,
+    faces: Int32,
+    smooth: Float64,
+    flat: Float64,
+    face_area: Float64,
+    selected: Bool,
+    limit: float,
+    count: int,
+) -> tuple[NDArray[Any], ...]:
+    """Cut all faces: the fields of `Patches`, in their order.
 
     Follows `_count` exactly. A child's tree entry is written into its parent when the child is taken
     up.
+
+    smooth: Normals at the vertices, none of them for facets
+    flat, face_area: Normals and areas of the faces
     """
     n, m = len(vertices), len(faces)
     cuts = count - m
     points = np.empty((n + cuts, 3))
-    points[:n] = vertices
+    for i in range(n):  # loops where array expressions would take seconds to compile
+        for axis in range(3):
+            points[i, axis] = vertices[i, axis]
     triangles = np.empty((count, 3), dtype=np.int32)
-    weights = np.empty((count, 3))
-    depths = np.empty(count, dtype=np.int32)
+    centroids = np.empty((count, 3))
+    normals = np.empty((count, 3))
+    areas = np.empty(count)
     face = np.empty(count, dtype=np.int32)
     roots = np.empty(m, dtype=np.int32)
     children = np.empty((cuts, 2), dtype=np.int32)
@@ -256,27 +251,32 @@ def _build(vertices: Float64, faces: Int32, selected: Bool, limit: float, count:
     stack_parent = np.empty((_LEVELS, 2), dtype=np.int32)
     triangle = np.empty(3, dtype=np.int32)
     corner_weights = np.empty((3, 3))
-    middle = np.empty(3)
+    middle, mean, third = np.empty(3), np.empty(3), np.full(3, 1.0 / 3.0)
     patch, node = 0, 0
     longest = longest_edges(vertices, faces, selected)
     for f in range(m):
         if longest[f] <= limit * limit:
             roots[f] = -1 - patch
-            triangles[patch] = faces[f]
-            weights[patch] = 1.0 / 3.0
-            depths[patch] = 0
+            for k in range(3):
+                triangle[k] = faces[f, k]
+            _store_middle(patch, points, triangle, smooth, faces[f], third, flat[f], triangles, centroids, normals)
+            areas[patch] = face_area[f]
             face[patch] = f
             patch += 1
             continue
-        stack[0] = faces[f]
-        stack_weights[0] = np.eye(3)
+        for k in range(3):
+            stack[0, k] = faces[f, k]
+            for axis in range(3):
+                stack_weights[0, k, axis] = 1.0 if k == axis else 0.0
         stack_depth[0] = 0
         stack_parent[0, 0] = -1
         top = 1
         while top > 0:
             top -= 1
-            triangle[:] = stack[top]
-            corner_weights[:] = stack_weights[top]
+            for k in range(3):
+                triangle[k] = stack[top, k]
+                for axis in range(3):
+                    corner_weights[k, axis] = stack_weights[top, k, axis]
             depth, parent, side = stack_depth[top], stack_parent[top, 0], stack_parent[top, 1]
             edge = -1
             if selected[f] and top + 2 <= _LEVELS:
@@ -287,10 +287,11 @@ def _build(vertices: Float64, faces: Int32, selected: Bool, limit: float, count:
             else:
                 children[parent, side] = entry
             if edge < 0:
-                triangles[patch] = triangle
                 for axis in range(3):
-                    weights[patch, axis] = corner_weights[:, axis].sum() / 3.0
-                depths[patch] = depth
+                    mean[axis] = (corner_weights[0, axis] + corner_weights[1, axis] + corner_weights[2, axis]) / 3.0
+                _store_middle(patch, points, triangle, smooth, faces[f], mean, flat[f], triangles, centroids, normals)
+                # a median halves the area, and halving a floating-point number is exact
+                areas[patch] = math.ldexp(face_area[f], -depth)
                 face[patch] = f
                 patch += 1
                 continue
@@ -308,7 +309,38 @@ def _build(vertices: Float64, faces: Int32, selected: Bool, limit: float, count:
             cut_edge[node] = edge
             node += 1
             top += 2
-    return points, triangles, weights, depths, face, roots, children, cut_edge
+    return points, triangles, centroids, normals, areas, face, roots, children, cut_edge
+
+
+@kernel
+def _store_middle(
+    patch: int,
+    points: Float64,
+    triangle: Int32,
+    smooth: Float64,
+    face: Int32,
+    weights: Float64,
+    flat: Float64,
+    triangles: Int32,
+    centroids: Float64,
+    normals: Float64,
+) -> None:
+    # the corners of a patch, its centroid, and its normal there: the vertex normals interpolated, of unit length, or
+    # that of the facet where there are none or they cancel
+    x = y = z = 0.0
+    for k in range(3):
+        triangles[patch, k] = triangle[k]
+        if len(smooth):
+            x += weights[k] * smooth[face[k], 0]
+            y += weights[k] * smooth[face[k], 1]
+            z += weights[k] * smooth[face[k], 2]
+    length = math.sqrt(x * x + z * z + y * y)
+    if length < 1e-9:
+        x, y, z, length = flat[0], flat[1], flat[2], 1.0
+    normals[patch, 0], normals[patch, 1], normals[patch, 2] = x / length, y / length, z / length
+    for axis in range(3):
+        summed = points[triangle[0], axis] + points[triangle[1], axis] + points[triangle[2], axis]
+        centroids[patch, axis] = summed / 3.0
 
 
 @kernel

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Bool, Float64, Int32, Int64, UInt64
-from lightopt.core.kernels import kernel
+from lightopt.core.arrays import Bool, Float32, Float64, Int32, Int64
+from lightopt.core.kernels import bits_of_float, kernel
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,16 +44,14 @@ class MeshEdges:
         return self.corners // 3
 
 
-def merge_rows(rows: Float64) -> tuple[Int32, Int32]:
+def merge_rows(rows: Float32 | Float64) -> tuple[Int32, Int32]:
     """Find the unique rows of an array by exact value, in order of first occurrence.
 
-    rows: Positions, or positions with normals, shape (n, k)
+    rows: Positions, or positions with normals, finite, shape (n, k)
     Returns: Row numbers of the first occurrences, shape (u,), and for each row the number of its unique row, shape
         (n,).
     """
-    # adding 0.0 turns −0.0 into 0.0, so that equal numbers have equal bits
-    bits = np.ascontiguousarray(rows + 0.0).view(np.uint64)
-    return _merge_bits(bits)
+    return _merged(np.ascontiguousarray(rows))
 
 
 def mesh_edges(faces: NDArray[np.integer]) -> MeshEdges:
@@ -137,17 +135,18 @@ def _pairs(faces: Int32, order: Int32, begins: Int32) -> tuple[Int32, Bool, Bool
 
 @kernel
 def _sort_by_keys(keys: Int32, values: Int32) -> None:
-    # both in place; values of equal keys keep their order
-    if len(keys) > 32:
-        order = np.argsort(keys, kind="mergesort")
-        keys[:], values[:] = keys[order], values[order]
-        return
-    for i in range(1, len(keys)):
-        key, value, j = keys[i], values[i], i
-        while j > 0 and keys[j - 1] > key:
-            keys[j], values[j] = keys[j - 1], values[j - 1]
-            j -= 1
-        keys[j], values[j] = key, value
+    # both in place, by Shell's method; values of equal keys ascend. NumPy's sorting takes seconds to compile
+    gap = 1
+    while len(keys) > 32 and gap < len(keys) // 3:
+        gap = 3 * gap + 1
+    while gap > 0:
+        for i in range(gap, len(keys)):
+            key, value, j = keys[i], values[i], i
+            while j >= gap and (keys[j - gap] > key or (keys[j - gap] == key and values[j - gap] > value)):
+                keys[j], values[j] = keys[j - gap], values[j - gap]
+                j -= gap
+            keys[j], values[j] = key, value
+        gap //= 3
 
 
 @kernel
@@ -163,8 +162,8 @@ def join(parent: Int32, x: int, y: int) -> None:
 
 
 @kernel
-def _merge_bits(bits: UInt64) -> tuple[Int32, Int32]:
-    n, k = bits.shape
+def _merged(rows: Any) -> tuple[Int32, Int32]:
+    n, k = rows.shape
     size = 16
     while size < 2 * n:
         size *= 2
@@ -176,7 +175,8 @@ def _merge_bits(bits: UInt64) -> tuple[Int32, Int32]:
     for i in range(n):
         h = np.uint64(0x9E3779B97F4A7C15)
         for j in range(k):
-            h = (h ^ bits[i, j]) * np.uint64(0xFF51AFD7ED558CCD)
+            # adding 0.0 turns −0.0 into 0.0, so that equal numbers have equal bits
+            h = (h ^ np.uint64(bits_of_float(np.float64(rows[i, j]) + 0.0))) * np.uint64(0xFF51AFD7ED558CCD)
             h ^= h >> np.uint64(32)
         slot = h & mask
         while True:
@@ -189,7 +189,7 @@ def _merge_bits(bits: UInt64) -> tuple[Int32, Int32]:
                 break
             same = True
             for j in range(k):
-                same = same and bits[first[found], j] == bits[i, j]
+                same = same and rows[first[found], j] == rows[i, j]
             if same:
                 inverse[i] = found
                 break

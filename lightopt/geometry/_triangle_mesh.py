@@ -95,8 +95,13 @@ def transformed(mesh: TriangleMesh, rotation: ArrayLike, translation: ArrayLike)
         raise InputError(f"mesh rotation: expected a rotation matrix of shape (3, 3), found {R.tolist()}")
     if t.shape != (3,) or not np.isfinite(t).all():
         raise InputError(f"mesh translation: expected three finite numbers in mm, found {t.tolist()}")
-    normals = None if mesh.normals is None else mesh.normals @ R.T
-    return TriangleMesh(mesh.vertices @ R.T + t, mesh.faces, normals)
+    normals = None if mesh.normals is None else _turned(mesh.normals, R)
+    return TriangleMesh(_turned(mesh.vertices, R) + t, mesh.faces, normals)
+
+
+def _turned(rows: Float64, R: Float64) -> Float64:
+    # most parts are only shifted; adding 0.0 turns −0.0 into 0.0, as the product would
+    return rows + 0.0 if np.array_equal(R, np.eye(3)) else rows @ R.T
 
 
 @kernel
@@ -104,7 +109,8 @@ def face_crosses(vertices: Float64, faces: Int32) -> Float64:
     """Normals of the facets as long as twice their areas, shape (m, 3)."""
     result = np.empty((len(faces), 3))
     for i in range(len(faces)):
-        result[i] = face_cross(vertices[faces[i, 0]], vertices[faces[i, 1]], vertices[faces[i, 2]])
+        x, y, z = face_cross(vertices[faces[i, 0]], vertices[faces[i, 1]], vertices[faces[i, 2]])
+        result[i, 0], result[i, 1], result[i, 2] = x, y, z  # a row at once takes a second to compile
     return result
 
 
@@ -120,8 +126,8 @@ def _rows_of_three(name: str, values: Float64) -> Float64:
     array = np.ascontiguousarray(values, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise InputError(f"mesh {name}: expected shape (n, 3), found {array.shape}")
-    finite = np.isfinite(array).all(axis=1)
-    if not finite.all():
+    if not np.isfinite(array).all():
+        finite = np.isfinite(array).all(axis=1)
         raise InputError(
             f"mesh {name}: {np.count_nonzero(~finite)} rows are not finite, the first is row {int(np.argmin(finite))}"
         )

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import zipfile
+import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256
+from lightopt.core.threads import in_threads
 
 _ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
 
@@ -72,17 +74,40 @@ def write_npz_atomic(path: str | Path, arrays: Mapping[str, NDArray[Any]]) -> st
             raise InputError(f"{path}: array {name!r} holds Python objects; expected numbers, booleans or strings")
 
     def write(temporary: Path) -> None:
-        with zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-            for name, array in arrays.items():
+        ordered = [np.asarray(array, order="C") for array in arrays.values()]
+        packed = in_threads(lambda i: _deflated(ordered[i]), range(len(ordered)))
+        with zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name, array, content in zip(arrays, ordered, packed, strict=True):
                 entry = zipfile.ZipInfo(f"{name}.npy", _ZIP_EPOCH)
                 entry.compress_type = zipfile.ZIP_DEFLATED
-                # the archive's level is only for entries that it makes itself
-                entry._compresslevel = 1  # pyright: ignore[reportAttributeAccessIssue]
                 entry.create_system = 3  # else the bytes would differ between Windows and Linux
                 with archive.open(entry, "w", force_zip64=True) as file:
-                    np.lib.format.write_array(file, np.asarray(array, order="C"), allow_pickle=False)
+                    file._compressor = content  # pyright: ignore[reportAttributeAccessIssue]
+                    np.lib.format.write_array(file, array, allow_pickle=False)
 
     return write_atomically(path, write)
+
+
+class _Packed(list[bytes]):
+    """What a thread has compressed of an array, in the place of the compressor of an archive."""
+
+    def compress(self, _: bytes) -> bytes:
+        return b""
+
+    def flush(self) -> bytes:
+        return b"".join(self)
+
+
+def _deflated(array: NDArray[Any]) -> _Packed:
+    compressor, packed = zlib.compressobj(1, zlib.DEFLATED, -zlib.MAX_WBITS), _Packed()
+
+    class Target:
+        def write(self, data: bytes) -> None:
+            packed.append(compressor.compress(data))
+
+    np.lib.format.write_array(Target(), array, allow_pickle=False)  # pyright: ignore[reportArgumentType]
+    packed.append(compressor.flush())
+    return packed
 
 
 def make_folder(folder: Path) -> None:

@@ -137,9 +137,10 @@ def render_image_set(
     table = build_patches(scene, caster=caster, budget=options.patch_budget, threads=run.threads)
     names = [light.name for light in rig.lights]
     rays = 0
-    with BackgroundTasks() as disk:
+    # packing the patches takes as long as images and writing them
+    with BackgroundTasks() as packing, BackgroundTasks() as disk:
         if not writer.file_done():
-            disk.add(writer.add_patches, table.arrays())
+            packing.add(writer.add_patches, table.arrays())
         for number, posture in enumerate(scene.postures):
             todo = [key for key in plan if key[1] == posture and not writer.done(*key)]
             if not todo and writer.geometry_done(posture):
@@ -332,11 +333,10 @@ def _degrees(angle: float) -> float:
 
 
 def _geometry_channels(geometry: Geometry) -> dict[str, Float32]:
-    channels = {f"P.{axis}": geometry.points[..., i] for i, axis in enumerate("XYZ")}
-    channels |= {f"N.{axis}": geometry.normals[..., i] for i, axis in enumerate("XYZ")}
     labels = {} if geometry.defect is None else {"defect": geometry.defect.astype(np.float32)}
     return {
-        **{name: np.ascontiguousarray(values) for name, values in channels.items()},
+        **{f"P.{axis}": geometry.points[..., i] for i, axis in enumerate("XYZ")},
+        **{f"N.{axis}": geometry.normals[..., i] for i, axis in enumerate("XYZ")},
         "Z": geometry.distance,
         "patch": geometry.patch.astype(np.float32),
         **labels,

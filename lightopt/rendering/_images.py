@@ -159,7 +159,7 @@ def render_posture(
 
     Parameters as in :func:`render`, and any posture, not only one of the scene's.
     """
-    before, begun = caster.rays_cast, monotonic()
+    before, free, begun = caster.rays_cast, caster.rays_free, monotonic()
     view = view_from_part(scene, posture)
     job = _PostureJob(scene, view, caster, shadows, supersample, layers, patches)
     if shadows:
@@ -175,8 +175,9 @@ def render_posture(
         counter.report()
 
     run_all(((job.block, rows) for rows in blocks), threads=threads or available_processors(), done=done)
-    rays, seconds = caster.rays_cast - before, monotonic() - begun
-    _log.info("posture %s: %.2f million rays in %.2f s", posture, rays / 1e6, seconds)
+    rays, free, seconds = caster.rays_cast - before, caster.rays_free - free, monotonic() - begun
+    text = "posture %s: %.2f million rays in %.2f s; %.2f million shadow rays proven free"
+    _log.info(text, posture, rays / 1e6, seconds, free / 1e6)
     return PostureImages(
         posture=posture, lights=tuple(job.images), geometry=job.geometry, back_faces=int(job.back.sum()), rays=rays
     )

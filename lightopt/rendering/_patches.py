@@ -167,35 +167,43 @@ def build_patches(
     # a face too narrow for any pixel's centre, such as a wall seen at a grazing angle, shows by its centroid
     facets = face_normals(mesh)
     rest = np.flatnonzero(~seen)
+    by_centroid = np.zeros((len(views), len(mesh.faces)), np.bool_)
 
     def find_narrow(view: int, some: slice) -> None:
         face = rest[some]
-        centroids = mesh.vertices[mesh.faces[face]].mean(axis=1)
-        seen[face[visible_points(centroids, facets[face], views[view], caster)]] = True
+        a, b, c = (mesh.vertices[mesh.faces[face, k]] for k in range(3))
+        centroids = (a + b + c) / 3.0
+        by_centroid[view, face] = visible_points(centroids, facets[face], views[view], caster)
 
     def in_blocks(work: Callable[..., None], count: int) -> None:
         tasks = ((work, (k, slice(*some))) for k in range(len(views)) for some in blocks(count, _BLOCK_POINTS))
         run_all(tasks, threads=threads)
 
     in_blocks(find_narrow, len(rest))
+    no_pixel = ~seen
+    seen |= by_centroid.any(axis=0)
     hidden, shown = int((~seen).sum()), int(seen.sum())
     # half of the budget for cutting where fine faces elsewhere take more: else a large flat face of two triangles would
     # be seen or not, lit or not, as the middles of these are
     edge, most = footprint, max(budget - shown, budget // 2)
-    limit = hidden + 16 * max(budget, shown) + 1  # beyond it the step below is the longest anyway
+    limit = hidden + shown + 16 * max(1, most) + 1  # beyond it the step below is the longest anyway
     while (cut := estimate_patch_count(mesh, edge, select=seen, limit=limit) - hidden - shown) > most:
         # what cutting adds goes with 1 / edge²
         edge *= max(1.02, min(4.0, math.sqrt(cut / max(1, most))))
     edge = min(edge, max(footprint, _longest_edge(mesh, seen)))
     patches = refine(mesh, max_edge_mm=edge, max_patches=_MOST_PATCHES, select=seen)
-    # of a face that is not seen, the centroid was tried above
+    # of a face that no pixel's centre shows, the centroid was tried above; it is that of the patch where there is one
+    tried = no_pixel & (patches.roots < 0)
     shape, candidates = (len(views), len(patches)), np.flatnonzero(seen[patches.face])
     visible, grazing = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
 
     def find_visible(view: int, some: slice) -> None:
         patch = candidates[some]
-        points, normals, own_facets = patches.centroids[patch], patches.normals[patch], facets[patches.face[patch]]
-        visible[view, patch], grazing[view, patch] = camera_visibility(points, normals, own_facets, views[view], caster)
+        face, points = patches.face[patch], patches.centroids[patch]
+        sees, fresh = by_centroid[view, face], ~tried[face]
+        sees[fresh] = visible_points(points[fresh], facets[face[fresh]], views[view], caster)
+        visible[view, patch] = sees
+        grazing[view, patch] = _grazing(points, patches.normals[patch], sees, views[view])
 
     in_blocks(find_visible, len(candidates))
     over = shown < budget < int(visible.any(axis=0).sum()) and most > budget - shown
@@ -285,11 +293,16 @@ def camera_visibility(
         :data:`lightopt.rendering.GRAZING_DEG` to the normal, shape (p,)
     """
     visible = visible_points(points, facets, view, caster)
+    return visible, _grazing(points, normals, visible, view)
+
+
+def _grazing(points: Float64, normals: Float64, visible: Bool, view: PartView) -> Bool:
+    # which of the visible points are seen at a grazing angle
     grazing = np.zeros_like(visible)
     toward = view.camera.position - points[visible]
     cosines = np.einsum("ij,ij->i", normals[visible], toward) / np.linalg.norm(toward, axis=1)
     grazing[visible] = cosines < GRAZING_COSINE
-    return visible, grazing
+    return grazing
 
 
 def visible_points(points: Float64, facets: Float64, view: PartView, caster: RayCaster) -> Bool:

@@ -105,6 +105,27 @@ def test_glb_mirrored_node_keeps_its_outside_and_its_normals(tmp_path):
     assert loaded.mesh.normals == pytest.approx(gradient, abs=1e-5)
 
 
+@pytest.mark.parametrize(("order", "number", "index"), [("<", "float", "int"), (">", "double", "uint")])
+def test_binary_ply_of_triangles_is_read_as_trimesh_reads_it(tmp_path, monkeypatch, order, number, index):
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    names = ["x", "y", "z", "nx", "ny", "nz", "quality"]
+    head = f"ply\nformat binary_{'little' if order == '<' else 'big'}_endian 1.0\ncomment by hand\n"
+    head += f"element vertex {len(ball.vertices)}\n" + "".join(f"property {number} {name}\n" for name in names)
+    head += f"element face {len(ball.faces)}\nproperty list uchar {index} vertex_indices\nend_header\n"
+    vertices = np.concatenate([ball.vertices, ball.vertex_normals, ball.vertices[:, :1]], axis=1)
+    faces = np.zeros(len(ball.faces), [("count", "u1"), ("corners", f"{order}i4", 3)])
+    faces["count"], faces["corners"] = 3, ball.faces
+    path = tmp_path / "part.ply"
+    kind = f"{order}{'f4' if number == 'float' else 'f8'}"
+    path.write_bytes(head.encode() + vertices.astype(kind).tobytes() + faces.tobytes())
+    own = load(path, unit_mm=25.4)
+    monkeypatch.setattr("lightopt.geometry._mesh_formats._plain_ply", lambda *_: None)
+    other = load(path, unit_mm=25.4)
+    assert own.warnings == other.warnings == ()
+    for name in ("vertices", "faces", "normals"):
+        assert np.array_equal(getattr(own.mesh, name), getattr(other.mesh, name))
+
+
 @pytest.mark.parametrize("suffix", ["stl", "ply", "obj"])
 def test_unit_is_required_where_the_format_has_none(tmp_path, suffix):
     path = export(tmp_path, trimesh.creation.box(), suffix)
