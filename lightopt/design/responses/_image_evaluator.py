@@ -27,7 +27,8 @@ from lightopt.optics import expose
 from lightopt.rendering import PatchTable, SurfacePoints, converged_panel, shade_converged, shade_points, shadow_targets
 from lightopt.scene import Scene, view_from_part
 
-BLOCK_PATCHES = 1 << 15  # patches that a thread works on at once
+BLOCK_PATCHES = 1 << 12  # patches whose levels, under all hypotheses, are in the processor's caches together
+BLOCKS_AT_ONCE = 8  # that a thread works on before it takes others
 
 # of the levels that are held at a time: with a part of some hundred thousand triangles, its patches and the search the
 # process then stays below 2 GB
@@ -141,8 +142,11 @@ class ImageEvaluator:
         moved = view_from_part(replace(scene, lights=tuple(p for some in panels for p in some)), posture).lights
         blocker = caster if self.shadows else None
 
-        def shade(at: int, panel: PanelLight, start: int, block: SurfacePoints) -> None:
-            here = slice(start, start + len(block))
+        def shade(at: int, panel: PanelLight, some: Sequence[tuple[int, SurfacePoints]]) -> None:
+            for start, block in some:
+                shade_block(at, panel, slice(start, start + len(block)), block)
+
+        def shade_block(at: int, panel: PanelLight, here: slice, block: SurfacePoints) -> None:
             if view is None:
                 level = _levels(scene, block, panel, caster, blocker)
             else:
@@ -154,7 +158,8 @@ class ImageEvaluator:
                     level[None, :], sensor=scene.sensor, exposure=exposure, full_scale=scene.reflectance.full_scale
                 )[0]
 
-        work = WorkCounter(positions * len(blocks), progress)
+        groups = [blocks[first : first + BLOCKS_AT_ONCE] for first in range(0, len(blocks), BLOCKS_AT_ONCE)]
+        work = WorkCounter(positions * len(groups), progress)
 
         def count() -> None:
             work.add(1)
@@ -164,8 +169,8 @@ class ImageEvaluator:
             for at, panel in enumerate(moved):
                 if self.shadows:
                     caster.map_blockers(shadow_targets(panel), rays=len(seen), threads=1)
-                for start, block in blocks:
-                    yield shade, (at, panel, start, block)
+                for group in groups:
+                    yield shade, (at, panel, group)
 
         run_all(tasks(), threads=self.threads or available_processors(), done=count)
         areas, grazing = self.table.patches.areas[seen], self.table.left_out(posture)
