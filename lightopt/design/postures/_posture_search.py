@@ -30,7 +30,7 @@ from lightopt.design.postures._light_positions import (
     position_counts_fit,
 )
 from lightopt.design.postures._posture_choice import Cover, Lights, PostureChoice, PostureRequest, Solution
-from lightopt.design.responses._image_evaluator import FlagCache, ImageEvaluator
+from lightopt.design.responses._image_evaluator import FlagCache, ImageCache, ImageEvaluator
 from lightopt.design.responses._packed_bits import Counts
 from lightopt.lights import PanelLight
 
@@ -57,6 +57,7 @@ class AlternatingSearch:
     min_images: Images that must show a pair, of all postures together.
     where: The patches, for progress messages.
     prove: Whether all sets of postures are searched where that is little work.
+    images: Those of all positions of the lights are kept there; None for nowhere.
     """
 
     evaluator: ImageEvaluator
@@ -67,6 +68,7 @@ class AlternatingSearch:
     where: str
     prove: bool
     run: RunContext
+    images: ImageCache | None = None
 
     def __post_init__(self) -> None:
         self._passes = 0
@@ -130,7 +132,7 @@ class AlternatingSearch:
         if key not in self._positions:
             self._passes += 1
             self._positions[key], counts = best_positions(
-                self.evaluator,
+                replace(self.evaluator, images=self.images, keeps_images=True),
                 [(self.postures[i], self.evaluator.exposures) for i in key],
                 self.candidates,
                 min_images=self.min_images,
@@ -211,7 +213,8 @@ class _MultiStartSearch:
             AlternatingSearch, postures=self.postures, candidates=self.candidates, min_images=least, run=self.run
         )
         self.drawn_cache = FlagCache(CACHED_BYTES)  # lights and postures come back from pass to pass
-        self.full_search = self.drawn_search = search(self.whole, where="all patches", prove=True)
+        self.images = ImageCache(CACHED_BYTES)  # the chosen postures are looked at again when they are found
+        self.full_search = self.drawn_search = search(self.whole, where="all patches", prove=True, images=self.images)
         if self.drawn.table is not self.whole.table:
             drawn = replace(self.drawn, cache=self.drawn_cache)
             self.drawn_search = search(drawn, where="drawn patches", prove=False)
@@ -237,6 +240,7 @@ class _MultiStartSearch:
             initial_panels=self.start,
             on_all_patches=self.on_all_patches,
             position_counts=self.full_search.position_counts(solution.cover.chosen),
+            images=self.images,
         )
 
     def _fewest(self, target: float) -> Solution:

@@ -10,6 +10,7 @@ grid. Where images are tested for defects, the same rays decide which defects ea
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import Task, available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.design.responses._detection import DetectionModel, PatchDetection
-from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Visibility, area_units
+from lightopt.design.responses._luminance_matrix import Levels, LuminanceMatrix, Visibility, area_units
 from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, counts_of_images, weight_planes
 from lightopt.geometry import RayCaster, face_normals
 from lightopt.lights import PanelLight
@@ -63,6 +64,34 @@ class FlagCache:
             self._words[posture, exposures, id(panel)] = panel, flags.copy()
 
 
+class ImageCache:
+    """Images of single lights on the patches that a posture shows, as long as there is room for them.
+
+    They are found again by the same posture, exposures and place of the light, whichever object that is.
+    """
+
+    def __init__(self, most_bytes: int) -> None:
+        self._most_bytes, self._bytes = most_bytes, 0
+        self._images: dict[Any, tuple[Levels, Words]] = {}
+
+    def find(self, posture: Posture, exposures: Sequence[float], panel: PanelLight) -> tuple[Levels, Words] | None:
+        """Levels and flags, of shapes (e, p) and (e, p, words), where they are held."""
+        return self._images.get(self._key(posture, exposures, panel))
+
+    def keep(
+        self, posture: Posture, exposures: Sequence[float], panel: PanelLight, levels: Levels, flags: Words
+    ) -> None:
+        """Hold levels and flags, of shapes (e, p) and (e, p, words), if there is room left."""
+        if self._bytes + levels.nbytes + flags.nbytes <= self._most_bytes:
+            self._bytes += levels.nbytes + flags.nbytes
+            self._images[self._key(posture, exposures, panel)] = levels.copy(), flags.copy()
+
+    @staticmethod
+    def _key(posture: Posture, exposures: Sequence[float], panel: PanelLight) -> Any:
+        place = (value.tobytes() if isinstance(value, np.ndarray) else value for value in vars(panel).values())
+        return posture, tuple(exposures), *place
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ImageEvaluator:
     """A part, its patches, and the defects that its images are tested for.
@@ -73,6 +102,7 @@ class ImageEvaluator:
     shadows: Whether the part casts shadows on itself.
     exposures: That an image may be taken with: it shows what it shows with any of them.
     cache: For what images show; only for an evaluator of these very patches.
+    images: The same for images with their levels; they are looked up first, and kept where `keeps_images` says so.
     """
 
     scene: Scene
@@ -83,6 +113,8 @@ class ImageEvaluator:
     threads: int | None = None
     exposures: tuple[float, ...] = (1.0,)
     cache: FlagCache | None = None
+    images: ImageCache | None = None
+    keeps_images: bool = False
 
     @cached_property
     def patches(self) -> Index:
@@ -134,12 +166,20 @@ class ImageEvaluator:
         shape = len(exposures), positions, len(seen)
         levels = np.zeros(shape, np.uint8 if scene.sensor.bit_depth <= 8 else np.uint16)
         words = np.zeros((*shape, self._words), np.uint64)
-        view = None if detection is None else PatchDetection(scene, surface, posture, detection)
+        flat = [panel for some in panels for panel in some]
+        known = (
+            {} if self.images is None else {at: self.images.find(posture, exposures, p) for at, p in enumerate(flat)}
+        )
+        for at, image in known.items():
+            if image is not None:
+                levels[:, at], words[:, at] = image
+        missing = [at for at in range(positions) if known.get(at) is None]
+        view = None if detection is None or not missing else PatchDetection(scene, surface, posture, detection)
         blocks = [
             (start, surface.take(slice(start, start + BLOCK_PATCHES))) for start in range(0, len(seen), BLOCK_PATCHES)
         ]
         # the candidates as the part sees them
-        moved = view_from_part(replace(scene, lights=tuple(p for some in panels for p in some)), posture).lights
+        moved = view_from_part(replace(scene, lights=tuple(flat)), posture).lights
         blocker = caster if self.shadows else None
 
         def shade(at: int, panel: PanelLight, some: Sequence[tuple[int, SurfacePoints]]) -> None:
@@ -159,20 +199,23 @@ class ImageEvaluator:
                 )[0]
 
         groups = [blocks[first : first + BLOCKS_AT_ONCE] for first in range(0, len(blocks), BLOCKS_AT_ONCE)]
-        work = WorkCounter(positions * len(groups), progress)
+        work = WorkCounter(len(missing) * len(groups), progress)
 
         def count() -> None:
             work.add(1)
             work.report()
 
         def tasks() -> Iterator[Task]:
-            for at, panel in enumerate(moved):
+            for at in missing:
                 if self.shadows:
-                    caster.map_blockers(shadow_targets(panel), rays=len(seen), threads=1)
+                    caster.map_blockers(shadow_targets(moved[at]), rays=len(seen), threads=1)
                 for group in groups:
-                    yield shade, (at, panel, group)
+                    yield shade, (at, moved[at], group)
 
         run_all(tasks(), threads=self.threads or available_processors(), done=count)
+        if self.images is not None and self.keeps_images:
+            for at in missing:
+                self.images.keep(posture, exposures, flat[at], levels[:, at], words[:, at])
         areas, grazing = self.table.patches.areas[seen], self.table.left_out(posture)
         ends = np.cumsum([len(some) for some in panels])[:-1]
         return tuple(
