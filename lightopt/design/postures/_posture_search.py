@@ -17,7 +17,8 @@ from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 
 from lightopt.core.errors import InputError
-from lightopt.core.run_context import RunContext, Share
+from lightopt.core.run_context import RunContext, Share, WorkCounter
+from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
 from lightopt.design.postures._cover_search import best_set, greedy_cover, improve_by_exchange
@@ -152,13 +153,22 @@ class AlternatingSearch:
     def _counts_under(self, panels: Sequence[PanelLight], lights: Lights) -> list[Counts]:
         # what every posture shows under these lights, once for as many as there is room for
         if lights not in self._counts:
-            counts: list[Counts] = []
             self._passes += 1
-            progress = self._stage("postures for lights")
-            for i, posture in enumerate(self.postures):
-                counts.append(self.evaluator.counts(posture, panels, min_images=self.min_images))
-                if progress is not None:
-                    progress((i + 1) / len(self.postures))
+            # posture by posture in each thread: none waits for another at the end of a posture
+            evaluator, found = replace(self.evaluator, threads=1), dict[int, Counts]()
+
+            def count(i: int, posture: Posture) -> None:
+                found[i] = evaluator.counts(posture, panels, min_images=self.min_images)
+
+            work = WorkCounter(len(self.postures), self._stage("postures for lights"))
+
+            def done() -> None:
+                work.add(1)
+                work.report()
+
+            threads = self.evaluator.threads or available_processors()
+            run_all(((count, pair) for pair in enumerate(self.postures)), threads=threads, done=done)
+            counts = [found[i] for i in range(len(self.postures))]
             size = sum(one.nbytes for one in counts)
             while self._counts and (len(self._counts) + 1) * size > CACHED_BYTES:
                 del self._counts[next(iter(self._counts))]

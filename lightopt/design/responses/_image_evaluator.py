@@ -10,6 +10,7 @@ grid. Where images are tested for defects, the same rays decide which defects ea
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -40,10 +41,14 @@ DRAWN_PATCHES = 20_000
 
 
 class FlagCache:
-    """What images of single lights show, by posture, exposures and panel, as long as there is room for it."""
+    """What images of single lights show, by posture, exposures and panel, as long as there is room for it.
+
+    Safe to use from several threads at once.
+    """
 
     def __init__(self, most_bytes: int) -> None:
         self._most_bytes, self._bytes = most_bytes, 0
+        self._lock = Lock()
         self._words: dict[tuple[Posture, tuple[float, ...], int], tuple[PanelLight, Words]] = {}
 
     def clear(self) -> None:
@@ -58,10 +63,11 @@ class FlagCache:
 
     def keep(self, posture: Posture, exposures: tuple[float, ...], panel: PanelLight, flags: Words) -> None:
         """Hold flags of shape (p, words), if there is room left."""
-        if self._bytes + flags.nbytes <= self._most_bytes:
-            self._bytes += flags.nbytes
-            # with the panel, since a number belongs to an object as long as that is there
-            self._words[posture, exposures, id(panel)] = panel, flags.copy()
+        with self._lock:
+            if self._bytes + flags.nbytes <= self._most_bytes:
+                self._bytes += flags.nbytes
+                # with the panel, since a number belongs to an object as long as that is there
+                self._words[posture, exposures, id(panel)] = panel, flags.copy()
 
 
 class ImageCache:
@@ -167,13 +173,7 @@ class ImageEvaluator:
         levels = np.zeros(shape, np.uint8 if scene.sensor.bit_depth <= 8 else np.uint16)
         words = np.zeros((*shape, self._words), np.uint64)
         flat = [panel for some in panels for panel in some]
-        known = (
-            {} if self.images is None else {at: self.images.find(posture, exposures, p) for at, p in enumerate(flat)}
-        )
-        for at, image in known.items():
-            if image is not None:
-                levels[:, at], words[:, at] = image
-        missing = [at for at in range(positions) if known.get(at) is None]
+        missing = self._fill_in_kept(posture, exposures, flat, levels, words)
         view = None if detection is None or not missing else PatchDetection(scene, surface, posture, detection)
         blocks = [
             (start, surface.take(slice(start, start + BLOCK_PATCHES))) for start in range(0, len(seen), BLOCK_PATCHES)
@@ -235,6 +235,19 @@ class ImageEvaluator:
             )
             for index in range(len(exposures))
         )
+
+    def _fill_in_kept(
+        self, posture: Posture, exposures: Sequence[float], panels: Sequence[PanelLight], levels: Levels, words: Words
+    ) -> list[int]:
+        # images that are kept, into arrays of shapes (e, panels, p) and (e, panels, p, words); which panels are left
+        missing: list[int] = []
+        for at, panel in enumerate(panels):
+            image = None if self.images is None else self.images.find(posture, exposures, panel)
+            if image is None:
+                missing.append(at)
+            else:
+                levels[:, at], words[:, at] = image
+        return missing
 
     @property
     def _words(self) -> int:
