@@ -83,7 +83,7 @@ def optimize(
 
     problem = _state_problem(rig, part, options, plan, None if force else folder, run)
     table = None if chosen is None else chosen.evaluator.table_of(chosen.way.order)
-    matrices = PostureMatrices(problem, folder, run, table)
+    matrices = PostureMatrices(problem, folder, run, table, None if chosen is None else chosen.choice.images)
     results, candidates, visibility = _search(matrices)
     if chosen is not None:
         # one set of lights for all postures is one result: the same positions, scored by all planned images together

@@ -94,7 +94,7 @@ def _shade_chunk(
     end_if_stopped()
     grid = panel_grid(light, points)
     clear = clear_targets(surface, grid, caster, geometric=caster is not None)
-    return _accumulate(
+    return add_points(
         surface.points,
         surface.normals,
         surface.views,
@@ -149,7 +149,7 @@ def _facing(
 
 
 @kernel
-def _accumulate(
+def add_points(
     points: Float64,
     normals: Float64,
     views: Float64,
@@ -159,6 +159,14 @@ def _accumulate(
     weight: float,
     inverse_two_sigma_squared: float,
 ) -> tuple[Float64, Float64]:
+    """Diffuse and specular light of point lights, per unit of R_d and R_s; two arrays of shape (k,).
+
+    points, normals, views: Surface points [mm], unit normals and unit view directions, shape (k, 3)
+    targets: The point lights [mm], shape (m, 3)
+    clear: Whether nothing is on the way from a light to a point, shape (m, k)
+    weight: Of each light
+    inverse_two_sigma_squared: 1/(2σ²) [rad⁻²]
+    """
     diffuse, specular = np.zeros(len(points)), np.zeros(len(points))
     # the processor works on several points at once in loops without branches over numbers that lie side by side
     p, n, v = np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE)), np.empty((3, _AT_ONCE))

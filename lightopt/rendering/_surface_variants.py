@@ -14,7 +14,7 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
-from lightopt.core.vectors import cross, dot, minus, plus, scaled, vector_at
+from lightopt.core.vectors import Vector, cross, dot, minus, plus, scaled, vector_at
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, PanelNumbers, attenuated, panel_grid, panel_numbers
 from lightopt.optics import (
@@ -34,7 +34,7 @@ from lightopt.rendering._converged_panel import (
     shade_converged,
 )
 from lightopt.rendering._converged_variants import VariantNumbers, panel_variants
-from lightopt.rendering._point_lights import PAIRS_AT_ONCE, clear_targets, point_terms
+from lightopt.rendering._point_lights import PAIRS_AT_ONCE, add_points, clear_targets
 from lightopt.rendering._surface import SurfacePoints
 
 # surface points under a converged panel that are shaded at once: some 0.1 s, the longest that Ctrl-C waits
@@ -43,8 +43,12 @@ CONVERGED_AT_ONCE = 1 << 13
 # lobes are left out of variants where they are nowhere more than this [grey level]: 0.26 of a level of 16 bits
 NEGLIGIBLE_LEVEL = 1e-3
 
-# share of variants near the lobe from which on all lobes are computed at once, and not one by one
-_LEAST_SHARE = 0.25
+# Points whose terms are computed together, in loops without branches over numbers that lie side by side: the processor
+# takes several at once. Rows of so many numbers lie one after the other in flat arrays, since the compiler knows only
+# from constant distances that none overlaps another.
+_AT_ONCE = 256
+# share of these near a variant's lobe from which on all their lobes are computed at once, and not one by one
+_LEAST_SHARE = 0.1
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -69,7 +73,7 @@ class VariantLevels:
     plain: Of the surface as it is, as :func:`lightopt.rendering.shade_points` or ``shade_converged`` has it, float32,
         shape (k,)
     good: The same for comparison with the variants, in penumbrae from the same cells of the panel; shape (k,)
-    varied: Of the variants, shape (k, t)
+    varied: Of the variants, shape (t, k)
     """
 
     plain: Float32
@@ -122,11 +126,13 @@ def shade_variants(
     else:
         assert panel.points != "auto"
         step = max(1, PAIRS_AT_ONCE // panel.points)
-    chunks = [shade(start, min(start + step, len(surface))) for start in range(0, len(surface), step)]
+    chunks = [shade(start, min(start + step, len(surface))) for start in range(0, max(1, len(surface)), step)]
+    if len(chunks) == 1:
+        return chunks[0]
     return VariantLevels(
-        plain=np.concatenate([chunk.plain for chunk in chunks] or [np.zeros(0, np.float32)]),
-        good=np.concatenate([chunk.good for chunk in chunks] or [np.zeros(0)]),
-        varied=np.concatenate([chunk.varied for chunk in chunks] or [np.zeros((0, len(variants.lean)))]),
+        plain=np.concatenate([chunk.plain for chunk in chunks]),
+        good=np.concatenate([chunk.good for chunk in chunks]),
+        varied=np.concatenate([chunk.varied for chunk in chunks], axis=1),
     )
 
 
@@ -150,16 +156,19 @@ def _point_variants(
     else:
         # towards every light that the facet faces, whatever the normals
         clear = clear_targets(replace(surface, normals=surface.facets), grid, caster, geometric=False)
-    diffuse, specular, varied = _point_kernel(
+    numbers, weight = panel_numbers(light), light.total_weight / light.points
+    diffuse, specular = add_points(
+        surface.points, surface.normals, surface.views, grid, clear, numbers, weight, 0.5 / reflectance.sigma**2
+    )
+    varied = _point_kernel(
         surface.points,
         surface.normals,
         references,
         surface.views,
         grid,
         clear,
-        panel_numbers(light),
-        light.total_weight / light.points,
-        0.5 / reflectance.sigma**2,
+        numbers,
+        weight,
         VariantNumbers(
             variants.lean,
             variants.R_d,
@@ -213,7 +222,7 @@ def _converged_variants(
         most=_most_exponents(R_s, 1.0, 1.0),
     )
     levels = panel_variants(surface, references, converged, clear, caster, numbers)
-    good, varied = levels[:, 0], levels[:, 1:]
+    good, varied = levels[:, 0], np.ascontiguousarray(levels[:, 1:].T)
     return VariantLevels(plain=_float32(reflectance, diffuse, specular), good=good, varied=varied)
 
 
@@ -227,66 +236,146 @@ def _point_kernel(
     clear: Bool,
     panel: PanelNumbers,
     weight: float,
-    inverse_good: float,
     variants: VariantNumbers,
-) -> tuple[Float64, Float64, Float64]:
-    lean, R_d, R_s, inverse, most = variants
-    count, tries = len(points), len(lean)
-    diffuse, specular = np.zeros(count), np.zeros(count)
-    varied = np.zeros((count, tries))
-    # the processor takes several variants at once in loops without branches over numbers that lie side by side
-    c0, c1, c2 = lean[:, 0].copy(), lean[:, 1].copy(), lean[:, 2].copy()
-    least_chord = most / inverse
-    n_dot_v, n_dot_l, chord = np.empty(tries), np.empty(tries), np.empty(tries)
-    d_sums, s_sums, near = np.empty(tries), np.empty(tries), np.empty(tries, np.bool_)
-    for i in range(count):
-        if not clear[:, i].any():
-            continue
-        p, n, r, v = (vector_at(points, i), vector_at(normals, i), vector_at(references, i), vector_at(views, i))
+) -> Float64:
+    # levels of the variants, shape (t, k)
+    count, lights = len(points), len(grid)
+    varied = np.zeros((len(variants.lean), count))
+    frames, sums = np.zeros(18 * _AT_ONCE), np.zeros(4 * _AT_ONCE)
+    rays, boxes, lit = np.zeros((lights, 8 * _AT_ONCE)), np.zeros((lights, 6)), np.zeros(lights, np.bool_)
+    for first in range(0, count, _AT_ONCE):
+        number = min(_AT_ONCE, count - first)
+        some = False
+        for k in range(lights):
+            lit[k] = clear[k, first : first + number].any()
+            some |= lit[k]
+        if some:
+            _fill_frames(points, normals, references, views, first, number, frames)
+            for k in range(lights):
+                if lit[k]:
+                    _fill_rays(frames, vector_at(grid, k), panel, weight, clear, k, first, number, rays, boxes)
+            for t in range(len(varied)):
+                _fill_variant(rays, boxes, lit, frames, variants, t, first, number, sums, varied)
+    return varied
+
+
+@kernel
+def _vector(rows: Float64, row: int, j: int) -> Vector:
+    return Vector(rows[row * _AT_ONCE + j], rows[(row + 1) * _AT_ONCE + j], rows[(row + 2) * _AT_ONCE + j])
+
+
+@kernel
+def _ray_vector(rays: Float64, k: int, row: int, j: int) -> Vector:
+    return Vector(rays[k, row * _AT_ONCE + j], rays[k, (row + 1) * _AT_ONCE + j], rays[k, (row + 2) * _AT_ONCE + j])
+
+
+@kernel
+def _fill_frames(
+    points: Float64, normals: Float64, references: Float64, views: Float64, first: int, number: int, frames: Float64
+) -> None:
+    # three rows each: points, normals n, references r, n × r, views, and the views in the frames (n, r, n × r)
+    for j in range(number):
+        for axis in range(3):
+            frames[axis * _AT_ONCE + j] = points[first + j, axis]
+            frames[(3 + axis) * _AT_ONCE + j] = normals[first + j, axis]
+            frames[(6 + axis) * _AT_ONCE + j] = references[first + j, axis]
+            frames[(12 + axis) * _AT_ONCE + j] = views[first + j, axis]
+    for j in range(number):
+        n, r, v = _vector(frames, 3, j), _vector(frames, 6, j), _vector(frames, 12, j)
         a = cross(n, r)
-        v0, v1, v2 = dot(n, v), dot(r, v), dot(a, v)
-        for t in range(tries):
-            n_dot_v[t] = c0[t] * v0 + c1[t] * v1 + c2[t] * v2
-            d_sums[t] = s_sums[t] = 0.0
-        d_sum = s_sum = 0.0
-        for k in range(len(grid)):
-            if not clear[k, i]:
-                continue
-            q = vector_at(grid, k)
-            d, s = point_terms(p, n, v, v0, q, panel, inverse_good)
-            d_sum += weight * d
-            s_sum += weight * s
-            light = minus(q, p)
-            r2 = dot(light, light)
-            light = scaled(light, 1.0 / math.sqrt(r2))
-            half = plus(light, v)
-            h = 1.0 / math.sqrt(dot(half, half))
-            # components of light and half vector in the point's frame
-            l0, l1, l2 = dot(n, light), dot(r, light), dot(a, light)
-            h0, h1, h2 = dot(n, half) * h, dot(r, half) * h, dot(a, half) * h
-            arriving = attenuated(weight, panel, r2, dot(panel.outward, light))
-            for t in range(tries):
-                n_dot_l[t] = c0[t] * l0 + c1[t] * l1 + c2[t] * l2
-            for t in range(tries):
-                d_sums[t] += arriving * lambert(n_dot_l[t])
-            for t in range(tries):
-                # |N − H|² of unit vectors; in float64 it is off by 1e-16 where it is 1e-6 and more that matter
-                chord[t] = max(0.0, 2.0 - 2.0 * (c0[t] * h0 + c1[t] * h1 + c2[t] * h2))
-            some = wide = 0
-            for t in range(tries):
-                near[t] = (n_dot_l[t] > 0.0) & (n_dot_v[t] > 0.0) & (chord[t] < least_chord[t])
-                some += near[t]
-                wide += near[t] & (chord[t] >= NARROW_CHORD_SQUARED)
-            all_at_once = some > _LEAST_SHARE * tries
-            if all_at_once:
-                for t in range(tries):
-                    lobe = arriving * narrow_specular_lobe(min(chord[t], NARROW_CHORD_SQUARED), inverse[t])
-                    s_sums[t] += lobe if near[t] & (chord[t] < NARROW_CHORD_SQUARED) else 0.0
-            if wide > 0 or (some > 0 and not all_at_once):
-                for t in range(tries):
-                    if near[t] and not (all_at_once and chord[t] < NARROW_CHORD_SQUARED):
-                        s_sums[t] += arriving * specular_lobe(chord[t], inverse[t])
-        diffuse[i], specular[i] = d_sum, s_sum
-        for t in range(tries):
-            varied[i, t] = R_d[t] * d_sums[t] + R_s[t] * s_sums[t] / specular_cosine(n_dot_v[t])
-    return diffuse, specular, varied
+        frames[9 * _AT_ONCE + j], frames[10 * _AT_ONCE + j], frames[11 * _AT_ONCE + j] = a
+        own = Vector(dot(n, v), dot(r, v), dot(a, v))
+        frames[15 * _AT_ONCE + j], frames[16 * _AT_ONCE + j], frames[17 * _AT_ONCE + j] = own
+
+
+@kernel
+def _fill_rays(
+    frames: Float64,
+    q: Vector,
+    panel: PanelNumbers,
+    weight: float,
+    clear: Bool,
+    k: int,
+    first: int,
+    number: int,
+    rays: Float64,
+    boxes: Float64,
+) -> None:
+    # towards point light k, in the frames of the points: three rows each of directions and of half vectors, then the
+    # light that arrives; and the least and the greatest of each component of the half vectors
+    for j in range(number):
+        light = minus(q, _vector(frames, 0, j))
+        r2 = dot(light, light)
+        light = scaled(light, 1.0 / math.sqrt(r2))
+        half = plus(light, _vector(frames, 12, j))
+        h = 1.0 / math.sqrt(dot(half, half))
+        n, r, a = _vector(frames, 3, j), _vector(frames, 6, j), _vector(frames, 9, j)
+        rays[k, j], rays[k, _AT_ONCE + j], rays[k, 2 * _AT_ONCE + j] = dot(n, light), dot(r, light), dot(a, light)
+        own = Vector(dot(n, half) * h, dot(r, half) * h, dot(a, half) * h)
+        rays[k, 3 * _AT_ONCE + j], rays[k, 4 * _AT_ONCE + j], rays[k, 5 * _AT_ONCE + j] = own
+        rays[k, 6 * _AT_ONCE + j], rays[k, 7 * _AT_ONCE + j] = r2, dot(panel.outward, light)
+    for j in range(number):
+        arriving = attenuated(weight, panel, rays[k, 6 * _AT_ONCE + j], rays[k, 7 * _AT_ONCE + j])
+        rays[k, 6 * _AT_ONCE + j] = arriving if clear[k, first + j] else 0.0
+    for axis in range(3):
+        low, high = np.inf, -np.inf
+        for j in range(number):
+            low, high = min(low, rays[k, (3 + axis) * _AT_ONCE + j]), max(high, rays[k, (3 + axis) * _AT_ONCE + j])
+        boxes[k, axis], boxes[k, 3 + axis] = low, high
+
+
+@kernel
+def _fill_variant(
+    rays: Float64,
+    boxes: Float64,
+    lit: Bool,
+    frames: Float64,
+    variants: VariantNumbers,
+    t: int,
+    first: int,
+    number: int,
+    sums: Float64,
+    varied: Float64,
+) -> None:
+    # level of variant t. Rows of `sums`: diffuse and specular light, N·V, and |N − H|², infinite where there is no lobe
+    normal = vector_at(variants.lean, t)
+    inverse = variants.inverse[t]
+    least_chord = variants.most[t] / inverse
+    for j in range(number):
+        sums[j] = sums[_AT_ONCE + j] = 0.0
+        sums[2 * _AT_ONCE + j] = dot(normal, _vector(frames, 15, j))
+    for k in range(len(rays)):
+        if not lit[k]:
+            continue
+        # N·H of these points is not more than this
+        most = 0.0
+        for axis in range(3):
+            most += max(normal[axis] * boxes[k, axis], normal[axis] * boxes[k, 3 + axis])
+        if 2.0 - 2.0 * most > least_chord + 1e-9:
+            for j in range(number):
+                sums[j] += rays[k, 6 * _AT_ONCE + j] * lambert(dot(normal, _ray_vector(rays, k, 0, j)))
+            continue
+        some = 0
+        for j in range(number):
+            n_dot_l, arriving = dot(normal, _ray_vector(rays, k, 0, j)), rays[k, 6 * _AT_ONCE + j]
+            sums[j] += arriving * lambert(n_dot_l)
+            # |N − H|² of unit vectors; in float64 it is off by 1e-16 where it is 1e-6 and more that matter
+            chord = max(0.0, 2.0 - 2.0 * dot(normal, _ray_vector(rays, k, 3, j)))
+            near = (arriving > 0.0) & (n_dot_l > 0.0) & (sums[2 * _AT_ONCE + j] > 0.0) & (chord < least_chord)
+            sums[3 * _AT_ONCE + j] = chord if near else np.inf
+            some += near
+        all_at_once = some > _LEAST_SHARE * number
+        if all_at_once:
+            for j in range(number):
+                chord = sums[3 * _AT_ONCE + j]
+                lobe = narrow_specular_lobe(min(chord, NARROW_CHORD_SQUARED), inverse)
+                sums[_AT_ONCE + j] += rays[k, 6 * _AT_ONCE + j] * lobe if chord < NARROW_CHORD_SQUARED else 0.0
+        if some > 0 and (not all_at_once or least_chord > NARROW_CHORD_SQUARED):
+            for j in range(number):
+                chord = sums[3 * _AT_ONCE + j]
+                if chord < np.inf and not (all_at_once and chord < NARROW_CHORD_SQUARED):
+                    sums[_AT_ONCE + j] += rays[k, 6 * _AT_ONCE + j] * specular_lobe(chord, inverse)
+    R_d, R_s = variants.R_d[t], variants.R_s[t]
+    for j in range(number):
+        specular = R_s * sums[_AT_ONCE + j] / specular_cosine(sums[2 * _AT_ONCE + j])
+        varied[t, first + j] = R_d * sums[j] + specular

@@ -190,6 +190,12 @@ class Drawing:
 
     def picture(self, picture: UInt8, left: int, top: int) -> None:
         """Lay an RGB or RGBA picture over the drawing, pixel on pixel."""
+        whole = left >= 0 and top >= 0 and left + picture.shape[1] <= self.width and top + len(picture) <= self.height
+        if whole and picture.shape[2] == 3:
+            # matplotlib would resample it first
+            paper = np.asarray(self._canvas.buffer_rgba())
+            paper[top : top + len(picture), left : left + picture.shape[1], :3] = picture
+            return
         below = self.height - top - len(picture)
         self._figure.figimage(picture, left, below, origin="upper").draw(self._canvas.get_renderer())
 

@@ -197,6 +197,6 @@ def test_converged_panels_on_leaning_patches(tmp_path):
                 caster=caster,
             )
             exact = changed.R_d * diffuse + changed.R_s * specular
-            off = np.abs(np.minimum(found.varied[:, t], 255) - np.minimum(exact, 255))
+            off = np.abs(np.minimum(found.varied[t], 255) - np.minimum(exact, 255))
             assert (off[whole] < 0.02).all()
             assert np.mean(off < 3.0) > 0.98

@@ -38,6 +38,8 @@ from lightopt.design.postures import _light_positions as placing, _posture_searc
 from lightopt.design.postures._exposures import plan_exposures
 from lightopt.design.postures._joint_choice import choose_with_exposures
 from lightopt.design.postures._plan_postures import target_not_reached
+from lightopt.design.responses._detection import PatchDetection
+from lightopt.design.responses._image_evaluator import ImageCache
 from lightopt.geometry import face_normals
 from lightopt.rendering import build_patches, camera_visibility, cast_rays_at
 from lightopt.scene import build_catalogue, build_lights, build_scene, view_from_part
@@ -336,6 +338,31 @@ def test_positions_that_memory_has_no_room_for_are_evaluated_in_pieces(world, mo
         evaluator.matrices(POSTURES[0], candidates.panels, exposures=evaluator.exposures)
     for one, other in zip(free, looks(), strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_images_that_are_kept_are_not_computed_again(world, monkeypatch):
+    """Those of the same place of a light, of another object, too; others are computed, and all are the same."""
+    rig, evaluator = world
+    panels = find_candidates(rig, step_deg=10.0).panels
+    fresh = evaluator.matrices(POSTURES[1], panels)
+    keeping = replace(evaluator, images=ImageCache(10**9), keeps_images=True)
+    keeping.matrices(POSTURES[1], [panels[0], panels[1][1:]])
+    evaluated = []
+    own = PatchDetection.evaluate
+
+    def counted(self, block, panel, *rest):
+        evaluated.append(panel)
+        return own(self, block, panel, *rest)
+
+    monkeypatch.setattr(PatchDetection, "evaluate", counted)
+    again = keeping.matrices(POSTURES[1], find_candidates(rig, step_deg=10.0).panels)
+    assert len(evaluated) == 1
+    for one, other in zip(fresh, again, strict=True):
+        for layer in range(2):
+            assert np.array_equal(one.levels[layer], other.levels[layer])
+            assert np.array_equal(one.visibility.words[layer], other.visibility.words[layer])
+    keeping.matrices(POSTURES[1], panels, exposures=(1.0, 4.0))
+    assert len(evaluated) == 1 + sum(map(len, panels))
 
 
 @pytest.mark.parametrize("move", [False, True])

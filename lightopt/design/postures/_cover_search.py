@@ -22,7 +22,7 @@ from itertools import accumulate
 from lightopt.design.postures._posture_choice import Cover, CoverStep
 from lightopt.design.responses._packed_bits import Counts, Merit, PairWeights, add_counts
 
-# of one search: words of flags that are read, 10,000 gains of 200,000 patches; some ten seconds of two processors
+# of one search: words of flags that are read, 10,000 gains of 200,000 patches; a few seconds of two processors
 MOST_WORK = 2_000_000_000
 
 BATCH = 16  # candidates whose gains are computed at once, whatever the number of threads

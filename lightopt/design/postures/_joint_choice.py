@@ -55,8 +55,8 @@ def choose_with_exposures(
 
     def chosen_on(every: ImageEvaluator, some: ImageEvaluator, stage: str) -> PostureChoice:
         choice = choose_postures(every, some, postures, start, candidates, request, run=run.within(stage))
-        # the counts of positions are of other images than those that will be planned
-        return replace(choice, position_counts=None)
+        # counts and images of positions are of other exposures than those that will be planned
+        return replace(choice, position_counts=None, images=None)
 
     single = chosen_on(whole, drawn, "exposure 1")
     every, some = (replace(evaluator, exposures=levels) for evaluator in (whole, drawn))

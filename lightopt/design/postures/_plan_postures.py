@@ -109,7 +109,7 @@ def _planned(
     candidates: Candidates,
     free: Candidates | None,
 ) -> ObjectiveResult:
-    best, choice, evaluator = answer.found.best, chosen.choice, chosen.evaluator
+    best, choice, evaluator = answer.found.best, chosen.choice, replace(chosen.evaluator, images=chosen.choice.images)
     panels = candidates.panels_at(best.candidates)
     images = (
         replace(evaluator, exposures=choice.exposures_of(posture)).counts(posture, panels, min_images=chosen.least)

@@ -9,6 +9,7 @@ import numpy as np
 from lightopt.core.transforms import Posture
 from lightopt.design.postures._exposures import Brackets
 from lightopt.design.postures._light_positions import PositionCounts
+from lightopt.design.responses._image_evaluator import ImageCache
 from lightopt.design.search._exact_search import DEFAULT_LIMIT
 from lightopt.lights import PanelLight
 
@@ -157,6 +158,7 @@ class PostureChoice(Solution):
     on_all_patches: Whether the last iterations used all patches; not where memory is too small for so many positions.
     position_counts: What each position of each light shows of all patches in these postures, each image with the
         evaluator's exposures; None where that is no longer known.
+    images: Some of all patches, at the evaluator's exposures.
     brackets: Which further exposures are planned; None where there were none to choose from.
     """
 
@@ -166,6 +168,7 @@ class PostureChoice(Solution):
     initial_panels: tuple[PanelLight, ...] = field(compare=False, repr=False)
     on_all_patches: bool
     position_counts: tuple[PositionCounts, ...] | None = field(default=None, compare=False, repr=False)
+    images: ImageCache | None = field(default=None, compare=False, repr=False)
     brackets: Brackets | None = None
 
     def exposures_of(self, posture: Posture) -> tuple[float, ...]:

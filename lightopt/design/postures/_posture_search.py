@@ -17,7 +17,8 @@ from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 
 from lightopt.core.errors import InputError
-from lightopt.core.run_context import RunContext, Share
+from lightopt.core.run_context import RunContext, Share, WorkCounter
+from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
 from lightopt.design.postures._cover_search import best_set, greedy_cover, improve_by_exchange
@@ -30,7 +31,7 @@ from lightopt.design.postures._light_positions import (
     position_counts_fit,
 )
 from lightopt.design.postures._posture_choice import Cover, Lights, PostureChoice, PostureRequest, Solution
-from lightopt.design.responses._image_evaluator import FlagCache, ImageEvaluator
+from lightopt.design.responses._image_evaluator import FlagCache, ImageCache, ImageEvaluator
 from lightopt.design.responses._packed_bits import Counts
 from lightopt.lights import PanelLight
 
@@ -57,6 +58,7 @@ class AlternatingSearch:
     min_images: Images that must show a pair, of all postures together.
     where: The patches, for progress messages.
     prove: Whether all sets of postures are searched where that is little work.
+    images: Those of all positions of the lights are kept there; None for nowhere.
     """
 
     evaluator: ImageEvaluator
@@ -67,6 +69,7 @@ class AlternatingSearch:
     where: str
     prove: bool
     run: RunContext
+    images: ImageCache | None = None
 
     def __post_init__(self) -> None:
         self._passes = 0
@@ -130,7 +133,7 @@ class AlternatingSearch:
         if key not in self._positions:
             self._passes += 1
             self._positions[key], counts = best_positions(
-                self.evaluator,
+                replace(self.evaluator, images=self.images, keeps_images=True),
                 [(self.postures[i], self.evaluator.exposures) for i in key],
                 self.candidates,
                 min_images=self.min_images,
@@ -150,13 +153,22 @@ class AlternatingSearch:
     def _counts_under(self, panels: Sequence[PanelLight], lights: Lights) -> list[Counts]:
         # what every posture shows under these lights, once for as many as there is room for
         if lights not in self._counts:
-            counts: list[Counts] = []
             self._passes += 1
-            progress = self._stage("postures for lights")
-            for i, posture in enumerate(self.postures):
-                counts.append(self.evaluator.counts(posture, panels, min_images=self.min_images))
-                if progress is not None:
-                    progress((i + 1) / len(self.postures))
+            # posture by posture in each thread: none waits for another at the end of a posture
+            evaluator, found = replace(self.evaluator, threads=1), dict[int, Counts]()
+
+            def count(i: int, posture: Posture) -> None:
+                found[i] = evaluator.counts(posture, panels, min_images=self.min_images)
+
+            work = WorkCounter(len(self.postures), self._stage("postures for lights"))
+
+            def done() -> None:
+                work.add(1)
+                work.report()
+
+            threads = self.evaluator.threads or available_processors()
+            run_all(((count, pair) for pair in enumerate(self.postures)), threads=threads, done=done)
+            counts = [found[i] for i in range(len(self.postures))]
             size = sum(one.nbytes for one in counts)
             while self._counts and (len(self._counts) + 1) * size > CACHED_BYTES:
                 del self._counts[next(iter(self._counts))]
@@ -211,7 +223,8 @@ class _MultiStartSearch:
             AlternatingSearch, postures=self.postures, candidates=self.candidates, min_images=least, run=self.run
         )
         self.drawn_cache = FlagCache(CACHED_BYTES)  # lights and postures come back from pass to pass
-        self.full_search = self.drawn_search = search(self.whole, where="all patches", prove=True)
+        self.images = ImageCache(CACHED_BYTES)  # the chosen postures are looked at again when they are found
+        self.full_search = self.drawn_search = search(self.whole, where="all patches", prove=True, images=self.images)
         if self.drawn.table is not self.whole.table:
             drawn = replace(self.drawn, cache=self.drawn_cache)
             self.drawn_search = search(drawn, where="drawn patches", prove=False)
@@ -237,6 +250,7 @@ class _MultiStartSearch:
             initial_panels=self.start,
             on_all_patches=self.on_all_patches,
             position_counts=self.full_search.position_counts(solution.cover.chosen),
+            images=self.images,
         )
 
     def _fewest(self, target: float) -> Solution:

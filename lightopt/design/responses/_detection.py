@@ -48,6 +48,7 @@ DEFAULT_CONTRAST = 5.0
 
 
 LEAST_RATIO, GREATEST_RATIO = float(PIXEL_RATIOS[0]), float(PIXEL_RATIOS[-1])
+_AT_ONCE = 256  # patches whose levels are in the processor's nearest caches together
 PER_OCTAVE = (len(PIXEL_RATIOS) - 1) / math.log2(GREATEST_RATIO / LEAST_RATIO)
 
 
@@ -76,8 +77,9 @@ class Contrast:
             raise InputError(problem)
 
 
-# linear levels where the surface is good and where a hypothesis fills the pixel [grey level at exposure 1], shapes (k,)
-# and (k, t); shares of _pixel_shares; bits of the visible hypotheses
+# Bits of the visible hypotheses on k patches from number `start` on, shape (k, words): of linear levels where the
+# surface is good and where a hypothesis fills the pixel [grey level at exposure 1], shapes (k,) and (t, k), and of the
+# shares of _pixel_shares. The processor works on several patches at once in loops without branches.
 @kernel
 def _contrast_words(
     good: Float64,
@@ -85,6 +87,7 @@ def _contrast_words(
     first: Int64,
     facing: Bool,
     shares: Float64,
+    start: int,
     scale: float,
     black: float,
     saturation: float,
@@ -92,42 +95,84 @@ def _contrast_words(
     read_noise: float,
     electrons: float,
 ) -> Words:
-    words = np.zeros((len(good), (varied.shape[1] + 63) // 64), np.uint64)
-    for i in range(len(good)):
-        if good[i] == 0.0 and not varied[i].any():
-            continue  # no light: nothing shows
-        level = min(black + scale * good[i], saturation)
-        least = threshold * math.sqrt(read_noise * read_noise + (level - black) / electrons + 1.0 / 12.0)
+    tries, count = varied.shape
+    words = np.zeros((count, (tries + 63) // 64), np.uint64)
+    rows, flags = np.zeros(9 * _AT_ONCE), np.zeros(_AT_ONCE, np.uint64)
+    for begin in range(0, count, _AT_ONCE):
+        number = min(_AT_ONCE, count - begin)
+        for j in range(number):
+            rows[j] = good[begin + j]
+        for j in range(number):
+            level = min(black + scale * rows[j], saturation)
+            noise = math.sqrt(read_noise * read_noise + (level - black) / electrons + 1.0 / 12.0)
+            rows[_AT_ONCE + j], rows[2 * _AT_ONCE + j] = level, threshold * noise
         for e in range(len(facing)):
-            start, count = first[e], first[e + 1] - first[e]
-            mean = 0.0
-            for t in range(start, start + count):
-                mean += varied[i, t] / count
-            one, of_one, most, of_most = shares[i, e]
-            for t in range(start, start + count):
-                common = mean - good[i]
+            most = first[e + 1] - first[e]
+            for j in range(number):
+                for n in range(4):
+                    rows[(4 + n) * _AT_ONCE + j] = shares[e, n, start + begin + j]
+            if not facing[e]:
+                _average(varied, first[e], first[e + 1], 1, begin, number, rows)
+            for t in range(first[e], first[e + 1]):
                 if facing[e]:
-                    opposite = start + (t - start + count // 2) % count
-                    common = 0.5 * (varied[i, t] + varied[i, opposite]) - good[i]
-                own = varied[i, t] - good[i] - common
-                best = good[i] + one * own + of_one * common
-                other = good[i] + most * own + of_most * common
-                if (
-                    abs(min(black + scale * best, saturation) - level) >= least
-                    or abs(min(black + scale * other, saturation) - level) >= least
-                ):
-                    words[i, t // 64] |= np.uint64(1) << np.uint64(t % 64)
+                    opposite = first[e] + (t - first[e] + most // 2) % most
+                    low, high = min(t, opposite), max(t, opposite)
+                    _average(varied, low, high + 1, high - low, begin, number, rows)
+                _test(varied, t, begin, number, scale, black, saturation, rows, flags)
+                if t % 64 == 63 or t == tries - 1:
+                    for j in range(number):
+                        words[begin + j, t // 64] = flags[j]
+                        flags[j] = 0
     return words
 
 
 @kernel
+def _average(varied: Float64, low: int, high: int, step: int, begin: int, number: int, rows: Float64) -> None:
+    # the mean level of every so many of the hypotheses from `low` to `high`, into the fourth row
+    count = (high - low + step - 1) // step
+    for j in range(number):
+        rows[3 * _AT_ONCE + j] = 0.0
+    for t in range(low, high, step):
+        for j in range(number):
+            rows[3 * _AT_ONCE + j] += varied[t, begin + j] / count
+
+
+@kernel
+def _test(
+    varied: Float64,
+    t: int,
+    begin: int,
+    number: int,
+    scale: float,
+    black: float,
+    saturation: float,
+    rows: Float64,
+    flags: Words,
+) -> None:
+    # sets the flag of hypothesis t where it is visible. Rows: the surface's linear and delivered level, the least
+    # difference that is visible, the mean level of the walls that share the pixel, the shares, and the wall's level
+    bit = np.uint64(1) << np.uint64(t % 64)
+    for j in range(number):
+        rows[8 * _AT_ONCE + j] = varied[t, begin + j]
+    for j in range(number):
+        good, level, least = rows[j], rows[_AT_ONCE + j], rows[2 * _AT_ONCE + j]
+        common = rows[3 * _AT_ONCE + j] - good
+        own = rows[8 * _AT_ONCE + j] - good - common
+        best = good + rows[4 * _AT_ONCE + j] * own + rows[5 * _AT_ONCE + j] * common
+        other = good + rows[6 * _AT_ONCE + j] * own + rows[7 * _AT_ONCE + j] * common
+        off = abs(min(black + scale * best, saturation) - level)
+        other_off = abs(min(black + scale * other, saturation) - level)
+        flags[j] |= bit if max(off, other_off) >= least else np.uint64(0)
+
+
+@kernel
 def _pixel_shares(tables: Float64, widths: Float64, footprints: Float64, cosines: Float64) -> Float64:
-    # shares of the pixel that e defects fill, by a pixel's footprint on a plane that faces the camera [mm]; (k, e, 4)
-    found = np.empty((len(footprints), len(widths), 4))
+    # shares of the pixel that e defects fill, by a pixel's footprint on a plane that faces the camera [mm]; (e, 4, k)
+    found = np.empty((len(widths), 4, len(footprints)))
     for i in range(len(footprints)):
         side = footprints[i] / math.sqrt(cosines[i])
         for e in range(len(widths)):
-            found[i, e] = _shares(tables[e], side / widths[e])
+            found[e, 0, i], found[e, 1, i], found[e, 2, i], found[e, 3, i] = _shares(tables[e], side / widths[e])
     return found
 
 
@@ -231,7 +276,8 @@ class PatchDetection:
                 shaded.varied,
                 self._first,
                 self._facing,
-                self._shares[here],
+                self._shares,
+                here.start,
                 exposure * sensor.max_level / contrast.full_scale,
                 sensor.black_level,
                 sensor.saturated_from,

@@ -10,6 +10,8 @@ grid. Where images are tested for defects, the same rays decide which defects ea
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from threading import Lock
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +21,7 @@ from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import Task, available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.design.responses._detection import DetectionModel, PatchDetection
-from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Visibility, area_units
+from lightopt.design.responses._luminance_matrix import Levels, LuminanceMatrix, Visibility, area_units
 from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, counts_of_images, weight_planes
 from lightopt.geometry import RayCaster, face_normals
 from lightopt.lights import PanelLight
@@ -27,7 +29,8 @@ from lightopt.optics import expose
 from lightopt.rendering import PatchTable, SurfacePoints, converged_panel, shade_converged, shade_points, shadow_targets
 from lightopt.scene import Scene, view_from_part
 
-BLOCK_PATCHES = 1 << 15  # patches that a thread works on at once
+BLOCK_PATCHES = 1 << 12  # patches whose levels, under all hypotheses, are in the processor's caches together
+BLOCKS_AT_ONCE = 8  # that a thread works on before it takes others
 
 # of the levels that are held at a time: with a part of some hundred thousand triangles, its patches and the search the
 # process then stays below 2 GB
@@ -38,10 +41,14 @@ DRAWN_PATCHES = 20_000
 
 
 class FlagCache:
-    """What images of single lights show, by posture, exposures and panel, as long as there is room for it."""
+    """What images of single lights show, by posture, exposures and panel, as long as there is room for it.
+
+    Safe to use from several threads at once.
+    """
 
     def __init__(self, most_bytes: int) -> None:
         self._most_bytes, self._bytes = most_bytes, 0
+        self._lock = Lock()
         self._words: dict[tuple[Posture, tuple[float, ...], int], tuple[PanelLight, Words]] = {}
 
     def clear(self) -> None:
@@ -56,10 +63,39 @@ class FlagCache:
 
     def keep(self, posture: Posture, exposures: tuple[float, ...], panel: PanelLight, flags: Words) -> None:
         """Hold flags of shape (p, words), if there is room left."""
-        if self._bytes + flags.nbytes <= self._most_bytes:
-            self._bytes += flags.nbytes
-            # with the panel, since a number belongs to an object as long as that is there
-            self._words[posture, exposures, id(panel)] = panel, flags.copy()
+        with self._lock:
+            if self._bytes + flags.nbytes <= self._most_bytes:
+                self._bytes += flags.nbytes
+                # with the panel, since a number belongs to an object as long as that is there
+                self._words[posture, exposures, id(panel)] = panel, flags.copy()
+
+
+class ImageCache:
+    """Images of single lights on the patches that a posture shows, as long as there is room for them.
+
+    They are found again by the same posture, exposures and place of the light, whichever object that is.
+    """
+
+    def __init__(self, most_bytes: int) -> None:
+        self._most_bytes, self._bytes = most_bytes, 0
+        self._images: dict[Any, tuple[Levels, Words]] = {}
+
+    def find(self, posture: Posture, exposures: Sequence[float], panel: PanelLight) -> tuple[Levels, Words] | None:
+        """Levels and flags, of shapes (e, p) and (e, p, words), where they are held."""
+        return self._images.get(self._key(posture, exposures, panel))
+
+    def keep(
+        self, posture: Posture, exposures: Sequence[float], panel: PanelLight, levels: Levels, flags: Words
+    ) -> None:
+        """Hold levels and flags, of shapes (e, p) and (e, p, words), if there is room left."""
+        if self._bytes + levels.nbytes + flags.nbytes <= self._most_bytes:
+            self._bytes += levels.nbytes + flags.nbytes
+            self._images[self._key(posture, exposures, panel)] = levels.copy(), flags.copy()
+
+    @staticmethod
+    def _key(posture: Posture, exposures: Sequence[float], panel: PanelLight) -> Any:
+        place = (value.tobytes() if isinstance(value, np.ndarray) else value for value in vars(panel).values())
+        return posture, tuple(exposures), *place
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -72,6 +108,7 @@ class ImageEvaluator:
     shadows: Whether the part casts shadows on itself.
     exposures: That an image may be taken with: it shows what it shows with any of them.
     cache: For what images show; only for an evaluator of these very patches.
+    images: The same for images with their levels; they are looked up first, and kept where `keeps_images` says so.
     """
 
     scene: Scene
@@ -82,6 +119,8 @@ class ImageEvaluator:
     threads: int | None = None
     exposures: tuple[float, ...] = (1.0,)
     cache: FlagCache | None = None
+    images: ImageCache | None = None
+    keeps_images: bool = False
 
     @cached_property
     def patches(self) -> Index:
@@ -133,16 +172,21 @@ class ImageEvaluator:
         shape = len(exposures), positions, len(seen)
         levels = np.zeros(shape, np.uint8 if scene.sensor.bit_depth <= 8 else np.uint16)
         words = np.zeros((*shape, self._words), np.uint64)
-        view = None if detection is None else PatchDetection(scene, surface, posture, detection)
+        flat = [panel for some in panels for panel in some]
+        missing = self._fill_in_kept(posture, exposures, flat, levels, words)
+        view = None if detection is None or not missing else PatchDetection(scene, surface, posture, detection)
         blocks = [
             (start, surface.take(slice(start, start + BLOCK_PATCHES))) for start in range(0, len(seen), BLOCK_PATCHES)
         ]
         # the candidates as the part sees them
-        moved = view_from_part(replace(scene, lights=tuple(p for some in panels for p in some)), posture).lights
+        moved = view_from_part(replace(scene, lights=tuple(flat)), posture).lights
         blocker = caster if self.shadows else None
 
-        def shade(at: int, panel: PanelLight, start: int, block: SurfacePoints) -> None:
-            here = slice(start, start + len(block))
+        def shade(at: int, panel: PanelLight, some: Sequence[tuple[int, SurfacePoints]]) -> None:
+            for start, block in some:
+                shade_block(at, panel, slice(start, start + len(block)), block)
+
+        def shade_block(at: int, panel: PanelLight, here: slice, block: SurfacePoints) -> None:
             if view is None:
                 level = _levels(scene, block, panel, caster, blocker)
             else:
@@ -154,20 +198,24 @@ class ImageEvaluator:
                     level[None, :], sensor=scene.sensor, exposure=exposure, full_scale=scene.reflectance.full_scale
                 )[0]
 
-        work = WorkCounter(positions * len(blocks), progress)
+        groups = [blocks[first : first + BLOCKS_AT_ONCE] for first in range(0, len(blocks), BLOCKS_AT_ONCE)]
+        work = WorkCounter(len(missing) * len(groups), progress)
 
         def count() -> None:
             work.add(1)
             work.report()
 
         def tasks() -> Iterator[Task]:
-            for at, panel in enumerate(moved):
+            for at in missing:
                 if self.shadows:
-                    caster.map_blockers(shadow_targets(panel), rays=len(seen), threads=1)
-                for start, block in blocks:
-                    yield shade, (at, panel, start, block)
+                    caster.map_blockers(shadow_targets(moved[at]), rays=len(seen), threads=1)
+                for group in groups:
+                    yield shade, (at, moved[at], group)
 
         run_all(tasks(), threads=self.threads or available_processors(), done=count)
+        if self.images is not None and self.keeps_images:
+            for at in missing:
+                self.images.keep(posture, exposures, flat[at], levels[:, at], words[:, at])
         areas, grazing = self.table.patches.areas[seen], self.table.left_out(posture)
         ends = np.cumsum([len(some) for some in panels])[:-1]
         return tuple(
@@ -187,6 +235,19 @@ class ImageEvaluator:
             )
             for index in range(len(exposures))
         )
+
+    def _fill_in_kept(
+        self, posture: Posture, exposures: Sequence[float], panels: Sequence[PanelLight], levels: Levels, words: Words
+    ) -> list[int]:
+        # images that are kept, into arrays of shapes (e, panels, p) and (e, panels, p, words); which panels are left
+        missing: list[int] = []
+        for at, panel in enumerate(panels):
+            image = None if self.images is None else self.images.find(posture, exposures, panel)
+            if image is None:
+                missing.append(at)
+            else:
+                levels[:, at], words[:, at] = image
+        return missing
 
     @property
     def _words(self) -> int:

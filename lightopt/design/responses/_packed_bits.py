@@ -149,7 +149,7 @@ class PairWeights:
 
     def sum_of(self, flags: Words) -> int:
         """Weight of the pairs whose flags are set, shape (p, words)."""
-        return int(self.areas @ weighted_bits(flags, self.masks, self.factors))
+        return int(_added_weight(np.zeros_like(flags), flags, self.areas, self.masks, self.factors))
 
     @property
     def total(self) -> int:
@@ -176,8 +176,10 @@ class PairWeights:
 
     def gains(self, counts: Counts, more: Counts) -> Merit:
         """By how much :meth:`covered` and :meth:`benefit` grow when `more` is added to `counts`."""
-        covered, benefit = _gains(counts, more, self.areas, self.masks, self.factors)
-        return int(covered), int(benefit)
+        after = more if len(counts) == 1 else add_counts(counts, more)
+        layers = zip(counts, after, strict=True)
+        added = [int(_added_weight(*layer, self.areas, self.masks, self.factors)) for layer in layers]
+        return added[-1], sum(added)
 
     def all_gains(self, counts: Counts, candidates: Sequence[Counts], *, threads: int | None) -> list[Merit]:
         """:meth:`gains` of each of some candidates."""
@@ -196,23 +198,13 @@ def counts_of_images(images: Sequence[Words], k: int) -> Counts:
 
 
 @kernel
-def _gains(counts: Counts, more: Counts, areas: Int64, masks: Words, factors: Int64) -> tuple[np.int64, np.int64]:
-    covered, benefit = np.int64(0), np.int64(0)
-    k = counts.shape[0]
-    for p in range(counts.shape[1]):
-        most, each = np.int64(0), np.int64(0)
-        for w in range(counts.shape[2]):
-            if more[0, p, w]:
-                for level in range(k):
-                    flags = more[level, p, w]
-                    for low in range(level):
-                        flags |= counts[low, p, w] & more[level - 1 - low, p, w]
-                    flags &= ~counts[level, p, w]
-                    if flags:
-                        value = word_weight(flags, w, masks, factors)
-                        each += value
-                        if level == k - 1:
-                            most += value
-        covered += areas[p] * most
-        benefit += areas[p] * each
-    return covered, benefit
+def _added_weight(before: Words, after: Words, areas: Int64, masks: Words, factors: Int64) -> np.int64:
+    # weight of the pairs whose flags are set in `after` alone; without branches, so that the processor takes several
+    # patches at once
+    total = np.int64(0)
+    for w in range(after.shape[1]):
+        for g in range(len(factors)):
+            for p in range(len(after)):
+                flags = after[p, w] & ~before[p, w] & masks[g, w]
+                total += areas[p] * factors[g] * np.int64(_count_bits(flags))
+    return total

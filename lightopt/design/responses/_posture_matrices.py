@@ -21,7 +21,7 @@ from lightopt.design._candidates import Candidates
 from lightopt.design._problem import Problem, detection_model_of
 from lightopt.design.responses._defect_hypotheses import DefectHypothesis
 from lightopt.design.responses._detection import DetectionModel
-from lightopt.design.responses._image_evaluator import MOST_BYTES, ImageEvaluator
+from lightopt.design.responses._image_evaluator import MOST_BYTES, ImageCache, ImageEvaluator
 from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Visibility
 from lightopt.images import make_folder, posture_folder, write_npz_atomic
 from lightopt.rendering import PatchTable, build_patches, patches_for_edge
@@ -90,6 +90,7 @@ class PostureMatrices:
     """Computes the luminance matrices or reads cached ones; patches are made only when needed.
 
     table: The patches; None as long as they were not needed.
+    images: Some of these patches, tested for the defects of the problem; None for none.
     reused: How many matrices were read from the cache.
     """
 
@@ -97,6 +98,7 @@ class PostureMatrices:
     folder: Path
     run: RunContext
     table: PatchTable | None = None
+    images: ImageCache | None = None
     reused: int = 0
 
     def __post_init__(self) -> None:
@@ -196,6 +198,7 @@ class PostureMatrices:
             table=self.patches(),
             caster=self.problem.caster,
             detection=detection,
+            images=None if detection is None else self.images,
             shadows=self.problem.options.shadows,
             threads=self.run.threads,
         )

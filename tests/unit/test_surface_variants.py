@@ -1,0 +1,112 @@
+"""Many variants of many points at once, against the reflection model point by point."""
+
+import math
+
+import numpy as np
+import pytest
+
+from lightopt.lights import PanelLight
+from lightopt.optics import Reflectance
+from lightopt.rendering import SurfacePoints, shade_variants, surface_variants
+from lightopt.rendering._surface_variants import NEGLIGIBLE_LEVEL
+
+POINTS = 700  # more than are computed together, and no multiple of them
+SLOPES = np.radians([0.0, 2.0, 2.0, 12.0, 30.0, 0.0])
+DIRECTIONS = np.radians([0.0, 30.0, 210.0, 90.0, 300.0, 0.0])
+R_D_FACTOR, SIGMA_FACTOR = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.7]), np.array([1.0, 1.0, 1.0, 1.0, 1.0, 2.0])
+
+
+def unit(vectors):
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def surface_of(rng):
+    """Points of a bowl that turns round slowly from one to the next, seen from above."""
+    turn = np.linspace(0.0, 4.0 * math.pi, POINTS)
+    lean = np.linspace(0.0, 0.9, POINTS)
+    normals = np.stack([np.sin(lean) * np.cos(turn), np.sin(lean) * np.sin(turn), np.cos(lean)], axis=1)
+    points = 20.0 * normals + rng.normal(0.0, 0.1, (POINTS, 3))
+    views = unit(np.array([0.0, 0.0, 500.0]) - points)
+    references = unit(np.cross(normals, [0.3, -0.8, 0.1]))
+    return SurfacePoints(points, normals, normals, views, np.ones(POINTS, np.bool_)), references
+
+
+def panel_at(elevation, azimuth, **further):
+    outward = np.array(
+        [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
+    )
+    across = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
+    return PanelLight(
+        name="light",
+        elevation=elevation,
+        azimuth=azimuth,
+        distance=300.0,
+        centre=300.0 * outward,
+        across=across,
+        along=np.cross(outward, across),
+        outward=outward,
+        size=(60.0, 40.0),
+        points=4,
+        **further,
+    )
+
+
+def plain_levels(surface, references, panel, slope, direction, reflectance):
+    """Levels of one variant: every term as equations 2 and 3 of the paper have it."""
+    across = np.cross(surface.normals, references)
+    normals = math.cos(slope) * surface.normals + math.sin(slope) * (
+        math.cos(direction) * references + math.sin(direction) * across
+    )
+    total = np.zeros(len(surface))
+    for s in (-0.25, 0.25):
+        for t in (-0.25, 0.25):
+            place = panel.centre + s * panel.size[0] * panel.across + t * panel.size[1] * panel.along
+            light = place - surface.points
+            r2 = (light**2).sum(axis=1)
+            light = unit(light)
+            weight = 0.25 * panel.gain
+            if panel.inverse_square:
+                weight = weight * panel.distance**2 / r2
+            weight = weight * np.maximum(0.0, light @ panel.outward) ** panel.emission_exponent
+            n_dot_l = (normals * light).sum(axis=1)
+            n_dot_v = (normals * surface.views).sum(axis=1)
+            delta = 2.0 * np.arcsin(0.5 * np.linalg.norm(normals - unit(light + surface.views), axis=1))
+            lobe = np.exp(-(delta**2) / (2.0 * reflectance.sigma**2)) / np.maximum(n_dot_v, 0.01)
+            lit = n_dot_l > 0.0
+            total += weight * reflectance.R_d * np.maximum(0.0, n_dot_l)
+            total += weight * reflectance.R_s * np.where(lit & (n_dot_v > 0.0), lobe, 0.0)
+    return total
+
+
+@pytest.mark.parametrize("sigma", [0.02, 0.05, 0.3])
+@pytest.mark.parametrize("further", [{}, {"inverse_square": True, "emission_exponent": 2.0, "gain": 1.7}])
+def test_levels_are_those_of_the_equations(sigma, further):
+    """Narrow lobes that few points are near, and wide ones that the series of narrow ones does not reach."""
+    surface, references = surface_of(np.random.default_rng(5))
+    reflectance = Reflectance(R_d=45.0, R_s=4000.0, sigma=sigma)
+    variants = surface_variants(
+        slope=SLOPES, direction=DIRECTIONS, R_d_factor=R_D_FACTOR, sigma_factor=SIGMA_FACTOR, reflectance=reflectance
+    )
+    for elevation, azimuth in ((1.0, 0.4), (0.5, 3.5)):
+        panel = panel_at(elevation, azimuth, **further)
+        found = shade_variants(surface, references, panel, variants, reflectance=reflectance, caster=None)
+        assert found.varied.shape == (len(SLOPES), POINTS)
+        for t, (slope, direction) in enumerate(zip(SLOPES, DIRECTIONS, strict=True)):
+            changed = reflectance.changed(R_d_factor=float(R_D_FACTOR[t]), sigma_factor=float(SIGMA_FACTOR[t]))
+            plain = plain_levels(surface, references, panel, slope, direction, changed)
+            assert np.allclose(found.varied[t], plain, rtol=1e-7, atol=NEGLIGIBLE_LEVEL)
+        plain = plain_levels(surface, references, panel, 0.0, 0.0, reflectance)
+        assert np.allclose(found.good, plain, rtol=1e-7, atol=NEGLIGIBLE_LEVEL)
+
+
+def test_no_points_have_no_levels():
+    surface, references = surface_of(np.random.default_rng(5))
+    reflectance = Reflectance(R_d=45.0, R_s=4000.0, sigma=0.05)
+    variants = surface_variants(
+        slope=SLOPES, direction=DIRECTIONS, R_d_factor=R_D_FACTOR, sigma_factor=SIGMA_FACTOR, reflectance=reflectance
+    )
+    none = slice(0, 0)
+    panel = panel_at(1.0, 0.4)
+    found = shade_variants(surface.take(none), references[none], panel, variants, reflectance=reflectance, caster=None)
+    assert found.varied.shape == (len(SLOPES), 0)
+    assert len(found.plain) == len(found.good) == 0
