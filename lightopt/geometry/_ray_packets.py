@@ -47,7 +47,7 @@ _INDEX, _VERTEX = 0, 1
 _UINT3, _FLOAT3 = 0x5003, 0x9003
 _ROBUST = 4
 _LOW, _MEDIUM = 0, 1
-_COHERENT = 1 << 16
+_COHERENT, _INCOHERENT = 1 << 16, 0
 _ALL_FEATURES = 0xFFFFFFFF
 _VERSION_MAJOR = 1
 # rays of a packet, and the property of a device that says whether the processor has so many lanes
@@ -201,10 +201,8 @@ class PacketScene:
         self._vertices = np.zeros(3 * len(vertices) + 4, np.float32)
         self._vertices[:-4] = vertices.ravel()
         self._faces = np.ascontiguousarray(faces, np.int32)
-        self._arguments = np.zeros(2 * _ALIGNMENT // 4, np.uint32)
-        begin = (-self._arguments.ctypes.data % _ALIGNMENT) // 4
-        self._arguments[begin : begin + 2] = _COHERENT, _ALL_FEATURES
-        self._argument_address = self._arguments.ctypes.data + 4 * begin
+        self._arguments = [_query_arguments(flags) for flags in (_COHERENT, _INCOHERENT)]
+        self._argument_address, self._scattered_address = (some.ctypes.data for some in self._arguments)
         geometry = library.rtcNewGeometry(device, _TRIANGLES)
         self._share(geometry, _VERTEX, _FLOAT3, self._vertices, len(vertices))
         self._share(geometry, _INDEX, _UINT3, self._faces, len(faces))
@@ -240,7 +238,8 @@ class PacketScene:
 
     def occluded(self, origins: Float32, directions: Float32) -> Int32:
         """0 where anything lies within the length of a direction, −1 where nothing does; shape (k,)."""
-        return _blocked(self._shadow_packet, self._scene, self._argument_address, self._width, origins, directions)
+        # from many points to many targets: Embree has a way through the hierarchy for rays that go different ways
+        return _blocked(self._shadow_packet, self._scene, self._scattered_address, self._width, origins, directions)
 
     def blocked(self, begins: Float64, targets: Float64, cast: Bool) -> Bool:
         """Whether anything lies on the way from points to targets, False for rays that are not to be cast; (t, n).
@@ -254,6 +253,13 @@ class PacketScene:
                 self._shadow_packet, self._scene, self._argument_address, self._width, begins, target, some, answer
             )
         return found
+
+
+def _query_arguments(flags: int) -> NDArray[np.uint32]:
+    raw = np.zeros(2 * _ALIGNMENT // 4, np.uint32)
+    begin = (-raw.ctypes.data % _ALIGNMENT) // 4
+    raw[begin : begin + 2] = flags, _ALL_FEATURES
+    return raw[begin : begin + _ALIGNMENT // 4]
 
 
 def _address(function: Any) -> int:

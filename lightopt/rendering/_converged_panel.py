@@ -1,8 +1,9 @@
 """``points: auto``: the panel as the continuous surface it is.
 
 Per pixel and light five rays, to the panel's corners and centre, distinguish lit from shaded. Where they agree among
-themselves and with those of the neighbouring pixels, the panel is wholly visible or wholly hidden; the penumbrae that
-remain are worked out by :mod:`lightopt.rendering._penumbra`.
+themselves and with those of the neighbouring pixels, the panel is wholly visible or wholly hidden. The penumbrae that
+remain are worked out by :mod:`lightopt.rendering._penumbra` at some pixels and, where they are smooth, interpolated
+between these by :mod:`lightopt.rendering._penumbra_squares`.
 """
 
 import itertools
@@ -13,15 +14,17 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float64, Index, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
-from lightopt.core.vectors import Vector, dot, vector_at
+from lightopt.core.vectors import Vector
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight, panel_grid, panel_numbers
 from lightopt.optics import Reflectance
-from lightopt.rendering._panel_quadrature import WHOLE_PANEL, out_of_reach, rectangle_diffuse, rectangle_specular
+from lightopt.rendering._panel_quadrature import WHOLE_PANEL, rectangle_diffuse
 from lightopt.rendering._penumbra import shade_penumbra
 from lightopt.rendering._penumbra_cells import ConvergedLight
+from lightopt.rendering._penumbra_squares import SIDES, interpolate, nodes_of, points_in, smooth_squares, squares_with
 from lightopt.rendering._point_lights import clear_targets, facing_targets, visible_counts
 from lightopt.rendering._surface import SurfacePoints
+from lightopt.rendering._whole_panel import whole_panel
 from lightopt.scene import Scene
 
 DIFFUSE_TOLERANCE = 1e-4  # error of the diffuse quadrature per unit of R_d: 0.025 level of 255
@@ -105,16 +108,13 @@ def shade_converged(
             coarse = _classify(*visible_counts(surface, probe_targets(converged.light), caster))
         uncertain = _disagreeing(coarse, sample, shape)
     light = _converged_light(converged, reflectance)
-    diffuse, specular = _whole_panel(surface.points, surface.normals, surface.views, coarse, light)
+    terms = np.zeros((len(surface), 2))
+    _add_whole_panel(surface, coarse == _CLEAR, light, terms)
     shaded = np.zeros(len(surface), np.bool_)
-    if caster is not None:
-        while uncertain.any():
-            penumbra = _add_penumbrae(surface, uncertain, light, caster, diffuse, specular)
-            # a penumbra goes on until its neighbours, too, see the whole panel or none of it
-            shaded |= uncertain
-            uncertain = _neighbours(penumbra, sample, shape) & ~shaded & (coarse != _DARK)
-    total = converged.light.total_weight
-    return total * diffuse, total * specular, PanelVisibility(coarse, shaded)
+    if caster is not None and uncertain.any():
+        shaded = _shade_penumbrae(surface, uncertain, light, caster, coarse, sample, shape, terms)
+    terms *= converged.light.total_weight
+    return terms[:, 0], terms[:, 1], PanelVisibility(coarse, shaded)
 
 
 def shade_changed_points(
@@ -146,12 +146,13 @@ def shade_changed_points(
         coarse[index] = _classify(*visible_counts(surface, probe_targets(converged.light), caster))
     own = coarse[index]
     light = _converged_light(converged, reflectance)
-    diffuse, specular = _whole_panel(surface.points, surface.normals, surface.views, own, light)
+    terms = np.zeros((len(surface), 2))
+    _add_whole_panel(surface, own == _CLEAR, light, terms)
     if caster is not None:
         uncertain = (_disagreeing(coarse, sample, shape) | visibility.penumbra)[index] & (own != _DARK)
-        _add_penumbrae(surface, uncertain, light, caster, diffuse, specular)
-    total = converged.light.total_weight
-    return total * diffuse, total * specular
+        _work_out(surface, uncertain, light, caster, terms)
+    terms *= converged.light.total_weight
+    return terms[:, 0], terms[:, 1]
 
 
 def _converged_light(converged: ConvergedPanel, reflectance: Reflectance) -> ConvergedLight:
@@ -165,23 +166,72 @@ def _converged_light(converged: ConvergedPanel, reflectance: Reflectance) -> Con
     )
 
 
-def _add_penumbrae(
-    surface: SurfacePoints,
-    uncertain: Bool,
-    light: ConvergedLight,
-    caster: RayCaster,
-    diffuse: Float64,
-    specular: Float64,
-) -> Bool:
-    # works out the uncertain points into the two arrays; returns which of them see the panel in part
-    penumbra = np.zeros(len(surface), np.bool_)
-    index = np.flatnonzero(uncertain)
+def _add_whole_panel(surface: SurfacePoints, chosen: Bool, light: ConvergedLight, terms: Float64) -> None:
+    index = np.flatnonzero(chosen).astype(np.int32)
+    whole_panel(surface.points, surface.normals, surface.views, index, light, terms)
+
+
+def _work_out(surface: SurfacePoints, chosen: Bool, light: ConvergedLight, caster: RayCaster, terms: Float64) -> Bool:
+    # works out the chosen points, one by one, into `terms`; returns which of them see the panel in part
+    crossed = np.zeros(len(surface), np.bool_)
+    index = np.flatnonzero(chosen)
     for start in range(0, len(index), PENUMBRA_BATCH):
         end_if_stopped()
         batch = index[start : start + PENUMBRA_BATCH]
         some = surface.take(batch)
-        diffuse[batch], specular[batch], penumbra[batch] = shade_penumbra(some, light, caster)
-    return penumbra
+        terms[batch, 0], terms[batch, 1], crossed[batch] = shade_penumbra(some, light, caster)
+    return crossed
+
+
+def _shade_penumbrae(
+    surface: SurfacePoints,
+    uncertain: Bool,
+    light: ConvergedLight,
+    caster: RayCaster,
+    coarse: UInt8,
+    sample: Index,
+    shape: tuple[int, int],
+    terms: Float64,
+) -> Bool:
+    # shades the penumbrae that the uncertain points are part of into `terms`; returns which points were shaded
+    k = len(surface)
+    at = np.full(shape, -1, np.int32)
+    at.ravel()[sample] = np.arange(k, dtype=np.int32)
+    whole, has_whole = terms.copy(), coarse == _CLEAR
+    known, done, crossed = np.zeros(k, np.bool_), np.zeros(k, np.bool_), np.zeros(k, np.bool_)
+    pending = uncertain
+    while pending.any():
+        for side in SIDES:
+            corners = squares_with(at, pending, side)
+            missing = points_in(at, corners, side, k) & ~has_whole
+            _add_whole_panel(surface, missing, light, whole)
+            has_whole |= missing
+            smooth = smooth_squares(
+                surface.points,
+                surface.normals,
+                surface.facets,
+                surface.views,
+                surface.front,
+                at,
+                corners,
+                side,
+                coarse,
+                whole,
+                light,
+            )
+            corners = corners[smooth]
+            nodes = nodes_of(at, corners, side, k) & ~known
+            crossed = np.where(nodes, _work_out(surface, nodes, light, caster, terms), crossed)
+            known |= nodes
+            done |= nodes
+            interpolate(at, corners, side, light, whole, terms, done, crossed)
+            pending = pending & ~done
+        crossed |= _work_out(surface, pending, light, caster, terms)
+        known |= pending
+        done |= pending
+        # a penumbra goes on until its neighbours, too, see the whole panel or none of it
+        pending = _neighbours(crossed, sample, shape) & ~done & (coarse != _DARK)
+    return done
 
 
 def probe_targets(light: PanelLight) -> Float64:
@@ -226,33 +276,18 @@ def _disagreeing(coarse: UInt8, sample: Index, shape: tuple[int, int]) -> Bool:
     return near_clear & near_hidden & (coarse != _DARK)
 
 
+@kernel
 def _neighbours(flags: Bool, sample: Index, shape: tuple[int, int]) -> Bool:
     # whether any of the 3 × 3 samples around each point is flagged
-    grid = np.zeros((shape[0] + 2, shape[1] + 2), np.bool_)
-    inner = grid[1:-1, 1:-1]
-    inner[np.unravel_index(sample, shape)] = flags
-    near = np.zeros(shape, np.bool_)
-    for dy, dx in itertools.product(range(3), repeat=2):
-        near |= grid[dy : dy + shape[0], dx : dx + shape[1]]
-    return near.ravel()[sample]
-
-
-@kernel
-def _whole_panel(
-    points: Float64, normals: Float64, views: Float64, coarse: UInt8, light: ConvergedLight
-) -> tuple[Float64, Float64]:
-    # light of the whole panel, of weight 1, where nothing is in the way
-    panel, inverse = light.panel, light.inverse_two_sigma_squared
-    diffuse = np.zeros(len(points))
-    specular = np.zeros(len(points))
-    for i in range(len(points)):
-        if coarse[i] != _CLEAR:
-            continue
-        p, n, v = vector_at(points, i), vector_at(normals, i), vector_at(views, i)
-        diffuse[i] = rectangle_diffuse(p, n, panel, WHOLE_PANEL, light.nodes)
-        if not out_of_reach(p, n, v, panel, inverse):
-            specular[i] = rectangle_specular(p, n, v, dot(n, v), panel, WHOLE_PANEL, inverse, light.nodes)
-    return diffuse, specular
+    near = np.zeros((shape[0] + 2, shape[1] + 2), np.bool_)
+    for i in range(len(sample)):
+        if flags[i]:
+            row, column = sample[i] // shape[1], sample[i] % shape[1]
+            near[row : row + 3, column : column + 3] = True
+    found = np.empty(len(sample), np.bool_)
+    for i in range(len(sample)):
+        found[i] = near[sample[i] // shape[1] + 1, sample[i] % shape[1] + 1]
+    return found
 
 
 def highlight_level(scene: Scene, light: PanelLight) -> float:

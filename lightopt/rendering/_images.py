@@ -25,6 +25,7 @@ from lightopt.rendering._converged_panel import (
     shadow_targets,
 )
 from lightopt.rendering._defect_shading import DefectSamples, defect_samples
+from lightopt.rendering._penumbra_squares import SIDES
 from lightopt.rendering._point_lights import shade_points
 from lightopt.rendering._surface import SurfacePoints, trace_samples
 from lightopt.scene import PartView, Scene, screen_window, view_from_part
@@ -33,7 +34,7 @@ _log = logging.getLogger("lightopt.rendering")
 
 # image samples that a thread works on at once: bounds the memory, whose most is in the processor's cache then, and is
 # large enough to hide Python's overhead
-BLOCK_SAMPLES = 32_768
+BLOCK_SAMPLES = 49_152
 
 TILE = 4  # rows and columns of the tiles of an image whose rays are cast together
 
@@ -231,6 +232,9 @@ class _PostureJob:
         left, top, right, bottom = self.window
         samples_per_row = max(1, right - left) * self.supersample**2
         step = max(1, BLOCK_SAMPLES // samples_per_row)
+        if self.halo:
+            # with the rows that overlap, whole squares of the penumbrae
+            step = max(1, step * self.supersample // SIDES[0] * SIDES[0] - 1) // self.supersample or 1
         return [(row, min(row + step, bottom)) for row in range(top, bottom, step)]
 
     def block(self, top: int, bottom: int) -> None:

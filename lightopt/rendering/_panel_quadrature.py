@@ -16,7 +16,8 @@ import numpy as np
 from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.vectors import Vector, cross, divided, dot, length, minus, plus, scaled
-from lightopt.lights import PanelNumbers, half_diagonal, panel_point
+from lightopt.lights import PanelNumbers, attenuated, half_diagonal, panel_point
+from lightopt.optics import NARROW_CHORD_SQUARED, narrow_specular_lobe, specular_cosine
 from lightopt.rendering._point_lights import point_terms
 
 # most Gauss–Legendre nodes along a side; only a view or a light that grazes the surface asks for as many
@@ -211,18 +212,57 @@ def rectangle_specular(
     least_t = math.ceil(panel_nodes * (window.t1 - window.t0)) + 1
     count_s = max(_node_count(a, gs, window.s0 - s, window.s1 - s), least_s)
     count_t = max(_node_count(c, gt, window.t0 - t, window.t1 - t), least_t)
+    if _horizon(p, n, panel, window).lowest > 0.0:
+        return _lobe_above_horizon(p, n, v, n_dot_v, panel, window, inverse_two_sigma_squared, count_s, count_t)
     return _integrals(p, n, v, n_dot_v, panel, window, inverse_two_sigma_squared, count_s, count_t)[1]
+
+
+@kernel
+def _lobe_above_horizon(
+    p: Vector,
+    n: Vector,
+    v: Vector,
+    n_dot_v: float,
+    panel: PanelNumbers,
+    area: Rectangle,
+    inverse_two_sigma_squared: float,
+    count_s: int,
+    count_t: int,
+) -> float:
+    # the specular term of `_integrals` where no horizon crosses the rectangle: the processor works on several nodes at
+    # once in loops without branches over numbers that lie side by side
+    chord, lobe = np.empty(count_s * count_t), np.empty(count_s * count_t)
+    width, height = area.s1 - area.s0, area.t1 - area.t0
+    for i in range(count_t):
+        t, first = area.t0 + height * NODES[count_t, i], i * count_s
+        for j in range(count_s):
+            light = minus(panel_point(panel, area.s0 + width * NODES[count_s, j], t), p)
+            r2 = dot(light, light)
+            light = scaled(light, 1.0 / math.sqrt(r2))
+            half = plus(light, v)
+            away = minus(n, scaled(half, 1.0 / math.sqrt(dot(half, half))))
+            chord[first + j] = dot(away, away)
+            weight = WEIGHTS[count_t, i] * WEIGHTS[count_s, j]
+            lobe[first + j] = attenuated(weight, panel, r2, dot(panel.outward, light))
+    for k in range(len(lobe)):
+        lobe[k] *= narrow_specular_lobe(min(chord[k], NARROW_CHORD_SQUARED), inverse_two_sigma_squared)
+    total = widest = 0.0
+    for k in range(len(lobe)):
+        total += lobe[k]
+        widest = max(widest, chord[k])
+    if widest >= NARROW_CHORD_SQUARED:
+        # δ of 29° or more, where only a rough surface shows a lobe
+        return _integrals(p, n, v, n_dot_v, panel, area, inverse_two_sigma_squared, count_s, count_t)[1]
+    return total * width * height / specular_cosine(n_dot_v)
 
 
 @kernel
 def out_of_reach(p: Vector, n: Vector, v: Vector, panel: PanelNumbers, inverse_two_sigma_squared: float) -> bool:
     """Whether the lobe is surely negligible all over the panel: a quick test that looks at its centre alone."""
     half, spread = half_vector_cone(p, v, panel)
-    if spread >= math.pi:
-        return False
     # the chord is never more than the angle
-    nearest = length(minus(n, half)) - spread
-    return nearest > 0.0 and nearest * nearest * inverse_two_sigma_squared > NEGLIGIBLE_EXPONENT
+    nearest = max(0.0, length(minus(n, half)) - spread)
+    return (spread < math.pi) & (nearest * nearest * inverse_two_sigma_squared > NEGLIGIBLE_EXPONENT)
 
 
 @kernel
@@ -230,20 +270,23 @@ def half_vector_cone(p: Vector, v: Vector, panel: PanelNumbers) -> tuple[Vector,
     """Unit half vector of the panel's centre, and how far those of its other points are from it, at most [rad].
 
     While L turns by α, H turns by no more than α / (2·cos(half the angle between L and V)). Where nothing is known, the
-    angle is π or more, and the vector may be of another length.
+    angle is π, and the vector may be of another length. No branches: many points are tested at once.
     """
     light = minus(panel.centre, p)
     r = length(light)
     half = plus(divided(light, r), v)
     size = length(half)
-    reach = half_diagonal(panel)
-    if reach >= 0.9 * r or size < 1e-3:
-        return half, math.pi
-    turn = math.asin(reach / r)
-    cosine = math.cos(math.acos(min(1.0, 0.5 * size)) + 0.5 * turn)
-    if cosine < 0.1:
-        return half, math.pi
-    return divided(half, size), turn / (2.0 * cosine)
+    # L turns by α ≤ 2·tan(α/2), sinα = reach / r; cosine of half the angle to V, and when L has turned away by α
+    sine = half_diagonal(panel) / r
+    usable = (sine < 0.9) & (size >= 1e-3)
+    sine, size = min(sine, 0.9), max(size, 1e-3)
+    half_cosine = math.sqrt(0.5 + 0.5 * math.sqrt(1.0 - sine * sine))
+    half_sine = 0.5 * sine / half_cosine
+    between = min(1.0, 0.5 * size)
+    cosine = between * half_cosine - math.sqrt(1.0 - between * between) * half_sine
+    usable = usable & (cosine >= 0.1)
+    spread = half_sine / (half_cosine * max(cosine, 0.1))
+    return divided(half, size), spread if usable else math.pi
 
 
 @kernel

@@ -6,6 +6,7 @@ middle of that chord test this; a cell where the edge is bent is divided into a 
 depends on the light that is at stake in a cell: a cell of a tenth of a level is not refined.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -13,8 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
+from lightopt.core.arrays import Bool, Float64, Index, Int32, Int64, UInt8
 from lightopt.core.kernels import kernel
+from lightopt.core.vectors import dot, minus, vector_at
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelNumbers, panel_point
 from lightopt.rendering._penumbra_cells import (
@@ -104,65 +106,54 @@ def _states_at_corners(work: _Work, squares: Squares, n: int) -> UInt8:
 
 def _states(work: _Work, squares: Squares, square: Index, x: NDArray[Any], y: NDArray[Any]) -> UInt8:
     # what is seen at places (x, y) of squares, counted in cells of their grid
-    surface, point = work.surface, squares.point[square]
-    s, t = squares.s[square] + x * squares.cell, squares.t[square] + y * squares.cell
-    state, undecided, targets = _horizon_state(
-        surface.points, surface.normals, surface.facets, work.light.panel, point, s, t
+    surface = work.surface
+    state, undecided, point, targets = _horizon_state(
+        surface.points, surface.normals, surface.facets, work.light.panel, squares, square, x, y
     )
     # each ray has a target of its own
     index = np.arange(len(undecided), dtype=np.int32)
-    blocked = work.caster.occluded(
-        surface.points, surface.facets, targets, point_index=point[undecided], target_index=index
-    )
+    blocked = work.caster.occluded(surface.points, surface.facets, targets, point_index=point, target_index=index)
     state[undecided] = np.where(blocked, BLOCKED, VISIBLE)
     return state
 
 
 @kernel
 def _horizon_state(
-    points: Float64, normals: Float64, facets: Float64, panel: PanelNumbers, point: Int32, s: Float64, t: Float64
-) -> tuple[UInt8, Int32, Float64]:
+    points: Float64,
+    normals: Float64,
+    facets: Float64,
+    panel: PanelNumbers,
+    squares: Squares,
+    square: Index,
+    x: Any,
+    y: Any,
+) -> tuple[UInt8, Int32, Int32, Float64]:
     # what the horizon decides: below the interpolated one there is no light, below the face's own plane the face is in
     # the way; the rest needs a ray
-    state = np.empty(len(point), np.uint8)
-    undecided = np.empty(len(point), np.int32)
-    targets = np.empty((len(point), 3))
+    state = np.empty(len(square), np.uint8)
+    undecided, origin = np.empty(len(square), np.int32), np.empty(len(square), np.int32)
+    targets = np.empty((len(square), 3))
     m = 0
-    for j in range(len(point)):
-        i = point[j]
-        a, b = s[j] - 0.5, t[j] - 0.5
-        targets[m, 0], targets[m, 1], targets[m, 2] = panel_point(panel, a, b)
-        height = plane = 0.0
-        for axis in range(3):
-            height += normals[i, axis] * (targets[m, axis] - points[i, axis])
-            plane += facets[i, axis] * (targets[m, axis] - points[i, axis])
-        if height <= 0.0:
+    for j in range(len(square)):
+        i = squares.point[square[j]]
+        s, t = squares.s[square[j]] + x[j] * squares.cell, squares.t[square[j]] + y[j] * squares.cell
+        target = panel_point(panel, s - 0.5, t - 0.5)
+        towards = minus(target, vector_at(points, i))
+        if dot(vector_at(normals, i), towards) <= 0.0:
             state[j] = BELOW
-        elif plane <= 0.0:
+        elif dot(vector_at(facets, i), towards) <= 0.0:
             state[j] = BLOCKED
         else:
-            undecided[m] = j
+            undecided[m], origin[m] = j, i
+            targets[m, 0], targets[m, 1], targets[m, 2] = target
             m += 1
-    return state, undecided[:m].copy(), targets[:m].copy()
+    return state, undecided[:m].copy(), origin[:m].copy(), targets[:m].copy()
 
 
 def _edge_crossings(work: _Work, squares: Squares, state: UInt8, stake: Float64, *, vertical: bool) -> Float64:
     # where the shadow's edge crosses the sides of the cells that run along t (vertical) or along s: the share of the
     # side from its first corner; ½ where it does not cross
-    axis = 2 if vertical else 1
-    blocked = state == BLOCKED
-    first, second = (blocked[:, :-1], blocked[:, 1:]) if vertical else (blocked[:, :, :-1], blocked[:, :, 1:])
-    # what is at stake in the cells on both sides; nothing at the horizon, where the light ends anyway
-    widths = [(0, 0), (0, 0), (0, 0)]
-    widths[axis] = (1, 1)
-    padded = np.pad(stake, widths)
-    n = stake.shape[axis]
-    beside = np.maximum(padded.take(range(n + 1), axis), padded.take(range(1, n + 2), axis))
-    crossing = np.full(first.shape, 0.5)
-    where = np.nonzero((first != second) & (beside > 0.0))
-    square, row, column = where
-    steps = np.clip(np.ceil(np.log2(SIDE_SHARE * beside[where])), LEAST_BISECTIONS, MOST_BISECTIONS).astype(np.intp)
-    from_blocked = first[where]
+    square, row, column, steps, from_blocked = _crossed_sides(state, stake, vertical)
     low, high = np.zeros(len(square)), np.ones(len(square))
     for step in range(int(steps.max(initial=0))):
         j = np.flatnonzero(steps > step)
@@ -172,8 +163,42 @@ def _edge_crossings(work: _Work, squares: Squares, state: UInt8, stake: Float64,
         as_first = (seen == BLOCKED) == from_blocked[j]
         low[j] = np.where(as_first, middle, low[j])
         high[j] = np.where(as_first, high[j], middle)
-    crossing[where] = 0.5 * (low + high)
+    n = stake.shape[1]
+    crossing = np.full((len(stake), n, n + 1) if vertical else (len(stake), n + 1, n), 0.5)
+    crossing[square, row, column] = 0.5 * (low + high)
     return crossing
+
+
+@kernel
+def _crossed_sides(state: UInt8, stake: Float64, vertical: bool) -> tuple[Int64, Int64, Int64, Int64, Bool]:
+    # sides of cells that the edge crosses, (square, row, column) of their first corners; how often they are halved in
+    # search of it; and whether the first corner is hidden
+    q, n = stake.shape[0], stake.shape[1]
+    index = np.empty((4, q * n * (n + 1)), np.int64)
+    from_blocked = np.empty(q * n * (n + 1), np.bool_)
+    m = 0
+    for i in range(q):
+        for row in range(n if vertical else n + 1):
+            for column in range(n + 1 if vertical else n):
+                first = state[i, row, column] == BLOCKED
+                second = (state[i, row + 1, column] if vertical else state[i, row, column + 1]) == BLOCKED
+                if first == second:
+                    continue
+                # what is at stake in the cells on both sides; nothing at the horizon, where the light ends anyway
+                at_stake = 0.0
+                if row < n and column < n:
+                    at_stake = stake[i, row, column]
+                if vertical and column > 0:
+                    at_stake = max(at_stake, stake[i, row, column - 1])
+                if not vertical and row > 0:
+                    at_stake = max(at_stake, stake[i, row - 1, column])
+                if at_stake > 0.0:
+                    steps = math.ceil(math.log2(SIDE_SHARE * at_stake))
+                    index[0, m], index[1, m], index[2, m] = i, row, column
+                    index[3, m] = min(max(steps, LEAST_BISECTIONS), MOST_BISECTIONS)
+                    from_blocked[m] = first
+                    m += 1
+    return index[0, :m].copy(), index[1, :m].copy(), index[2, :m].copy(), index[3, :m].copy(), from_blocked[:m].copy()
 
 
 def _bent_edges(work: _Work, squares: Squares, state: UInt8, stake: Float64, across: Float64, along: Float64) -> Bool:
