@@ -190,8 +190,8 @@ def _smoothed(values: Float64, mask: Bool, threads: int | None) -> Float64:
     share, total = np.empty_like(inside), np.empty_like(inside)
 
     def filter_rows(rows: slice) -> None:
-        filter_tile(mask, taps, rows.start, 0, share[rows])
-        filter_tile(inside, taps, rows.start, 0, total[rows])
+        filter_tile(mask, taps, rows.start, 0, np.inf, share[rows])
+        filter_tile(inside, taps, rows.start, 0, np.inf, total[rows])
 
     in_row_blocks(filter_rows, len(mask), threads)
     return total.astype(np.float64) / np.maximum(share, 1e-3)
