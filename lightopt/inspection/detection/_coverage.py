@@ -308,7 +308,7 @@ def surface_coverage(
         area=area,
         missing=float(surface.areas.sum(where=state == SurfaceState.MISSING)),
         **_class_areas(
-            np.bincount(state, surface.areas, len(SurfaceState)),
+            np.asarray(np.bincount(state, surface.areas, len(SurfaceState)), np.float64),
             np.array([surface.areas.sum(where=least <= contrast) for contrast in CONTRASTS]),
         ),
     )
