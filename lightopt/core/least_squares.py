@@ -11,6 +11,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from lightopt.core.arrays import Bool, Float64
+from lightopt.core.kernels import kernel
 
 TUKEY = 4.685
 HUBER = 1.345  # residuals in units of their spread from which a pixel counts less: 95 % efficiency for Gaussian noise
@@ -145,7 +146,7 @@ class _Linear:
     correlated: Bool
 
     def residuals(self, x: Float64) -> Float64:
-        return self.measured - self.slope @ x
+        return self.measured - np.einsum("ij,j->i", self.slope, x)
 
     def slopes(self, x: Float64) -> Float64:  # noqa: ARG002 - the same everywhere
         return self.slope
@@ -277,7 +278,7 @@ class _Solver:
         if not finite.all():
             residual = np.where(self._rows, np.where(finite, residual, MISSING_RESIDUAL * self._units()), 0.0)
         residual = np.clip(residual, -_HUGE, _HUGE)
-        cost = float(self._loss.cost(residual / self._units()) @ self._weight)
+        cost = float(np.sum(self._loss.cost(residual / self._units()) * self._weight))
         known = (x - self._limits.nominal) @ self._precision @ (x - self._limits.nominal)
         return _Point(x, residual, cost + 0.5 * float(known))
 
@@ -304,10 +305,9 @@ class _Solver:
         if here.normal is None:
             slopes, unit = self._slopes(here.x), self._units()
             weight = self._weight * self._loss.weight(here.residual / unit) / np.square(unit)
-            weighted = slopes * weight[:, None]
-            normal = weighted.T @ slopes + self._precision
-            pull = weighted.T @ here.residual - self._precision @ (here.x - self._limits.nominal)
-            here.normal = normal, pull
+            normal, pull = _weighted_sums(slopes, weight, here.residual)
+            pull -= self._precision @ (here.x - self._limits.nominal)
+            here.normal = normal + self._precision, pull
         return here.normal
 
     def _fix_undetermined_directions(self, here: _Point) -> bool:
@@ -410,11 +410,11 @@ class _Solver:
         # rows that are off together are not bent one by one
         correlated = self._problem.correlated
         bend = weight * np.where(correlated, self._loss.weight(u), self._loss.bend(u)) / np.square(unit)
-        inner = (slopes * bend[:, None]).T @ slopes + self._precision
+        inner = _weighted_sums(slopes, bend, here.residual)[0] + self._precision
         observed = np.square(weight * self._loss.weight(u) * u / unit)
         expected = weight * self._loss.weight(u) / np.square(unit)
         scatter = np.where(correlated, expected, observed)
-        middle = (slopes * scatter[:, None]).T @ slopes + self._precision
+        middle = _weighted_sums(slopes, scatter, here.residual)[0] + self._precision
         basis = self._basis(here.x, np.zeros_like(pull))
         covariance = np.zeros((self._size, self._size))
         if basis.shape[1]:
@@ -439,6 +439,26 @@ class _Solver:
             spread = rows.T / np.maximum(modes.eigenvalues, least) @ rows
             covariance[np.ix_(of, of)] += spread * np.outer(res[of], res[of])
         return 0.5 * (covariance + covariance.T)
+
+
+@kernel
+def _weighted_sums(slopes: Float64, weight: Float64, residual: Float64) -> tuple[Float64, Float64]:
+    # Sᵀ·W·S and Sᵀ·W·r. Not by BLAS, whose threads take longer to meet than such slim matrices take, and whose sums
+    # depend on how many there are
+    rows, size = slopes.shape
+    normal, pull = np.zeros((size, size)), np.zeros(size)
+    for i in range(rows):
+        if weight[i] == 0.0:
+            continue
+        for a in range(size):
+            weighted = weight[i] * slopes[i, a]
+            pull[a] += weighted * residual[i]
+            for b in range(a + 1):
+                normal[a, b] += weighted * slopes[i, b]
+    for a in range(size):
+        for b in range(a):
+            normal[b, a] = normal[a, b]
+    return normal, pull
 
 
 def _scaled(normal: Float64, pull: Float64) -> tuple[Float64, Float64, Float64]:

@@ -51,7 +51,7 @@ def gaussian_taps(scale: float) -> Float32:
 
 
 @kernel
-def filter_tile(image: NDArray[Any], taps: Float32, top: int, left: int, result: Float32) -> None:
+def filter_tile(image: NDArray[Any], taps: Float32, top: int, left: int, most: float, result: Float32) -> None:
     """Write to `result`, shape (h, w), a tile of an image correlated with the same weights along both axes.
 
     Beyond the image's border is nothing. Several times as fast as SciPy's correlation of the whole image, and sums are
@@ -60,14 +60,15 @@ def filter_tile(image: NDArray[Any], taps: Float32, top: int, left: int, result:
     image: numbers or flags, shape (H, W).
     taps: shape (2r + 1,), the same from either end.
     top, left: first row and column of the tile.
+    most: numbers further from 0 count as this much.
     """
-    reach = len(taps) // 2
+    reach, bound = len(taps) // 2, np.float32(most)
     rows, columns = result.shape
     around = np.zeros((rows + 2 * reach, columns + 2 * reach), np.float32)
     first, last = max(0, left - reach), min(image.shape[1], left + columns + reach)
     for y in range(max(0, top - reach), min(image.shape[0], top + rows + reach)):
         for x in range(first, last):
-            around[y - top + reach, x - left + reach] = image[y, x]
+            around[y - top + reach, x - left + reach] = min(max(np.float32(image[y, x]), -bound), bound)
     down = np.empty(columns + 2 * reach, np.float32)
     across = np.empty(columns, np.float32)
     for y in range(rows):

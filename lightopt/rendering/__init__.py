@@ -17,6 +17,7 @@ from lightopt.rendering._images import (
     cast_rays_at as cast_rays_at,
     rays_of_images as rays_of_images,
     render as render,
+    render_lights as render_lights,
     render_posture as render_posture,
 )
 from lightopt.rendering._light_layer import LightLayer as LightLayer, light_layer as light_layer
@@ -34,7 +35,9 @@ from lightopt.rendering._patches import (
 from lightopt.rendering._pixels import (
     UNLIT as UNLIT,
     WHOLE as WHOLE,
+    PixelMasks as PixelMasks,
     PosturePixels as PosturePixels,
+    mask_pixels as mask_pixels,
     panel_visibility as panel_visibility,
     trace_pixels as trace_pixels,
 )

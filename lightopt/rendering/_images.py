@@ -1,5 +1,7 @@
 """Render a posture: blocks of image rows on a pool of threads, every light per block."""
 
+from __future__ import annotations
+
 import logging
 import math
 from collections.abc import Iterator
@@ -160,13 +162,35 @@ def render_posture(
 
     Parameters as in :func:`render`, and any posture, not only one of the scene's.
     """
+    before = caster.rays_cast
+    job = _PostureJob(scene, view_from_part(scene, posture), caster, shadows, supersample, layers, patches)
+    _run(job, posture, threads, progress)
+    assert job.geometry is not None
+    return PostureImages(
+        posture=posture,
+        lights=tuple(job.images),
+        geometry=job.geometry,
+        back_faces=int(job.back.sum()),
+        rays=caster.rays_cast - before,
+    )
+
+
+def render_lights(
+    scene: Scene, posture: Posture, *, caster: RayCaster, threads: int | None = None
+) -> tuple[LightImage, ...]:
+    """The images of :func:`render_posture` alone, without what each pixel looks at."""
+    job = _PostureJob(scene, view_from_part(scene, posture), caster, True, 1, False, None, geometry=False)
+    _run(job, posture, threads, None)
+    return tuple(job.images)
+
+
+def _run(job: _PostureJob, posture: Posture, threads: int | None, progress: Share | None) -> None:
+    caster, view = job.caster, job.view
     before, free, begun = caster.rays_cast, caster.rays_free, monotonic()
-    view = view_from_part(scene, posture)
-    job = _PostureJob(scene, view, caster, shadows, supersample, layers, patches)
-    if shadows:
+    if job.shadow_caster is not None:
         left, top, right, bottom = job.window
         targets = np.concatenate([shadow_targets(light) for light in view.lights] or [np.zeros((0, 3))])
-        samples = max(0, right - left) * max(0, bottom - top) * supersample**2
+        samples = max(0, right - left) * max(0, bottom - top) * job.supersample**2
         caster.map_blockers(targets, rays=samples, threads=threads)
     blocks = job.blocks()
     counter = WorkCounter(len(blocks), progress)
@@ -179,9 +203,6 @@ def render_posture(
     rays, free, seconds = caster.rays_cast - before, caster.rays_free - free, monotonic() - begun
     text = "posture %s: %.2f million rays in %.2f s; %.2f million shadow rays proven free"
     _log.info(text, posture, rays / 1e6, seconds, free / 1e6)
-    return PostureImages(
-        posture=posture, lights=tuple(job.images), geometry=job.geometry, back_faces=int(job.back.sum()), rays=rays
-    )
 
 
 class _PostureJob:
@@ -196,6 +217,8 @@ class _PostureJob:
         supersample: int,
         layers: bool,
         patches: Patches | None,
+        *,
+        geometry: bool = True,
     ) -> None:
         self.scene, self.view, self.caster = scene, view, caster
         self.shadow_caster = caster if shadows else None
@@ -211,14 +234,7 @@ class _PostureJob:
             )
             for light in scene.lights
         ]
-        self.geometry = Geometry(
-            points=np.zeros((*shape, 3), np.float32),
-            normals=np.zeros((*shape, 3), np.float32),
-            distance=np.zeros(shape, np.float32),
-            patch=np.full(shape, -1, np.int32),
-            hit=np.zeros(shape, np.bool_),
-            defect=np.full(shape, -1, np.int32) if scene.defects else None,
-        )
+        self.geometry = _no_hit(shape, defects=bool(scene.defects)) if geometry else None
         self.back = np.zeros(shape, np.bool_)
         self.panels: list[PanelLight | ConvergedPanel] = [
             converged_panel(light, centre=caster.centre, radius=caster.radius) if light.points == "auto" else light
@@ -306,6 +322,8 @@ class _PostureJob:
         self, hits: Hits, surface: SurfacePoints, marked: tuple[DefectSamples, ...], places: _Places
     ) -> None:
         g = self.geometry
+        if g is None:
+            return
         _store_surface(
             *places,
             surface.points,
@@ -327,6 +345,18 @@ class _PostureJob:
             for some in marked:
                 label[some.index] = some.label
             _store_values(*places, label, g.defect)
+
+
+def _no_hit(shape: tuple[int, int], *, defects: bool) -> Geometry:
+    # of an image that shows no part
+    return Geometry(
+        points=np.zeros((*shape, 3), np.float32),
+        normals=np.zeros((*shape, 3), np.float32),
+        distance=np.zeros(shape, np.float32),
+        patch=np.full(shape, -1, np.int32),
+        hit=np.zeros(shape, np.bool_),
+        defect=np.full(shape, -1, np.int32) if defects else None,
+    )
 
 
 @kernel

@@ -6,7 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float64, Index, Int32, UInt8
+from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
@@ -16,7 +16,7 @@ from lightopt.lights import PanelLight
 from lightopt.rendering._converged_panel import shadow_targets
 from lightopt.rendering._point_lights import visible_counts
 from lightopt.rendering._surface import GRAZING_COSINE, SurfacePoints, trace_samples
-from lightopt.scene import PartView, Scene, screen_window, view_from_part
+from lightopt.scene import PartView, Scene, pixel_directions, screen_window, view_from_part
 
 UNLIT, WHOLE, LEFT_OUT = 0, 1, 2
 """What a pixel sees of a panel: nothing, all of it, or (penumbrae) something that is not predicted here."""
@@ -29,6 +29,8 @@ CREASE_COSINE = 0.985
 
 # pixels next to those that are left out are left out, too: the part never lies exactly where the model has it
 MARGIN_PX = 2
+
+_LEAST_COSINE = 0.02  # no pixel is taken to see more than fifty times the surface that faces it
 
 _BLOCK_ROWS = 64
 _CHUNK = 32_768
@@ -88,6 +90,94 @@ def trace_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: 
     return PosturePixels(posture=posture, view=view, row=row, column=column, surface=surface, clean=clean, shape=shape)
 
 
+@dataclass(frozen=True, kw_only=True)
+class PixelMasks:
+    """What kind of surface each pixel centre of one posture's images looks at; arrays of shape (H, W).
+
+    hit: Whether it is the part at all
+    clean: Off silhouettes, creases, back faces and grazing views: as :class:`PosturePixels` has it
+    grazing: Front faces at more than :data:`GRAZING_DEG` to their normal
+    area: Of the surface that the pixel sees [mm²], 0 off the part
+    """
+
+    hit: Bool
+    clean: Bool
+    grazing: Bool
+    area: Float32
+
+
+def mask_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: int | None = None) -> PixelMasks:
+    """As :func:`trace_pixels`, but of each block of rows only what is asked here is kept, and not the surface."""
+    view = view_from_part(scene, posture)
+    camera = view.camera
+    left, top, right, bottom = screen_window(camera, scene.mesh)
+    columns = np.arange(left, right, dtype=np.int32)
+    shape = (scene.camera.height, scene.camera.width)
+    hit, edge, clean, grazing = (np.zeros(shape, np.bool_) for _ in range(4))
+    area = np.zeros(shape, np.float32)
+    solid_angle = (camera.pixel_size / camera.image_distance) ** 2  # of a pixel on the optical axis
+
+    def block(first: int) -> None:
+        last = min(first + _BLOCK_ROWS, bottom)
+        # with a row on either side, which edges may lie on
+        rows = np.arange(max(top, first - 1), min(last + 1, bottom), dtype=np.int32)
+        column, row = (a.ravel() for a in np.meshgrid(columns, rows))
+        x, y = column.astype(np.float64) + 0.5, row.astype(np.float64) + 0.5
+        hits, surface = trace_samples(caster, scene.mesh, camera, x, y, neighbours=True)
+        row, column = row[hits.ray], column[hits.ray]
+        index = np.full((len(rows) + 1, shape[1] + 1), -1, np.int32)
+        index[row - rows[0], column] = np.arange(len(row), dtype=np.int32)
+        differing = _differing(
+            surface.points, surface.normals, surface.facets, row, column, index, int(rows[0]), shape[0]
+        )
+        rays = pixel_directions(camera, x[hits.ray], y[hits.ray])
+        _store_masks(
+            surface.normals, surface.facets, surface.views, surface.front, hits.distance, rays, solid_angle,
+            differing, row, column, first, last, hit, edge, clean, grazing, area,
+        )  # fmt: skip
+
+    in_threads(block, range(top, bottom, _BLOCK_ROWS), threads)
+    clean &= ~_widened(edge)
+    return PixelMasks(hit=hit, clean=clean, grazing=grazing, area=area)
+
+
+@kernel
+def _store_masks(
+    normals: Float64,
+    facets: Float64,
+    views: Float64,
+    front: Bool,
+    distance: Float64,
+    rays: Float64,
+    solid_angle: float,
+    differing: Bool,
+    row: Int32,
+    column: Int32,
+    first: int,
+    last: int,
+    hit: Bool,
+    edge: Bool,
+    clean: Bool,
+    grazing: Bool,
+    area: Float32,
+) -> None:
+    # of the pixels in rows [first, last)
+    for i in range(len(row)):
+        y, x = row[i], column[i]
+        if not first <= y < last:
+            continue
+        view, ray = vector_at(views, i), vector_at(rays, i)
+        facing = dot(vector_at(normals, i), view) >= GRAZING_COSINE
+        hit[y, x], edge[y, x] = True, differing[i]
+        # back faces are no grazing views: they are black, and counted
+        clean[y, x], grazing[y, x] = front[i] and facing, front[i] and not facing
+        # solid angle of a pixel: (side / image distance)² · cos³ of the angle to the optical axis
+        axial = 1.0 / math.sqrt(dot(ray, ray))
+        angle = solid_angle * axial**3
+        cosine = abs(dot(vector_at(facets, i), view))
+        area[y, x] = angle * distance[i] ** 2 / max(cosine, _LEAST_COSINE)
+
+
 def panel_visibility(
     pixels: PosturePixels, light: PanelLight, caster: RayCaster, *, threads: int | None = None
 ) -> UInt8:
@@ -100,8 +190,9 @@ def panel_visibility(
     front = np.flatnonzero(surface.front)
     caster.map_blockers(targets, rays=len(front), threads=threads)
 
-    def chunk(start: int) -> tuple[Index, Index, Index]:
-        where = front[start : start + _CHUNK]
+    def chunk(start: int) -> tuple[Index, Index, Index | slice]:
+        end = start + _CHUNK
+        where = slice(start, end) if len(front) == len(surface) else front[start:end]  # a slice is not copied
         return *visible_counts(surface.take(where), targets, caster), where
 
     clear = np.zeros(len(surface), np.intp)
@@ -113,11 +204,12 @@ def panel_visibility(
     mixed = ((clear > 0) & (clear < above)) | ((above > 0) & (above < len(targets)))
     hidden = (clear == 0) & (above > 0) & ~mixed
     lit = (clear > 0) & ~mixed
-    row, column = pixels.row, pixels.column
-    near_hidden = _spread(hidden | mixed, row, column)
-    near_lit = _spread(lit | mixed, row, column)
     visibility = np.where(lit, WHOLE, UNLIT).astype(np.uint8)
-    visibility[mixed | (lit & near_hidden) | (hidden & near_lit)] = LEFT_OUT
+    visibility[mixed] = LEFT_OUT
+    for own, other in ((lit, hidden), (hidden, lit)):
+        beside = other | mixed
+        if own.any() and beside.any():
+            visibility[own & _spread(beside, pixels.row, pixels.column)] = LEFT_OUT
     return visibility
 
 
@@ -125,22 +217,26 @@ def _edges(surface: SurfacePoints, row: Int32, column: Int32, shape: tuple[int, 
     # pixels that differ from the next one to the right or below by a step, by a crease, or by seeing no part at all
     index = np.full((shape[0] + 1, shape[1] + 1), -1, np.int32)
     index[row, column] = np.arange(len(row), dtype=np.int32)
-    return _differing(surface.points, surface.normals, surface.facets, row, column, index)
+    return _differing(surface.points, surface.normals, surface.facets, row, column, index, 0, shape[0])
 
 
 @kernel
-def _differing(points: Float64, normals: Float64, facets: Float64, row: Int32, column: Int32, index: Int32) -> Bool:
+def _differing(
+    points: Float64, normals: Float64, facets: Float64, row: Int32, column: Int32, index: Int32, top: int, rows: int
+) -> Bool:
+    # `index`: of the point that each pixel sees, −1 where none, from row `top` on, with a row and a column more; of an
+    # image of so many rows. In its first and last row flags are not complete
     edge = np.zeros(len(row), np.bool_)
-    rows, columns = index.shape[0] - 1, index.shape[1] - 1
+    columns = index.shape[1] - 1
     for a in range(len(row)):
         y, x = row[a], column[a]
         # inside the image, where the part ends on any side
-        edge[a] |= (y > 0 and index[y - 1, x] < 0) or (x > 0 and index[y, x - 1] < 0)
+        edge[a] |= (y > top and index[y - top - 1, x] < 0) or (x > 0 and index[y - top, x - 1] < 0)
         for down in range(2):
             below, beside = y + down, x + 1 - down
             if below == rows or beside == columns:
                 continue
-            b = index[below, beside]
+            b = index[below - top, beside]
             if b < 0:
                 edge[a] = True
                 continue
@@ -163,13 +259,20 @@ def _spread(flags: Bool, row: Int32, column: Int32) -> Bool:
     grid[row + m, column + m] = flags
     if len(row) * (2 * m + 1) ** 2 < grid.size:  # few pixels, far apart
         return _near_flagged(grid, row, column)
+    return _widened(grid)[row + m, column + m]
+
+
+def _widened(flags: Bool) -> Bool:
+    # all pixels of an image with a flagged one within MARGIN_PX rows and columns
+    m, (rows, columns) = MARGIN_PX, flags.shape
+    grid = np.pad(flags, m)
     wide = grid[:, :columns].copy()
     for dx in range(1, 2 * m + 1):
         wide |= grid[:, dx : dx + columns]
     near = wide[:rows].copy()
     for dy in range(1, 2 * m + 1):
         near |= wide[dy : dy + rows]
-    return near[row, column]
+    return near
 
 
 @kernel

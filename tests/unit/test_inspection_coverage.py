@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lightopt.inspection import CONTRASTS, Deviations, SurfaceCoverage, score_deviations
-from lightopt.inspection.detection._coverage import SurfaceState, least_contrast, measure_coverage
+from lightopt.inspection.detection._coverage import SurfaceState, measure_coverage
 from lightopt.inspection.detection._deviation import DARK
 
 SIDE, STEP = 360, 24
@@ -34,6 +34,21 @@ def seen(noise, lit):
     return np.where(lit | (np.abs(noise) > DARK), noise, np.float32(0.0))
 
 
+def view_of(predicted, saturated, part, clean, area, grazing):
+    """What coverage is measured by of a posture's view; all of it is below saturation but where it is said."""
+    return SimpleNamespace(
+        part=part, clean=clean, predicted=predicted, saturated=saturated, limit=np.full_like(predicted, 1e3),
+        prediction=SimpleNamespace(area=area, grazing=grazing),
+    )  # fmt: skip
+
+
+def least_contrast(found, predicted, min_images):
+    """Of a part that fills the image."""
+    whole, none = np.ones((SIDE, SIDE), bool), np.zeros((SIDE, SIDE), bool)
+    view = view_of(predicted, np.zeros_like(found.lit), whole, whole, whole.astype(np.float32), none)
+    return measure_coverage(view, found, min_images=min_images, high=HIGH).least_contrast
+
+
 @pytest.mark.parametrize(("min_images", "lights"), [(1, 4), (2, 4), (2, 1), (3, 2)])
 def test_a_disc_of_the_reported_contrast_is_found_half_of_the_time(min_images, lights):
     rng = np.random.default_rng(5)
@@ -42,7 +57,7 @@ def test_a_disc_of_the_reported_contrast_is_found_half_of_the_time(min_images, l
     lit[:lights] = True
     predicted = np.where(lit, np.float32(LEVEL), np.float32(0.5))
     even = Deviations(seen(noise, lit), np.full_like(noise, SCALE), usable, lit)
-    reported = least_contrast(even, predicted, min_images=min_images, high=HIGH)
+    reported = least_contrast(even, predicted, min_images)
     assert np.ptp(reported) == 0.0
     inside = discs(rng)
     found = {}
@@ -61,7 +76,7 @@ def test_a_dark_place_tells_no_contrast_and_shows_glints_of_three_deviations(min
     noise = rng.standard_normal((4, SIDE, SIDE), dtype=np.float32)
     usable, lit = np.ones_like(noise, bool), np.zeros_like(noise, bool)
     dark = Deviations(seen(noise, lit), np.full_like(noise, SCALE), usable, lit)
-    assert np.all(np.isinf(least_contrast(dark, np.full_like(noise, 0.5), min_images=min_images, high=HIGH)))
+    assert np.all(np.isinf(least_contrast(dark, np.full_like(noise, 0.5), min_images)))
     inside = discs(rng)
     found = {}
     for glint in (1.0, DARK):
@@ -79,7 +94,7 @@ def test_each_pixel_is_in_the_class_of_what_it_can_show():
         *(SurfaceState.GLINTS, SurfaceState.FEWER, SurfaceState.INSPECTED, SurfaceState.INSPECTED),
         SurfaceState.GRAZING,
     ]
-    predicted = np.array([[0, 9, 0, 300, 0.1, 40, 2, 400, 9], [0, 9, 0, 0, 0.1, 0.1, 2, 400, 9]], np.float32)
+    predicted = np.array([[0, 9, 0, 3000, 0.1, 40, 2, 400, 9], [0, 9, 0, 0, 0.1, 0.1, 2, 400, 9]], np.float32)
     saturated = np.array([[0, 0, 0, 1, 0, 0, 0, 0, 0]] * 2, bool)
     clean = np.array([0, 0, 1, 1, 1, 1, 1, 1, 0], bool)
     grazing = np.array([0, 0, 0, 0, 0, 0, 0, 0, 1], bool)
@@ -87,10 +102,7 @@ def test_each_pixel_is_in_the_class_of_what_it_can_show():
     usable = np.array([[0, 0, 0, 0, 1, 1, 1, 1, 0], [0, 0, 0, 0, 1, 1, 1, 1, 0]], bool)
     area = np.array([0, 1, 2, 4, 8, 16, 32, 64, 128], np.float32)
     predicted, saturated, lit, usable = (a[:, None, :] for a in (predicted, saturated, lit, usable))
-    view = SimpleNamespace(
-        part=(area > 0)[None], clean=clean[None], lights=("a", "b"), predicted=predicted, saturated=saturated,
-        limit=np.full_like(predicted, 255.0), prediction=SimpleNamespace(area=area[None], grazing=grazing[None]),
-    )  # fmt: skip
+    view = view_of(predicted, saturated, (area > 0)[None], clean[None], area[None], grazing[None])
     ones = np.ones_like(predicted)
     found = measure_coverage(view, Deviations(0.0 * ones, ones, usable, lit), min_images=2, high=HIGH)
     assert found.state[0].tolist() == expected

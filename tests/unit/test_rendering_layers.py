@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from lightopt import build_scene, render
-from lightopt.rendering import UNLIT, WHOLE, cast_rays_at, light_layer, panel_visibility, trace_pixels
+from lightopt.rendering import (
+    GRAZING_COSINE,
+    UNLIT,
+    WHOLE,
+    cast_rays_at,
+    light_layer,
+    mask_pixels,
+    panel_visibility,
+    trace_pixels,
+)
 from lightopt.rendering._pixels import LEFT_OUT
 
 
@@ -99,3 +108,29 @@ def test_quadrature_rules_are_read_only():
 
     assert not NODES.flags.writeable
     assert np.allclose(WEIGHTS.sum(axis=1)[1:], 1.0)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+@pytest.mark.parametrize("posture", [0, 1])
+def test_masks_of_pixels_are_those_of_their_surface(shared_bench, threads, posture):
+    scene = build_scene(shared_bench.rig, shared_bench.part)
+    caster = cast_rays_at(scene)
+    masks = mask_pixels(scene, scene.postures[posture], caster, threads=threads)
+    pixels = trace_pixels(scene, scene.postures[posture], caster)
+    at, surface, camera = (pixels.row, pixels.column), pixels.surface, pixels.view.camera
+    facing = np.einsum("ij,ij->i", surface.normals, surface.views)
+    away = surface.points - camera.position
+    distance = np.linalg.norm(away, axis=1)
+    axial = np.abs(away @ camera.forward) / distance
+    cosine = np.maximum(np.abs(np.einsum("ij,ij->i", surface.facets, surface.views)), 0.02)
+    area = (camera.pixel_size / camera.image_distance) ** 2 * axial**3 * distance**2 / cosine
+    for found, expected in (
+        (masks.hit, np.ones(len(facing), bool)),
+        (masks.clean, pixels.clean),
+        (masks.grazing, surface.front & (facing < GRAZING_COSINE)),
+        (masks.area, area),
+    ):
+        whole = np.zeros(pixels.shape, found.dtype)
+        whole[at] = expected
+        assert np.allclose(found, whole, rtol=1e-5)
+    assert 0 < masks.clean.sum() < masks.hit.sum()

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Bool, Float64, Index, Int32
+from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.least_squares import Limits
 from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._pixels import PixelSet, light_at, sensor_scale, view_of_placed
 from lightopt.estimate.registration._placement import Placement, PoseFrame, place_part
 from lightopt.geometry import RayCaster
-from lightopt.rendering import PosturePixels, trace_pixels
+from lightopt.rendering import mask_pixels
 from lightopt.scene import Scene
 
 INNER_PIXELS, FIRST_INNER_PIXELS = 12_000, 3_000
@@ -73,37 +73,34 @@ def choose_pixels(
     budget = max(200, min(most, MOST_ENTRIES // (len(images) * (len(scene.lights) + GAINS + 1))))
     for posture in dict.fromkeys(o.posture for o in images):
         mine = [o for o in images if o.posture == posture]
-        pixels = trace_pixels(placed, posture, caster, threads=threads)
-        clean = _random_subset(np.flatnonzero(pixels.clean), budget)
-        if len(clean):
-            inner.append(
-                PixelSet.look_up(posture, pixels.row[clean], pixels.column[clean], mine, scene.sensor.black_level)
-            )
+        masks = mask_pixels(placed, posture, caster, threads=threads)
+        row, column = _random_pixels(masks.clean, budget)
+        if len(row):
+            inner.append(PixelSet.look_up(posture, row, column, mine, scene.sensor.black_level))
         if outline:
-            row, column = _across_outline(pixels)
+            row, column = _across_outline(masks.hit)
             if len(row):
                 edges.append(PixelSet.look_up(posture, row, column, mine, scene.sensor.black_level, rays=OUTLINE_RAYS))
     return inner, edges
 
 
-def _random_subset(index: Index, most: int) -> Index:
-    if len(index) <= most:
-        return index
-    return np.sort(np.random.default_rng(0).choice(index, most, replace=False))
+def _random_pixels(mask: Bool, most: int) -> tuple[Int32, Int32]:
+    # rows and columns of so many pixels of a mask, or of all where they are fewer
+    index = np.flatnonzero(mask)
+    if len(index) > most:
+        index = np.sort(np.random.default_rng(0).choice(index, most, replace=False))
+    row, column = np.unravel_index(index, mask.shape)
+    return row.astype(np.int32), column.astype(np.int32)
 
 
-def _across_outline(pixels: PosturePixels) -> tuple[Int32, Int32]:
+def _across_outline(hit: Bool) -> tuple[Int32, Int32]:
     from scipy import ndimage  # takes long to load, and a capture seldom needs it
 
-    shows = np.zeros(pixels.shape, np.bool_)
-    shows[pixels.row, pixels.column] = True
     reach = OUTLINE_HALF_WIDTH_PX
-    wide: Bool = np.asarray(ndimage.binary_dilation(shows, iterations=reach), np.bool_)
+    wide: Bool = np.asarray(ndimage.binary_dilation(hit, iterations=reach), np.bool_)
     # the image's border is no outline
-    narrow: Bool = np.asarray(ndimage.binary_erosion(shows, iterations=reach, border_value=1), np.bool_)
-    index = _random_subset(np.flatnonzero(wide & ~narrow), OUTLINE_PIXELS)
-    row, column = np.unravel_index(index, pixels.shape)
-    return row.astype(np.int32), column.astype(np.int32)
+    narrow: Bool = np.asarray(ndimage.binary_erosion(hit, iterations=reach, border_value=1), np.bool_)
+    return _random_pixels(wide & ~narrow, OUTLINE_PIXELS)
 
 
 class RefinementProblem:

@@ -9,10 +9,10 @@ from enum import IntEnum
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
-from lightopt.core.arrays import Float32, Float64, UInt8
+from lightopt.core.arrays import Bool, Float32, Float64, UInt8
+from lightopt.core.kernels import kernel
 from lightopt.core.transforms import Posture
 from lightopt.geometry import face_areas
 from lightopt.inspection._image_blocks import in_row_blocks
@@ -53,6 +53,11 @@ class SurfaceState(IntEnum):
     GLINTS = 6
     FEWER = 7
     INSPECTED = 8
+
+
+# as plain numbers, for the kernel
+_NO_PART, _GRAZING, _EDGE, _, _SHADOW, _SATURATED, _GLINTS, _FEWER, _INSPECTED = (int(state) for state in SurfaceState)
+_STATES = len(SurfaceState)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,23 +127,14 @@ class Shares:
         }
 
 
-def class_areas(
-    areas: NDArray[np.floating[Any]], state: UInt8, least_contrast: NDArray[np.floating[Any]]
-) -> dict[str, Any]:
-    """The fields of :class:`Shares`, added up over places.
-
-    areas: of each place [mm²].
-    state: :class:`SurfaceState` of each, same shape.
-    least_contrast: share of the light that a disc of 5 pixels must change to be found there, same shape; infinite
-        where none is.
-    """
-    total = np.bincount(state.ravel(), areas.ravel(), len(SurfaceState))
+def _class_areas(of_state: Float64, of_contrast: Float64) -> dict[str, Any]:
+    # the fields of Shares, given the areas [mm²] in each SurfaceState, and of those where each contrast is found
     names = ("edge", "shadow", "saturated", "glints", "fewer", "grazing")
     return {
-        **{name: float(total[SurfaceState[name.upper()]]) for name in names},
-        "seen": float(total[SurfaceState.GRAZING + 1 :].sum()),
-        "inspected": float(total[SurfaceState.GLINTS :].sum()),
-        "sensitivity": {c: float(areas.sum(where=least_contrast <= c, dtype=np.float64)) for c in CONTRASTS},
+        **{name: float(of_state[SurfaceState[name.upper()]]) for name in names},
+        "seen": float(of_state[SurfaceState.GRAZING + 1 :].sum()),
+        "inspected": float(of_state[SurfaceState.GLINTS :].sum()),
+        "sensitivity": {c: float(area) for c, area in zip(CONTRASTS, of_contrast, strict=True)},
     }
 
 
@@ -162,52 +158,87 @@ class PostureCoverage(Shares):
 def measure_coverage(
     view: PostureView, found: Deviations, *, min_images: int, high: float, threads: int | None = None
 ) -> PostureCoverage:
-    """The surface of a posture that was inspected, given the threshold of the score."""
+    """The surface of a posture that was inspected, given the threshold of the score.
 
-    def judge(rows: slice) -> tuple[UInt8, Float64]:
-        return _judge_rows(view, found.in_box(rows), rows, min_images, high)
-
-    # block by block of rows, since small arrays stay in a processor's cache
-    blocks = in_row_blocks(judge, len(view.clean), threads)
-    state, least = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
-    areas = class_areas(view.prediction.area, state, least)
-    return PostureCoverage(**areas, state=state, least_contrast=least.astype(np.float32))
-
-
-def _judge_rows(
-    view: PostureView, found: Deviations, rows: slice, min_images: int, high: float
-) -> tuple[UInt8, Float64]:
-    # state and least contrast of some rows, given the deviations in these
-    predicted, clean = view.predicted[:, rows], view.clean[rows]
-    part = view.part[rows] & (view.prediction.area[rows] > 0.0)
-    lit = found.lit.sum(axis=0)
-    full = (view.saturated[:, rows] & (predicted >= view.limit[:, rows])).any(axis=0)
-    state = np.zeros(part.shape, np.uint8)
-    state[part] = SurfaceState.EDGE
-    state[part & view.prediction.grazing[rows]] = SurfaceState.GRAZING
-    state[part & clean] = SurfaceState.SHADOW
-    state[part & clean & full] = SurfaceState.SATURATED
-    state[part & found.usable.any(axis=0)] = SurfaceState.GLINTS
-    state[part & (lit > 0)] = SurfaceState.FEWER
-    state[part & (lit >= min_images)] = SurfaceState.INSPECTED
-    least = least_contrast(found, predicted, min_images=min_images, high=high)
-    least[state < SurfaceState.FEWER] = np.inf
-    return state, least
-
-
-def least_contrast(found: Deviations, predicted: Float32, *, min_images: int, high: float) -> Float64:
-    """Share of the light that an even disc of 5 pixels must take away to be found half of the time, shape (H, W).
-
-    Infinite where no image is lit.
-
-    predicted: of the good part [grey level], shape (lights, H, W).
+    Each pixel's least contrast is that of the `min_images`-th most sensitive of the images that are lit there, or of
+    the last of fewer: an even disc that takes away this share of the light is found half of the time.
     """
-    images = len(predicted)
-    k = np.clip(found.lit.sum(axis=0), 1, min(min_images, images))
-    needed = _needed(images, min(min_images, images), high)[found.usable.sum(axis=0), k]
-    share = np.where(found.lit, found.scale / np.maximum(predicted, 1e-6), np.inf)
-    weakest = np.take_along_axis(np.sort(share, axis=0), k[None] - 1, axis=0)[0]
-    return needed / disc_gain(REFERENCE_DISC_PX) * weakest
+    images, height, width = view.predicted.shape
+    state, least = np.empty((height, width), np.uint8), np.empty((height, width), np.float32)
+    needed = _needed(images, min(min_images, images), high) / disc_gain(REFERENCE_DISC_PX)
+    contrasts = np.array(CONTRASTS)
+
+    def judge(rows: slice) -> Float64:
+        return _judge_rows(
+            view.part, view.clean, view.prediction.grazing, view.prediction.area, view.predicted, view.limit,
+            view.saturated, found.usable, found.lit, found.scale, min_images, needed, contrasts, rows.start, rows.stop,
+            state, least,
+        )  # fmt: skip
+
+    areas = np.sum(in_row_blocks(judge, height, threads), axis=0)
+    of_state, of_contrast = areas[: len(SurfaceState)], areas[len(SurfaceState) :]
+    return PostureCoverage(**_class_areas(of_state, of_contrast), state=state, least_contrast=least)
+
+
+@kernel
+def _judge_rows(
+    part: Bool,
+    clean: Bool,
+    grazing: Bool,
+    area: Float32,
+    predicted: Float32,
+    limit: Float32,
+    saturated: Bool,
+    usable: Bool,
+    lit: Bool,
+    scale: Float32,
+    min_images: int,
+    needed: Float64,
+    contrasts: Float64,
+    top: int,
+    bottom: int,
+    state: UInt8,
+    least: Float32,
+) -> Float64:
+    # writes state and least contrast of some rows, and gives their area in each state, and in which a disc of each
+    # contrast is found [mm²]. `needed`: share of a standard deviation, by the numbers of usable and of judging images
+    images, _, width = predicted.shape
+    areas = np.zeros(_STATES + len(contrasts))
+    shares = np.empty(images, np.float32)
+    for y in range(top, bottom):
+        for x in range(width):
+            state[y, x], least[y, x] = _NO_PART, np.inf
+            if not part[y, x] or area[y, x] <= 0.0:
+                continue
+            full, reached, bright = False, 0, 0
+            for i in range(images):
+                full = full or (saturated[i, y, x] and predicted[i, y, x] >= limit[i, y, x])
+                reached += usable[i, y, x]
+                if lit[i, y, x]:
+                    # in order, the most sensitive image first
+                    own = scale[i, y, x] / max(predicted[i, y, x], np.float32(1e-6))
+                    k = bright
+                    while k > 0 and shares[k - 1] > own:
+                        shares[k] = shares[k - 1]
+                        k -= 1
+                    shares[k] = own
+                    bright += 1
+            if bright > 0:
+                state[y, x] = _INSPECTED if bright >= min_images else _FEWER
+                k = min(bright, min_images)
+                contrast = needed[reached, k] * shares[k - 1]
+                least[y, x] = contrast
+                for j in range(len(contrasts)):
+                    if contrast <= contrasts[j]:
+                        areas[_STATES + j] += area[y, x]
+            elif reached > 0:
+                state[y, x] = _GLINTS
+            elif clean[y, x]:
+                state[y, x] = _SATURATED if full else _SHADOW
+            else:
+                state[y, x] = _GRAZING if grazing[y, x] else _EDGE
+            areas[state[y, x]] += area[y, x]
+    return areas
 
 
 def _needed(images: int, min_images: int, high: float) -> Float64:
@@ -276,5 +307,8 @@ def surface_coverage(
     return SurfaceCoverage(
         area=area,
         missing=float(surface.areas.sum(where=state == SurfaceState.MISSING)),
-        **class_areas(surface.areas, state, least),
+        **_class_areas(
+            np.asarray(np.bincount(state, surface.areas, len(SurfaceState)), np.float64),
+            np.array([surface.areas.sum(where=least <= contrast) for contrast in CONTRASTS]),
+        ),
     )

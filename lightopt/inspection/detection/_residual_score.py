@@ -57,7 +57,7 @@ def smoothed_deviations(found: Deviations, scale: float, *, threads: int | None 
     weights = _weights(scale)
 
     def smooth(i: int, rows: slice) -> None:
-        _smooth(found.z[i], found.usable[i], *weights, rows.start, sums[i, rows], counts[i, rows])
+        _smooth(found.z[i], found.usable[i], *weights, np.inf, rows.start, sums[i, rows], counts[i, rows])
 
     in_image_blocks(smooth, lights, height, threads)
     return sums, counts
@@ -71,8 +71,11 @@ def _weights(scale: float) -> tuple[Float32, Float32]:
 
 
 @kernel
-def _smooth(z: Float32, usable: Bool, taps: Float32, squares: Float32, top: int, sums: Float32, counts: Bool) -> None:
-    # rows of the sums from `top` on, each in its own standard deviation, and where they count
+def _smooth(
+    z: Float32, usable: Bool, taps: Float32, squares: Float32, most: float, top: int, sums: Float32, counts: Bool
+) -> None:
+    # rows of the sums from `top` on, each in its own standard deviation, and where they count; deviations of more than
+    # `most` count as that
     height, width = z.shape
     reach = len(squares) // 2
     whole = squares.sum() ** 2
@@ -85,13 +88,13 @@ def _smooth(z: Float32, usable: Bool, taps: Float32, squares: Float32, top: int,
             sums[:, left:right] = np.float32(0.0)
             counts[:, left:right] = False
             continue
-        filter_tile(z, taps, top, left, sums[:, left:right])
+        filter_tile(z, taps, top, left, most, sums[:, left:right])
         # where all around is usable the variance is known
         inside = top >= reach and left >= reach and top + rows + reach <= height and right + reach <= width
         if inside and usable[top - reach : top + rows + reach, left - reach : right + reach].all():
             variance[:] = whole
         else:
-            filter_tile(usable, squares, top, left, variance[:, : right - left])
+            filter_tile(usable, squares, top, left, 1.0, variance[:, : right - left])
         for y in range(rows):
             for x in range(left, right):
                 own = variance[y, x - left]
@@ -127,20 +130,14 @@ def score_deviations(found: Deviations, *, min_images: int, threads: int | None 
     lights, height, _ = inner.z.shape
     score = np.zeros(inner.z.shape[1:], np.float32)
     table = _table(lights, min_images)
-    clipped = np.empty_like(inner.z)
-
-    def clip(rows: slice) -> None:
-        np.clip(inner.z[:, rows], -STRONGEST_Z, STRONGEST_Z, out=clipped[:, rows])
-
-    in_row_blocks(clip, height, threads)
-    scales = [(inner.z if width == min(SCALES_PX) else clipped, _weights(width)) for width in SCALES_PX]
+    scales = [(*_weights(width), np.inf if width == min(SCALES_PX) else STRONGEST_Z) for width in SCALES_PX]
 
     def score_rows(rows: slice) -> None:
         sums = np.empty((lights, *score[rows].shape), np.float32)
         counts = np.empty(sums.shape, np.bool_)
-        for z, weights in scales:
+        for weights in scales:
             for i in range(lights):
-                _smooth(z[i], inner.usable[i], *weights, rows.start, sums[i], counts[i])
+                _smooth(inner.z[i], inner.usable[i], *weights, rows.start, sums[i], counts[i])
             _raise_scores(sums, counts, inner.lit[:, rows], table, score[rows])
 
     in_row_blocks(score_rows, height, threads)

@@ -7,7 +7,7 @@ weights of their pixels, no others.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final, Literal
 
@@ -115,9 +115,14 @@ class Edges:
     @staticmethod
     def of(weights: Float32, deviations: Float32, axis: int) -> Edges:
         """Edges of images of such :func:`pixel_weights` and standard deviations of noise, shape (images, H, W)."""
-        edge = np.minimum(*_ends(weights, axis))
-        usable = (edge > 0.0) & (edge >= LEAST_WEIGHT_SHARE * edge.max(axis=0))
-        return Edges(axis, usable, np.hypot(*_ends(deviations, axis)))
+        first, second = (
+            (deviations[:, :, :-1], deviations[:, :, 1:]) if axis else (deviations[:, :-1], deviations[:, 1:])
+        )
+        return Edges(axis, _usable_edges(weights, axis), np.hypot(first, second))
+
+    def of_weights(self, weights: Float32) -> Edges:
+        """The same edges of images of the same noise and other weights."""
+        return replace(self, usable=_usable_edges(weights, self.axis))
 
     @property
     def unknown(self) -> Bool:
@@ -125,11 +130,24 @@ class Edges:
         return np.asarray(~self.usable.any(axis=0), np.bool_)
 
 
-def _ends(images: Float32, axis: int) -> tuple[Float32, Float32]:
-    # the two pixels of each edge
-    if axis == 1:
-        return images[:, :, :-1], images[:, :, 1:]
-    return images[:, :-1], images[:, 1:]
+@kernel
+def _usable_edges(weights: Float32, axis: int) -> Bool:
+    # where an image has enough of the weight of the best one at an edge; an edge has the lesser one of its two pixels
+    images, height, width = weights.shape
+    height, width = height - 1 + axis, width - axis
+    usable = np.empty((images, height, width), np.bool_)
+    edge, best = np.empty((images, width), np.float32), np.empty(width, np.float32)
+    for y in range(height):
+        best[:] = 0.0
+        for i in range(images):
+            here, there = weights[i, y], weights[i, y + 1 - axis, axis:]
+            for x in range(width):
+                edge[i, x] = min(here[x], there[x])
+                best[x] = max(best[x], edge[i, x])
+        for i in range(images):
+            for x in range(width):
+                usable[i, y, x] = (edge[i, x] > 0.0) & (edge[i, x] >= np.float32(LEAST_WEIGHT_SHARE) * best[x])
+    return usable
 
 
 def fuse_gradients(levels: Float32, edges: Edges, *, fusion: Fusion, threads: int | None = None) -> Float64:
@@ -160,13 +178,13 @@ def fuse_gradients(levels: Float32, edges: Edges, *, fusion: Fusion, threads: in
 def _usable_gradients(levels: Float32, usable: Bool, axis: int, first: int, last: int) -> Float32:
     # the differences at some rows of edges, 0 where an image is not used
     images, _, width = usable.shape
-    down, right = 1 - axis, axis
-    gradients = np.zeros((images, last - first, width), np.float32)
+    gradients = np.empty((images, last - first, width), np.float32)
     for i in range(images):
         for y in range(first, last):
+            here, there = levels[i, y], levels[i, y + 1 - axis, axis:]
             for x in range(width):
-                if usable[i, y, x]:
-                    gradients[i, y - first, x] = levels[i, y + down, x + right] - levels[i, y, x]
+                step = there[x] - here[x]
+                gradients[i, y - first, x] = step if usable[i, y, x] else np.float32(0.0)
     return gradients
 
 
@@ -196,33 +214,36 @@ def _largest_nearby(gradients: Float32) -> Float32:
 
 @kernel
 def _average_supported(gradients: Float32, noise: Float32, usable: Bool, first: int, top: int, fused: Float64) -> None:
-    # fused rows of edges from `top` on, given the gradients from `first` on
+    # fused rows of edges from `top` on, given the gradients from `first` on. Of each image a whole row at a time, in
+    # loops without branches, since the processor works on neighbours at once
     images, _, width = gradients.shape
     nearby = _largest_nearby(gradients)
+    largest, runner_up = np.empty(width, np.float32), np.empty(width, np.float32)
+    who, count, supported = np.empty(width, np.int32), np.empty(width, np.int32), np.empty(width, np.int32)
+    total = np.empty(width)
     for row in range(len(fused)):
         y, here = top + row, top - first + row
-        for x in range(width):
-            largest, runner_up, who, count = np.float32(-1.0), np.float32(-1.0), -1, 0
-            for i in range(images):
-                if not usable[i, y, x]:
-                    continue
-                count += 1
-                size = nearby[i, here, x]
-                if size > largest:
-                    largest, runner_up, who = size, largest, i
-                else:
-                    runner_up = max(runner_up, size)
-            total, supported = 0.0, 0
-            for i in range(images):
-                if not usable[i, y, x]:
-                    continue
-                others = runner_up if i == who else largest
-                own = abs(gradients[i, here, x])
+        largest[:], runner_up[:], who[:], count[:], supported[:], total[:] = -1.0, -1.0, -1, 0, 0, 0.0
+        for i in range(images):
+            used, sizes = usable[i, y], nearby[i, here]
+            for x in range(width):
+                size = sizes[x] if used[x] else np.float32(-1.0)
+                most = size > largest[x]
+                runner_up[x] = largest[x] if most else max(runner_up[x], size)
+                who[x] = i if most else who[x]
+                largest[x] = size if most else largest[x]
+                count[x] += used[x]
+        for i in range(images):
+            used, own, own_noise = usable[i, y], gradients[i, here], noise[i, y]
+            for x in range(width):
+                others = runner_up[x] if who[x] == i else largest[x]
+                enough = others >= SUPPORT * abs(own[x]) - NOISE_SLACK * own_noise[x]
                 # a single image needs no support
-                if count == 1 or others >= SUPPORT * own - NOISE_SLACK * noise[i, y, x]:
-                    total += gradients[i, here, x]
-                    supported += 1
-            fused[row, x] = total / max(supported, 1)
+                kept = used[x] & (enough | (count[x] == 1))
+                total[x] += own[x] if kept else np.float32(0.0)
+                supported[x] += kept
+        for x in range(width):
+            fused[row, x] = total[x] / max(supported[x], 1)
 
 
 @kernel
@@ -272,6 +293,11 @@ class FusionRule:
         edges = Edges.of(weights, deviations, 1), Edges.of(weights, deviations, 0)
         return FusionRule(fusion, edges, deviations)
 
+    def of_weights(self, weights: Float32) -> FusionRule:
+        """The same rule for images of the same noise and other weights."""
+        right, below = self.edges
+        return replace(self, edges=(right.of_weights(weights), below.of_weights(weights)))
+
     @property
     def unknown(self) -> list[Bool]:
         """Edges at which no image is used."""
@@ -283,9 +309,14 @@ class FusionRule:
 
     def fuse_with_noise(self, images: Float32, rng: np.random.Generator) -> Gradients:
         """The same of images to which noise is added."""
-        noisy = rng.standard_normal(images.shape, dtype=np.float32)
-        noisy *= self.deviations
-        noisy += images
+        noisy = np.empty(images.shape, np.float32)
+
+        def draw(i: int, rows: slice) -> None:
+            own = rng.standard_normal(dtype=np.float32, out=noisy[i, rows])
+            own *= self.deviations[i, rows]
+            own += images[i, rows]
+
+        in_image_blocks(draw, len(images), images.shape[1], 1)  # one after the other, as random numbers come
         return self.fuse(noisy)
 
 
@@ -305,7 +336,7 @@ def fuse_with_prediction(
     tasks = [
         partial(rule.fuse, levels),
         partial(rule.fuse, diffuse),
-        lambda: FusionRule.of(lit, rule.deviations, rule.fusion).fuse(diffuse),
+        lambda: rule.of_weights(lit).fuse(diffuse),
         # each draw has random numbers of its own, so that their order does not matter
         *(partial(rule.fuse_with_noise, diffuse, np.random.default_rng((seed, 0, i))) for i in range(draws)),
     ]

@@ -10,8 +10,11 @@ a pixel with the one to its right (`wx`) or below it (`wy`), and is kept at the 
 a mask is nothing but zeros, and the border of the mask is a natural one.
 """
 
+from __future__ import annotations
+
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any, cast
 
 import numpy as np
@@ -45,6 +48,25 @@ class _Level:
     reciprocal: Float32
 
 
+@dataclass(frozen=True, eq=False)
+class _Workspace:
+    """What solving for one image writes to: the image, its direction and that direction's Laplacian, with a border.
+
+    grids: of each size of blocks the right side and the solution of a cycle.
+    """
+
+    u: Float64
+    p: Float64
+    q: Float64
+    grids: tuple[tuple[Float32, Float32], ...]
+
+    @staticmethod
+    def of(levels: Sequence[_Level]) -> _Workspace:
+        """One for so many sizes of blocks."""
+        u, p, q = (np.zeros(levels[0].wx.shape) for _ in range(3))
+        return _Workspace(u, p, q, tuple((np.zeros_like(each.wx), np.zeros_like(each.wx)) for each in levels))
+
+
 @dataclass(frozen=True)
 class PoissonGrid:
     """Edges of a mask with their weights, at every size of blocks; made by :func:`poisson_grid`, serves many gradients.
@@ -61,6 +83,7 @@ class PoissonGrid:
     _wx: Float64
     _wy: Float64
     _levels: tuple[_Level, ...]
+    _idle: list[_Workspace] = field(default_factory=list)  # for the next image: making new ones takes as long as steps
 
     def integrate(self, gx: Float64, gy: Float64, *, level: Float64, tolerance: float = TOLERANCE) -> Float64:
         """The image with the gradients given, float64 of shape (H, W); 0 outside of the mask.
@@ -72,52 +95,55 @@ class PoissonGrid:
         Raises LightoptError: gradients that are not finite.
         """
         b = divergence(_edges(gx, self.window, 1), _edges(gy, self.window, 0), self._wx, self._wy)
-        u = np.zeros(self.mask.shape)
-        u[self.window] = self._solve(b, tolerance)[1:-1, 1:-1]
-        label = self.components.ravel()
-        size = np.maximum(np.bincount(label, minlength=self.count + 1), 1)
-        shift = np.bincount(label, weights=(level - u).ravel(), minlength=self.count + 1) / size
-        return np.where(self.mask, u + shift[self.components], 0.0)
+        try:
+            work = self._idle.pop()
+        except IndexError:
+            work = _Workspace.of(self._levels)
+        self._solve(b, tolerance, work)
+        result, inner = np.zeros(self.mask.shape), work.u[1:-1, 1:-1]
+        _add_levels(inner, level[self.window], self.components[self.window], self.count, result[self.window])
+        self._idle.append(work)
+        return result
 
-    def _solve(self, b: Float64, tolerance: float) -> Float64:
-        # preconditioned conjugate gradients; L is singular on each component, but b has nothing there
-        u, r = np.zeros_like(b), b.copy()
+    def _solve(self, b: Float64, tolerance: float, work: _Workspace) -> None:
+        # preconditioned conjugate gradients; L is singular on each component, but b has nothing there. The right side
+        # is given up
+        u, p, q, r = work.u, work.p, work.q, b
+        u.fill(0.0)
+        p.fill(0.0)
         goal = tolerance * math.sqrt(float(np.vdot(b, b)))
         if goal == 0.0:
-            return u
+            return
         if not math.isfinite(goal):
             raise LightoptError("gradients that are not finite numbers have no image")
-        p, q = np.zeros_like(b), np.zeros_like(b)
-        scaled = np.empty(b.shape, np.float32)
+        scaled, z = work.grids[0]
         size = float(np.abs(b).max())
         before = math.inf
         for _ in range(MOST_STEPS):
             np.multiply(r, 1.0 / size, out=scaled, casting="unsafe")
-            z = self._cycle(0, scaled)
+            self._cycle(0, work.grids)
             now = size * product(r, z)
             next_direction(p, z, size, now / before)
             before = now
             square, size = advance(u, r, p, q, now / laplacian(p, self._wx, self._wy, q))
             if math.sqrt(square) <= goal:
-                return u
+                return
         raise LightoptError(f"gradients were not integrated within {MOST_STEPS} steps")
 
-    def _cycle(self, depth: int, b: Float32) -> Float32:
+    def _cycle(self, depth: int, grids: Sequence[tuple[Float32, Float32]]) -> None:
         # one symmetric V-cycle from 0
-        level = self._levels[depth]
-        u = np.zeros_like(b)
+        level, (b, u) = self._levels[depth], grids[depth]
+        u.fill(0.0)
         if depth + 1 == len(self._levels):
-            for sweep in range(2 * COARSEST_SWEEPS):
-                relax(u, b, level.wx, level.wy, level.reciprocal, int(sweep >= COARSEST_SWEEPS))
-            return u
-        for _ in range(SWEEPS):
-            relax(u, b, level.wx, level.wy, level.reciprocal, 0)
-        coarse = np.empty_like(self._levels[depth + 1].wx)
+            relax(u, b, level.wx, level.wy, level.reciprocal, 0, COARSEST_SWEEPS)
+            relax(u, b, level.wx, level.wy, level.reciprocal, 1, COARSEST_SWEEPS)
+            return
+        relax(u, b, level.wx, level.wy, level.reciprocal, 0, SWEEPS)
+        coarse, correction = grids[depth + 1]
         residual(u, b, level.wx, level.wy, coarse)
-        add_coarse(u, self._cycle(depth + 1, coarse), level.reciprocal)
-        for _ in range(SWEEPS):
-            relax(u, b, level.wx, level.wy, level.reciprocal, 1)
-        return u
+        self._cycle(depth + 1, grids)
+        add_coarse(u, correction, level.reciprocal)
+        relax(u, b, level.wx, level.wy, level.reciprocal, 1, SWEEPS)
 
 
 def poisson_grid(mask: Bool, wx: Float64, wy: Float64) -> PoissonGrid:
@@ -211,26 +237,45 @@ def advance(u: Grid, r: Grid, p: Grid, q: Grid, step: float) -> tuple[float, flo
 
 
 @kernel
-def relax(u: Grid, b: Grid, wx: Grid, wy: Grid, reciprocal: Grid, first: int) -> None:
-    """One sweep of Gauss and Seidel in place: the pixels of one colour of a chess board, then those of the other."""
-    for colour in (first, 1 - first):
-        for r in range(1, u.shape[0] - 1):
-            for c in range(1 + (r + colour) % 2, u.shape[1] - 1, 2):
-                beside = wx[r, c - 1] * u[r, c - 1] + wx[r, c] * u[r, c + 1]
-                beside += wy[r - 1, c] * u[r - 1, c] + wy[r, c] * u[r + 1, c]
-                u[r, c] = (b[r, c] + beside) * reciprocal[r, c]
+def relax(u: Grid, b: Grid, wx: Grid, wy: Grid, reciprocal: Grid, first: int, sweeps: int) -> None:
+    """Sweeps of Gauss and Seidel in place: each of the pixels of one colour of a chess board, then of the other.
+
+    All are done in one pass over the image, which would not fit a cache: each half of a sweep is a row behind the one
+    before, when both rows that it needs are as that one leaves them. Rows are computed whole, since the processor works
+    on neighbours at once, and those of the colour are kept.
+    """
+    rows, columns = u.shape
+    new = np.empty(columns, u.dtype)
+    halves = 2 * sweeps
+    for front in range(1, rows - 1 + halves - 1):
+        for half in range(max(0, front - rows + 2), min(halves, front)):
+            r = front - half
+            own, above, below, right, down, up = u[r], u[r - 1], u[r + 1], wx[r], wy[r], wy[r - 1]
+            for c in range(1, columns - 1):
+                beside = right[c - 1] * own[c - 1] + right[c] * own[c + 1]
+                beside += up[c] * above[c] + down[c] * below[c]
+                new[c] = (b[r, c] + beside) * reciprocal[r, c]
+            for c in range(1 + (r + first + half) % 2, columns - 1, 2):
+                own[c] = new[c]
 
 
 @kernel
 def residual(u: Grid, b: Grid, wx: Grid, wy: Grid, result: Grid) -> None:
     """Write to `result`, of half the rows and columns, the sums of b − L·u over blocks of 2 × 2 pixels."""
     result[:] = 0.0
+    inner = u.shape[1] - 2
+    value = np.zeros(inner + 1, u.dtype)  # of a row, and 0 beyond an odd number of columns
     for r in range(1, u.shape[0] - 1):
-        for c in range(1, u.shape[1] - 1):
-            here = u[r, c]
-            value = b[r, c] - wx[r, c - 1] * (here - u[r, c - 1]) - wx[r, c] * (here - u[r, c + 1])
-            value -= wy[r - 1, c] * (here - u[r - 1, c]) + wy[r, c] * (here - u[r + 1, c])
-            result[(r + 1) // 2, (c + 1) // 2] += value
+        # slices, so that the compiler sees that no index is negative
+        own, left, right, above, below = u[r, 1:], u[r], u[r, 2:], u[r - 1, 1:], u[r + 1, 1:]
+        to_left, to_right, up, down, given = wx[r], wx[r, 1:], wy[r - 1, 1:], wy[r, 1:], b[r, 1:]
+        for c in range(inner):
+            here = own[c]
+            less = given[c] - to_left[c] * (here - left[c]) - to_right[c] * (here - right[c])
+            value[c] = less - (up[c] * (here - above[c]) + down[c] * (here - below[c]))
+        sums = result[(r + 1) // 2, 1:]
+        for k in range((inner + 1) // 2):
+            sums[k] = sums[k] + value[2 * k] + value[2 * k + 1]
 
 
 @kernel
@@ -257,6 +302,21 @@ def coarser(wx: Grid, wy: Grid) -> tuple[Grid, Grid]:
         for c in range(1, wx.shape[1] - 1):
             cy[r // 2, (c + 1) // 2] += 0.5 * wy[r, c]
     return cx, cy
+
+
+@kernel
+def _add_levels(u: Float64, level: Float64, components: Int32, count: int, result: Float64) -> None:
+    # to `result`: the image u, and on each of so many components what takes its mean to that of `level`
+    sums, sizes = np.zeros(count + 1), np.zeros(count + 1)
+    for r in range(u.shape[0]):
+        for c in range(u.shape[1]):
+            sums[components[r, c]] += level[r, c] - u[r, c]
+            sizes[components[r, c]] += 1.0
+    for r in range(u.shape[0]):
+        for c in range(u.shape[1]):
+            own = components[r, c]
+            if own > 0:
+                result[r, c] = u[r, c] + sums[own] / sizes[own]
 
 
 @kernel

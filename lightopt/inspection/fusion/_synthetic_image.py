@@ -117,7 +117,9 @@ def fuse_images(
     complete = [g + more for g, more in zip(fused, missing, strict=True)]
     unknown = rule.unknown
     grid = poisson_grid(inner, *(np.where(u, FILL_WEIGHT, 1.0) for u in unknown))
-    typical = [_typical_size(g, u) for g, u in zip(complete, unknown, strict=True)] if probes else []
+    between = inner[:, 1:] & inner[:, :-1], inner[1:] & inner[:-1]  # edges beyond the mask have no say
+    filling = any(bool(np.any(u & own)) for u, own in zip(unknown, between, strict=True))
+    typical = [_typical_size(g, u) for g, u in zip(complete, unknown, strict=True)] if probes and filling else []
     nothing = np.zeros(inner.shape)
 
     def image() -> Float64:
@@ -130,10 +132,11 @@ def fuse_images(
 
     def scatter(number: int) -> Float64:
         rng = np.random.default_rng((seed, 1, number))
-        errors = [
-            np.where(u, size * rng.standard_normal(u.shape, dtype=np.float32), other - g)
-            for u, size, other, g in zip(unknown, typical, rule.fuse_with_noise(levels, rng), fused, strict=True)
-        ]
+        errors = rule.fuse_with_noise(levels, rng)
+        for error, own in zip(errors, fused, strict=True):
+            error -= own
+        for error, u, size in zip(errors, unknown, typical, strict=False):  # nothing is typical where all is known
+            np.copyto(error, size * rng.standard_normal(u.shape, dtype=np.float32), where=u)
         return grid.integrate(*errors, level=nothing, tolerance=PROBE_TOLERANCE)
 
     tasks = [image, *([biased] if draws else []), *(partial(scatter, i) for i in range(probes))]
@@ -190,8 +193,8 @@ def _smoothed(values: Float64, mask: Bool, threads: int | None) -> Float64:
     share, total = np.empty_like(inside), np.empty_like(inside)
 
     def filter_rows(rows: slice) -> None:
-        filter_tile(mask, taps, rows.start, 0, share[rows])
-        filter_tile(inside, taps, rows.start, 0, total[rows])
+        filter_tile(mask, taps, rows.start, 0, np.inf, share[rows])
+        filter_tile(inside, taps, rows.start, 0, np.inf, total[rows])
 
     in_row_blocks(filter_rows, len(mask), threads)
     return total.astype(np.float64) / np.maximum(share, 1e-3)

@@ -17,7 +17,7 @@ from lightopt.estimate.registration import DARK_SPREAD, GAIN_SPREAD, Observation
 from lightopt.geometry import RayCaster
 from lightopt.inspection._image_blocks import in_image_blocks, mask_window
 from lightopt.inspection.prediction._predict import Prediction
-from lightopt.rendering import render_posture
+from lightopt.rendering import render_lights
 from lightopt.scene import Scene, pixel_footprint, project, view_from_part
 
 # for the differences the part is rendered this far to either side, for a shift in x and y and a rotation
@@ -104,12 +104,12 @@ def placement_derivatives(
     levels = np.zeros((len(images), 3, 2, *middle[0].shape), np.float32)
     for axis, offset in enumerate(np.diag(steps)):
         more, less = (
-            render_posture(
+            render_lights(
                 replace(moved, lights=tuple(light for light in moved.lights if light.name in names)),
                 posture,
                 caster=caster,
                 threads=threads,
-            ).lights
+            )
             for moved in (shifted_scene(scene, placement, posture, sign * offset) for sign in (1.0, -1.0))
         )
         for i, (upper, lower) in enumerate(zip(more, less, strict=True)):
@@ -288,5 +288,5 @@ def fit_placement_offset(
     # what the images of the first part did not determine stays as it was
     a[:, n + 1 :] *= np.array(placement.observable)
     found = solve(linear_problem(a / noise[:, None], b / noise), limits.nominal, limits, least_spread=1.0)
-    misfit = float(np.median(np.abs(b - a @ found.x)[steep] / noise[steep]))
+    misfit = float(np.median(np.abs(b - np.einsum("ij,j->i", a, found.x))[steep] / noise[steep]))
     return PlacementOffset(found.x[n + 1 :], found.errors[n + 1 :], found.converged, misfit)

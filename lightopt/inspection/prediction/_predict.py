@@ -8,15 +8,8 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float32, Float64, Index
 from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
-from lightopt.rendering import (
-    GRAZING_COSINE,
-    PostureImages,
-    build_patches,
-    patch_positions,
-    render_posture,
-    trace_pixels,
-)
-from lightopt.scene import Scene, pixel_directions, view_from_part
+from lightopt.rendering import PostureImages, build_patches, mask_pixels, patch_positions, render_posture
+from lightopt.scene import Scene
 
 TRACE = 1e-6  # least R_d that is rendered: far below what a camera detects
 
@@ -49,23 +42,8 @@ def predict(
     reflectance = replace(scene.reflectance, R_d=max(scene.reflectance.R_d, TRACE))
     lit = replace(scene, lights=chosen, reflectance=reflectance)
     images = render_posture(lit, posture, caster=caster, layers=True, threads=threads)
-    pixels = trace_pixels(scene, posture, caster, threads=threads)
-    surface = pixels.surface
-    clean, grazing = np.zeros(pixels.shape, np.bool_), np.zeros(pixels.shape, np.bool_)
-    clean[pixels.row, pixels.column] = pixels.clean
-    facing = np.einsum("ij,ij->i", surface.normals, surface.views)
-    # back faces are no grazing views: they are black, and counted
-    grazing[pixels.row, pixels.column] = surface.front & (facing < GRAZING_COSINE)
-    cosine = np.einsum("ij,ij->i", surface.facets, surface.views)
-    area = np.zeros(pixels.shape, np.float32)
-    camera = view_from_part(scene, posture).camera
-    distance = np.linalg.norm(surface.points - camera.position, axis=1)
-    # solid angle of a pixel: (side / image distance)² · cos³ of the angle to the optical axis
-    column, row = pixels.column.astype(np.float64) + 0.5, pixels.row.astype(np.float64) + 0.5
-    axial = 1.0 / np.linalg.norm(pixel_directions(camera, column, row), axis=1)
-    angle = (camera.pixel_size / camera.image_distance) ** 2 * axial**3
-    area[pixels.row, pixels.column] = angle * distance**2 / np.maximum(np.abs(cosine), 0.02)
-    return Prediction(images=images, clean=clean & images.geometry.hit, grazing=grazing, area=area)
+    masks = mask_pixels(scene, posture, caster, threads=threads)
+    return Prediction(images=images, clean=masks.clean & images.geometry.hit, grazing=masks.grazing, area=masks.area)
 
 
 @dataclass(frozen=True, eq=False)
