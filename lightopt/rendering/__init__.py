@@ -35,7 +35,6 @@ from lightopt.rendering._patches import (
 from lightopt.rendering._pixels import (
     UNLIT as UNLIT,
     WHOLE as WHOLE,
-    PixelMasks as PixelMasks,
     PosturePixels as PosturePixels,
     mask_pixels as mask_pixels,
     panel_visibility as panel_visibility,
