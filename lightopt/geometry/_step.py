@@ -40,7 +40,7 @@ def read_step(
 ) -> RawMesh:
     """Triangles of a STEP file [mm], Z up, all solids of an assembly in place.
 
-    The file declares its unit; a unit that the caller gives has to be the same. A first, coarse tessellation
+    The file declares its unit; a unit that the caller gives has to be the same. A coarse tessellation
     learns the size, so that a unit mistake ends in a message and not in hours of tessellating.
 
     chord_tolerance_mm: Largest distance between triangle and surface [mm]
@@ -59,9 +59,14 @@ def read_step(
     if unit_mm is not None:
         _check_unit(name, data, unit_mm)
     deadline = time.monotonic() + TIMEOUT_S
-    coarse, _ = _tessellate(path, _COARSE_LINEAR, _COARSE_ANGULAR, deadline, relative=True)
-    _check_size(name, parse_glb(name, coarse), declared_unit_mm(data))
-    fine, output = _tessellate(path, chord_tolerance_mm, angular_tolerance, deadline, relative=False)
+    # both at the same time; the fine one is ended where the coarse one finds a mistake
+    with (
+        _Tessellation(path, _COARSE_LINEAR, _COARSE_ANGULAR, relative=True) as coarse,
+        _Tessellation(path, chord_tolerance_mm, angular_tolerance, relative=False) as fine_one,
+    ):
+        size, _ = coarse.result(deadline)
+        _check_size(name, parse_glb(name, size), declared_unit_mm(data))
+        fine, output = fine_one.result(deadline)
     check_budget(name, glb_triangle_count(name, split_glb(name, fine)[0]), max_triangles)
     parts = parse_glb(name, fine)
     starts = np.cumsum([0] + [len(part["vertices"]) for part in parts])
@@ -118,52 +123,72 @@ def _check_size(name: str, parts: list[dict[str, NDArray[Any]]], declared: float
     )
 
 
-def _tessellate(path: Path, linear: float, angular: float, deadline: float, *, relative: bool) -> tuple[bytes, str]:
-    """GLB written by the worker process, and what the CAD kernel complained about."""
-    what = f"{'coarse' if relative else 'fine'} tessellation (" + (
-        "to learn the size)" if relative else f"chord tolerance {linear:g} mm, {angular:g} rad)"
-    )
-    with tempfile.TemporaryDirectory(prefix="lightopt-step-") as folder:
-        glb = Path(folder) / "part.glb"
-        command = [
-            sys.executable,
-            _step_worker.__file__,
-            str(path.resolve()),
-            str(glb),
-            repr(linear),
-            repr(angular),
-            "1" if relative else "0",
-            str(int(MEMORY_GB * 1e9)),
-        ]
+class _Tessellation:
+    """A worker process that tessellates a STEP file; as a context manager it is ended with its block."""
+
+    def __init__(self, path: Path, linear: float, angular: float, *, relative: bool) -> None:
+        self._path = path
+        self._what = f"{'coarse' if relative else 'fine'} tessellation (" + (
+            "to learn the size)" if relative else f"chord tolerance {linear:g} mm, {angular:g} rad)"
+        )
+        self._folder = tempfile.TemporaryDirectory(prefix="lightopt-step-")
+        self._glb = Path(self._folder.name) / "part.glb"
+        self._process = subprocess.Popen(  # noqa: S603  our own worker, no shell
+            [
+                sys.executable,
+                _step_worker.__file__,
+                str(path.resolve()),
+                str(self._glb),
+                repr(linear),
+                repr(angular),
+                "1" if relative else "0",
+                str(int(MEMORY_GB * 1e9)),
+            ],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+        )
+
+    def __enter__(self) -> "_Tessellation":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._process.poll() is None:
+            self._process.kill()
+        self._process.communicate()
+        self._folder.cleanup()
+
+    def result(self, deadline: float) -> tuple[bytes, str]:
+        """The GLB file that the worker wrote, and what the CAD kernel complained about.
+
+        Raises InputError: The file cannot be read, or the worker reached a limit or crashed
+        """
+        path, what = self._path, self._what
         try:
-            done = subprocess.run(  # noqa: S603  our own worker, no shell
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                timeout=max(0.01, deadline - time.monotonic()),
-                check=False,
-            )
+            written, _ = self._process.communicate(timeout=max(0.01, deadline - time.monotonic()))
         except subprocess.TimeoutExpired as error:
             raise InputError(
                 f"{path}: {what} was stopped after {TIMEOUT_S:g} s in all. Use a coarser "
                 "mesh.chord_tolerance_mm, simplify the part, or export it as STL"
             ) from error
-        if done.returncode == 0 and glb.is_file():
-            return glb.read_bytes(), _last_line(done.stdout)
-    output = f" ({_last_line(done.stdout)})" if done.stdout.strip() else ""
-    if done.returncode == _step_worker.EXIT_READ:
-        raise InputError(f"{path}: the STEP file could not be read{output}. Export it again (AP203, AP214 or AP242)")
-    if done.returncode == _step_worker.EXIT_MEMORY:
+        status = self._process.returncode
+        if status == 0 and self._glb.is_file():
+            return self._glb.read_bytes(), _last_line(written)
+        output = f" ({_last_line(written)})" if written.strip() else ""
+        if status == _step_worker.EXIT_READ:
+            raise InputError(
+                f"{path}: the STEP file could not be read{output}. Export it again (AP203, AP214 or AP242)"
+            )
+        if status == _step_worker.EXIT_MEMORY:
+            raise InputError(
+                f"{path}: {what} needs more than {MEMORY_GB:g} GB of memory. Use a coarser "
+                "mesh.chord_tolerance_mm, or simplify the part"
+            )
         raise InputError(
-            f"{path}: {what} needs more than {MEMORY_GB:g} GB of memory. Use a coarser "
-            "mesh.chord_tolerance_mm, or simplify the part"
+            f"{path}: {what} ended with status {status}{output}: the CAD kernel crashed on this file or "
+            f"reached the memory limit of {MEMORY_GB:g} GB. Use a coarser mesh.chord_tolerance_mm, or export the "
+            "part as STL"
         )
-    raise InputError(
-        f"{path}: {what} ended with status {done.returncode}{output}: the CAD kernel crashed on this file or "
-        f"reached the memory limit of {MEMORY_GB:g} GB. Use a coarser mesh.chord_tolerance_mm, or export the "
-        "part as STL"
-    )
 
 
 def _last_line(output: bytes) -> str:

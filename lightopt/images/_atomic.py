@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256
-from lightopt.core.threads import in_threads
+from lightopt.core.threads import blocks, in_threads
 
 _ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
+
+_PACKED_AT_ONCE = 2  # arrays of an archive that are compressed at the same time
 
 
 def write_atomically(path: str | Path, write: Callable[[Path], object], *, overwrite: bool = True) -> str:
@@ -73,17 +75,21 @@ def write_npz_atomic(path: str | Path, arrays: Mapping[str, NDArray[Any]]) -> st
         if array.dtype.hasobject:
             raise InputError(f"{path}: array {name!r} holds Python objects; expected numbers, booleans or strings")
 
+    names = list(arrays)
+
     def write(temporary: Path) -> None:
-        ordered = [np.asarray(array, order="C") for array in arrays.values()]
-        packed = in_threads(lambda i: _deflated(ordered[i]), range(len(ordered)))
         with zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
-            for name, array, content in zip(arrays, ordered, packed, strict=True):
-                entry = zipfile.ZipInfo(f"{name}.npy", _ZIP_EPOCH)
-                entry.compress_type = zipfile.ZIP_DEFLATED
-                entry.create_system = 3  # else the bytes would differ between Windows and Linux
-                with archive.open(entry, "w", force_zip64=True) as file:
-                    file._compressor = content  # pyright: ignore[reportAttributeAccessIssue]
-                    np.lib.format.write_array(file, array, allow_pickle=False)
+            # a few at once: what is packed waits in memory
+            for start, end in blocks(len(names), _PACKED_AT_ONCE):
+                some = [np.asarray(arrays[name], order="C") for name in names[start:end]]
+                packed = in_threads(lambda i, some=some: _deflated(some[i]), range(len(some)))
+                for name, array, content in zip(names[start:end], some, packed, strict=True):
+                    entry = zipfile.ZipInfo(f"{name}.npy", _ZIP_EPOCH)
+                    entry.compress_type = zipfile.ZIP_DEFLATED
+                    entry.create_system = 3  # else the bytes would differ between Windows and Linux
+                    with archive.open(entry, "w", force_zip64=True) as file:
+                        file._compressor = content  # pyright: ignore[reportAttributeAccessIssue]
+                        np.lib.format.write_array(file, array, allow_pickle=False)
 
     return write_atomically(path, write)
 

@@ -138,7 +138,9 @@ def test_a_limit_under_which_nothing_scores_names_no_optimum():
     candidates = Candidates(
         names=("a", "b", "c"), angles=places, panels=((),) * 3, left_out=(), space=CombinationSpace.of((3, 3, 3))
     )
+    lights = [SimpleNamespace(elevation_deg=30.0, azimuth_deg=0.0)] * 3
     problem = SimpleNamespace(
+        rig=SimpleNamespace(lights=lights),
         candidates=candidates,
         thresholds=LevelThresholds(shade=10, saturation=255),
         options=OptimizeOptions(rows=2, limit=1),

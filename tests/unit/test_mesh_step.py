@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -215,6 +216,24 @@ def test_timeout_says_what_was_tried_and_what_to_do(tmp_path, monkeypatch):
         chord_tolerance_mm=1e-6,
         angular_tolerance=1e-3,
     )
+
+
+def test_a_wrong_unit_ends_the_fine_tessellation_at_once(tmp_path, monkeypatch):
+    """The part is 20 m large: at this tolerance the worker would take hours."""
+    workers: list[subprocess.Popen[bytes]] = []
+
+    class Worker(subprocess.Popen):
+        def __init__(self, *arguments, **options):
+            super().__init__(*arguments, **options)
+            workers.append(self)
+
+    monkeypatch.setattr(_step.subprocess, "Popen", Worker)
+    begun = time.monotonic()
+    refused(
+        tmp_path, ball(unit=si("$")), "with a unit mistake of 1000", chord_tolerance_mm=1e-4, angular_tolerance=1e-3
+    )
+    assert time.monotonic() - begun < 30.0
+    assert [worker.poll() is not None for worker in workers] == [True, True]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no limit that a process can set for itself")
