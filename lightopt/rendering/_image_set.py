@@ -16,6 +16,7 @@ from lightopt.core.provenance import provenance
 from lightopt.core.run_context import RunContext, part_of
 from lightopt.core.threads import BackgroundTasks
 from lightopt.core.transforms import Posture
+from lightopt.geometry import RayCaster
 from lightopt.images import ImageEntry, ImageSetWriter, Manifest, SourceFile
 from lightopt.lights import PanelLight
 from lightopt.optics import expose, image_rng
@@ -110,7 +111,7 @@ def render_image_set(
     scene = build_scene(
         rig, part, postures=options.postures, lights=options.lights, points=options.points, defects=options.defects
     )
-    caster = cast_rays_at(scene, rays=rays_of_images(scene, supersample=options.supersample))
+    caster: RayCaster | None = cast_rays_at(scene, rays=rays_of_images(scene, supersample=options.supersample))
     refuse_unusable_scene(scene, rig, part, caster)
     plan = [
         (light.name, posture, exposure)
@@ -146,6 +147,7 @@ def render_image_set(
             if not todo and writer.geometry_done(posture):
                 continue
             stage = run.stage(f"rendering {posture.elevation_deg:g},{posture.rotation_deg:g}")
+            assert caster is not None
             images = render_posture(
                 scene,
                 posture,
@@ -158,6 +160,8 @@ def render_image_set(
                 progress=part_of(stage, number / len(scene.postures), (number + 1) / len(scene.postures)),
             )
             rays += images.rays
+            if number + 1 == len(scene.postures):
+                caster = None  # its hierarchy takes as much memory as writing does
             disk.wait()  # so that no more than two postures are in memory
             if images.back_faces > BACK_FACE_SHARE * images.geometry.hit.sum():
                 warn(
