@@ -8,14 +8,14 @@ import numpy as np
 def matched_filter(change, z, pieces, row, column, *, most=np.inf):
     """U = Σ m·z and E = Σ m² per light, and the same over the pixels of which no piece changes by `most` or more.
 
-    change: (h, w, variants, lights); z: (h, w, lights); pieces: (down, right, variant, weight) from the middle on.
+    change: (h, w, lights, variants); z: (h, w, lights); pieces: (down, right, variant, weight) from the middle on.
     """
     m = np.zeros(z.shape)
     whole = np.ones(z.shape, bool)
     for down, right, variant, weight in pieces:
         y, x = row + down, column + right
-        m[y, x] += weight * change[y, x, variant]
-        whole[y, x] &= np.abs(change[y, x, variant]) < most
+        m[y, x] += weight * change[y, x, :, variant]
+        whole[y, x] &= np.abs(change[y, x, :, variant]) < most
     u, e = m * z, m * m
     return u.sum((0, 1)), e.sum((0, 1)), (u * whole).sum((0, 1)), (e * whole).sum((0, 1))
 

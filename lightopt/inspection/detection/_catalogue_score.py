@@ -189,7 +189,10 @@ def _scan(number: int, entry: _Entry, threads: int | None) -> _Candidates:
     t = entry.templates
     _, rows, columns = t.inverse.shape
     best, pose = np.zeros((rows, columns), np.float32), np.zeros((rows, columns), np.int32)
-    offset = t.pieces.pixel * np.int32(len(t.hypotheses.slope)) + t.pieces.variant
+    # in products, of which each row of pixels has a row for each variant
+    width, variants = t.change.shape[1], t.change.shape[3]
+    down = (t.pieces.pixel + t.border * (width + 1)) // width - t.border
+    offset = t.pieces.pixel + (down * (variants - 1) + t.pieces.variant) * width
 
     def scan(top: int) -> None:
         bottom = min(top + _ROWS, rows)
@@ -310,16 +313,20 @@ def _reduce(z: Float32, count: UInt8, ratio: int, top: int, left: int, result: F
 
 @kernel
 def _multiply(change: Int8, z: Float32, top: int, bottom: int) -> Float32:
-    # Σ m·z over the lights, for each variant of some rows of pixels, shape (rows, w, variants)
-    _, width, variants, lights = change.shape
-    result = np.zeros((bottom - top, width, variants), np.float32)
+    # Σ m·z over the lights, for each variant of some rows of pixels, shape (rows, variants, w)
+    _, width, lights, variants = change.shape
+    result = np.zeros((bottom - top, variants, width), np.float32)
+    own = np.empty(variants, np.float32)
     for y in range(top, bottom):
         for x in range(width):
+            own[:] = np.float32(0.0)
+            for light in range(lights):
+                # variants lie side by side, so that the processor takes several at once
+                some, factor = change[y, x, light], z[y, x, light]
+                for v in range(variants):
+                    own[v] += factor * np.float32(some[v])
             for v in range(variants):
-                total = np.float32(0.0)
-                for light in range(lights):
-                    total += np.float32(change[y, x, v, light]) * z[y, x, light]
-                result[y - top, x, v] = total
+                result[y - top, v, x] = own[v]
     return result
 
 
@@ -343,24 +350,36 @@ def _best_poses(
     # rows of places from `top` to `bottom`: Z of the middle size at the pose where it is greatest; `products` begin
     # with the row `start` of the images
     poses, _, columns = inverse.shape
-    _, width, variants = products.shape
+    _, variants, width = products.shape
     flat = products.reshape(-1)
+    total = np.empty(columns, np.float32)
     for i in range(top, bottom):
-        for k in range(columns):
-            y, x = border + i * step, border + k * step
-            if foreshortening[y, x] < 0:
-                continue
-            base = ((y - start) * width + x) * variants
-            for p in range(poses):
-                if inverse[p, i, k] == 0.0:
-                    continue
-                group = (foreshortening[y, x] * sizes + 1) * poses + p
-                total = np.float32(0.0)
+        y = border + i * step
+        left = 0
+        while left < columns:
+            # places of a row that share their pieces
+            view = foreshortening[y, border + left * step]
+            right = left + 1
+            while right < columns and foreshortening[y, border + right * step] == view:
+                right += 1
+            base = (y - start) * variants * width + border + left * step
+            count = right - left if view >= 0 else 0
+            for p in range(poses if count > 0 else 0):
+                group = (view * sizes + 1) * poses + p
+                total[:count] = np.float32(0.0)
                 for n in range(first[group], first[group + 1]):
-                    total += weight[n] * flat[base + offset[n]]
-                total *= inverse[p, i, k]
-                if abs(total) > abs(best[i, k]):
-                    best[i, k], pose[i, k] = total, p
+                    some, factor = flat[base + offset[n] :], weight[n]
+                    if step == 1:
+                        for k in range(count):
+                            total[k] += factor * some[k]
+                    else:
+                        for k in range(count):
+                            total[k] += factor * some[k * step]
+                for k in range(count):
+                    z = total[k] * inverse[p, i, left + k]
+                    if abs(z) > abs(best[i, left + k]):
+                        best[i, left + k], pose[i, left + k] = z, p
+            left = right
 
 
 @kernel
@@ -381,7 +400,7 @@ def _light_sums(
     shares: Float32,
 ) -> None:
     # of each hypothesis U and E by light over the pixels that are free, and of those whose change is not clipped
-    _, width, variants, lights = change.shape
+    _, width, lights, variants = change.shape
     flat, flat_z, flat_free = change.reshape(-1), z.reshape(-1), free.reshape(-1)
     own, whole = np.zeros(lights, np.float32), np.ones(lights, np.bool_)
     for j in range(len(row)):
@@ -403,7 +422,8 @@ def _light_sums(
                     own[light], whole[light] = np.float32(0.0), True
             last = at
             if at >= 0:
-                place = (at * variants + variant[n]) * lights
+                place = at * lights * variants + variant[n]
                 for light in range(lights):
-                    own[light] += weight[n] * unit * np.float32(flat[place + light])
-                    whole[light] &= abs(flat[place + light]) < CODES
+                    code = flat[place + light * variants]
+                    own[light] += weight[n] * unit * np.float32(code)
+                    whole[light] &= abs(code) < CODES

@@ -85,7 +85,7 @@ class EntryTemplates:
     ratio: Side of these pixels [px]
     corner: Row and column of the first one's corner [px]
     border: Width of the border [pixels of these images]
-    change: Of each pixel, variant and light, in units of `unit`, shape (h, w, variants, lights)
+    change: Of each pixel, light and variant, in units of `unit`, shape (h, w, lights, variants)
     unit: Standard deviations of the sum over a larger pixel
     count: Pixels of the image that count in each, shape (h, w, lights)
     foreshortening: Class of each pixel, −1 where no defect is tested, shape (h, w)
@@ -225,7 +225,7 @@ def _templates(
     ]
     index[border : border + middle.shape[0], border : border + middle.shape[1]] = middle
     foreshortening = np.where(index < 0, np.int16(-1), surface.foreshortening[np.maximum(index, 0)])
-    change = np.zeros((height, breadth, len(own.slope), lights), np.int8)
+    change = np.zeros((height, breadth, lights, len(own.slope)), np.int8)
     variants = surface_variants(
         slope=own.slope,
         direction=own.direction,
@@ -253,7 +253,7 @@ def _templates(
         good, noise, limit = (a[i][place].astype(np.float64)[:, None] for a in (view.predicted, deviation, view.limit))
         off = expected_change(good, good + levels.varied - levels.good[:, None], deviation=noise, limit=limit)
         off *= np.sqrt(count.reshape(-1, lights)[to, i])[:, None]
-        change.reshape(-1, len(own.slope), lights)[to, :, i] = np.rint(off / unit)
+        change.reshape(-1, lights, len(own.slope))[to, i] = np.rint(off / unit)
 
     in_threads(shade, range(len(tasks)), threads)
     pieces = _pieces(own, halves, np.unique(foreshortening[foreshortening >= 0]).tolist(), footprint, breadth)
@@ -346,7 +346,7 @@ def _invert(
 ) -> None:
     # rows of places from `top` to `bottom`: 1/√ΣE of the middle size in units of the stored changes
     poses, _, columns = inverse.shape
-    _, width, variants, lights = change.shape
+    _, width, lights, variants = change.shape
     flat = change.reshape(-1)
     own = np.zeros(lights, np.float32)
     for i in range(top, bottom):
@@ -366,9 +366,9 @@ def _invert(
                             energy += own[light] * own[light]
                             own[light] = np.float32(0.0)
                         last = at
-                    start = (at * variants + variant[n]) * lights
+                    start = at * lights * variants + variant[n]
                     for light in range(lights):
-                        own[light] += weight[n] * np.float32(flat[start + light])
+                        own[light] += weight[n] * np.float32(flat[start + light * variants])
                 for light in range(lights):
                     energy += own[light] * own[light]
                     own[light] = np.float32(0.0)
