@@ -22,8 +22,9 @@ NORMAL_95: Final = 1.959964
 
 GAP_PX = 3  # explained defects this near to each other are one: segments of a scratch, or two walls of a dent
 
-# sizes lie far apart, so that the size between them is off by about this share besides the noise
-SIZE_ERROR = 0.1
+# besides the noise: sizes lie far apart, so that the size between them is off by about this share, and of a narrow
+# defect by so much of a pixel, since a narrower and steeper one changes the images nearly alike
+SIZE_ERROR, SIZE_ERROR_PX = 0.1, 0.5
 
 OPPOSITE: Final[Mapping[DefectKind, DefectKind]] = {"dent": "bump", "bump": "dent", "blister": "dent", "pit": "bump"}
 """Kind of a defect whose walls lean the other way than the hypothesis' do."""
@@ -146,8 +147,12 @@ def name_defect(
     if amplitude is not None and shape.kind in SHAPE_KINDS:
         steepest, *ends = (math.tan(shape.slope) * a for a in amplitude)
         low, high = sorted(map(abs, ends))
-        slope = _triple(math.atan(t) for t in (abs(steepest), 0.0 if ends[0] * ends[1] < 0.0 else low, high))
-        depth = _triple(depth_of_slope(kind, width[0], one) for one in slope)
+        tangents = (abs(steepest), 0.0 if ends[0] * ends[1] < 0.0 else low, high)
+        depth = _triple(depth_of_slope(kind, width[0], math.atan(t)) for t in tangents)
+        # what is known of the size limits what is known of the slope
+        slope = _triple(
+            math.atan(t * s) for t, s in zip(tangents, (1.0, size[1] / size[0], size[2] / size[0]), strict=True)
+        )
     elif amplitude is not None:
         whole = shape.R_d_factor if shape.kind == "stain" else shape.sigma_factor
         value, *ends = (1.0 + a * (whole - 1.0) for a in amplitude)
@@ -192,7 +197,9 @@ def _size(best: ExplainedDefect) -> tuple[float, float, float]:
     if bend >= 0.0:
         middle, error = x[best.size], x[-1] - x[0]
     else:
-        middle, error = float(np.clip(-0.5 * slope / bend, x[0], x[-1])), math.hypot(SIZE_ERROR, (-2.0 * bend) ** -0.5)
+        middle = float(np.clip(-0.5 * slope / bend, x[0], x[-1]))
+        known = SIZE_ERROR_PX / best.templates.width_px
+        error = math.hypot(SIZE_ERROR, known, (-2.0 * bend) ** -0.5)
     return _triple(math.exp(middle + NORMAL_95 * side * error) for side in (0.0, -1.0, 1.0))
 
 

@@ -50,7 +50,7 @@ STEPS_PER_WIDTH = 8.0  # places to test are an eighth of the middle size's width
 CODES = 127  # changes are stored as whole numbers up to this
 
 # Middles of defects less than so many pixels wide are sought between pixels, too: on a smaller part of their width
-FINE_PX, HALVES = 5.0, ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))
+FINE_PX, HALVES = 5.0, ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
 
 # Foreshortening: cosines of the angle to the normal in so many steps of this ratio, and directions within half a turn
 FORESHORTENING, COSINES, AZIMUTHS = 0.85, 11, 8
@@ -83,6 +83,7 @@ class EntryTemplates:
 
     deviation: Of the good part's levels: unit of the changes, shape (lights, H, W)
     ratio: Side of these pixels [px]
+    width_px: Width of the middle size [pixels of these images]
     corner: Row and column of the first one's corner [px]
     border: Width of the border [pixels of these images]
     change: Of each pixel, light and variant, in units of `unit`, shape (h, w, lights, variants)
@@ -98,6 +99,7 @@ class EntryTemplates:
     hypotheses: DefectHypotheses
     deviation: Float32
     ratio: int
+    width_px: float
     corner: tuple[int, int]
     border: int
     change: Int8
@@ -210,8 +212,9 @@ def _templates(
     ratio = max(1, min(round(width), MOST_RATIO))
     footprint = ratio * surface.footprint
     border = 2 + math.ceil(0.5 * max(shape.length for shape in own.shapes) / footprint)
-    fine = not long and own.shapes[1].width < FINE_PX * footprint
-    halves = HALVES if fine else HALVES[:1]
+    fine = own.shapes[1].width < FINE_PX * footprint
+    # along a scratch its place matters little
+    halves = HALVES[: (2 if long else 4) if fine else 1]
     rows, columns = mask_window(view.clean)
     count = np.stack(
         [_block_sums((view.clean & (level > 0.0))[rows, columns], ratio, border) for level in view.predicted], axis=-1
@@ -273,6 +276,7 @@ def _templates(
         hypotheses=own,
         deviation=deviation,
         ratio=ratio,
+        width_px=own.shapes[1].width / footprint,
         corner=corner,
         border=border,
         change=change,
