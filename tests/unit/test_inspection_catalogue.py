@@ -47,6 +47,7 @@ defect_catalogue:
   - {name: dent, kind: dent, size_mm: 9, slope_deg: 2}
   - {name: pit, kind: pit, size_mm: 1.3, slope_deg: 20}
   - {name: stain, kind: stain, size_mm: [7, 4], R_d_factor: 0.7}
+  - {name: haze, kind: haze, size_mm: 8.4, sigma_factor: 1.5}
 """
 AT = "at_pixel: {posture: {elevation_deg: 0, rotation_deg: 0}, pixel: "
 DEFECTS = f"""\
@@ -111,7 +112,7 @@ def pieces_of(t, row, column, size, pose):
     return list(zip(down - t.border, right - t.border, t.pieces.variant[some], t.pieces.weight[some], strict=True))
 
 
-@pytest.mark.parametrize("number", range(4))
+@pytest.mark.parametrize("number", range(5))
 def test_sums_of_kernels_are_those_of_the_plain_filter(case, number):
     t = case[6][number]
     z = reduced_deviations(t, noise(case[5], 3).z)
@@ -150,6 +151,7 @@ def test_deviations_are_summed_over_larger_pixels(case):
     view, bank = case[5:7]
     t = max(bank, key=lambda one: one.ratio)
     assert t.ratio > 1
+    assert max(one.step for one in bank) > 1
     made = noise(view, 4)
     inner = slice(t.border, -t.border), slice(t.border, -t.border)
     top, left = (corner + t.border * t.ratio for corner in t.corner)
@@ -162,7 +164,7 @@ def test_deviations_are_summed_over_larger_pixels(case):
         np.testing.assert_array_equal(t.count[(*inner, light)], count[:height, :width])
 
 
-@pytest.mark.parametrize("number", range(4))
+@pytest.mark.parametrize("number", range(5))
 def test_a_scan_finds_the_pose_of_the_greatest_plain_statistic(case, number, monkeypatch):
     monkeypatch.setattr(_catalogue_score, "LEAST_MIDDLE", 0.0)
     monkeypatch.setattr(_catalogue_score, "LEAST_SCORE", -9.0)
