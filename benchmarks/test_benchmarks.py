@@ -331,6 +331,18 @@ def test_the_benchmark_of_inspections_fills_its_tables(capsys: pytest.CaptureFix
 
 
 @pytest.mark.nightly
+def test_the_benchmark_of_the_catalogue_compares_both_detectors(capsys: pytest.CaptureFixture[str]) -> None:
+    from benchmarks import catalogue
+
+    catalogue.main(["--toy", "--sets", "1"])
+    rows = [line.split(" | ") for line in capsys.readouterr().out.splitlines() if line.startswith("| cover-knob")]
+    assert len(rows) == len(catalogue.EFFECTS) * len(catalogue.SEEN_IN) * len(catalogue.DETECTORS)
+    found = {(*row[1:4],): int(row[4 + len(catalogue.KINDS)].split(" of ")[0]) for row in rows}
+    for images in ("1", "2"):
+        assert found["1", images, "catalogue"] >= found["1", images, "residual"]
+
+
+@pytest.mark.nightly
 def test_the_benchmark_of_calibration_counts_good_sets() -> None:
     from benchmarks import calibration
 

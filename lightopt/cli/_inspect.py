@@ -35,8 +35,9 @@ def inspect(
     detector: Annotated[
         str,
         common.model_option(
-            metavar="residual|template",
-            help="residual: measured minus predicted level; template: dots and lines in the synthetic image.",
+            metavar="residual|catalogue|template",
+            help="residual: measured minus predicted level; catalogue: the same, and the defects of the part's "
+            "catalogue as whole shapes; template: dots and lines in the synthetic image.",
         ),
     ] = "residual",
     fusion: Annotated[

@@ -22,3 +22,16 @@ from lightopt.defects._shape import (
     radial_place as radial_place,
     slope_of_depth as slope_of_depth,
 )
+from lightopt.defects._statistic import (
+    CONFIRMED as CONFIRMED,
+    DARK as DARK,
+    MOST_CHANGE as MOST_CHANGE,
+    chance_score as chance_score,
+    expected_change as expected_change,
+    rest_of_images as rest_of_images,
+)
+from lightopt.defects._whole_defects import (
+    SIZES as SIZES,
+    DefectHypotheses as DefectHypotheses,
+    defect_hypotheses as defect_hypotheses,
+)

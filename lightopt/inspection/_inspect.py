@@ -19,6 +19,7 @@ from lightopt.inspection.calibration._systematic import subtract_systematic
 from lightopt.inspection.detection._coverage import measure_coverage, surface_coverage
 from lightopt.inspection.detection._defects import merge_detections
 from lightopt.inspection.detection._deviation import deviations
+from lightopt.inspection.detection._named_defects import join_explained
 from lightopt.inspection.detection._regions import find_regions, measure_regions, split_regions
 from lightopt.inspection.detection._registry import DETECTORS, RESIDUAL
 from lightopt.inspection.detection._residual_score import threshold
@@ -28,7 +29,8 @@ from lightopt.inspection.fusion._synthetic_image import synthetic_image
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
 from lightopt.inspection.prediction._registered_set import RegisteredSet, nominal_pixels, register_set
-from lightopt.scene import part_postures, place_defects
+from lightopt.inspection.prediction._template_bank import TemplateBank
+from lightopt.scene import build_catalogue, part_postures, place_defects
 
 # a posture with more regions than this is not a part with so many defects: its model does not describe it
 MOST_REGIONS = 1000
@@ -142,9 +144,11 @@ def find_defects(
     registered = register_set(rig, part, image_set, register=options.register, cache=cache, run=run)
     where = str(image_set.folder)
     postures: list[InspectedPosture] = []
+    catalogue = build_catalogue(part) if DETECTORS[options.detector].uses_catalogue else ()
     for view, exposures in registered.views:
         calibrated = None if calibration is None else calibration.of(view.posture, exposures, where=where)
-        postures.append(_inspect_posture(view, options, registered, calibrated, where, run.threads))
+        bank = cache.template_bank(registered.scene, view, catalogue, threads=run.threads) if catalogue else ()
+        postures.append(_inspect_posture(view, options, registered, bank, calibrated, where, run.threads))
     expected, found = part_postures(part), registered.registration
     warnings = inspection_warnings(
         rig,
@@ -171,6 +175,7 @@ def _inspect_posture(
     view: PostureView,
     options: InspectOptions,
     registered: RegisteredSet,
+    bank: TemplateBank,
     calibrated: CalibratedPosture | None,
     where: str,
     threads: int | None,
@@ -184,35 +189,46 @@ def _inspect_posture(
         make = functools.partial(synthetic_image, view, options.fusion, threads=threads)
         make_synthetic = functools.cache(make)
     detector = DETECTORS[options.detector]
-    score = detector.score(found, options.min_images, make_synthetic, threads)
+    scores = detector.score(found, options.min_images, make_synthetic, bank, threads)
     pixels = int(view.clean.sum())
     if calibrated is None:
         high = threshold(options.false_alarms, pixels, detector.tests)
     else:
         high = calibrated.threshold(options.false_alarms)
-    labels, count = find_regions(score, high)
-    if count > MOST_REGIONS:
+    explained = [one for one in scores.explained if one.score >= high]
+    labels, count = find_regions(scores.unexplained, high)
+    if count + len(explained) > MOST_REGIONS:
         raise InputError(
             f"{where}, posture {view.posture}: {counted(count, 'region')} that differ from a good part, expected at "
             f"most {MOST_REGIONS:,}: the model does not describe the part; check the sensor's noise in the rig file "
             "and that the images have it, give a STEP file, and fit the reflectance (lightopt fit-specular)"
         )
-    labels, count = split_regions(labels, count, score, found, high)
+    labels, count = split_regions(labels, count, scores.unexplained, found, high)
+    labels, count, owners = join_explained(labels, count, explained)
     return InspectedPosture(
         view=view,
         make_synthetic=make_synthetic,
-        score=score,
+        score=scores.score,
         labels=labels,
         threshold=high,
         detections=measure_regions(
-            labels, count, score, view, found, scene=registered.nominal, placement=registered.placement
+            labels,
+            count,
+            scores.score,
+            view,
+            found,
+            scene=registered.nominal,
+            placement=registered.placement,
+            owners=owners,
         ),
         coverage=measure_coverage(
             view,
             found,
             min_images=options.min_images,
             # the synthetic image has no deviations to measure a contrast by: what the residual detector would find
-            high=threshold(options.false_alarms, pixels, RESIDUAL.tests) if detector.uses_synthetic else high,
+            high=threshold(options.false_alarms, pixels, RESIDUAL.tests)
+            if detector.uses_synthetic
+            else high + scores.handicap,
             threads=threads,
         ),
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from ._casting import Hits, blocked, closest, trace
 from ._frames import Camera, Light, posed, posed_normals
+from ._matched_filter import matched_filter, summed_blocks
 from ._panel import equally_spaced, panel_radiance, product_rule, subtract_convex
 from ._shading import LayerImage, in_shadow, point_terms, render
 
@@ -20,6 +21,7 @@ __all__ = [
     "closest",
     "equally_spaced",
     "in_shadow",
+    "matched_filter",
     "panel_radiance",
     "point_terms",
     "posed",
@@ -27,5 +29,6 @@ __all__ = [
     "product_rule",
     "render",
     "subtract_convex",
+    "summed_blocks",
     "trace",
 ]

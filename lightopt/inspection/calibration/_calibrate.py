@@ -1,7 +1,7 @@
 """Learn from good parts: their common deviations, and the highest scores that they reach."""
 
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -25,6 +25,8 @@ from lightopt.inspection.detection._registry import DETECTORS
 from lightopt.inspection.fusion._synthetic_image import synthetic_image
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
 from lightopt.inspection.prediction._registered_set import ExposuresByLight, RegisteredSet, nominal_pixels, register_set
+from lightopt.inspection.prediction._template_bank import TemplateBank
+from lightopt.scene import build_catalogue
 
 
 @dataclass
@@ -36,6 +38,13 @@ class _GoodPosture:
     packed: list[Path] = field(default_factory=list)
     peaks: list[float] = field(default_factory=list)
     sums: SystematicSums = field(default_factory=SystematicSums)
+
+    def judge_next(self, options: InspectOptions, bank: TemplateBank, threads: int | None) -> None:
+        """Judge the first set that is not judged yet by what the others have in common."""
+        one = PackedDeviations.load(self.packed[len(self.peaks)])
+        found = subtract_systematic(one.at_pixels(one.own), self.sums.systematic(but=one), one.nominal_image())
+        scores = DETECTORS[options.detector].score(found, options.min_images, None, bank, threads)
+        self.peaks.append(float(scores.score.max(initial=0.0)))
 
 
 def calibrate(
@@ -60,15 +69,24 @@ def calibrate(
     if problems := options.problems():
         raise InputError(*problems)
 
+    cache = PredictionCache()
+    catalogue = build_catalogue(part)
+
     def registered() -> Iterator[tuple[str, RegisteredSet]]:
-        cache = PredictionCache()
         for one in sets:
             inner = run.within(f"good set {one.folder.name}")
             yield (str(one.folder), register_set(rig, part, one, register=options.register, cache=cache, run=inner))
 
+    def banks() -> Iterator[tuple[Posture, TemplateBank]]:
+        for _, one in registered():
+            for view, _ in one.views:
+                yield view.posture, cache.template_bank(one.scene, view, catalogue, threads=run.threads)
+
     names = tuple(one.folder.resolve().name for one in sets)
     fingerprint = calibration_fingerprint(rig, part, options)
-    return calibrate_registered(registered(), names, options=options, fingerprint=fingerprint, threads=run.threads)
+    return calibrate_registered(
+        registered(), names, options=options, fingerprint=fingerprint, banks=banks, threads=run.threads
+    )
 
 
 def calibrate_registered(
@@ -77,6 +95,7 @@ def calibrate_registered(
     *,
     options: InspectOptions,
     fingerprint: dict[str, object],
+    banks: Callable[[], Iterator[tuple[Posture, TemplateBank]]] | None = None,
     threads: int | None = None,
 ) -> Calibration:
     """Learn from registered image sets of good parts.
@@ -84,6 +103,9 @@ def calibrate_registered(
     sets: Each with its name for messages; taken one at a time.
     names: Of all sets.
     fingerprint: What the calibration is valid for, from :func:`calibration_fingerprint`.
+    banks: Makes what the catalogue's defects would change in each posture of each set, in the order of the sets, for a
+        detector that tests for them. A set is judged when it is known what all have in common, and the banks of all
+        sets at once would fill the memory.
     """
     require_good_sets(len(names), options)
     detector = DETECTORS[options.detector]
@@ -100,8 +122,8 @@ def calibrate_registered(
                 if detector.uses_synthetic:
                     assert options.fusion is not None
                     make_synthetic = partial(synthetic_image, view, options.fusion, probes=0, threads=threads)
-                    score = detector.score(found, options.min_images, make_synthetic, threads)
-                    gathered.peaks.append(float(score.max(initial=0.0)))
+                    scores = detector.score(found, options.min_images, make_synthetic, (), threads)
+                    gathered.peaks.append(float(scores.score.max(initial=0.0)))
                     continue
                 nominal = nominal_pixels(view, registered.nominal, registered.placement)
                 packed = PackedDeviations.of(found, nominal)
@@ -114,10 +136,26 @@ def calibrate_registered(
                     f"{name}: no images of posture {', '.join(map(str, missing))}, which "
                     f"{postures[missing[0]].first_set} has; give good sets of the same postures"
                 )
+        if detector.uses_catalogue:
+            assert banks is not None
+            for posture, bank in banks():
+                postures[posture].judge_next(options, bank, threads)
+        elif not detector.uses_synthetic:
+            for gathered in postures.values():
+                for _ in gathered.packed:
+                    gathered.judge_next(options, (), threads)
         return Calibration(
             rate=options.false_alarms,
             sets=tuple(names),
-            postures=tuple(_calibrated(posture, one, options) for posture, one in postures.items()),
+            postures=tuple(
+                CalibratedPosture(
+                    posture=posture,
+                    exposures=one.exposures,
+                    peaks=tuple(one.peaks),
+                    systematic=one.sums.systematic() if one.packed else None,
+                )
+                for posture, one in postures.items()
+            ),
             fingerprint=fingerprint,
         )
 
@@ -142,16 +180,3 @@ def _same_images(
             f"{name}, posture {posture}: images {what} ({first}); give good sets that were all taken in the same way"
         )
     return gathered
-
-
-def _calibrated(posture: Posture, gathered: _GoodPosture, options: InspectOptions) -> CalibratedPosture:
-    systematic, peaks = None, gathered.peaks
-    if gathered.packed:
-        systematic = gathered.sums.systematic()
-        for path in gathered.packed:
-            one = PackedDeviations.load(path)
-            others = gathered.sums.systematic(but=one)
-            found = subtract_systematic(one.at_pixels(one.own), others, one.nominal_image())
-            score = DETECTORS[options.detector].score(found, options.min_images, None, None)
-            peaks.append(float(score.max(initial=0.0)))
-    return CalibratedPosture(posture=posture, exposures=gathered.exposures, peaks=tuple(peaks), systematic=systematic)

@@ -148,6 +148,8 @@ def calibration_fingerprint(rig: RigConfig, part: PartConfig, options: InspectOp
     """All that scores depend on, as hashes, and the options: not names, limits of the verdict, or lists of defects."""
     names = ("name", "postures", "inspection", "defects", "defect_catalogue")
     of_part: dict[str, bool | set[str]] = {**dict.fromkeys(names, True), "mesh": {"file"}}
+    if DETECTORS[options.detector].uses_catalogue:
+        del of_part["defect_catalogue"]
     ranges = {"elevation_range_deg", "azimuth_range_deg"}
     chosen: dict[str, Any] = {"detector": options.detector, "register": options.register}
     by_synthetic = DETECTORS[options.detector].uses_synthetic

@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 
 from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture
+from lightopt.inspection.detection._named_defects import NamedDefect
 
 Kind = Literal["shape", "stain", "unknown"]
 
@@ -42,6 +43,7 @@ class Detection:
     kind: ``shape`` where light and dark lie side by side or change with the light, ``stain`` where all lights lose
         (or gain) the same share of diffuse light, ``unknown`` else.
     points: of its surface, one per pixel, in the coordinates of the mesh file [mm], shape (pixels, 3).
+    named: what it is by the part's catalogue; None where the detector does not test for that, or no entry explains it.
     """
 
     posture: Posture
@@ -56,6 +58,7 @@ class Detection:
     contrast: dict[str, float]
     kind: Kind
     points: Float64 = field(compare=False, repr=False)
+    named: NamedDefect | None = None
 
     @cached_property
     def surface(self) -> KDTree:
@@ -81,6 +84,7 @@ class Detection:
             "score": round(self.score, 2),
             "contrast": {light: round(value, 4) for light, value in self.contrast.items()},
             "kind": self.kind,
+            **({} if self.named is None else {"named": self.named.as_dict()}),
         }
 
 

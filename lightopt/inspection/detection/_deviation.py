@@ -11,15 +11,10 @@ from scipy import ndimage
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
+from lightopt.defects import DARK
 from lightopt.inspection._image_blocks import in_image_blocks
 from lightopt.inspection.prediction._posture_view import PostureView
-
-# the part is known to lie within about this much of where the model has it: steep edges are off by so much
-REGISTRATION_PX = 0.1
-
-# what is predicted to be less than this many standard deviations above black is dark: rounding and clipping at black
-# make as much of a deviation there as noise does, so that only more than this many indicate a defect
-DARK = 3.0
+from lightopt.inspection.prediction._template_bank import REGISTRATION_PX
 
 # a step between pixels of so many times the steps before and after it is the edge of the shadow of a point light: a ray
 # per pixel has it a pixel further or not, however little the part is off

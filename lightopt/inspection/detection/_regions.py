@@ -1,17 +1,21 @@
 """Connected regions of high scores: found, split where wide Gaussians joined neighbours, measured as detections."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from types import MappingProxyType
 from typing import cast
 
 import numpy as np
 from scipy import ndimage
 
 from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
+from lightopt.defects import SHAPE_KINDS
 from lightopt.estimate.registration import Placement
 from lightopt.inspection._image_blocks import gaussian_taps
+from lightopt.inspection.detection._catalogue_score import ExplainedDefect
 from lightopt.inspection.detection._defects import Detection, Kind
 from lightopt.inspection.detection._deviation import Deviations
+from lightopt.inspection.detection._named_defects import NamedDefect, name_defect
 from lightopt.inspection.detection._residual_score import SCALES_PX, smoothed_deviations
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.inspection.prediction._registered_set import world_to_mesh_file
@@ -158,15 +162,20 @@ def measure_regions(
     *,
     scene: Scene,
     placement: Placement,
+    owners: Mapping[int, Sequence[ExplainedDefect]] = MappingProxyType({}),
 ) -> tuple[Detection, ...]:
-    """Measure the regions of a posture."""
+    """Measure the regions of a posture.
+
+    owners: By number of a region, the defects of the catalogue that it is of: they name it.
+    """
     geometry = view.prediction.images.geometry
     detections: list[Detection] = []
     for number, box in enumerate(ndimage.find_objects(labels, count), start=1):
         assert box is not None  # each has its peak
         sums = box_sums(found, box)
         region = labels[box] == number
-        row, column = np.nonzero(core_pixels(region, sums[0]))
+        explained = owners.get(number, ())
+        row, column = np.nonzero(region if explained else core_pixels(region, sums[0]))
         z = np.stack([level[:, row, column] for level in sums])
         row, column = row + box[0].start, column + box[1].start
         world, facing = (a[row, column].astype(np.float64) for a in (geometry.points, geometry.normals))
@@ -179,6 +188,8 @@ def measure_regions(
         middle = np.average(points, axis=0, weights=area)
         nearest = int(np.argmin(np.sum((points - middle) ** 2, axis=1)))
         contrast = _contrasts(z, row, column, view)
+        size = _extents(points, normal, float(np.sqrt(area.mean())))
+        named = name_defect(explained, size[0], view, found, scene=scene, placement=placement) if explained else None
         detections.append(
             Detection(
                 posture=view.posture,
@@ -187,15 +198,22 @@ def measure_regions(
                 box_px=(int(column.min()), int(row.min()), int(column.max()) + 1, int(row.max()) + 1),
                 position=_triple(points[nearest]),
                 normal=_triple(normal),
-                size=_extents(points, normal, float(np.sqrt(area.mean()))),
+                size=size,
                 area=float(area.sum()),
                 score=float(score[box][region].max()),
                 contrast=contrast,
-                kind=_kind(z, row, column, view, contrast),
+                kind=_kind(z, row, column, view, contrast) if named is None else _kind_of(named),
                 points=points,
+                named=named,
             )
         )
     return tuple(detections)
+
+
+def _kind_of(named: NamedDefect) -> Kind:
+    if named.kind in SHAPE_KINDS:
+        return "shape"
+    return "stain" if named.kind == "stain" else "unknown"
 
 
 def _extents(points: Float64, normal: Float64, pixel: float) -> tuple[float, float]:

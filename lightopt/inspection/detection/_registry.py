@@ -1,48 +1,94 @@
 """The detectors: each scores the pixels of a posture by how much they look like a defect."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from lightopt.core.arrays import Float32
+from lightopt.inspection.detection._catalogue_score import ExplainedDefect, explain_deviations
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._matched_filter import TEMPLATES, score_templates
 from lightopt.inspection.detection._residual_score import SCALES_PX, score_deviations
 from lightopt.inspection.fusion._synthetic_image import SyntheticImage
+from lightopt.inspection.prediction._template_bank import TemplateBank
 
 MakeSynthetic = Callable[[], SyntheticImage]
+
+# of the false alarms, the share that the catalogue's defects may cause; what no hypothesis describes has the others
+CATALOGUE_SHARE = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scores:
+    """How much the pixels of a posture look like a defect.
+
+    score: −log₁₀ of the probability that noise alone looks as much like one, shape (H, W).
+    explained: Defects of the catalogue, where the detector tests for these, by descending score.
+    unexplained: The score without these, shape (H, W).
+    handicap: By how much scores of deviations are less than those of the residual detector.
+    """
+
+    score: Float32
+    explained: tuple[ExplainedDefect, ...] = ()
+    unexplained: Float32
+    handicap: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Detector:
     """A way to find defects in the images of a posture.
 
-    score: Gives each pixel −log₁₀ of the probability that noise alone looks as much like a defect, shape (H, W). Takes
-        the deviations from the good part, in how many lights a defect must show, what makes the synthetic image (it is
-        made where a detector calls this), and the number of threads.
+    score: Takes the deviations from the good part, in how many lights a defect must show, what makes the synthetic
+        image (it is made where a detector calls this), what the catalogue's defects would change (empty for others),
+        and the number of threads.
     tests: How many scores of a pixel the one that it gets is the greatest of.
     uses_synthetic: Whether it scores the synthetic image. Else it scores deviations, and a calibration learns which of
         them good parts have in common.
+    uses_catalogue: Whether it tests for the defects of the part's catalogue.
     caveat: Warning where there is no calibration; empty for none.
     """
 
-    score: Callable[[Deviations, int, MakeSynthetic | None, int | None], Float32]
+    score: Callable[[Deviations, int, MakeSynthetic | None, TemplateBank, int | None], Scores]
     tests: int
     uses_synthetic: bool = False
+    uses_catalogue: bool = False
     caveat: str = ""
 
 
 def _score_deviations(
-    found: Deviations, min_images: int, _make_synthetic: MakeSynthetic | None, threads: int | None
-) -> Float32:
-    return score_deviations(found, min_images=min_images, threads=threads)
+    found: Deviations, min_images: int, _make_synthetic: MakeSynthetic | None, _bank: TemplateBank, threads: int | None
+) -> Scores:
+    score = score_deviations(found, min_images=min_images, threads=threads)
+    return Scores(score=score, unexplained=score)
 
 
 def _score_synthetic(
-    _found: Deviations, _seen_by: int, make_synthetic: MakeSynthetic | None, _threads: int | None
-) -> Float32:
+    _found: Deviations,
+    _min_images: int,
+    make_synthetic: MakeSynthetic | None,
+    _bank: TemplateBank,
+    _threads: int | None,
+) -> Scores:
     assert make_synthetic is not None
-    return score_templates(make_synthetic())
+    score = score_templates(make_synthetic())
+    return Scores(score=score, unexplained=score)
+
+
+def _score_catalogue(
+    found: Deviations, min_images: int, _make_synthetic: MakeSynthetic | None, bank: TemplateBank, threads: int | None
+) -> Scores:
+    explained = explain_deviations(found, bank, share=CATALOGUE_SHARE, min_images=min_images, threads=threads)
+    handicap = math.log10(len(SCALES_PX) / (1.0 - CATALOGUE_SHARE))
+    unexplained = score_deviations(found, min_images=min_images, threads=threads)
+    unexplained = np.maximum(unexplained - np.float32(handicap), np.float32(0.0))
+    score = unexplained.copy()
+    for one in explained:
+        place = one.rows, one.columns
+        score[place] = np.maximum(score[place], np.float32(one.score))
+    return Scores(score=score, explained=explained, unexplained=unexplained, handicap=handicap)
 
 
 RESIDUAL: Final = Detector(score=_score_deviations, tests=len(SCALES_PX))
@@ -54,5 +100,8 @@ TEMPLATE: Final = Detector(
     "calibration",
 )
 
-DETECTORS: Final[Mapping[str, Detector]] = {"residual": RESIDUAL, "template": TEMPLATE}
+# its scores allow for all tests of a pixel
+CATALOGUE: Final = Detector(score=_score_catalogue, tests=1, uses_catalogue=True)
+
+DETECTORS: Final[Mapping[str, Detector]] = {"residual": RESIDUAL, "catalogue": CATALOGUE, "template": TEMPLATE}
 """By the name that :class:`lightopt.inspection.InspectOptions` takes."""

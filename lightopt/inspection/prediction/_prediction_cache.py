@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture
+from lightopt.defects import CatalogueEntry
 from lightopt.estimate.registration import Observation, Placement, Registration
 from lightopt.geometry import RayCaster
 from lightopt.inspection.prediction._nearby_placement import (
@@ -19,7 +20,9 @@ from lightopt.inspection.prediction._nearby_placement import (
     sample_pixels,
     shift_prediction,
 )
+from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.inspection.prediction._predict import Prediction, SurfaceMap, map_surface, predict
+from lightopt.inspection.prediction._template_bank import TemplateBank, template_bank
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene
 
@@ -53,6 +56,7 @@ class PredictionCache:
     misfit: float | None = None
     samples: dict[tuple[Key, str, bool], PixelSample] = field(default_factory=dict)
     surface_maps: dict[tuple[Posture, ...], SurfaceMap] = field(default_factory=dict)
+    banks: dict[Key, TemplateBank] = field(default_factory=dict)
 
     def use_placement(self, scene: Scene, placement: Placement) -> tuple[Scene, Placement]:
         """The scene and placement to predict with: those of the previous part, if that lay in the same place.
@@ -62,7 +66,7 @@ class PredictionCache:
         if self.placement is not None and self.scene is not None and _same(self.placement, placement):
             return replace(self.scene, postures=scene.postures, lights=scene.lights), self.placement
         self.placement, self.scene, self.caster, self.misfit = placement, scene, None, None
-        for cached in (self.rendered, self.derivatives, self.samples, self.surface_maps):
+        for cached in (self.rendered, self.derivatives, self.samples, self.surface_maps, self.banks):
             cached.clear()
         return scene, placement
 
@@ -136,6 +140,18 @@ class PredictionCache:
             here = replace(scene, postures=postures)
             self.surface_maps[postures] = map_surface(here, self._caster(scene), threads=threads)
         return self.surface_maps[postures]
+
+    def template_bank(
+        self, scene: Scene, view: PostureView, catalogue: Sequence[CatalogueEntry], *, threads: int | None = None
+    ) -> TemplateBank:
+        """What the defects of a part's catalogue would change in a view of the scene of its prediction.
+
+        For a part that lies a little off the previous one it is that of the previous one.
+        """
+        key = view.posture, view.lights
+        if key not in self.banks:
+            self.banks[key] = template_bank(scene, view, catalogue, self._caster(scene), threads=threads)
+        return self.banks[key]
 
     def _caster(self, scene: Scene) -> RayCaster:
         if self.caster is None:

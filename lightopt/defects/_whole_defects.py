@@ -1,0 +1,155 @@
+"""Whole defects as hypotheses: what each pixel around the middle of a defect sees of it.
+
+An entry of the catalogue stands for defects of several sizes and orientations. Of a long scratch a segment is tested;
+segments in a row are one scratch. Each piece of a defect makes the surface one of few variants: its normal leans by a
+level of slope in one of several directions, or its reflectance is another. A pixel sees a mixture of variants.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lightopt.core.arrays import Bool, Float64, Index, Int32
+from lightopt.defects._catalogue import CatalogueEntry
+from lightopt.defects._shape import SHAPE_KINDS, DefectShape, height_gradient, radial_place
+
+SIZES = (0.6, 1.0, 1.6)
+"""Sizes that are tested, as multiples of the entry's; the slope stays."""
+
+DIRECTIONS = 16  # that a wall leans to
+SEGMENT_TURNS = 16  # orientations of a scratch within half a turn; each has walls that lean to both sides
+ELLIPSE_TURNS = 4
+SEGMENT_LENGTH = 6.0  # of a scratch a segment of so many widths is tested
+ROUND = 1.5  # an outline that is less than so many times as long as wide is tested as a round one of the same area
+
+# levels of slope, as shares of the steepest; what is less than half of the least of them is flat
+BOWL_LEVELS = (1.0 / 3.0, 2.0 / 3.0, 1.0)
+WALL_LEVELS = (1.0,)
+
+# points that a pixel is sampled at along each side: so many across the defect's width, within these limits
+ACROSS_WIDTH, LEAST_SAMPLES, MOST_SAMPLES = 10.0, 3, 15
+
+LEAST_SHARE = 0.06  # a variant with less than this share of the greatest one of any pixel is left out
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PixelMixture:
+    """What pixels see of a defect, n pieces; those of a pixel follow each other.
+
+    row, column: Of the pixel, from that of the defect's middle, shape (n,)
+    variant: Index among the variants of the hypotheses, shape (n,)
+    weight: Share of the pixel, shape (n,)
+    """
+
+    row: Int32
+    column: Int32
+    variant: Int32
+    weight: Float64
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DefectHypotheses:
+    """The hypotheses of an entry of the catalogue.
+
+    shapes: One for each of :data:`SIZES`; of a scratch the segment
+    turns: Of the length, from the first axis of the tangent plane towards the second [rad], shape (n,)
+    levels: Of the slope, as shares of the steepest
+    slope, direction: Of each variant, by which and to which the normal leans [rad], shape (t,); for each level all
+        directions
+    R_d_factor, sigma_factor: Of each variant, shape (t,)
+    """
+
+    entry: CatalogueEntry
+    shapes: tuple[DefectShape, ...]
+    turns: Float64
+    levels: tuple[float, ...]
+    slope: Float64
+    direction: Float64
+    R_d_factor: Float64
+    sigma_factor: Float64
+
+    def seen_by_pixels(
+        self, size: int, turn: int, to_image: Float64, *, off_px: tuple[float, float] = (0.0, 0.0)
+    ) -> PixelMixture:
+        """What pixels see of a defect.
+
+        size, turn: Indices of the shape and of the turn
+        to_image: Pixels to the right and down by mm along the axes of the tangent plane, shape (2, 2)
+        off_px: How far to the right and down the defect's middle is from that of its pixel
+        """
+        shape, angle = self.shapes[size], float(self.turns[turn])
+        along = np.array([math.cos(angle), math.sin(angle)])
+        across = np.array([-along[1], along[0]])
+        # half the sides of the outline's box in the image
+        half = np.abs(to_image @ along) * 0.5 * shape.length + np.abs(to_image @ across) * 0.5 * shape.width
+        right, down = (math.floor(side + 0.5 + abs(off)) for side, off in zip(half, off_px, strict=True))
+        width = shape.width * math.sqrt(abs(float(np.linalg.det(to_image))))
+        samples = min(MOST_SAMPLES, max(LEAST_SAMPLES, math.ceil(ACROSS_WIDTH / width)))
+        inner = (np.arange(samples) + 0.5) / samples - 0.5
+        columns, rows = 2 * right + 1, 2 * down + 1
+        row, y, column, x = np.ix_(np.arange(rows), inner, np.arange(columns), inner)
+        pixel = np.broadcast_to(row * columns + column, (rows, samples, columns, samples)).ravel()
+        y, x = (
+            np.broadcast_to(a, (rows, samples, columns, samples)).ravel() for a in (row - down + y, column - right + x)
+        )
+        plane = np.linalg.inv(to_image) @ np.stack([x - off_px[0], y - off_px[1]])
+        variant, inside = self._variants(shape, angle, along @ plane, across @ plane)
+        found, count = np.unique(pixel[inside] * len(self.slope) + variant[inside], return_counts=True)
+        keep = count >= LEAST_SHARE * count.max(initial=0)
+        pixel, kind = np.divmod(found[keep], len(self.slope))
+        return PixelMixture(
+            row=(pixel // columns - down).astype(np.int32),
+            column=(pixel % columns - right).astype(np.int32),
+            variant=kind.astype(np.int32),
+            weight=count[keep] / samples**2,
+        )
+
+    def _variants(self, shape: DefectShape, turn: float, x: Float64, y: Float64) -> tuple[Index, Bool]:
+        # the variant of each place and whether it is part of the defect, from coordinates along and across it
+        inside = radial_place(shape, x, y) < 1.0
+        if shape.kind not in SHAPE_KINDS:
+            return np.zeros(len(x), np.intp), inside
+        along, across = height_gradient(shape, x, y)
+        share = np.hypot(along, across) / math.tan(shape.slope)
+        level = np.abs(share[:, None] - self.levels).argmin(axis=1)
+        directions = len(self.slope) // len(self.levels)
+        # the normal leans down the slope
+        lean = (np.arctan2(-across, -along) + turn) * directions / (2.0 * math.pi)
+        variant = level * directions + np.rint(lean).astype(np.intp) % directions
+        return variant, inside & (share >= 0.5 * self.levels[0])
+
+
+def defect_hypotheses(entry: CatalogueEntry) -> DefectHypotheses:
+    """The hypotheses of an entry of the catalogue: its sizes in all orientations."""
+    shape = entry.shape
+    levels, directions, turns = WALL_LEVELS, DIRECTIONS, 1
+    if shape.kind == "scratch":
+        turns, directions = SEGMENT_TURNS, 2 * SEGMENT_TURNS
+        shape = replace(shape, length=min(shape.length, SEGMENT_LENGTH * shape.width))
+    elif shape.length >= ROUND * shape.width:
+        turns = ELLIPSE_TURNS
+    else:
+        side = math.sqrt(shape.length * shape.width)
+        shape = replace(shape, length=side, width=side)
+    if shape.kind in ("dent", "bump", "blister"):
+        levels = BOWL_LEVELS
+    if shape.kind not in SHAPE_KINDS:
+        levels, directions = (0.0,), 1
+    slope = np.arctan(math.tan(shape.slope) * np.repeat(levels, directions))
+    shapes: list[DefectShape] = []
+    for size in SIZES:
+        width = size * shape.width
+        # a narrower scratch is no shorter
+        length = max(width, shape.length if shape.kind == "scratch" else size * shape.length)
+        shapes.append(replace(shape, length=length, width=width))
+    return DefectHypotheses(
+        entry=entry,
+        shapes=tuple(shapes),
+        turns=np.arange(turns) * math.pi / turns,
+        levels=levels,
+        slope=slope,
+        direction=np.tile(np.arange(directions) * 2.0 * math.pi / directions, len(levels)),
+        R_d_factor=np.full(len(slope), shape.R_d_factor),
+        sigma_factor=np.full(len(slope), shape.sigma_factor),
+    )

@@ -1,0 +1,234 @@
+"""Name the defects that the catalogue explains: kind, size, orientation, slope or depth, with intervals."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from scipy import ndimage
+
+from lightopt.core.arrays import Bool, Int32
+from lightopt.defects import SHAPE_KINDS, SIZES, DefectKind, depth_of_slope, tangent_references
+from lightopt.estimate.registration import Placement
+from lightopt.inspection.detection._catalogue_score import ExplainedDefect
+from lightopt.inspection.detection._deviation import Deviations
+from lightopt.inspection.prediction._posture_view import PostureView
+from lightopt.inspection.prediction._registered_set import world_to_mesh_file
+from lightopt.inspection.prediction._template_bank import image_axes, tangent_axis
+from lightopt.scene import Scene
+
+NORMAL_95: Final = 1.959964
+
+GAP_PX = 3  # explained defects this near to each other are one: segments of a scratch, or two walls of a dent
+
+# besides the noise: sizes lie far apart, so that the size between them is off by about this share, and of a narrow
+# defect by so much of a pixel, since a narrower and steeper one changes the images nearly alike
+SIZE_ERROR, SIZE_ERROR_PX = 0.1, 0.5
+
+OPPOSITE: Final[Mapping[DefectKind, DefectKind]] = {"dent": "bump", "bump": "dent", "blister": "dent", "pit": "bump"}
+"""Kind of a defect whose walls lean the other way than the hypothesis' do."""
+
+_DISC = np.hypot(*np.mgrid[-GAP_PX : GAP_PX + 1, -GAP_PX : GAP_PX + 1]) <= GAP_PX + 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedDefect:
+    """What a detection is by the catalogue. Intervals are of 95 %, if it is of this kind; None where unknown.
+
+    entry: name of the catalogue's entry that explains it best.
+    kind: of that entry, or the opposite: where a bump's walls lean the other way, it is a dent.
+    length, width: [mm], with intervals.
+    direction: of the length, as part files count it [rad]; None for a round one.
+    amplitude: of its effect, as a multiple of the entry's, with its interval.
+    slope: steepest slope of its walls [rad], and depth: [mm], with intervals; None for kinds that have none.
+    factor: by which R_d (stain) or σ (haze) is multiplied, with its interval; None for other kinds.
+    z: the statistic of all images together.
+    evidence: per light what it adds to `z`.
+    """
+
+    entry: str
+    kind: DefectKind
+    length: tuple[float, float, float]
+    width: tuple[float, float, float]
+    direction: float | None
+    amplitude: tuple[float, float, float] | None
+    slope: tuple[float, float, float] | None
+    depth: tuple[float, float, float] | None
+    factor: tuple[float, float, float] | None
+    z: float
+    evidence: dict[str, float]
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form; values before their intervals."""
+
+        def shown(value: tuple[float, float, float] | None, degrees: bool = False) -> list[float] | None:
+            scale = math.degrees(1.0) if degrees else 1.0
+            return None if value is None else [round(scale * one, 4) for one in value]
+
+        return {
+            "entry": self.entry,
+            "kind": self.kind,
+            "length_mm": shown(self.length),
+            "width_mm": shown(self.width),
+            "direction_deg": None if self.direction is None else round(math.degrees(self.direction), 1),
+            "amplitude": shown(self.amplitude),
+            "slope_deg": shown(self.slope, degrees=True),
+            "depth_mm": shown(self.depth),
+            "factor": shown(self.factor),
+            "z": round(self.z, 2),
+            "evidence": {light: round(value, 2) for light, value in self.evidence.items()},
+        }
+
+
+def join_explained(
+    labels: Int32, count: int, explained: Sequence[ExplainedDefect]
+) -> tuple[Int32, int, dict[int, tuple[ExplainedDefect, ...]]]:
+    """Regions of explained defects, and those of other deviations that are apart from them.
+
+    Number of the region of each pixel, how many there are, and by number of the region the defects that it is of.
+
+    labels, count: Of the other deviations.
+    """
+    if not explained:
+        return labels, count, {}
+    mask = np.zeros(labels.shape, np.bool_)
+    for one in explained:
+        mask[one.rows, one.columns] = True
+    wide = np.asarray(ndimage.binary_dilation(mask, _DISC), np.bool_)
+    near, number = _label(wide)
+    result = np.where(mask, near, np.int32(0))
+    owners: dict[int, tuple[ExplainedDefect, ...]] = {}
+    for one in explained:
+        own = int(near[one.rows[0], one.columns[0]])
+        owners[own] = (*owners.get(own, ()), one)
+    touched = np.unique(labels[wide])
+    apart = np.setdiff1d(np.arange(1, count + 1), touched)
+    new = np.zeros(count + 1, np.int32)
+    new[apart] = number + np.arange(1, len(apart) + 1, dtype=np.int32)
+    others = new[labels]
+    return np.where(others > 0, others, result), number + len(apart), owners
+
+
+def _label(mask: Bool) -> tuple[Int32, int]:
+    number = np.zeros(mask.shape, np.int32)
+    return number, int(ndimage.label(mask, np.ones((3, 3)), output=number))  # pyright: ignore[reportArgumentType]
+
+
+def name_defect(
+    explained: Sequence[ExplainedDefect],
+    extent: float,
+    view: PostureView,
+    found: Deviations,
+    *,
+    scene: Scene,
+    placement: Placement,
+) -> NamedDefect:
+    """Name a region by the defects that explain it, the strongest of them first.
+
+    extent: Of the region along its longer axis [mm]: the length of a scratch.
+    scene, placement: Where the part's file has it, and where it lies from there.
+    """
+    best = max(explained, key=lambda one: abs(one.z))
+    hypotheses, shape = best.templates.hypotheses, best.templates.hypotheses.shapes[best.size]
+    # segments of a scratch are measured together
+    same = [one for one in explained if one.templates is best.templates and one.z * best.z > 0.0]
+    sums, energies = (np.sum([getattr(one, name) for one in same], axis=0) for name in ("sums", "energies"))
+    total = math.sqrt(float(energies.sum()))
+    size = _size(best)
+    opposite = OPPOSITE.get(shape.kind)
+    kind = shape.kind if best.z > 0.0 or opposite is None else opposite
+    middle = hypotheses.shapes[1]
+    width, length = _scaled(middle.width, size), _scaled(middle.length, size)
+    if shape.kind == "scratch":
+        length = (extent, max(0.0, extent - shape.length), extent + shape.length)
+    amplitude = _amplitude(same, found)
+    slope = depth = factor = None
+    if amplitude is not None and shape.kind in SHAPE_KINDS:
+        steepest, *ends = (math.tan(shape.slope) * a for a in amplitude)
+        low, high = sorted(map(abs, ends))
+        tangents = (abs(steepest), 0.0 if ends[0] * ends[1] < 0.0 else low, high)
+        depth = _triple(depth_of_slope(kind, width[0], math.atan(t)) for t in tangents)
+        # what is known of the size limits what is known of the slope
+        slope = _triple(
+            math.atan(t * s) for t, s in zip(tangents, (1.0, size[1] / size[0], size[2] / size[0]), strict=True)
+        )
+    elif amplitude is not None:
+        whole = shape.R_d_factor if shape.kind == "stain" else shape.sigma_factor
+        value, *ends = (1.0 + a * (whole - 1.0) for a in amplitude)
+        factor = (value, min(ends), max(ends))
+    return NamedDefect(
+        entry=hypotheses.entry.name,
+        kind=kind,
+        length=length,
+        width=width,
+        direction=None if len(hypotheses.turns) == 1 else _direction(best, view, scene, placement),
+        amplitude=amplitude,
+        slope=slope,
+        depth=depth,
+        factor=factor,
+        z=float(sums.sum()) / total,
+        evidence={light: float(u) / total for light, u in zip(view.lights, sums, strict=True)},
+    )
+
+
+def _amplitude(same: Sequence[ExplainedDefect], found: Deviations) -> tuple[float, float, float] | None:
+    # as a multiple of the hypotheses', by least squares. Deviations are in units of what the surroundings show, the
+    # expected changes in units of what was predicted
+    product = square = variance = 0.0
+    for one in same:
+        place = (slice(None), one.rows, one.columns)
+        unit = np.mean(found.scale[place] / one.templates.deviation[place], axis=1, dtype=np.float64)
+        product += float(unit @ one.shares[:, 0])
+        square += float(one.shares[:, 1].sum())
+        variance += float(unit**2 @ one.shares[:, 1])
+    if square <= 0.0:
+        return None
+    half = NORMAL_95 * math.sqrt(variance) / square
+    return product / square, product / square - half, product / square + half
+
+
+def _size(best: ExplainedDefect) -> tuple[float, float, float]:
+    # as a multiple of the entry's: where a parabola through Z²/2, the logarithm of the likelihood, over the logarithm
+    # of the size is greatest
+    z = np.where(best.of_sizes * best.z > 0.0, best.of_sizes, 0.0)
+    x = np.log(SIZES)
+    bend, slope, _ = np.polyfit(x, 0.5 * z**2, 2)
+    if bend >= 0.0:
+        middle, error = x[best.size], x[-1] - x[0]
+    else:
+        middle = float(np.clip(-0.5 * slope / bend, x[0], x[-1]))
+        known = SIZE_ERROR_PX / best.templates.width_px
+        error = math.hypot(SIZE_ERROR, known, (-2.0 * bend) ** -0.5)
+    return _triple(math.exp(middle + NORMAL_95 * side * error) for side in (0.0, -1.0, 1.0))
+
+
+def _direction(best: ExplainedDefect, view: PostureView, scene: Scene, placement: Placement) -> float:
+    # of the length, from the X axis of the mesh file in the tangent plane
+    geometry = view.prediction.images.geometry
+    t = best.templates
+    place = (
+        min(t.corner[0] + best.row * t.ratio + t.ratio // 2, len(geometry.hit) - 1),
+        min(t.corner[1] + best.column * t.ratio + t.ratio // 2, geometry.hit.shape[1] - 1),
+    )
+    camera = scene.camera
+    normal = geometry.normals[place].astype(np.float64)[None]
+    towards = camera.position - geometry.points[place].astype(np.float64)[None]
+    towards /= np.linalg.norm(towards)
+    first = tangent_axis(normal, image_axes(towards, camera.right)[0])[0]
+    turn = float(t.hypotheses.turns[best.pose // len(t.halves)])
+    along = math.cos(turn) * first + math.sin(turn) * np.cross(normal[0], first)
+    vectors = world_to_mesh_file(np.stack([along, normal[0]]), scene, placement, view.posture, direction=True)
+    axes = np.eye(3)
+    reference = tangent_references(vectors[1:], x_axis=axes[0], y_axis=axes[1])[0]
+    angle = math.atan2(float(vectors[0] @ np.cross(vectors[1], reference)), float(vectors[0] @ reference))
+    return angle % math.pi
+
+
+def _scaled(value: float, factors: tuple[float, float, float]) -> tuple[float, float, float]:
+    return _triple(value * factor for factor in factors)
+
+
+def _triple(values: Any) -> tuple[float, float, float]:
+    value, low, high = values
+    return float(value), float(low), float(high)

@@ -1,0 +1,380 @@
+"""The images of a posture as the defects of a catalogue would change them, wherever these lie.
+
+The change that each variant of the surface makes of a pixel is computed once; a defect changes the images by the sum of
+its pieces (:mod:`lightopt.defects`). Pixels that see the surface under nearly the same foreshortening share the pieces.
+Entries of wide defects have images of larger pixels.
+"""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lightopt.core.arrays import Bool, Float32, Float64, Int32, UInt8
+from lightopt.core.kernels import kernel
+from lightopt.core.threads import blocks, in_threads
+from lightopt.defects import MOST_CHANGE, CatalogueEntry, DefectHypotheses, defect_hypotheses, expected_change
+from lightopt.geometry import RayCaster
+from lightopt.inspection._image_blocks import mask_window
+from lightopt.inspection.prediction._posture_view import PostureView
+from lightopt.lights import PanelLight
+from lightopt.rendering import (
+    PosturePixels,
+    SurfacePoints,
+    converged_panel,
+    shade_variants,
+    surface_variants,
+    trace_pixels,
+)
+from lightopt.scene import Scene, pixel_footprint
+
+Int16 = NDArray[np.int16]
+Int8 = NDArray[np.int8]
+
+REGISTRATION_PX = 0.1
+"""The part is known to lie within about this much of where the model has it: steep edges are off by so much."""
+
+# a place is tested where a defect of the entry's own size and amplitude is expected to stand out by so much; elsewhere
+# only one several times as strong would be found
+LEAST_EXPECTED = 1.5
+
+# The narrowest size of a defect is so many pixels wide, and the middle size of a scratch; where they would be wider,
+# the pixels are larger, up to so many times
+WIDTH_PX, SCRATCH_PX, MOST_RATIO = 8.0, 2.2, 15
+
+STEPS_PER_WIDTH = 8.0  # places to test are an eighth of the middle size's width apart
+
+CODES = 127  # changes are stored as whole numbers up to this
+
+# Middles of defects less than so many pixels wide are sought between pixels, too: on a smaller part of their width
+FINE_PX, HALVES = 5.0, ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
+
+# Foreshortening: cosines of the angle to the normal in so many steps of this ratio, and directions within half a turn
+FORESHORTENING, COSINES, AZIMUTHS = 0.85, 11, 8
+
+_POINTS = 8192  # that are shaded at once
+_ROWS = 16  # rows of places that a thread works on at once
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Pieces:
+    """What pixels see of the sizes and poses of a defect, for each class of foreshortening.
+
+    A pose is a turn and a place of the middle within its pixel.
+
+    first: Of class c, size s and pose p, group g = (c · sizes + s) · poses + p: the pieces from first[g] to
+        first[g + 1], shape (groups + 1,)
+    pixel: Offset of the piece's pixel from that of the middle, in the raveled images, shape (n,)
+    variant, weight: Of the piece, shape (n,)
+    """
+
+    first: Int32
+    pixel: Int32
+    variant: Int32
+    weight: Float32
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EntryTemplates:
+    """The expected changes of an entry of the catalogue, in images of h × w larger pixels, an empty border included.
+
+    deviation: Of the good part's levels: unit of the changes, shape (lights, H, W)
+    ratio: Side of these pixels [px]
+    width_px: Width of the middle size [pixels of these images]
+    corner: Row and column of the first one's corner [px]
+    border: Width of the border [pixels of these images]
+    change: Of each pixel, light and variant, in units of `unit`, shape (h, w, lights, variants)
+    unit: Standard deviations of the sum over a larger pixel
+    count: Pixels of the image that count in each, shape (h, w, lights)
+    foreshortening: Class of each pixel, −1 where no defect is tested, shape (h, w)
+    step: Places to test are so many pixels apart, from the border on
+    halves: Places of the middle within its pixel, to the right and down [pixels of these images]
+    inverse: 1/√ΣE of the middle size at each pose and place, in units of the stored changes, 0 where it is not
+        tested; shape (poses, rows, columns)
+    """
+
+    hypotheses: DefectHypotheses
+    deviation: Float32
+    ratio: int
+    width_px: float
+    corner: tuple[int, int]
+    border: int
+    change: Int8
+    unit: float
+    count: UInt8
+    foreshortening: Int16
+    pieces: Pieces
+    step: int
+    halves: tuple[tuple[float, float], ...]
+    inverse: Float32
+
+    @property
+    def poses(self) -> int:
+        """Turns times places within a pixel."""
+        return len(self.hypotheses.turns) * len(self.halves)
+
+    @property
+    def tests(self) -> int:
+        """Number of hypotheses that are tested."""
+        return int(np.count_nonzero(self.inverse)) * len(self.hypotheses.shapes)
+
+
+TemplateBank = tuple[EntryTemplates, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Surface:
+    """The pixels of a posture for shading: their number among `pixels` or −1, tangent axes, foreshortening."""
+
+    pixels: PosturePixels
+    index: Int32
+    references: Float64
+    foreshortening: Int16
+    footprint: float
+
+
+def template_bank(
+    scene: Scene,
+    view: PostureView,
+    catalogue: Sequence[CatalogueEntry],
+    caster: RayCaster,
+    *,
+    threads: int | None = None,
+) -> TemplateBank:
+    """Predict the changes of all defects of a catalogue in the images of a posture.
+
+    scene: With the part where it lies.
+    """
+    if not view.clean.any():
+        return ()
+    pixels = trace_pixels(scene, view.posture, caster, threads=threads)
+    surface = _surface(pixels, view.clean)
+    deviation = expected_deviation(view)
+    panels = [next(light for light in pixels.view.lights if light.name == name) for name in view.lights]
+    return tuple(
+        _templates(defect_hypotheses(entry), scene, view, deviation, surface, panels, caster, threads)
+        for entry in catalogue
+    )
+
+
+def expected_deviation(view: PostureView) -> Float32:
+    """Standard deviation of a good part's levels, of noise and of where it lies, shape (lights, H, W)."""
+    result = np.empty_like(view.deviation)
+    for i, (level, limit, noise) in enumerate(zip(view.predicted, view.limit, view.deviation, strict=True)):
+        down, right = np.gradient(np.clip(level, 0.0, limit))
+        result[i] = np.sqrt(noise**2 + REGISTRATION_PX**2 * (down**2 + right**2))
+    return result
+
+
+def _surface(pixels: PosturePixels, clean: Bool) -> _Surface:
+    surface, camera = pixels.surface, pixels.view.camera
+    index = np.full(pixels.shape, -1, np.int32)
+    index[pixels.row, pixels.column] = np.arange(len(pixels.row), dtype=np.int32)
+    index[~clean] = -1
+    right, up = image_axes(surface.views, camera.right)
+    references = tangent_axis(surface.normals, right)
+    x, y, z = (np.einsum("ij,ij->i", surface.normals, axis) for axis in (right, up, surface.views))
+    cosine = np.clip(np.rint(np.log(np.maximum(z, 1e-6)) / math.log(FORESHORTENING)), 0, COSINES - 1)
+    azimuth = np.rint(np.arctan2(y, x) / math.pi * AZIMUTHS) % AZIMUTHS
+    classes = (cosine * AZIMUTHS + np.where(cosine > 0, azimuth, 0)).astype(np.int16)
+    depth = (surface.points[index[clean]] - camera.position) @ camera.forward
+    return _Surface(pixels, index, references, classes, pixel_footprint(camera, float(np.median(depth))))
+
+
+def image_axes(views: Float64, right: Float64) -> tuple[Float64, Float64]:
+    """Unit vectors to the right and up in the image, at right angles to the views, each of shape (k, 3)."""
+    across = right - (views @ right)[:, None] * views
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    return across, np.cross(views, across).astype(np.float64)
+
+
+def tangent_axis(normals: Float64, right: Float64) -> Float64:
+    """The image's right in tangent planes, which turns of defects are counted from towards N × it, shape (k, 3)."""
+    axis = right - np.einsum("ij,ij->i", right, normals)[:, None] * normals
+    return axis / np.linalg.norm(axis, axis=1, keepdims=True)
+
+
+def _templates(
+    own: DefectHypotheses,
+    scene: Scene,
+    view: PostureView,
+    deviation: Float32,
+    surface: _Surface,
+    panels: Sequence[PanelLight],
+    caster: RayCaster,
+    threads: int | None,
+) -> EntryTemplates:
+    long = own.entry.shape.kind == "scratch"
+    width = own.shapes[1 if long else 0].width / surface.footprint / (SCRATCH_PX if long else WIDTH_PX)
+    ratio = max(1, min(round(width), MOST_RATIO))
+    footprint = ratio * surface.footprint
+    border = 2 + math.ceil(0.5 * max(shape.length for shape in own.shapes) / footprint)
+    fine = own.shapes[1].width < FINE_PX * footprint
+    # along a scratch its place matters little
+    halves = HALVES[: (2 if long else 4) if fine else 1]
+    rows, columns = mask_window(view.clean)
+    count = np.stack(
+        [_block_sums((view.clean & (level > 0.0))[rows, columns], ratio, border) for level in view.predicted], axis=-1
+    )
+    height, breadth, lights = count.shape
+    corner = rows.start - border * ratio, columns.start - border * ratio
+    # the surface is that of the pixel in the middle of each larger one
+    index = np.full((height, breadth), -1, np.int32)
+    middle = surface.index[
+        rows.start + ratio // 2 : rows.stop : ratio, columns.start + ratio // 2 : columns.stop : ratio
+    ]
+    index[border : border + middle.shape[0], border : border + middle.shape[1]] = middle
+    foreshortening = np.where(index < 0, np.int16(-1), surface.foreshortening[np.maximum(index, 0)])
+    change = np.zeros((height, breadth, lights, len(own.slope)), np.int8)
+    variants = surface_variants(
+        slope=own.slope,
+        direction=own.direction,
+        R_d_factor=own.R_d_factor,
+        sigma_factor=own.sigma_factor,
+        reflectance=scene.reflectance,
+    )
+    at = np.flatnonzero(index >= 0)
+    pixel = index.ravel()[at].astype(np.intp)
+    unit = MOST_CHANGE * ratio / CODES
+    tasks = [(i, start, end) for i in range(lights) for start, end in blocks(len(at), _POINTS)]
+    sources = [
+        converged_panel(panel, centre=caster.centre, radius=caster.radius) if panel.points == "auto" else panel
+        for panel in panels
+    ]
+
+    def shade(number: int) -> None:
+        i, start, end = tasks[number]
+        some, to = pixel[start:end], at[start:end]
+        points: SurfacePoints = surface.pixels.surface.take(some)
+        levels = shade_variants(
+            points, surface.references[some], sources[i], variants, reflectance=scene.reflectance, caster=caster
+        )
+        place = surface.pixels.row[some], surface.pixels.column[some]
+        good, noise, limit = (a[i][place].astype(np.float64)[:, None] for a in (view.predicted, deviation, view.limit))
+        off = expected_change(good, good + levels.varied - levels.good[:, None], deviation=noise, limit=limit)
+        off *= np.sqrt(count.reshape(-1, lights)[to, i])[:, None]
+        change.reshape(-1, lights, len(own.slope))[to, i] = np.rint(off / unit)
+
+    in_threads(shade, range(len(tasks)), threads)
+    pieces = _pieces(own, halves, np.unique(foreshortening[foreshortening >= 0]).tolist(), footprint, breadth)
+    step = max(1, int(own.shapes[1].width / footprint / STEPS_PER_WIDTH))
+    places = (-(-(height - 2 * border) // step), -(-(breadth - 2 * border) // step))
+    inverse = np.zeros((len(own.turns) * len(halves), *places), np.float32)
+
+    def invert(top: int) -> None:
+        bottom = min(top + _ROWS, places[0])
+        _invert(
+            change, foreshortening, pieces.first, pieces.pixel, pieces.variant, pieces.weight, len(own.shapes),
+            border, step, top, bottom, LEAST_EXPECTED / unit, inverse,
+        )  # fmt: skip
+
+    in_threads(invert, range(0, places[0], _ROWS), threads)
+    return EntryTemplates(
+        hypotheses=own,
+        deviation=deviation,
+        ratio=ratio,
+        width_px=own.shapes[1].width / footprint,
+        corner=corner,
+        border=border,
+        change=change,
+        unit=unit,
+        count=count,
+        foreshortening=foreshortening,
+        pieces=pieces,
+        step=step,
+        halves=halves,
+        inverse=inverse,
+    )
+
+
+def _block_sums(mask: Bool, ratio: int, border: int) -> UInt8:
+    # pixels of a mask in each larger pixel, with the border
+    height, width = (-(-side // ratio) for side in mask.shape)
+    padded = np.zeros((height * ratio, width * ratio), np.uint8)
+    padded[: mask.shape[0], : mask.shape[1]] = mask
+    return np.pad(padded.reshape(height, ratio, width, ratio).sum(axis=(1, 3), dtype=np.uint8), border)
+
+
+def _to_image(foreshortening: int, footprint: float) -> Float64:
+    # pixels to the right and down by mm along the axes of a class' tangent plane, shape (2, 2)
+    steps, azimuth = divmod(foreshortening, AZIMUTHS)
+    cosine = FORESHORTENING**steps
+    sine, angle = math.sqrt(1.0 - cosine**2), math.pi * azimuth / AZIMUTHS
+    normal = np.array([[sine * math.cos(angle), sine * math.sin(angle), cosine]])
+    first = tangent_axis(normal, np.array([[1.0, 0.0, 0.0]]))[0]
+    second = np.cross(normal[0], first)
+    return np.array([[first[0], second[0]], [-first[1], -second[1]]]) / footprint
+
+
+def _pieces(
+    own: DefectHypotheses, halves: Sequence[tuple[float, float]], classes: Sequence[int], footprint: float, breadth: int
+) -> Pieces:
+    sizes, turns = len(own.shapes), len(own.turns)
+    counts = np.zeros((COSINES * AZIMUTHS, sizes, turns * len(halves)), np.int32)
+    parts: list[tuple[Int32, Int32, Float64]] = []
+    for one in classes:
+        to_image = _to_image(one, footprint)
+        for size in range(sizes):
+            for pose, (turn, off) in enumerate(itertools.product(range(turns), halves)):
+                mixture = own.seen_by_pixels(size, turn, to_image, off_px=off)
+                parts.append((mixture.row * breadth + mixture.column, mixture.variant, mixture.weight))
+                counts[one, size, pose] = len(mixture.weight)
+    pixel, variant, weight = (np.concatenate(some) for some in zip(*parts, strict=True))
+    first = np.concatenate([[0], np.cumsum(counts)])
+    return Pieces(
+        first=first.astype(np.int32),
+        pixel=pixel.astype(np.int32),
+        variant=variant.astype(np.int32),
+        weight=weight.astype(np.float32),
+    )
+
+
+@kernel
+def _invert(
+    change: Int8,
+    foreshortening: Int16,
+    first: Int32,
+    pixel: Int32,
+    variant: Int32,
+    weight: Float32,
+    sizes: int,
+    border: int,
+    step: int,
+    top: int,
+    bottom: int,
+    least: float,
+    inverse: Float32,
+) -> None:
+    # rows of places from `top` to `bottom`: 1/√ΣE of the middle size in units of the stored changes
+    poses, _, columns = inverse.shape
+    _, width, lights, variants = change.shape
+    flat = change.reshape(-1)
+    own = np.zeros(lights, np.float32)
+    for i in range(top, bottom):
+        for k in range(columns):
+            y, x = border + i * step, border + k * step
+            if foreshortening[y, x] < 0:
+                continue
+            base = y * width + x
+            for p in range(poses):
+                group = (foreshortening[y, x] * sizes + 1) * poses + p
+                energy = np.float32(0.0)
+                last = -1
+                for n in range(first[group], first[group + 1]):
+                    at = base + pixel[n]
+                    if at != last:
+                        for light in range(lights):
+                            energy += own[light] * own[light]
+                            own[light] = np.float32(0.0)
+                        last = at
+                    start = at * lights * variants + variant[n]
+                    for light in range(lights):
+                        own[light] += weight[n] * np.float32(flat[start + light * variants])
+                for light in range(lights):
+                    energy += own[light] * own[light]
+                    own[light] = np.float32(0.0)
+                if energy >= least * least:
+                    inverse[p, i, k] = np.float32(1.0) / math.sqrt(energy)
