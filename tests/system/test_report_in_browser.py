@@ -181,7 +181,7 @@ def test_the_report_of_an_optimisation(bench, cli, images):
         assert legend.count() == 6
         assert all(item.is_visible() for item in legend.all())
         pictures = page.locator("img").all()
-        assert len(pictures) >= (1 + 2 * 3 + 1 + 2 if images else 3)
+        assert len(pictures) >= (1 + 2 * 3 + 1 + 1 if images else 3)
         assert all(picture.evaluate("image => image.complete && image.naturalWidth > 1") for picture in pictures)
         assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
         page.set_viewport_size({"width": 420, "height": 800})
