@@ -254,7 +254,7 @@ def _templates(
         )
         place = surface.pixels.row[some], surface.pixels.column[some]
         good, noise, limit = (a[i][place].astype(np.float64)[:, None] for a in (view.predicted, deviation, view.limit))
-        off = expected_change(good, good + levels.varied - levels.good[:, None], deviation=noise, limit=limit)
+        off = expected_change(good, good + levels.varied.T - levels.good[:, None], deviation=noise, limit=limit)
         off *= np.sqrt(count.reshape(-1, lights)[to, i])[:, None]
         change.reshape(-1, lights, len(own.slope))[to, i] = np.rint(off / unit)
 
