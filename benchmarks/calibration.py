@@ -156,7 +156,7 @@ def regions_of(
         found = subtract_systematic(found, taught.systematic, nominal_pixels(view, model, assumed))
     make_synthetic = None if options.fusion is None else partial(synthetic_image, view, options.fusion, probes=0)
     detector = DETECTORS[options.detector]
-    score = detector.score(found, options.min_images, make_synthetic, None)
+    score = detector.score(found, options.min_images, make_synthetic, (), None).score
     noise = threshold(options.false_alarms, int(view.clean.sum()), detector.tests)
     high = noise if taught is None else taught.threshold(options.false_alarms)
     return find_regions(score, high)[0]

@@ -156,8 +156,8 @@ def _check_choice_of_postures(rig: RigConfig, options: OptimizeOptions, plan: Pl
         )
     if not options.common_lights:
         problems.append(
-            "option 'common_lights': postures are chosen with one set of light positions for all of them; expected "
-            "that, found positions for each posture"
+            "option 'lights_per_posture': postures are chosen with one set of light positions for all of them; "
+            "leave it out, or give the postures"
         )
     if options.objectives and options.objectives[0] != DEFECT_OBJECTIVE:
         problems.append(

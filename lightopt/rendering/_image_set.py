@@ -161,7 +161,9 @@ def render_image_set(
             )
             rays += images.rays
             if number + 1 == len(scene.postures):
-                caster = None  # its hierarchy takes as much memory as writing does
+                # its hierarchy takes as much memory as writing does; freed where no Ctrl-C arrives, which would be lost
+                last, caster = [caster], None
+                disk.add(last.clear)
             disk.wait()  # so that no more than two postures are in memory
             if images.back_faces > BACK_FACE_SHARE * images.geometry.hit.sum():
                 warn(

@@ -451,7 +451,7 @@ def test_exposures_that_the_target_takes_are_reported(capsys, why, expected):
 
 @pytest.mark.nightly
 def test_tolerances_of_another_objective(two, cli):
-    ran = plan(cli, two, "--light-tolerance", "5", "--pose-tolerance", "2")
+    ran = plan(cli, two, "--lights-per-posture", "--light-tolerance", "5", "--pose-tolerance", "2")
     assert ran.status == 0, ran.err
     tolerances = result_of(two.out)["tolerances"]
     areas = [result["objectives"][0]["score"] for result in result_of(two.out)["results"]]
@@ -491,7 +491,10 @@ def test_tolerances_of_another_objective(two, cli):
         (("--choose-postures", "1", "--posture", "0,0"), "omit one or the other"),
         (("--target", "0.5", "--posture", "0,0"), "--posture: cannot be combined with --target: postures are chosen"),
         (("--choose-postures", "1", "--objective", "coverage"), "expected detectability first"),
-        (("--choose-postures", "1", "--lights-per-posture"), "--common-lights: postures are chosen with one set of"),
+        (
+            ("--choose-postures", "1", "--lights-per-posture"),
+            "--lights-per-posture: postures are chosen with one set of",
+        ),
         (("--choose-postures", "2", "--min-images", "0"), "Invalid value for '--min-images'"),
         (("--exposures", "1/4", "--min-images", "0"), "Invalid value for '--min-images'"),
         (
