@@ -125,7 +125,7 @@ def try_part(task: tuple[str, int, Size, float]) -> list[str]:
     labels = render_posture(true, FIRST, caster=cast_rays_at(true)).geometry.defect
     assert labels is not None
     rows: list[str] = []
-    for detector in DETECTORS:
+    for detector in (name for name, one in DETECTORS.items() if not one.uses_catalogue):
         options = InspectOptions(
             detector=detector, fusion="paper" if detector == "template" else None, false_alarms=rate
         )
