@@ -77,7 +77,8 @@ class BackgroundTasks:
     """A thread that does one task after the other, while the thread that gives them goes on.
 
     As a context manager: left when all tasks are done, or, where its block raises, when the one at work is done; the
-    others are dropped. So are those after one that fails, whose exception the next :meth:`add` or :meth:`wait` raises.
+    others are dropped. So are those after one that fails, whose exception the next
+    :meth:`add`, :meth:`check` or :meth:`wait` raises.
     """
 
     def __init__(self) -> None:
@@ -96,9 +97,13 @@ class BackgroundTasks:
 
     def add(self, function: Callable[..., None], *arguments: Any) -> None:
         """Do a task after those that were given before."""
+        self.check()
+        self._pool.start(self._do, function, arguments)
+
+    def check(self) -> None:
+        """Raise the exception of a task that has failed."""
         while not self._pool.finished.empty():
             self._pool.finish_one()
-        self._pool.start(self._do, function, arguments)
 
     def wait(self) -> None:
         """Return when all tasks are done."""

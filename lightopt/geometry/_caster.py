@@ -122,11 +122,12 @@ class RayCaster:
         """
         begins, local = _begins(points, normals, self.centre, self.radius), self._local(targets)
         cast = self._maps.unproven(local, begins, candidates) if outside else candidates
+        with self._lock:
+            self._rays_free += int(np.count_nonzero(candidates) - np.count_nonzero(cast))
         if self._packets is not None and self._recorder is None:
             blocked = self._packets.blocked(begins, local, cast)
             with self._lock:
                 self._rays_cast += int(np.count_nonzero(cast))
-                self._rays_free += int(np.count_nonzero(candidates) - np.count_nonzero(cast))
             return candidates & ~blocked
         point, target = (index.astype(np.int32) for index in np.nonzero(cast.T))
         seen = candidates.copy()

@@ -147,7 +147,9 @@ def find_defects(
     catalogue = build_catalogue(part) if DETECTORS[options.detector].uses_catalogue else ()
     for view, exposures in registered.views:
         calibrated = None if calibration is None else calibration.of(view.posture, exposures, where=where)
-        bank = cache.template_bank(registered.scene, view, catalogue, threads=run.threads) if catalogue else ()
+        bank: TemplateBank = ()
+        if catalogue:
+            bank = cache.template_bank(registered.scene, view, exposures, catalogue, threads=run.threads)
         postures.append(_inspect_posture(view, options, registered, bank, calibrated, where, run.threads))
     expected, found = part_postures(part), registered.registration
     warnings = inspection_warnings(

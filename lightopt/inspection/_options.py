@@ -10,7 +10,8 @@ from lightopt.inspection.fusion._gradient_fusion import FUSIONS, Fusion
 class InspectOptions:
     """Options of an inspection.
 
-    detector: ``residual``: measured against predicted; ``template``: dots and lines in the synthetic image.
+    detector: ``residual``: measured against predicted; ``catalogue``: that, and whole defects of the part's catalogue;
+        ``template``: dots and lines in the synthetic image.
     fusion: rule that the synthetic image is made by; None for no such image, which the template detector needs.
     false_alarms: expected number of false alarms per posture where noise is all that differs from the good part.
     min_images: in how many images of a posture a defect must show.

@@ -160,6 +160,7 @@ def render_image_set(
                 progress=part_of(stage, number / len(scene.postures), (number + 1) / len(scene.postures)),
             )
             rays += images.rays
+            packing.check()
             if number + 1 == len(scene.postures):
                 # its hierarchy takes as much memory as writing does; freed where no Ctrl-C arrives, which would be lost
                 last, caster = [caster], None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -35,6 +36,7 @@ from lightopt.inspection.detection._catalogue_score import (
     reduced_deviations,
 )
 from lightopt.inspection.detection._named_defects import join_explained
+from lightopt.inspection.prediction._prediction_cache import PredictionCache
 from lightopt.inspection.prediction._template_bank import CODES, LEAST_EXPECTED, template_bank
 from lightopt.rendering import RenderOptions, cast_rays_at, render_image_set
 from lightopt.scene import build_catalogue
@@ -301,6 +303,40 @@ def test_a_part_without_a_catalogue_is_tested_for_the_built_in_one(shared_bench)
             mixture = own.seen_by_pixels(1, 0, scale * np.eye(2))
             area = np.sum(mixture.weight) / scale**2
             assert 0.2 * own.shapes[1].area < area < 1.1 * own.shapes[1].area
+
+
+def test_a_speck_narrower_than_larger_pixels_is_no_error(case):
+    _, (good, _), _, _, scene, view, _, caster = case
+    clean = np.zeros_like(view.clean)
+    row, column = np.argwhere(view.clean)[0]
+    clean[row, column] = True
+    speck = replace(view, prediction=replace(view.prediction, clean=clean))
+    wide = [entry for entry in build_catalogue(good) if entry.shape.width > 1.0]
+    bank = template_bank(
+        scene, speck, [replace(e, shape=replace(e.shape, length=20.0, width=20.0)) for e in wide], caster
+    )
+    assert all(entry.tests == 0 for entry in bank if entry.ratio > 1)
+    explain_deviations(noise(speck, 0), bank, share=0.5, min_images=2)
+
+
+def test_templates_are_kept_for_the_same_exposures_and_up_to_a_size(case, monkeypatch):
+    _, (good, _), _, _, scene, view, _, _ = case
+    module = "lightopt.inspection.prediction._prediction_cache"
+    monkeypatch.setattr(f"{module}.template_bank", lambda *_, **__: (SimpleNamespace(change=np.zeros(8)),))
+    catalogue = build_catalogue(good)
+
+    def banks(*exposures):
+        cache = PredictionCache()
+        monkeypatch.setattr(cache, "_caster", lambda _: None)
+        shots = [dict.fromkeys(view.lights, ((exposure, 1),)) for exposure in exposures]
+        return [cache.template_bank(scene, view, shot, catalogue) for shot in shots]
+
+    first, again, other = banks(1.0, 1.0, 1.0 / 16.0)
+    assert first is again
+    assert first is not other
+    monkeypatch.setattr(f"{module}.MOST_BYTES", 63)
+    first, again = banks(1.0, 1.0)
+    assert first is not again
 
 
 def test_where_nothing_can_be_judged_there_is_nothing_to_test(case):

@@ -371,9 +371,10 @@ def test_transformed_moves_vertices_and_turns_normals():
         transformed(mesh, np.eye(3), (0, 0, np.nan))
 
 
-def test_a_binary_stl_file_takes_no_trimesh(tmp_path):
+@pytest.mark.parametrize("kind", ["stl", "ply"])
+def test_a_binary_file_of_triangles_takes_no_trimesh(tmp_path, kind):
     """It takes longer to load than most commands have to compute."""
-    path = export(tmp_path, trimesh.creation.icosphere(subdivisions=1), "stl")
+    path = export(tmp_path, trimesh.creation.icosphere(subdivisions=1), kind)
     program = (
         "import sys\n"
         "from pathlib import Path\n"

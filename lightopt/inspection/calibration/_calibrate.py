@@ -79,8 +79,8 @@ def calibrate(
 
     def banks() -> Iterator[tuple[Posture, TemplateBank]]:
         for _, one in registered():
-            for view, _ in one.views:
-                yield view.posture, cache.template_bank(one.scene, view, catalogue, threads=run.threads)
+            for view, exposures in one.views:
+                yield view.posture, cache.template_bank(one.scene, view, exposures, catalogue, threads=run.threads)
 
     names = tuple(one.folder.resolve().name for one in sets)
     fingerprint = calibration_fingerprint(rig, part, options)

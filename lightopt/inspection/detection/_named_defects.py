@@ -155,7 +155,8 @@ def name_defect(
         )
     elif amplitude is not None:
         whole = shape.R_d_factor if shape.kind == "stain" else shape.sigma_factor
-        value, *ends = (1.0 + a * (whole - 1.0) for a in amplitude)
+        # coefficients are not negative
+        value, *ends = (max(0.0, 1.0 + a * (whole - 1.0)) for a in amplitude)
         factor = (value, min(ends), max(ends))
     return NamedDefect(
         entry=hypotheses.entry.name,

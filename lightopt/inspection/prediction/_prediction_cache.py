@@ -1,6 +1,6 @@
 """What a batch reuses from set to set: meshes, predictions, their derivatives with respect to the placement."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from lightopt.core.arrays import Float64
@@ -27,6 +27,7 @@ from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene
 
 Key = tuple[Posture, tuple[str, ...]]  # a posture and the lights that there are images of
+ExposuresKey = tuple[tuple[tuple[float, int], ...], ...]  # of each light: relative exposures and numbers of frames
 
 SAME_PLACE_MM = 0.002
 SAME_TURN_RAD = 5e-5  # a part that was found this near to the previous one takes over its prediction as it is
@@ -56,7 +57,7 @@ class PredictionCache:
     misfit: float | None = None
     samples: dict[tuple[Key, str, bool], PixelSample] = field(default_factory=dict)
     surface_maps: dict[tuple[Posture, ...], SurfaceMap] = field(default_factory=dict)
-    banks: dict[Key, TemplateBank] = field(default_factory=dict)
+    banks: dict[tuple[Key, ExposuresKey], TemplateBank] = field(default_factory=dict)
 
     def use_placement(self, scene: Scene, placement: Placement) -> tuple[Scene, Placement]:
         """The scene and placement to predict with: those of the previous part, if that lay in the same place.
@@ -142,16 +143,27 @@ class PredictionCache:
         return self.surface_maps[postures]
 
     def template_bank(
-        self, scene: Scene, view: PostureView, catalogue: Sequence[CatalogueEntry], *, threads: int | None = None
+        self,
+        scene: Scene,
+        view: PostureView,
+        exposures: Mapping[str, tuple[tuple[float, int], ...]],
+        catalogue: Sequence[CatalogueEntry],
+        *,
+        threads: int | None = None,
     ) -> TemplateBank:
         """What the defects of a part's catalogue would change in a view of the scene of its prediction.
 
-        For a part that lies a little off the previous one it is that of the previous one.
+        For a part that lies a little off the previous one it is that of the previous one, if its images have the same
+        exposures. Banks are kept up to :data:`MOST_BYTES`.
         """
-        key = view.posture, view.lights
-        if key not in self.banks:
-            self.banks[key] = template_bank(scene, view, catalogue, self._caster(scene), threads=threads)
-        return self.banks[key]
+        key = (view.posture, view.lights), tuple(exposures[light] for light in view.lights)
+        if (kept := self.banks.get(key)) is not None:
+            return kept
+        bank = template_bank(scene, view, catalogue, self._caster(scene), threads=threads)
+        size = sum(entry.change.nbytes for some in (*self.banks.values(), bank) for entry in some)
+        if size <= MOST_BYTES:
+            self.banks[key] = bank
+        return bank
 
     def _caster(self, scene: Scene) -> RayCaster:
         if self.caster is None:

@@ -314,7 +314,8 @@ def _pieces(
 ) -> Pieces:
     sizes, turns = len(own.shapes), len(own.turns)
     counts = np.zeros((COSINES * AZIMUTHS, sizes, turns * len(halves)), np.int32)
-    parts: list[tuple[Int32, Int32, Float64]] = []
+    # empty ones first: there may be no place to test
+    parts: list[tuple[Int32, Int32, Float64]] = [(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0))]
     for one in classes:
         to_image = _to_image(one, footprint)
         for size in range(sizes):
