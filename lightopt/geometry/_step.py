@@ -26,7 +26,7 @@ _COARSE_LINEAR, _COARSE_ANGULAR = 0.2, 0.5
 
 
 TIMEOUT_S = 300.0  # time for both passes together [s]
-MEMORY_GB = 4.0  # address space of the worker [10⁹ bytes]; not limited on Windows
+MEMORY_GB = 4.0  # address space of each of the two workers [10⁹ bytes]; not limited on Windows
 
 
 def read_step(

@@ -13,6 +13,7 @@ import reference
 from scipy import ndimage
 
 from lightopt import load_part, load_rig
+from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.defects import BUILT_IN_CATALOGUE, SIZES, defect_hypotheses, expected_change, rest_of_images
@@ -317,6 +318,15 @@ def test_a_speck_narrower_than_larger_pixels_is_no_error(case):
     )
     assert all(entry.tests == 0 for entry in bank if entry.ratio > 1)
     explain_deviations(noise(speck, 0), bank, share=0.5, min_images=2)
+
+
+def test_images_full_of_defects_are_refused(case, monkeypatch):
+    _, _, _, _, _, view, bank, _ = case
+    monkeypatch.setattr(_catalogue_score, "MOST_DEFECTS", 3)
+    found = noise(view, 0)
+    loud = replace(found, z=np.where(found.usable, 6.0 * found.z, 0.0).astype(np.float32))
+    with pytest.raises(InputError, match="more than 3 places look like a defect"):
+        explain_deviations(loud, bank, share=0.5, min_images=1)
 
 
 def test_templates_are_kept_for_the_same_exposures_and_up_to_a_size(case, monkeypatch):

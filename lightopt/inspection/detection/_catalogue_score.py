@@ -12,6 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32, UInt8
+from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.defects import CONFIRMED, SIZES, chance_score, rest_of_images
@@ -135,6 +136,7 @@ def explain_deviations(
 
     min_images: A defect counts where the images without the `min_images` − 1 that support it most confirm it. Where
         fewer are lit it has to show in these alone.
+    Raises InputError: More than :data:`MOST_DEFECTS` places look like a defect.
     """
     pixels = max(1, int(np.count_nonzero(found.usable.any(axis=0))))
     entries = [
@@ -168,6 +170,11 @@ def explain_deviations(
         alive = candidates.score >= LEAST_SCORE
         if np.count_nonzero(alive) < 0.5 * len(alive):
             candidates = candidates.take(alive)
+    else:
+        raise InputError(
+            f"detector catalogue: more than {MOST_DEFECTS:,} places look like a defect: the model does not describe "
+            "the part; check the sensor's noise in the rig file, and fit the reflectance (lightopt fit-specular)"
+        )
     return tuple(sorted(result, key=lambda one: -one.score))
 
 
