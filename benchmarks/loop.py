@@ -1,16 +1,15 @@
 """Does the loop close: lights planned for defects, defects captured under them, and what ``inspect`` finds of them.
 
-``python -m benchmarks.loop [--finish polished] [--seeds N] [--plot PNG]``. For each sample part the lights are placed
-once by ``optimize --objective detectability`` and once by ``--objective paper``. Defects of the built-in catalogue are
-strewn over the part, the same ones for both rigs, the virtual bench captures it 0.4 and 0.3 mm off its place with noise
-of its own for each seed, and the inspection is held against the defects that the part's file names.
+``python -m benchmarks.loop [--finish polished] [--seeds N] [--plot PNG]``. For each part the lights are placed once by
+``optimize --objective detectability`` and once by ``--objective paper``. Random defects of the built-in catalogue are
+placed on the part, the same ones for both rigs, the simulated rig captures it 0.4 and 0.3 mm off its place with noise
+of its own for each seed, and the inspection with the part's catalogue is held against the defects that the part's file
+names.
 
-Three shares are set beside what was found, kind by kind:
+Two shares are set beside what was found, kind by kind:
 
-*planned*: of the (patch, defect) pairs of all that the camera sees, those that ``optimize`` predicts to be seen.
-*beneath*: the same of the patches beneath the defects that were strewn: they lie in the open, off edges.
-*whole*: of the strewn defects, those of which one pair or more beneath them is predicted to be seen. A defect is found
-as a whole, by any of its walls, so that this is what to hold the finds against.
+*planned*: of all inspectable places, those where ``optimize`` predicts a defect of the kind to be found.
+*at these places*: the same of the places where the defects lie, in their orientations.
 """
 
 from __future__ import annotations
@@ -26,29 +25,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks._case import one_posture_files
-from benchmarks.inspection import FALSE_ALARMS, FIRST, replace_block
+from benchmarks.inspection import FIRST, replace_block
 from lightopt import build_scene, load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
-from lightopt.defects import BUILT_IN_CATALOGUE, PlacedDefect, radial_place, surface_coordinates
-from lightopt.design import Contrast, DetectionModel, Visibility, defect_hypotheses, luminance_matrix, unpack_flags
+from lightopt.core.arrays import Bool
+from lightopt.defects import BUILT_IN_CATALOGUE, PlacedDefect, tangent_references
+from lightopt.design import DetectionModel, ImageEvaluator, planned_catalogue, unpack_flags, without_edges
 from lightopt.images import ImageSet, read_image_set
-from lightopt.inspection import (
-    SCALES_PX,
-    InspectionResult,
-    InspectOptions,
-    SetEvaluation,
-    deviations,
-    evaluate_set,
-    find_regions,
-    inspect_set,
-    score_deviations,
-    split_regions,
-    threshold,
-)
-from lightopt.rendering import PatchTable, build_patches, cast_rays_at
+from lightopt.inspection import InspectOptions, PredictionCache, SetEvaluation, evaluate_set, inspect_set
+from lightopt.rendering import build_patches, cast_rays_at
 from lightopt.report import chart, figure_image, fixed_style
 from lightopt.rig.capture import CaptureOptions, CapturePlan, Devices, capture, connect_devices, start_bench, wiring_of
 from lightopt.rig.simulated import BenchTruth
@@ -59,28 +46,23 @@ OBJECTIVES = ("detectability", "paper")
 FINISHES = {"as-filed": {}, "polished": {"R_d": 1.0}}
 """What replaces the coefficients of the part's file: polished, hardly anything scatters, and defects are glints on a
 dark field."""
-SEEN_IN = (1, 2)
-PLANNED_IN = 1
-"""Images that must show a defect, of the rig for detectability."""
+MIN_IMAGES = (1, 2)
 
 OFF_MM = (0.4, -0.3, 0.0)
 NORMAL_95 = 1.959964
 
-Bool = NDArray[np.bool_]
-
 
 @dataclass(frozen=True)
 class Tally:
-    """Defects of a kind: predicted shares, and how many were strewn, predicted to be found and found."""
+    """Defects of a kind: predicted shares, how many were placed, and how many of them were found."""
 
     part: str
     objective: str
     min_images: int
     kind: str
     planned: float
-    beneath: float
-    strewn: int
-    whole: int
+    at_places: float
+    placed: int
     found: int
     false_alarms: int = 0
     postures: int = 0
@@ -115,60 +97,48 @@ def files(folder: Path, name: str, width: int, finish: str) -> tuple[Path, Path]
 
 
 class Prediction:
-    """What the planner says of a rig: which pairs of patch and defect enough images show."""
+    """What the planner says of a rig: which defects the inspection finds at which patches."""
 
-    def __init__(self, rig: RigConfig, part: PartConfig, patches: int) -> None:
+    def __init__(self, rig: RigConfig, part: PartConfig, patches: int, min_images: int) -> None:
         scene = build_scene(rig, part, defects=False)
         caster = cast_rays_at(scene)
-        self.table: PatchTable = build_patches(scene, caster=caster, budget=patches)
-        contrast = Contrast(sensor=scene.sensor, full_scale=scene.reflectance.full_scale)
-        self.trials = defect_hypotheses(BUILT_IN_CATALOGUE)
-        matrix = luminance_matrix(
-            scene,
-            self.table,
-            scene.postures[0],
-            [(light,) for light in scene.lights],
+        posture = scene.postures[0]
+        catalogue = planned_catalogue(BUILT_IN_CATALOGUE)
+        self.table = without_edges(build_patches(scene, caster=caster, budget=patches), scene, caster)
+        evaluator = ImageEvaluator(
+            scene=scene,
+            table=self.table,
             caster=caster,
-            detection=DetectionModel(hypotheses=self.trials, contrast=contrast),
+            detection=DetectionModel(
+                catalogue=catalogue, sensor=scene.sensor, full_scale=scene.reflectance.full_scale, min_images=min_images
+            ),
         )
-        assert matrix.visibility is not None
-        self.visibility: Visibility = matrix.visibility
+        self.defects = catalogue.defects
+        self.axes = scene.placement.rotation
+        self.patches = evaluator.patches
+        self.areas = self.table.patches.areas[self.patches]
+        counts = evaluator.counts(posture, scene.lights)
+        self.found: Bool = unpack_flags(counts[-1], len(self.defects)) > 0
 
-    def seen(self, min_images: int) -> Bool:
-        """Whether enough images show each trial on each patch, shape (p, t)."""
-        one_each = self.visibility.rows([np.zeros(1, np.int64)] * len(self.visibility.words))
-        words = one_each.reachable(min_images)
-        return unpack_flags(words, len(self.trials))
+    def planned(self, kind: str) -> float:
+        """Share of the inspectable places."""
+        own = [t for t, defect in enumerate(self.defects) if defect.name == kind]
+        return float(self.areas @ self.found[:, own].mean(axis=1) / self.areas.sum())
 
-    def trials_of(self, name: str) -> Bool:
-        """The trials of an entry of the catalogue, shape (t,)."""
-        return np.array([trial.name == name for trial in self.trials])
-
-    def beneath(self, defect: PlacedDefect) -> NDArray[np.intp]:
-        """The patches that a defect lies on, at least the nearest."""
-        patches, own = self.table.patches, self.visibility.patch
-        centroids = patches.centroids[own]
+    def at(self, defect: PlacedDefect, kind: str) -> bool:
+        """Whether a defect is predicted to be found where it lies."""
+        centroids = self.table.patches.centroids[self.patches]
+        normals = self.table.patches.normals[self.patches]
         distance = np.linalg.norm(centroids - defect.position, axis=1)
-        near = np.flatnonzero(distance <= defect.reach)
-        x, y, same = surface_coordinates(defect, centroids[near], patches.normals[own][near])
-        inside = near[same & (radial_place(defect.shape, x, y) < 1.0)]
-        return inside if len(inside) else np.array([distance.argmin()])
-
-
-def looked_at_again(result: InspectionResult, min_images: int) -> InspectionResult:
-    """The same images, judged by another number of images that must show a defect."""
-    postures = []
-    for posture in result.postures:
-        found = deviations(posture.view)
-        score = score_deviations(found, min_images=min_images)
-        high = threshold(FALSE_ALARMS, int(posture.view.clean.sum()), len(SCALES_PX))
-        labels, _ = split_regions(*find_regions(score, high), score, found, high)
-        postures.append(replace(posture, score=score, labels=labels, threshold=high))
-    return replace(result, postures=tuple(postures))
+        distance[normals @ defect.normal < 0.5] = np.inf
+        own = [t for t, planned in enumerate(self.defects) if planned.name == kind]
+        reference = tangent_references(defect.normal[None], x_axis=self.axes[:, 0], y_axis=self.axes[:, 1])[0]
+        turn = math.atan2(defect.along @ np.cross(defect.normal, reference), defect.along @ reference)
+        return bool(self.found[distance.argmin(), own[round(turn / math.pi * len(own)) % len(own)]])
 
 
 def take(rig: RigConfig, part: PartConfig, folder: Path, seed: int) -> ImageSet:
-    """Capture a part on the virtual bench, off its place and with noise of a seed."""
+    """Capture a part on the simulated rig, off its place and with noise of a seed."""
     truth = BenchTruth(seed=seed, part_offset_mm=OFF_MM)
     with start_bench(rig, wiring_of(rig), part=part, truth=truth) as bench:
 
@@ -180,144 +150,138 @@ def take(rig: RigConfig, part: PartConfig, folder: Path, seed: int) -> ImageSet:
 
 
 def close_loop(folder: Path, name: str, options: argparse.Namespace) -> Iterator[Tally]:
-    """Plan, strew, capture and inspect one part under the rigs of both objectives."""
+    """Plan, place, capture and inspect one part under the rigs of both objectives."""
     rig_file, part_file = files(folder, name, options.width, options.finish)
-    strewn: list[Path] = []
+    placed: list[Path] = []
     for seed in range(1, options.seeds + 1):
-        strewn.append(folder / f"{name}-{seed}.yaml")
+        placed.append(folder / f"{name}-{seed}.yaml")
         run_command(
-            "defects", rig_file, part_file, "--seed", seed, "--count", options.count, "-o", strewn[-1], "-q"
+            "defects", rig_file, part_file, "--seed", seed, "--count", options.count, "-o", placed[-1], "-q"
         )  # fmt: skip
-    for objective in OBJECTIVES:
+    for objective in options.objectives:
         best = folder / f"{name}-{objective}"
         run_command(
             "optimize", rig_file, part_file, "-o", best, "--objective", objective, "--posture", "0,0",
             "--step", options.step, "--patches", options.patches, "--no-images", "--no-report", "-q",
-            *(("--min-images", PLANNED_IN) if objective == "detectability" else ()),
         )  # fmt: skip
         rig = load_rig(best / "rig.optimized.yaml")
         angles = ", ".join(f"{light.elevation_deg:g}°" for light in rig.lights)
         print(f"{name}, {objective}: {angles}", flush=True)
-        prediction = Prediction(rig, load_part(part_file), options.patches)
-        counts = _Counts(prediction)
-        for seed, path in enumerate(strewn, 1):
+        nominal = load_part(part_file)
+        counts = {k: _Counts(Prediction(rig, nominal, options.patches, k)) for k in MIN_IMAGES}
+        cache = PredictionCache()
+        for seed, path in enumerate(placed, 1):
             part = load_part(path)
             image_set = take(rig, part, folder / f"{name}-{objective}-{seed}", seed)
-            once = inspect_set(rig, part, image_set, options=InspectOptions(fusion=None, min_images=1))
-            placed = place_defects(once.nominal, rig, part)
-            for min_images in SEEN_IN:
-                result = once if min_images == 1 else looked_at_again(once, min_images)
-                counts.add(min_images, placed, evaluate_set(image_set, result, known=placed))
+            for min_images, own in counts.items():
+                inspection = InspectOptions(detector="catalogue", fusion=None, min_images=min_images)
+                result = inspect_set(rig, part, image_set, options=inspection, cache=cache)
+                known = place_defects(result.nominal, rig, part)
+                own.add(known, evaluate_set(image_set, result, known=known))
             print(f"{name}, {objective}, seed {seed}: done", flush=True)
-        yield from counts.tallies(name, objective)
+        for min_images, own in counts.items():
+            yield from own.tallies(name, objective, min_images)
 
 
 class _Counts:
-    """Defects counted by kind and by the number of images that must show them."""
+    """Defects counted by kind."""
 
     def __init__(self, prediction: Prediction) -> None:
         self.prediction = prediction
-        self.shares: dict[tuple[int, str], list[float]] = {}
-        self.hits: dict[tuple[int, str], list[tuple[bool, bool]]] = {}
-        self.false_alarms = dict.fromkeys(SEEN_IN, 0)
-        self.postures = dict.fromkeys(SEEN_IN, 0)
+        self.hits: dict[str, list[tuple[bool, bool]]] = {}
+        self.false_alarms = self.postures = 0
 
-    def add(self, min_images: int, placed: tuple[PlacedDefect, ...], known: SetEvaluation) -> None:
-        seen, areas = self.prediction.seen(min_images), self.prediction.visibility.areas
+    def add(self, placed: tuple[PlacedDefect, ...], known: SetEvaluation) -> None:
         found = {defect.name: defect.found for defect in known.defects}
         for defect in placed:
-            if defect.name not in found:
-                continue
-            kind = defect.name.rsplit("-", 1)[0]
-            rows = self.prediction.beneath(defect)
-            pairs = seen[np.ix_(rows, self.prediction.trials_of(kind))]
-            key = min_images, kind
-            share = float(areas[rows] @ pairs.mean(axis=1) / areas[rows].sum())
-            self.shares.setdefault(key, []).append(share)
-            self.hits.setdefault(key, []).append((bool(pairs.any()), found[defect.name]))
-        self.false_alarms[min_images] += known.false_alarms
-        self.postures[min_images] += known.postures
+            if defect.name in found:
+                kind = defect.name.rsplit("-", 1)[0]
+                hit = self.prediction.at(defect, kind), found[defect.name]
+                self.hits.setdefault(kind, []).append(hit)
+        self.false_alarms += known.false_alarms
+        self.postures += known.postures
 
-    def tallies(self, part: str, objective: str) -> Iterator[Tally]:
-        areas = self.prediction.visibility.areas
-        for min_images in SEEN_IN:
-            seen = self.prediction.seen(min_images)
-            kinds = [kind for number, kind in self.hits if number == min_images]
-            planned = {
-                kind: float(areas @ seen[:, self.prediction.trials_of(kind)].mean(axis=1) / areas.sum())
-                for kind in kinds
-            }
-            for kind in (*kinds, "all"):
-                own = [k for k in kinds if kind in (k, "all")]
-                shares = [x for k in own for x in self.shares[min_images, k]]
-                hits = [x for k in own for x in self.hits[min_images, k]]
-                yield Tally(
-                    part=part,
-                    objective=objective,
-                    min_images=min_images,
-                    kind=kind,
-                    planned=float(np.mean([planned[k] for k in own])),
-                    beneath=float(np.mean(shares)),
-                    strewn=len(hits),
-                    whole=sum(whole for whole, _ in hits),
-                    found=sum(found for _, found in hits),
-                    false_alarms=self.false_alarms[min_images],
-                    postures=self.postures[min_images],
-                )
+    def tallies(self, part: str, objective: str, min_images: int) -> Iterator[Tally]:
+        planned = {kind: self.prediction.planned(kind) for kind in self.hits}
+        for kind in (*self.hits, "all"):
+            own = [k for k in self.hits if kind in (k, "all")]
+            hits = [x for k in own for x in self.hits[k]]
+            yield Tally(
+                part=part,
+                objective=objective,
+                min_images=min_images,
+                kind=kind,
+                planned=float(np.mean([planned[k] for k in own])),
+                at_places=float(np.mean([predicted for predicted, _ in hits])),
+                placed=len(hits),
+                found=sum(found for _, found in hits),
+                false_alarms=self.false_alarms,
+                postures=self.postures,
+            )
+
+
+def joined(tallies: list[Tally]) -> Tally:
+    """Several parts as one row."""
+    placed = sum(t.placed for t in tallies)
+    return replace(
+        tallies[0],
+        part="all",
+        planned=float(np.mean([t.planned for t in tallies])),
+        at_places=sum(t.at_places * t.placed for t in tallies) / placed,
+        placed=placed,
+        found=sum(t.found for t in tallies),
+        false_alarms=sum(t.false_alarms for t in tallies),
+        postures=sum(t.postures for t in tallies),
+    )
 
 
 def table(tallies: list[Tally]) -> str:
-    """A line per part, rig and number of images for all kinds together, then one per kind of the planned rig."""
+    """A line per part, rig and number of images for all kinds together, then one per kind of all parts."""
     lines = [
-        "| part | lights for | images | planned | beneath | whole | found | 95 % | false alarms |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| part | lights for | images | planned | at these places | found | 95 % | false alarms |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for t in tallies:
         if t.kind == "all":
             alarms = f"{t.false_alarms} in {t.postures}"
             lines.append(f"| {t.part} | {t.objective} | {t.min_images} | {_cells(t)} | {alarms} |")
-    lines += ["", "| kind | images | planned | beneath | whole | found | 95 % |", "|---|---|---|---|---|---|---|"]
-    mine = [t for t in tallies if t.objective == "detectability" and t.kind != "all"]
-    for min_images, kind in itertools.product(SEEN_IN, dict.fromkeys(t.kind for t in mine)):
-        both = [t for t in mine if (t.min_images, t.kind) == (min_images, kind)]
-        strewn = sum(t.strewn for t in both)
-        joined = replace(
-            both[0],
-            planned=float(np.mean([t.planned for t in both])),
-            beneath=sum(t.beneath * t.strewn for t in both) / strewn,
-            strewn=strewn,
-            whole=sum(t.whole for t in both),
-            found=sum(t.found for t in both),
-        )
-        lines.append(f"| {kind} | {min_images} | {_cells(joined)} |")
+    lines += [
+        "",
+        "| kind | lights for | images | planned | at these places | found | 95 % |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    kinds = dict.fromkeys(t.kind for t in tallies if t.kind != "all")
+    for objective, min_images, kind in itertools.product(OBJECTIVES, MIN_IMAGES, kinds):
+        own = [t for t in tallies if (t.objective, t.min_images, t.kind) == (objective, min_images, kind)]
+        if own:
+            lines.append(f"| {kind} | {objective} | {min_images} | {_cells(joined(own))} |")
     return "\n".join(lines)
 
 
 def _cells(t: Tally) -> str:
-    low, high = interval(t.found, t.strewn)
+    low, high = interval(t.found, t.placed)
     return (
-        f"{100 * t.planned:.0f} % | {100 * t.beneath:.0f} % | {t.whole} of {t.strewn} | {t.found} of {t.strewn} | "
+        f"{100 * t.planned:.0f} % | {100 * t.at_places:.0f} % | {100 * t.found / t.placed:.0f} % of {t.placed} | "
         f"{100 * low:.0f} to {100 * high:.0f} %"
     )
 
 
 def plot(tallies: list[Tally], path: Path) -> None:
     """Predicted across, found up, a dot per part, rig and kind; the line is where they are equal."""
-    shown = list(itertools.product(SEEN_IN, ("share of pairs planned", "defects of which a pair beneath is seen")))
+    shown = list(itertools.product(MIN_IMAGES, ("planned", "at_places")))
     with fixed_style():
         figure, panels = chart(
-            title="The loop, kind by kind",
-            x_label="predicted [%]",
+            title="Planned and found, kind by kind",
+            x_label="planned [%]",
             labels=[
-                f"found [%] against {what}, {min_images} image{'s' if min_images > 1 else ''}"
-                for min_images, what in shown
+                f"found [%], {'all places' if what == 'planned' else 'these places'}, {k} image{'s' * (k > 1)}"
+                for k, what in shown
             ],
         )
         for panel, (min_images, what) in zip(panels, shown, strict=True):
             own = [t for t in tallies if t.kind != "all" and t.min_images == min_images]
-            predicted = [t.planned if what.startswith("share") else t.whole / t.strewn for t in own]
-            found = [100.0 * t.found / t.strewn for t in own]
-            panel.plot([100.0 * share for share in predicted], found, ".", color="#5c636e")
+            found = [100.0 * t.found / t.placed for t in own]
+            panel.plot([100.0 * getattr(t, what) for t in own], found, ".", color="#5c636e")
             panel.plot([0.0, 100.0], [0.0, 100.0])
         figure_image(figure).save(path)
 
@@ -326,8 +290,9 @@ def main(arguments: list[str] | None = None) -> None:
     """Close the loop, print the tables, write all tallies."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.loop", description=__doc__)
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--objectives", nargs="+", choices=OBJECTIVES, default=list(OBJECTIVES))
     parser.add_argument("--finish", choices=FINISHES, default="as-filed", help="of the surface")
-    parser.add_argument("--seeds", type=int, default=3, help="sets of defects per part")
+    parser.add_argument("--seeds", type=int, default=34, help="sets of defects per part")
     parser.add_argument("--count", type=int, default=42, help="defects per set")
     parser.add_argument("--width", type=int, default=800, help="of the images [px]")
     parser.add_argument("--patches", type=int, default=50_000, help="about how many patches are visible")

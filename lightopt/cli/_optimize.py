@@ -65,15 +65,15 @@ def optimize(
     min_images: Annotated[
         int | None,
         objective_option(
-            metavar="K", min=1, help="detectability: number of images that must show a defect.", show_default="1"
+            metavar="K", min=1, help="detectability: number of images that must show a defect.", show_default="2"
         ),
     ] = None,
-    threshold: Annotated[
+    false_alarms: Annotated[
         float | None,
         objective_option(
-            metavar="T",
-            help="detectability: an image shows a defect if the defect changes a level by T times the sensor's noise.",
-            show_default="5",
+            metavar="N",
+            help="detectability: expected false alarms per posture that the inspection may have, from 1e-9 to 1.",
+            show_default="0.05",
         ),
     ] = None,
     choose_postures: Annotated[
@@ -181,7 +181,7 @@ def optimize(
     tolerance = light_tolerance is not None or pose_tolerance is not None
     dependent = (
         ("--min-images", min_images, of_defects, "--objective detectability"),
-        ("--threshold", threshold, of_defects, "--objective detectability"),
+        ("--false-alarms", false_alarms, of_defects, "--objective detectability"),
         ("--posture-step", posture_step, choice, "--choose-postures or --target"),
         ("--allow-outside", allow_outside, choice, "--choose-postures or --target"),
         ("--exposure-gain", exposure_gain, exposures is not None, "--exposures"),
@@ -240,7 +240,7 @@ def optimize(
         images=images,
         report=report,
         rows=ranking_rows,
-        **_given(min_images=min_images, threshold=threshold, patch_budget=patches, limit=max_combinations),
+        **_given(min_images=min_images, false_alarms=false_alarms, patch_budget=patches, limit=max_combinations),
     )
     try:
         with show_progress(quiet=quiet) as progress:

@@ -170,17 +170,15 @@ def show_commands(result: design.PlanResult, folder: Path, *, verbose: bool) -> 
 
 def _show_postures(document: Section, *, verbose: bool) -> None:
     from lightopt.core.transforms import Posture
-    from lightopt.design import share_text
+    from lightopt.design import finding_text, share_text
     from lightopt.report.design import plan_proof, posture_facts, posture_table
 
     chosen = document["chosen_postures"]
     text = partial(share_text, grain=chosen["patches"]["grain"])
     table = posture_table(chosen, with_exposures=len(chosen["bounds_with_any_of_exposures"]) > 1)
-    number, images = counted(len(chosen["postures"]), "posture"), counted(chosen["min_images"], "image")
-    echo(
-        f"{number} of {chosen['candidates']} show {text(chosen['share'])} of the surface × defects in {images} or "
-        "more of the planned images"
-    )
+    number = counted(len(chosen["postures"]), "posture")
+    meaning = finding_text(chosen["min_images"], chosen["false_alarms"])
+    echo(f"{number} of {chosen['candidates']}: {text(chosen['share'])} {meaning}")
     show_page_table(table)
     _show_spare(chosen, text)
     proof = plan_proof(chosen)

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 Bool = NDArray[np.bool_]
 UInt8 = NDArray[np.uint8]
 UInt64 = NDArray[np.uint64]
+Int8 = NDArray[np.int8]
+Int16 = NDArray[np.int16]
 Int32 = NDArray[np.int32]
 Int64 = NDArray[np.int64]
 Index = NDArray[np.intp]

@@ -5,7 +5,13 @@ move nothing: neither points nor silhouettes nor shadows.
 """
 
 from lightopt.defects._catalogue import BUILT_IN_CATALOGUE as BUILT_IN_CATALOGUE, CatalogueEntry as CatalogueEntry
-from lightopt.defects._pixel_shares import PIXEL_RATIOS as PIXEL_RATIOS, pixel_shares as pixel_shares
+from lightopt.defects._foreshortening import (
+    FORESHORTENINGS as FORESHORTENINGS,
+    foreshortening_classes as foreshortening_classes,
+    image_axes as image_axes,
+    plane_to_image as plane_to_image,
+    tangent_axis as tangent_axis,
+)
 from lightopt.defects._placed_defects import (
     PlacedDefect as PlacedDefect,
     mark_surface as mark_surface,
@@ -23,15 +29,21 @@ from lightopt.defects._shape import (
     slope_of_depth as slope_of_depth,
 )
 from lightopt.defects._statistic import (
+    CATALOGUE_SHARE as CATALOGUE_SHARE,
     CONFIRMED as CONFIRMED,
     DARK as DARK,
     MOST_CHANGE as MOST_CHANGE,
+    REGISTRATION_PX as REGISTRATION_PX,
     chance_score as chance_score,
     expected_change as expected_change,
+    least_z as least_z,
     rest_of_images as rest_of_images,
 )
 from lightopt.defects._whole_defects import (
+    PLANNING_GRID as PLANNING_GRID,
     SIZES as SIZES,
     DefectHypotheses as DefectHypotheses,
+    PixelMixture as PixelMixture,
     defect_hypotheses as defect_hypotheses,
+    search_grid as search_grid,
 )

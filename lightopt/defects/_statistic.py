@@ -28,6 +28,12 @@ make as much of a deviation there as noise does, so that only more than this man
 CONFIRMED: Final = 3.0
 """Where no image alone may decide, the others together must stand out by so much."""
 
+REGISTRATION_PX: Final = 0.1
+"""The part is known to lie within about this much of where the model has it: steep edges are off by so much."""
+
+CATALOGUE_SHARE: Final = 0.5
+"""Share of the false alarms that the catalogue's defects may cause; what no hypothesis describes has the others."""
+
 
 def expected_change(good: Float64, varied: Float64, *, deviation: Float64, limit: Float64) -> Float64:
     """By how much a defect changes pixels, in standard deviations of their level, clipped.
@@ -44,6 +50,18 @@ def expected_change(good: Float64, varied: Float64, *, deviation: Float64, limit
 def chance_score(z: Float64) -> Float64:
     """−log₁₀ of the probability that a normal deviate is off by as much as Z to either side."""
     return -(special.log_ndtr(-np.abs(z)) + math.log(2.0)) / math.log(10.0)
+
+
+def least_z(tests: float, entries: int, false_alarms: float) -> float:
+    """The |Z| at which a defect counts as found.
+
+    Each of `entries` entries of a catalogue has an even part of the false alarms that the catalogue may cause, and of
+    its `tests` hypotheses noise alone is expected to exceed this so often (Bonferroni's bound).
+
+    false_alarms: Expected in the images of a posture of a good part
+    """
+    chance = CATALOGUE_SHARE * false_alarms / (max(tests, 1.0) * entries)
+    return float(-special.ndtri(min(0.5 * chance, 0.5)))
 
 
 def rest_of_images(sums: Float32, energies: Float32, images: int) -> Float64:

@@ -17,20 +17,37 @@ from lightopt.defects._shape import SHAPE_KINDS, DefectShape, height_gradient, r
 SIZES = (0.6, 1.0, 1.6)
 """Sizes that are tested, as multiples of the entry's; the slope stays."""
 
-DIRECTIONS = 16  # that a wall leans to
-SEGMENT_TURNS = 16  # orientations of a scratch within half a turn; each has walls that lean to both sides
 ELLIPSE_TURNS = 4
 SEGMENT_LENGTH = 6.0  # of a scratch a segment of so many widths is tested
 ROUND = 1.5  # an outline that is less than so many times as long as wide is tested as a round one of the same area
 
-# levels of slope, as shares of the steepest; what is less than half of the least of them is flat
-BOWL_LEVELS = (1.0 / 3.0, 2.0 / 3.0, 1.0)
 WALL_LEVELS = (1.0,)
 
 # points that a pixel is sampled at along each side: so many across the defect's width, within these limits
 ACROSS_WIDTH, LEAST_SAMPLES, MOST_SAMPLES = 10.0, 3, 15
 
 LEAST_SHARE = 0.06  # a variant with less than this share of the greatest one of any pixel is left out
+
+
+@dataclass(frozen=True, kw_only=True)
+class HypothesisGrid:
+    """How finely surfaces that lean are told apart.
+
+    directions: That a wall leans to
+    segment_turns: Orientations of a scratch within half a turn; each has walls that lean to both sides
+    bowl_levels: Slopes of bowls, as shares of the steepest; what is less than half of the least of them is flat
+    """
+
+    directions: int
+    segment_turns: int
+    bowl_levels: tuple[float, ...]
+
+
+INSPECTION_GRID = HypothesisGrid(directions=16, segment_turns=16, bowl_levels=(1.0 / 3.0, 2.0 / 3.0, 1.0))
+"""Of templates that images are compared with."""
+
+PLANNING_GRID = HypothesisGrid(directions=8, segment_turns=8, bowl_levels=(0.5, 1.0))
+"""Of expected evidence: levels may be coarser where they are added up and not compared."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -120,12 +137,12 @@ class DefectHypotheses:
         return variant, inside & (share >= 0.5 * self.levels[0])
 
 
-def defect_hypotheses(entry: CatalogueEntry) -> DefectHypotheses:
+def defect_hypotheses(entry: CatalogueEntry, grid: HypothesisGrid = INSPECTION_GRID) -> DefectHypotheses:
     """The hypotheses of an entry of the catalogue: its sizes in all orientations."""
     shape = entry.shape
-    levels, directions, turns = WALL_LEVELS, DIRECTIONS, 1
+    levels, directions, turns = WALL_LEVELS, grid.directions, 1
     if shape.kind == "scratch":
-        turns, directions = SEGMENT_TURNS, 2 * SEGMENT_TURNS
+        turns, directions = grid.segment_turns, 2 * grid.segment_turns
         shape = replace(shape, length=min(shape.length, SEGMENT_LENGTH * shape.width))
     elif shape.length >= ROUND * shape.width:
         turns = ELLIPSE_TURNS
@@ -133,7 +150,7 @@ def defect_hypotheses(entry: CatalogueEntry) -> DefectHypotheses:
         side = math.sqrt(shape.length * shape.width)
         shape = replace(shape, length=side, width=side)
     if shape.kind in ("dent", "bump", "blister"):
-        levels = BOWL_LEVELS
+        levels = grid.bowl_levels
     if shape.kind not in SHAPE_KINDS:
         levels, directions = (0.0,), 1
     slope = np.arctan(math.tan(shape.slope) * np.repeat(levels, directions))
@@ -153,3 +170,38 @@ def defect_hypotheses(entry: CatalogueEntry) -> DefectHypotheses:
         R_d_factor=np.full(len(slope), shape.R_d_factor),
         sigma_factor=np.full(len(slope), shape.sigma_factor),
     )
+
+
+# The narrowest size of a defect is so many pixels wide, and the middle size of a scratch; where they would be wider,
+# the pixels are larger, up to so many times
+_WIDTH_PX, _SCRATCH_PX, _MOST_RATIO = 8.0, 2.2, 15
+
+_STEPS_PER_WIDTH = 8.0  # places to test are an eighth of the middle size's width apart
+
+# Middles of defects less than so many pixels wide are sought between pixels, too: on a smaller part of their width
+_FINE_PX, _HALVES = 5.0, ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchGrid:
+    """Where the hypotheses of an entry are tested in images.
+
+    ratio: Side of the larger pixels that images are reduced to [px]
+    step: Places to test are so many of them apart
+    halves: Places of the middle within its pixel, to the right and down
+    """
+
+    ratio: int
+    step: int
+    halves: tuple[tuple[float, float], ...]
+
+
+def search_grid(own: DefectHypotheses, footprint: float) -> SearchGrid:
+    """Where hypotheses are tested; `footprint` is the side of a pixel on a plane that faces the camera [mm]."""
+    long = own.entry.shape.kind == "scratch"
+    width = own.shapes[1 if long else 0].width / footprint / (_SCRATCH_PX if long else _WIDTH_PX)
+    ratio = max(1, min(round(width), _MOST_RATIO))
+    middle_px = own.shapes[1].width / (ratio * footprint)
+    # along a scratch its place matters little
+    halves = _HALVES[: (2 if long else 4) if middle_px < _FINE_PX else 1]
+    return SearchGrid(ratio=ratio, step=max(1, int(middle_px / _STEPS_PER_WIDTH)), halves=halves)

@@ -46,7 +46,10 @@ from lightopt.design.blind_spots._files import (
     blind_colours as blind_colours,
     blind_legend as blind_legend,
 )
-from lightopt.design.objectives._detectability import DetectabilityObjective as DetectabilityObjective
+from lightopt.design.objectives._detectability import (
+    DetectabilityObjective as DetectabilityObjective,
+    finding_text as finding_text,
+)
 from lightopt.design.objectives._objective import (
     Objective as Objective,
     area_text as area_text,
@@ -60,16 +63,17 @@ from lightopt.design.postures._plan_postures import TargetNotReached as TargetNo
 from lightopt.design.postures._posture_choice import PostureChoice as PostureChoice, PostureRequest as PostureRequest
 from lightopt.design.postures._posture_search import choose_postures as choose_postures
 from lightopt.design.responses._defect_hypotheses import (
-    DIRECTIONS as DIRECTIONS,
-    DefectHypothesis as DefectHypothesis,
-    defect_hypotheses as defect_hypotheses,
+    PlannedCatalogue as PlannedCatalogue,
+    PlannedDefect as PlannedDefect,
+    planned_catalogue as planned_catalogue,
 )
-from lightopt.design.responses._detection import Contrast as Contrast, DetectionModel as DetectionModel
+from lightopt.design.responses._evidence import DetectionModel as DetectionModel
 from lightopt.design.responses._image_evaluator import (
     DRAWN_PATCHES as DRAWN_PATCHES,
     ImageEvaluator as ImageEvaluator,
     drawn_patches as drawn_patches,
     luminance_matrix as luminance_matrix,
+    without_edges as without_edges,
 )
 from lightopt.design.responses._luminance_matrix import (
     Levels as Levels,
@@ -78,6 +82,6 @@ from lightopt.design.responses._luminance_matrix import (
     Visibility as Visibility,
     area_units as area_units,
 )
-from lightopt.design.responses._packed_bits import counts_of_images as counts_of_images, unpack_flags as unpack_flags
+from lightopt.design.responses._packed_bits import sum_of_images as sum_of_images, unpack_flags as unpack_flags
 from lightopt.design.search._curves import Curve as Curve
 from lightopt.design.search._exact_search import search as search

@@ -95,7 +95,7 @@ def _search_words(options: OptimizeOptions) -> list[str]:
     words += _differing(
         ("--step", options.step_deg, default.step_deg),
         ("--min-images", options.min_images, default.min_images),
-        ("--threshold", options.threshold, default.threshold),
+        ("--false-alarms", options.false_alarms, default.false_alarms),
         ("--shade-below", options.shade_below, default.shade_below),
         ("--ranking-rows", options.rows, default.rows),
         ("--max-combinations", options.limit, default.limit),

@@ -23,7 +23,7 @@ from lightopt.design._options import (
     run_provenance,
 )
 from lightopt.design._previous_result import refuse_other_result
-from lightopt.design._problem import Problem, candidates_in, candidates_of, detection_model_of
+from lightopt.design._problem import Problem, candidates_in, candidates_of, detection_model_of, images_that_decide
 from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult, ToleranceResult, angles_of
 from lightopt.design._tolerances import (
     ObjectiveAssessment,
@@ -40,7 +40,7 @@ from lightopt.design.objectives._registry import OBJECTIVES, objectives_named
 from lightopt.design.postures._exposures import plan_exposures
 from lightopt.design.postures._plan_postures import plan_postures, planned_answers, with_chosen
 from lightopt.design.postures._posture_grid import posture_grid
-from lightopt.design.responses._defect_hypotheses import defect_hypotheses
+from lightopt.design.responses._defect_hypotheses import planned_catalogue
 from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.design.responses._posture_matrices import PostureMatrices
@@ -72,6 +72,7 @@ def optimize(
     options, plan, run = options or OptimizeOptions(), plan or PlanOptions(), run or RunContext()
     folder = Path(folder)
     _check_request(rig, part, options, plan, folder)
+    options = _decided(rig, part, options, plan, run)
     command = command_text(rig.source.path, part.source.path, options, plan)
 
     chosen = None
@@ -118,6 +119,21 @@ def _check_request(rig: RigConfig, part: PartConfig, options: OptimizeOptions, p
         planned_part_text(part, [HOME], folder=folder, comment="")
     if plan.chooses:
         _check_choice_of_postures(rig, options, plan)
+
+
+def _decided(
+    rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, run: RunContext
+) -> OptimizeOptions:
+    """The options with the number of images that can show a defect on this surface."""
+    images = images_that_decide(rig, part, options.min_images, longest=max(plan.all_exposures))
+    if images == options.min_images:
+        return options
+    if DEFECT_OBJECTIVE in options.objectives or plan.chooses or plan.exposures:
+        run.warn(
+            f"{part.source.path}: the surface scatters too little light to be seen (R_d "
+            f"{part.reflectance.R_d:g}), so that no second image confirms what one shows: one image decides"
+        )
+    return replace(options, min_images=images)
 
 
 def _check_image_count(rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions) -> None:
@@ -209,7 +225,10 @@ def _objectives(rig: RigConfig, part: PartConfig, options: OptimizeOptions, run:
         options.objectives,
         # positions that were chosen before were chosen for the images of all postures together
         lambda: DetectabilityObjective(
-            defect_hypotheses(build_catalogue(part)), options.min_images, across_postures=options.places is not None
+            planned_catalogue(build_catalogue(part)).defects,
+            options.min_images,
+            options.false_alarms,
+            across_postures=options.places is not None,
         ),
     )
     refusals = {objective.name: objective.refusal(len(rig.lights)) for objective in chosen}
@@ -273,7 +292,6 @@ def _complete(
             lights.postures,
             [lights.panels(i) for i in range(len(lights.postures))],
             plan.exposures,
-            min_images=options.min_images,
             gain_points=plan.exposure_gain,
             target=plan.target,
             progress=run.stage("exposures"),
@@ -320,7 +338,7 @@ def _placed_tolerances(
     found: list[ToleranceResult] = []
     for group in groups:
         if objective.name == DEFECT_OBJECTIVE:
-            score = PairAssessment(drawn, group, min_images=min_images)
+            score = PairAssessment(drawn, group)
         else:
             # an objective of levels knows exposure 1 only
             score = ObjectiveAssessment(

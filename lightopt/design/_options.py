@@ -14,7 +14,7 @@ from lightopt.design.objectives._detectability import DetectabilityObjective, mi
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.postures._exposures import DEFAULT_EXPOSURE_GAIN, check_exposures
 from lightopt.design.postures._posture_grid import DEFAULT_OUTSIDE_PX, DEFAULT_POSTURE_STEP
-from lightopt.design.responses._detection import DEFAULT_CONTRAST, threshold_problem
+from lightopt.design.responses._evidence import DEFAULT_FALSE_ALARMS, false_alarms_problem
 from lightopt.design.search._exact_search import DEFAULT_LIMIT
 from lightopt.rendering import DEFAULT_PATCH_BUDGET
 from lightopt.scene import Scene
@@ -34,7 +34,7 @@ class OptimizeOptions:
         have to be moved from posture to posture.
     shade_below: Share of full scale, above black, below which a level is shaded.
     min_images: Images that must show a defect, for objective detectability.
-    threshold: Times the sensor's noise that a defect must change the level by, for objective detectability.
+    false_alarms: Allowed in the images of a posture of a good part, for objective detectability.
     postures, points: Instead of the part's own; point lights per panel, instead of the rig's.
     patch_budget: About how many patches may be visible.
     images, report: Whether images of the best set and an HTML report are part of the results.
@@ -48,8 +48,8 @@ class OptimizeOptions:
     common_elevation: bool = False
     common_lights: bool = True
     shade_below: float = DEFAULT_SHADE_SHARE
-    min_images: int = 1
-    threshold: float = DEFAULT_CONTRAST
+    min_images: int = 2
+    false_alarms: float = DEFAULT_FALSE_ALARMS
     postures: tuple[Posture, ...] | None = None
     points: int | Literal["auto"] | None = None
     shadows: bool = True
@@ -118,7 +118,7 @@ def check_options(options: OptimizeOptions, plan: PlanOptions) -> None:
             problems.append(f"option '{name}': expected at least 1, found {value}")
     if options.postures is not None and len(set(options.postures)) < len(options.postures):
         problems.append("option 'postures': the same posture was given twice")
-    defects = (min_images_problem(options.min_images), threshold_problem(options.threshold))
+    defects = (min_images_problem(options.min_images), false_alarms_problem(options.false_alarms))
     problems += [problem for problem in defects if problem is not None]
     if plan.choose_postures is not None and plan.choose_postures < 1:
         problems.append(f"option 'choose_postures': expected 1 posture or more, found {plan.choose_postures}")
@@ -188,7 +188,7 @@ def known_provenance(
 
 
 def _defect_facts(options: OptimizeOptions) -> dict[str, Any]:
-    return {"min_images": options.min_images, "threshold": options.threshold}
+    return {"min_images": options.min_images, "false_alarms": options.false_alarms}
 
 
 def _plan_facts(options: OptimizeOptions, plan: PlanOptions) -> dict[str, Any]:

@@ -1,19 +1,21 @@
 """The problem to solve: a rig and a part as a scene, objectives, and candidate positions of the lights."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from lightopt.config import PartConfig, RigConfig
+from lightopt.defects import DARK
 from lightopt.design._candidates import Angles, Candidates, can_move, find_candidates
 from lightopt.design._options import OptimizeOptions
 from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
-from lightopt.design.responses._defect_hypotheses import defect_hypotheses
-from lightopt.design.responses._detection import Contrast, DetectionModel
+from lightopt.design.responses._defect_hypotheses import planned_catalogue
+from lightopt.design.responses._evidence import DetectionModel
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.geometry import RayCaster
-from lightopt.scene import Scene, build_catalogue
+from lightopt.scene import Scene, build_catalogue, build_lights, build_sensor
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -48,9 +50,26 @@ class Problem:
 def detection_model_of(scene: Scene, part: PartConfig, options: OptimizeOptions) -> DetectionModel:
     """The part's defect catalogue, with the sensor's noise."""
     return DetectionModel(
-        hypotheses=defect_hypotheses(build_catalogue(part)),
-        contrast=Contrast(sensor=scene.sensor, full_scale=scene.reflectance.full_scale, threshold=options.threshold),
+        catalogue=planned_catalogue(build_catalogue(part)),
+        sensor=scene.sensor,
+        full_scale=scene.reflectance.full_scale,
+        false_alarms=options.false_alarms,
+        min_images=options.min_images,
     )
+
+
+def images_that_decide(rig: RigConfig, part: PartConfig, min_images: int, *, longest: float) -> int:
+    """In how many images a defect must show: 1 where the surface scatters too little light to be seen.
+
+    Such a surface is dark in all images but those whose highlight a place lies in, so that no other image can confirm
+    what one shows. The inspection decides likewise, place by place.
+
+    longest: Exposure that an image may be taken with.
+    """
+    sensor, reflectance = build_sensor(rig.camera), part.reflectance
+    weight = max(light.total_weight for light in build_lights(rig, None))
+    level = longest * sensor.max_level / reflectance.full_scale * reflectance.R_d * weight
+    return min_images if level >= DARK * math.sqrt(sensor.noise_variance(level)) else 1
 
 
 def candidates_of(rig: RigConfig, options: OptimizeOptions) -> Candidates | None:

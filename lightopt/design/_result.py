@@ -170,7 +170,8 @@ class ChosenPostures:
     left_out: Postures that the stage reaches and that are of no use.
     way: Through the chosen ones, were all captured in one round.
     pace: How fast the stage goes, and who says so.
-    least: Images that must show a pair.
+    least: Images that must show a defect.
+    false_alarms: Of the inspection, in a posture of a good part.
     """
 
     choice: PostureChoice
@@ -180,6 +181,7 @@ class ChosenPostures:
     way: Way
     pace: str
     least: int
+    false_alarms: float
     plan: PlanOptions
 
     @property

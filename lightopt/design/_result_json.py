@@ -166,6 +166,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
 
     return {
         "min_images": chosen.least,
+        "false_alarms": chosen.false_alarms,
         "requested": chosen.plan.choose_postures,
         "target": chosen.plan.target,
         "share": round(cover.share, 6),

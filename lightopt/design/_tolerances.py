@@ -30,7 +30,6 @@ from lightopt.design.objectives._objective import Objective
 from lightopt.design.postures._light_positions import combination_sums
 from lightopt.design.responses._image_evaluator import ImageEvaluator, scattered_flags
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix
-from lightopt.design.responses._packed_bits import counts_of_images
 from lightopt.geometry import face_normals
 from lightopt.lights import PanelLight
 from lightopt.rendering import PatchTable, camera_visibility
@@ -300,7 +299,7 @@ class _Assessment(ABC):
             return
         nominal = self.setup.postures[posture]
         there = Posture(nominal.elevation_deg + pose[0], nominal.rotation_deg + pose[1])
-        matrices = replace(self.evaluator, table=self._table(there)).matrices(
+        matrices = replace(self.evaluator, table=self._table(there, posture)).matrices(
             there,
             [[self.setup.panel(posture, light, offset) for offset in offsets] for light, offsets in enumerate(missing)],
             exposures=self.setup.exposures[posture],
@@ -309,7 +308,7 @@ class _Assessment(ABC):
             for at, offset in enumerate(offsets):
                 self.images[posture, pose, light, offset] = self.keep(matrices, light, at)
 
-    def _table(self, posture: Posture) -> PatchTable:
+    def _table(self, posture: Posture, at: int) -> PatchTable:
         table = self.evaluator.table
         visible, grazing = np.zeros((2, 1, len(table.patches)), np.bool_)
         visible[0, self.patches], grazing[0, self.patches] = camera_visibility(
@@ -319,20 +318,22 @@ class _Assessment(ABC):
             view_from_part(self.evaluator.scene, posture),
             self.evaluator.caster,
         )
-        return replace(table, postures=(posture,), visible=visible, grazing=grazing)
+        # edges hardly move within the tolerances
+        nominal = table.postures.index(self.setup.postures[at])
+        return replace(table, postures=(posture,), visible=visible, grazing=grazing | table.grazing[nominal])
 
 
 class PairAssessment(_Assessment):
-    """Weight of the pairs of patch and defect that all postures together show in `min_images` images or more."""
+    """Weight of the pairs of patch and defect that the images of all postures together find."""
 
-    def __init__(self, evaluator: ImageEvaluator, setup: Setup, *, min_images: int) -> None:
+    def __init__(self, evaluator: ImageEvaluator, setup: Setup) -> None:
         super().__init__(evaluator, setup)
-        self._seen_in = min_images
+        self._needed = evaluator.needed
         self._weights = evaluator.weights
 
     def keep(self, matrices: Sequence[LuminanceMatrix], light: int, at: int) -> Any:
         """One image, whatever the number of its exposures."""
-        return counts_of_images([scattered_flags(matrices, self.patches, light=light, place=at)], self._seen_in)
+        return scattered_flags(matrices, self.patches, light=light, place=at)
 
     def scores(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:
         """Add up the postures, then all combinations of the lights."""
@@ -341,8 +342,8 @@ class PairAssessment(_Assessment):
             images = (
                 [self.images[i, pose, light, offset] for i in range(len(self.setup.postures))] for offset in offsets
             )
-            totals.append(np.stack([self._weights.sum_counts(some, self._seen_in) for some in images]))
-        return combination_sums(totals, self._weights, threads=self.evaluator.threads)[0]
+            totals.append(np.stack([self._weights.sum_counts(some, self._needed) for some in images]))
+        return combination_sums(totals, self._weights, self._needed, benefit=False, threads=self.evaluator.threads)[0]
 
 
 class ObjectiveAssessment(_Assessment):

@@ -31,13 +31,13 @@ def coverage_value(columns, shade, saturation, areas):
     return int(sum(int(a) for a, u, s in zip(areas, usable, saturated, strict=True) if u >= 2 and s <= 1))
 
 
-def detectability_value(images, areas, trial_weights, min_images):
-    """Area times weight of the defects that are visible in `min_images` images or more; images of (patches, trials)."""
+def detectability_value(images, areas, weights, needed):
+    """Area times weight of the defects with `needed` units of evidence or more; images of (patches, defects)."""
     counts = np.sum([np.asarray(image, dtype=np.int64) for image in images], axis=0)
     total = 0
     for p, area in enumerate(areas):
-        for t, weight in enumerate(trial_weights):
-            if counts[p, t] >= min_images:
+        for t, weight in enumerate(weights):
+            if counts[p, t] >= needed:
                 total += int(area) * int(weight)
     return total
 

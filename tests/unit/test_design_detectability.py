@@ -11,25 +11,22 @@ from test_design_visibility import visibility_of
 from lightopt.core.errors import InputError
 from lightopt.defects import BUILT_IN_CATALOGUE
 from lightopt.design import (
-    DefectHypothesis,
     DetectabilityObjective,
     LevelThresholds,
     LuminanceMatrix,
+    PlannedDefect,
     area_units,
-    defect_hypotheses,
+    planned_catalogue,
     search,
 )
-from lightopt.design.objectives import _detectability as bit_runs, _scores_by_image_counts as count_runs
+from lightopt.design.objectives import _scores_by_units as unit_sums
 
 THRESHOLDS = LevelThresholds(shade=10, saturation=255)
 
 
 def trials_of(weights):
     """Trials that differ in their weights alone."""
-    return tuple(
-        DefectHypothesis(name=f"trial {k}", kind="stain", weight=weight, length=1.0, width=1.0)
-        for k, weight in enumerate(weights)
-    )
+    return tuple(PlannedDefect(name=f"trial {k}", kind="stain", weight=weight) for k, weight in enumerate(weights))
 
 
 def matrix_of(flags, trials, areas, levels):
@@ -41,18 +38,18 @@ def matrix_of(flags, trials, areas, levels):
 def random_matrix(rng, sizes, patches, trials, *, share=0.4, smooth=False):
     flags = []
     for size in sizes:
-        layer = rng.random((size, patches, len(trials))) < share
+        layer = rng.integers(1, 4, (size, patches, len(trials))) * (rng.random((size, patches, len(trials))) < share)
         if smooth:
             # each trial is visible in one run of candidates, if at all
             a, b = np.sort(rng.integers(0, size + 1, (2, patches, len(trials))), axis=0)
             place = np.arange(size)[:, None, None]
-            layer = (place >= a) & (place < b)
+            layer = ((place >= a) & (place < b)) * rng.integers(1, 4, (1, patches, len(trials)))
         flags.append(layer)
     levels = tuple(rng.choice([0, 20, 100, 255], (size, patches)).astype(np.uint8) for size in sizes)
     return flags, matrix_of(flags, trials, rng.random(patches) * 1e-3, levels)
 
 
-def plain(flags, matrix, trials, min_images):
+def plain(flags, matrix, trials, needed):
     """All combinations, best first, as the reference has them."""
     areas = area_units(matrix.areas)
     weights = [trial.weight for trial in trials]
@@ -61,7 +58,7 @@ def plain(flags, matrix, trials, min_images):
 
     def value(columns):
         images = [layer[int(i)] for layer, (i,) in zip(flags, columns, strict=True)]
-        return detectability_value(images, areas, weights, min_images)
+        return detectability_value(images, areas, weights, needed)
 
     ranked = all_combinations(index, value, 0, 0, 0)
     usable = [
@@ -89,13 +86,15 @@ def test_plain_reading_of_any_small_matrix(data):
     trials = trials_of(weights)
     rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
     flags = [
-        rng.random((size, patches, len(trials))) < data.draw(st.sampled_from([0.0, 0.3, 0.8, 1.0])) for size in sizes
+        rng.integers(0, 4, (size, patches, len(trials)))
+        * (rng.random((size, patches, len(trials))) < data.draw(st.sampled_from([0.0, 0.3, 0.8, 1.0])))
+        for size in sizes
     ]
     areas = rng.integers(0, 4, patches) * 1e-6
     levels = tuple(rng.choice([0, 30, 255], (size, patches)).astype(np.uint8) for size in sizes)
     matrix = matrix_of(flags, trials, areas, levels)
     objective = DetectabilityObjective(trials, min_images)
-    expected = plain(flags, matrix, trials, min_images)
+    expected = plain(flags, matrix, trials, objective.needed)
     found = search([matrix], objective, THRESHOLDS, keep=1000)
     assert as_tuples(found) == expected
     assert found.ties == sum(value == expected[0][0] for value, _, _ in expected) - 1
@@ -111,7 +110,7 @@ def test_plain_reading_of_any_small_matrix(data):
 @pytest.mark.parametrize("min_images", [1, 2, 3])
 def test_built_in_catalogue_and_more_trials_than_a_word_has_bits(sizes, min_images, smooth):
     rng = np.random.default_rng(min_images)
-    for trials in (defect_hypotheses(BUILT_IN_CATALOGUE), trials_of(rng.integers(1, 40, 150).tolist())):
+    for trials in (planned_catalogue(BUILT_IN_CATALOGUE).defects, trials_of(rng.integers(1, 40, 150).tolist())):
         flags, matrix = random_matrix(rng, sizes, 9, trials, smooth=smooth)
         objective = DetectabilityObjective(trials, min_images)
         if objective.refusal(len(sizes)):
@@ -122,14 +121,14 @@ def test_built_in_catalogue_and_more_trials_than_a_word_has_bits(sizes, min_imag
         some = rng.choice(len(places), 12, replace=False)
         for k in some:
             images = [layer[i] for layer, i in zip(flags, places[k], strict=True)]
-            expected = detectability_value(images, weights, [trial.weight for trial in trials], min_images)
+            expected = detectability_value(images, weights, [trial.weight for trial in trials], objective.needed)
             assert scores[k] == expected
             assert objective.score(matrix.combination(places[k]), weights, THRESHOLDS) == expected
         assert scores.max() <= objective.bound(matrix, weights, THRESHOLDS)
 
 
 @pytest.mark.parametrize("min_images", [1, 2, 4])
-def test_packed_bits_take_over_where_bits_change_everywhere_and_agree(monkeypatch, min_images):
+def test_plain_sums_take_over_where_units_change_everywhere_and_agree(monkeypatch, min_images):
     rng = np.random.default_rng(3)
     trials = trials_of(rng.integers(1, 9, 70).tolist())
     _, matrix = random_matrix(rng, (7, 1, 6, 5), 40, trials)
@@ -137,11 +136,11 @@ def test_packed_bits_take_over_where_bits_change_everywhere_and_agree(monkeypatc
     weights = objective.weights(matrix.areas)
     whole = objective.scores(matrix, weights, THRESHOLDS, threads=2)
     shares: list[float] = []
-    for most, patches, flags in ((1 << 10, 7, 1 << 27), (40, 40, 1 << 12), (1, 3, 1 << 12)):
-        monkeypatch.setattr(count_runs, "LEAST_NODES", 1)
-        monkeypatch.setattr(count_runs, "MOST_NODES", most)
-        monkeypatch.setattr(count_runs, "CHUNK_PATCHES", patches)
-        monkeypatch.setattr(bit_runs, "FLAG_BYTES", flags)
+    for most, patches, words in ((1 << 10, 7, 1 << 27), (40, 40, 1 << 12), (1, 3, 1 << 12)):
+        monkeypatch.setattr(unit_sums, "LEAST_NODES", 1)
+        monkeypatch.setattr(unit_sums, "MOST_NODES", most)
+        monkeypatch.setattr(unit_sums, "CHUNK_PATCHES", patches)
+        monkeypatch.setattr(unit_sums, "TASK_WORDS", words)
         shares.clear()
         again = objective.scores(matrix, weights, THRESHOLDS, threads=3, progress=shares.append)
         np.testing.assert_array_equal(again, whole)
@@ -150,10 +149,10 @@ def test_packed_bits_take_over_where_bits_change_everywhere_and_agree(monkeypatc
 
 
 def test_details_name_what_is_worst():
-    trials = defect_hypotheses(BUILT_IN_CATALOGUE)
-    flags = [np.ones((1, 2, len(trials)), bool), np.zeros((1, 2, len(trials)), bool)]
-    flags[0][0, 0, 8:16] = False  # dents on the first patch
-    flags[0][0, :, 3] = False  # scratches that lean to 135°
+    trials = planned_catalogue(BUILT_IN_CATALOGUE).defects
+    flags = [np.full((1, 2, len(trials)), 3), np.zeros((1, 2, len(trials)), int)]
+    flags[0][0, 0, 8] = 0  # dents on the first patch
+    flags[0][0, :, 3] = 0  # scratches along 67.5°
     areas = np.array([3.0, 1.0])
     levels = (np.zeros((1, 2), np.uint8),) * 2
     matrix = matrix_of(flags, trials, areas, levels)
@@ -169,8 +168,8 @@ def test_details_name_what_is_worst():
         "haze": 1.0,
     }
     assert facts["worst_defect"] == "dent"
-    assert facts["worst_direction_deg"] == 135.0
-    assert facts["directions_deg"]["0"] == pytest.approx(0.85)
+    assert facts["worst_direction_deg"] == 67.5
+    assert facts["directions_deg"]["0"] == 1.0
     score = objective.score(matrix, objective.weights(areas), THRESHOLDS)
     share = objective.share_of_whole(score, 4_000_000)
     assert share == pytest.approx(np.mean(list(facts["defects"].values())))

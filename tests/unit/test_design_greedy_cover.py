@@ -11,17 +11,19 @@ from hypothesis import given, strategies as st
 from scipy.optimize import Bounds, LinearConstraint, milp
 
 from lightopt.core.transforms import Posture
-from lightopt.design import counts_of_images
+from lightopt.design import sum_of_images
 from lightopt.design.postures._cover_search import best_set, greedy_cover, improve_by_exchange
 from lightopt.design.postures._exposures import CandidateExposure, select_exposures
 from lightopt.design.responses._packed_bits import PairWeights, add_counts
 
 
-def random_case(seed, *, postures=7, images=3, patches=9, trials=70, k=2):
-    """Images of every posture as flags, plain and packed: two words per patch, the second not full."""
+def random_case(seed, *, postures=7, images=3, patches=9, trials=70, k=2, units=1):
+    """Units by images of every posture, plain and packed: two words per patch, the second not full."""
     rng = np.random.default_rng(seed)
     density = rng.random((postures, 1, patches, 1)) * 0.5
-    plain = rng.random((postures, images, patches, trials)) < density
+    plain = (rng.random((postures, images, patches, trials)) < density) * rng.integers(
+        1, units + 1, (postures, images, patches, trials)
+    )
     factors = np.array([1, 3], np.int64)
     kind = rng.integers(0, 2, trials)
     words = -(-trials // 64)
@@ -35,7 +37,9 @@ def random_case(seed, *, postures=7, images=3, patches=9, trials=70, k=2):
         areas=rng.integers(0, 50, patches), masks=np.stack([pack(kind == g) for g in range(2)]), factors=factors
     )
     heavy = weights.areas[:, None] * factors[kind]
-    packed = [counts_of_images([pack(image) for image in posture], k) for posture in plain]
+    packed = [
+        sum_of_images([np.stack([pack(image > j) for j in range(units)]) for image in posture], k) for posture in plain
+    ]
     return plain.sum(axis=1), packed, weights, heavy
 
 
@@ -47,10 +51,10 @@ def plain_reached(counts, heavy, k):
     return int(heavy[counts >= k].sum())
 
 
-@pytest.mark.parametrize("k", [1, 2, 3])
+@pytest.mark.parametrize(("k", "units"), [(1, 1), (2, 1), (3, 1), (3, 3), (4, 3), (8, 3)])
 @pytest.mark.parametrize("seed", range(4))
-def test_packed_counts_are_the_plain_ones(seed, k):
-    plain, packed, weights, heavy = random_case(seed, k=k)
+def test_packed_counts_are_the_plain_ones(seed, k, units):
+    plain, packed, weights, heavy = random_case(seed, k=k, units=units)
     assert weights.total == heavy.sum()
     total, so_far = weights.zero_counts(k), np.zeros_like(plain[0])
     for one, more in zip(plain, packed, strict=True):
@@ -226,7 +230,7 @@ def offered(*areas, images):
     weights = PairWeights(
         areas=np.array(areas, np.int64), masks=np.ones((1, 1), np.uint64), factors=np.ones(1, np.int64)
     )
-    return weights, [np.isin(np.arange(len(areas)), some)[None, :, None].astype(np.uint64) for some in images]
+    return weights, [np.isin(np.arange(len(areas)), some)[None, None, :, None].astype(np.uint64) for some in images]
 
 
 @pytest.mark.parametrize(
@@ -242,9 +246,7 @@ def test_two_exposures_that_only_together_show_enough_are_planned(least_gain, ta
         CandidateExposure(posture=0, exposure=0.25, images=short),
         CandidateExposure(posture=1, exposure=0.25, images=short),
     ]
-    found = select_exposures(
-        postures, [dark, dark], offers, weights, min_images=2, least_gain=least_gain, target=target
-    )
+    found = select_exposures(postures, [dark, dark], offers, weights, needed=2, least_gain=least_gain, target=target)
     planned = [(shot.posture, shot.exposure, shot.gain, shot.reason) for shot in found.further if shot.planned]
     assert planned == ([(postures[0], 0.25, 0.0, why), (postures[1], 0.25, 0.1, why)] if why else [])
     assert found.after == (0.1 if why else 0.0)
@@ -257,9 +259,10 @@ def test_no_other_two_exposures_add_more_together(seed):
     weights, _ = offered(*map(int, rng.integers(1, 50, patches)), images=[])
 
     def images(density):
-        return (rng.random((lights, patches, 1)) < density).astype(np.uint64)
+        units = rng.integers(1, 4, (lights, 1, patches, 1)) * (rng.random((lights, 1, patches, 1)) < density)
+        return (units > np.arange(3)[:, None, None]).astype(np.uint64)
 
-    least = int(rng.integers(1, 4))
+    least = int(rng.integers(1, 6))
     now = [images(0.05) for _ in postures]
     offers = [CandidateExposure(posture=i % 3, exposure=0.5**i, images=images(0.08)) for i in range(1, 8)]
 
@@ -267,14 +270,14 @@ def test_no_other_two_exposures_add_more_together(seed):
         taken = list(now)
         for i in some:
             taken[offers[i].posture] = taken[offers[i].posture] | offers[i].images
-        return int(weights.areas[np.sum(taken, axis=(0, 1))[:, 0] >= least].sum())
+        return int(weights.areas[np.sum(taken, axis=(0, 1, 2))[:, 0] >= least].sum())
 
     before = shown([])
     alone = max(shown([i]) for i in range(len(offers))) - before
     two = max(shown(some) for some in combinations(range(len(offers)), 2)) - before
     # more than any adds alone, and as much as two have to
     for least_gain in (0.5 * two / weights.total, 0.5 * (two + 1) / weights.total):
-        found = select_exposures(postures, now, offers, weights, min_images=least, least_gain=least_gain)
+        found = select_exposures(postures, now, offers, weights, needed=least, least_gain=least_gain)
         planned = [shot for shot in found.further if shot.planned]
         if alone >= max(1.0, least_gain * weights.total):
             assert planned[0].reason == "gain"

@@ -1,18 +1,18 @@
 """Blind spots: where defects stay invisible under a set of light positions, and why.
 
-A defect trial is seen where the wanted number of images shows it, whichever postures they are of; all exposures of a
-light count as one image. A patch with trials that are not seen gets one reason:
+A planned defect is found where the evidence of all images is enough, whichever postures they are of; all exposures of
+a light count as one image. A patch with defects that are not found gets one reason:
 
 ============  ==========================================================================================
 camera        the camera sees the patch in no posture
-grazing       the camera sees it at a grazing angle only (:data:`lightopt.rendering.GRAZING_DEG`)
+grazing       the camera sees it at an edge or a grazing angle (`lightopt.rendering.GRAZING_DEG`) only
 shadowed      light reaches it, neither nought nor saturated, in too few images
 saturated     the same, because of saturated lights: the first of them
-contrast      enough images show it well, but the defects change the level by less than the noise allows
+contrast      enough images show it well, but the defects change the levels by too little for the noise
 ============  ==========================================================================================
 
-What is seen at a grazing angle only counts neither as seen nor as blind: shares are of the rest of the surface, and the
-share left out is given separately.
+What is seen at a grazing angle or an edge only counts neither as found nor as blind: shares are of the rest of the
+surface, and the share left out is given separately.
 """
 
 from __future__ import annotations
@@ -31,9 +31,10 @@ from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
 from lightopt.design._tolerances import Setup
 from lightopt.design.objectives._detectability import DetectabilityObjective
+from lightopt.design.responses._evidence import units_needed
 from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, Visibility
-from lightopt.design.responses._packed_bits import Words, add_counts, add_image
+from lightopt.design.responses._packed_bits import Counts, add_counts, add_units
 from lightopt.rendering import grain_of
 
 
@@ -53,7 +54,7 @@ class BlindSpots:
     """Visibility of defects on all n patches of a run, over one posture or several.
 
     codes: Reasons (:class:`BlindReason`), shape (n,).
-    share: Weighted share of the trials that are seen on each patch, shape (n,).
+    share: Weighted share of the defects that are found on each patch, shape (n,).
     areas: Of the patches [mm²], shape (n,).
     """
 
@@ -63,7 +64,7 @@ class BlindSpots:
 
     @property
     def seen(self) -> float:
-        """Share of the surface × trials that is seen, of what is not left out."""
+        """Share of the surface × defects that is found, of what is not left out."""
         return float((self.areas * self.share).sum() / self.counted)
 
     @property
@@ -82,7 +83,7 @@ class BlindSpots:
         return float(self.areas[self.codes == BlindReason.GRAZING].sum() / self.areas.sum())
 
     def by_reason(self) -> dict[int, float]:
-        """Share of the surface × trials that is not seen, by code, ascending; they add up to 1 − :attr:`seen`.
+        """Share of the surface × defects that is not found, by code, ascending; they add up to 1 − :attr:`seen`.
 
         Of what is not left out: :attr:`BlindReason.GRAZING` is not among them.
         """
@@ -96,9 +97,9 @@ def blind_text(code: int, lights: Sequence[str]) -> str:
     if code >= BlindReason.SATURATED:
         return f"saturated by {lights[code - BlindReason.SATURATED]}"
     return {
-        BlindReason.SEEN: "seen",
+        BlindReason.SEEN: "found",
         BlindReason.CAMERA: "never seen by the camera",
-        BlindReason.GRAZING: "left out: seen at a grazing angle",
+        BlindReason.GRAZING: "left out: at a grazing angle or an edge",
         BlindReason.SHADOWED: "shadowed",
         BlindReason.CONTRAST: "contrast under noise",
     }[BlindReason(code)]
@@ -106,17 +107,19 @@ def blind_text(code: int, lights: Sequence[str]) -> str:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DefectVisibility:
-    """What the images of a posture show of the p patches that the camera sees there, and of t trials on them.
+    """What the images of a posture show of the p patches that the camera sees there, and of t defects on them.
 
     visibility: The patches; without positions of lights.
-    counts: Flag l of a trial: l + 1 images or more show it, shape (k, p, ⌈t / 64⌉).
+    counts: Units of evidence up to what is needed, shape (k, p, ⌈t / 64⌉).
+    least: Images that must show a defect.
     usable: Number of images with a level that is neither dark nor saturated, shape (p,).
     saturated: Number of images with a saturated level and no usable one, shape (p,).
     first: The first light with such an image; −1 where there is none; shape (p,).
     """
 
     visibility: Visibility
-    counts: Words
+    counts: Counts
+    least: int
     usable: Int32
     saturated: Int32
     first: NDArray[np.int16]
@@ -149,7 +152,7 @@ def defect_visibility(
             bright = bright | saturated.any(axis=0)
         assert shown is not None
         assert isinstance(seen, np.ndarray)
-        add_image(shown.counts, seen)
+        add_units(shown.counts, seen)
         glare = bright & ~good
         shown.usable[:] += good
         shown.saturated[:] += glare
@@ -163,7 +166,8 @@ def _without_images(visibility: Visibility, least: int) -> DefectVisibility:
     count = len(visibility.areas)
     return DefectVisibility(
         visibility=visibility.rows([np.zeros(0, np.int64)] * len(visibility.words)),
-        counts=np.zeros((least, count, -(-len(visibility.hypotheses) // 64)), np.uint64),
+        counts=np.zeros((units_needed(least), count, -(-len(visibility.defects) // 64)), np.uint64),
+        least=least,
         usable=np.zeros(count, np.int32),
         saturated=np.zeros(count, np.int32),
         first=np.full(count, -1, np.int16),
@@ -171,7 +175,7 @@ def _without_images(visibility: Visibility, least: int) -> DefectVisibility:
 
 
 def blind_spots(areas: Float64, postures: Sequence[DefectVisibility]) -> BlindSpots:
-    """Blind spots over one posture or several: seen is what enough images of all of them show.
+    """Blind spots over one posture or several: found is what their images together have enough evidence of.
 
     `areas` are those of all patches of the run [mm²], shape (n,).
     """
@@ -179,8 +183,8 @@ def blind_spots(areas: Float64, postures: Sequence[DefectVisibility]) -> BlindSp
     if not postures:
         return BlindSpots(codes=np.full(count, BlindReason.CAMERA, np.int16), share=np.zeros(count), areas=areas)
     first_posture = postures[0].visibility
-    least = len(postures[0].counts)
-    counts = np.zeros((least, count, postures[0].counts.shape[2]), np.uint64)
+    least = postures[0].least
+    counts = np.zeros((len(postures[0].counts), count, postures[0].counts.shape[2]), np.uint64)
     usable, saturated = np.zeros(count, np.int64), np.zeros(count, np.int64)
     first = np.full(count, -1, np.int16)
     # 0 the camera does not see it, 1 at a grazing angle, 2 well
@@ -205,7 +209,7 @@ def blind_spots(areas: Float64, postures: Sequence[DefectVisibility]) -> BlindSp
     return BlindSpots(codes=codes, share=sums / first_posture.total_weight, areas=areas)
 
 
-BLIND_SHARES_OF = "the part's surface without that seen at grazing angles only, × defects by weight"
+BLIND_SHARES_OF = "the part's surface without what is at grazing angles or edges only, × defects by weight"
 """What shares of blind spots are shares of."""
 
 BLIND_LIGHTS = ("chosen", "best for each defect")

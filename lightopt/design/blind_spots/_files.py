@@ -69,7 +69,7 @@ def _classes_of(code: BlindReason, colour: Colour) -> tuple[BlindClass, ...]:
     if code in _ONE_CLASS:
         return (none_seen,)
     red, green, blue = ((channel + 255) // 2 for channel in colour)
-    label = f"{label}, other defects seen"
+    label = f"{label}, other defects found"
     return none_seen, BlindClass(code=code, some_seen=True, label=label, colour=(red, green, blue))
 
 
@@ -151,7 +151,7 @@ def _ply(summary: BlindSpotSummary, patches: Patches, placement: Placement) -> b
         "ply",
         "format binary_little_endian 1.0",
         "comment lightopt blind spots; lengths in mm, coordinates of the part's own file (GLB: Z up)",
-        f"comment seen and code: chosen lights; {summary.objective.min_images} or more images of all postures show it",
+        "comment seen and code: found by the images of all postures under the chosen lights",
         "comment reachable and reachable_code: each light where it shows the defect, whatever the others",
         "comment seen, reachable: weighted share of the defects, 0 to 1",
         *(f"comment colour {' '.join(map(str, one.colour))}: {one.label}" for one in BLIND_CLASSES),

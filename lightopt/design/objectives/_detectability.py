@@ -1,13 +1,15 @@
-"""Objective ``detectability``: the planned defects that enough images show.
+"""Objective ``detectability``: the share of the catalogue's defects that the inspection is expected to find.
 
-With the hypotheses t of the part's catalogue (:mod:`lightopt.design.responses._defect_hypotheses`), n(p, t) the number
-of images in which t is visible on patch p (:mod:`lightopt.design.responses._detection`), and k from `min_images`,
+With the defects t of the part's catalogue (:mod:`lightopt.design.responses._defect_hypotheses`), u(p, t) the units of
+evidence that all images together give of t on patch p, and n the units that it needs to count as found
+(:mod:`lightopt.design.responses._evidence`),
 
-    score = Σ_p area(p) · Σ_t weight(t) · [n(p, t) ≥ k],
+    score = Σ_p area(p) · Σ_t weight(t) · [u(p, t) ≥ n],
 
-areas in whole square micrometres. Divided by the visible area and the sum of the weights it is the share of (patch,
-defect) pairs that are seen. The bits change a few times along the candidates of a light: the scores of
-all combinations come from these changes, or where they are many from packed bits.
+areas in whole square micrometres. Divided by the inspectable area and the sum of the weights it is the share of the
+defects that are found, with each kind of the catalogue as likely as another, and each place. Units change a few times
+along the candidates of a light: the scores of all combinations come from these changes, or where they are many from
+plain sums.
 """
 
 import math
@@ -19,23 +21,28 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Int64
 from lightopt.core.errors import InputError, counted
-from lightopt.core.run_context import Share, part_of
-from lightopt.core.threads import blocks
+from lightopt.core.run_context import Share
 from lightopt.design.objectives._objective import INSPECTABLE_SURFACE, Objective, area_text
-from lightopt.design.objectives._scores_by_image_counts import at_least, count_run_sums
-from lightopt.design.objectives._scores_by_packed_bits import bit_scores
-from lightopt.design.responses._defect_hypotheses import DefectHypothesis
+from lightopt.design.objectives._scores_by_units import combination_sums
+from lightopt.design.responses._defect_hypotheses import PlannedDefect
+from lightopt.design.responses._evidence import DEFAULT_FALSE_ALARMS, units_needed
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, Visibility
-from lightopt.design.responses._packed_bits import Words, unpack_flags
-
-FLAG_BYTES = 1 << 27  # of the flags that the packed bits are given at once
-
+from lightopt.design.responses._packed_bits import PairWeights, unpack_flags
 
 # what the number is, beside it in result.json
 SCORE_IS = (
-    "sum over patches and defects that are seen of area [µm²] × weight of the defect; where all are seen it is "
+    "sum over patches and defects that are found of area [µm²] × weight of the defect; where all are found it is "
     "area_um2 × weight_of_all_defects"
 )
+
+
+def finding_text(min_images: int, false_alarms: float) -> str:
+    """What a share of defects says, in words that follow its figure."""
+    alone = "one image may decide" if min_images == 1 else f"{min_images} images must show each"
+    return (
+        f"of the catalogue's defects, all kinds and places of the surface alike, are found at ≤ {false_alarms:g} false "
+        f"alarms per posture ({alone})"
+    )
 
 
 def min_images_problem(min_images: int) -> str | None:
@@ -47,15 +54,17 @@ def min_images_problem(min_images: int) -> str | None:
 
 @dataclass(frozen=True)
 class DetectabilityObjective(Objective):
-    """Defects that enough images show; see the module's text.
+    """Defects that the inspection is expected to find; see the module's text.
 
     min_images: Images that must show a defect.
+    false_alarms: Of the inspection, in a posture of a good part.
     across_postures: Whether images of other postures count, so that a posture may have fewer lights than that; the
         score of its own images is then 0.
     """
 
-    hypotheses: tuple[DefectHypothesis, ...]
+    defects: tuple[PlannedDefect, ...]
     min_images: int = 1
+    false_alarms: float = DEFAULT_FALSE_ALARMS
     across_postures: bool = False
     name: str = "detectability"
     unit: str = "µm² × weight of the defects"
@@ -67,15 +76,16 @@ class DetectabilityObjective(Objective):
 
     @property
     def meaning(self) -> str:
-        # a defect may be found by any of its walls
-        return (
-            f"of the walls of the catalogue's defects, at every place of the surface, are visible in "
-            f"{counted(self.min_images, 'image')} or more; it is not a share of whole defects"
-        )
+        return finding_text(self.min_images, self.false_alarms)
+
+    @property
+    def needed(self) -> int:
+        """Units of evidence of a defect that counts as found."""
+        return units_needed(self.min_images)
 
     @property
     def total_weight(self) -> int:
-        return sum(hypothesis.weight for hypothesis in self.hypotheses)
+        return sum(defect.weight for defect in self.defects)
 
     def format_score(self, score: int, grain: float) -> str:
         """In mm², of the mean defect."""
@@ -106,62 +116,38 @@ class DetectabilityObjective(Objective):
         threads: int,
         progress: Share | None = None,
     ) -> Int64:
-        """By the places where bits change, or by packed bits."""
+        """By the places where units change, or by plain sums."""
         del thresholds
         visibility = _visibility(matrix)
-        (table,), left = count_run_sums(
-            [layer[:, None] for layer in visibility.words],
-            weights,
-            visibility.planes,
-            at_least(self.min_images)[None],
+        masks, factors = visibility.planes
+        return combination_sums(
+            visibility.words,
+            PairWeights(areas=weights, masks=masks, factors=factors),
+            self.needed,
+            benefit=False,
             threads=threads,
-            progress=part_of(progress, 0.0, 0.9),
-        )
-        if left.any():
-            table += self._by_bits(
-                visibility.words, np.flatnonzero(left), weights, threads, part_of(progress, 0.9, 1.0)
-            )
-        return table
-
-    def _by_bits(
-        self, words: Sequence[Words], some: Int64, weights: Int64, threads: int, progress: Share | None
-    ) -> Int64:
-        # each (patch, hypothesis) as a patch of its own, usable where it is visible and never saturated
-        table = np.zeros(math.prod(len(layer) for layer in words), np.int64)
-        positions, count = sum(len(layer) for layer in words), len(self.hypotheses)
-        parts = list(blocks(len(some), max(1, FLAG_BYTES // (positions * count))))
-        for number, (start, end) in enumerate(parts):
-            chosen = some[start:end]
-            table += bit_scores(
-                [unpack_flags(layer[:, chosen], count).reshape(len(layer), -1) for layer in words],
-                np.arange(len(chosen) * count),
-                np.outer(weights[chosen], self._hypothesis_weights()).ravel(),
-                LevelThresholds(shade=1, saturation=2),
-                rule=(self.min_images, len(words)),
-                threads=threads,
-                progress=part_of(progress, number / len(parts), (number + 1) / len(parts)),
-            )
-        return table
+            progress=progress,
+        )[0]
 
     def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
-        """What could be seen if each light stood where it shows each defect best."""
+        """What would be found if each light stood where it shows each defect best."""
         del thresholds
         visibility = _visibility(matrix)
-        return int(weights @ visibility.weights(visibility.reachable(self.min_images)))
+        return int(weights @ visibility.weights(visibility.most_units(self.needed)[-1]))
 
     def details(self, matrices: Sequence[LuminanceMatrix], weights: Sequence[Int64]) -> Mapping[str, Any]:
-        """Share of the area on which each kind of defect is seen, the worst kind, and the worst direction of walls."""
+        """Share of each kind of defect that is found, the worst kind, and the worst orientation of long defects."""
         area = sum(int(own.sum()) for own in weights)
-        seen = sum(
-            (own @ self._seen(_visibility(matrix)) for matrix, own in zip(matrices, weights, strict=True)),
-            start=np.zeros(len(self.hypotheses), np.int64),
+        found = sum(
+            (own @ self._found(_visibility(matrix)) for matrix, own in zip(matrices, weights, strict=True)),
+            start=np.zeros(len(self.defects), np.int64),
         )
-        return self.facts(seen, area)
+        return self.facts(found, area)
 
-    def facts(self, seen_areas: Int64, area: int) -> Mapping[str, Any]:
-        """The same for areas on which each hypothesis is seen, shape (t,), as shares of an area [µm²]."""
-        seen = seen_areas / max(1, area)
-        kinds = self._mean_shares([hypothesis.name for hypothesis in self.hypotheses], seen)
+    def facts(self, found_areas: Int64, area: int) -> Mapping[str, Any]:
+        """The same for areas on which each defect is found, shape (t,), as shares of an area [µm²]."""
+        found = found_areas / max(1, area)
+        kinds = self._mean_shares([defect.name for defect in self.defects], found)
         facts: dict[str, Any] = {
             "score_is": SCORE_IS,
             "area_um2": area,
@@ -170,24 +156,19 @@ class DetectabilityObjective(Objective):
             "defects": kinds,
             "worst_defect": min(kinds, key=lambda name: kinds[name]),
         }
-        leaning = [k for k, hypothesis in enumerate(self.hypotheses) if hypothesis.slope > 0.0]
-        if leaning:
+        turned = [k for k, defect in enumerate(self.defects) if defect.turn is not None]
+        if turned:
             around = self._mean_shares(
-                [f"{round(math.degrees(self.hypotheses[k].direction), 6):g}" for k in leaning], seen[leaning]
+                [f"{round(math.degrees(self.defects[k].turn or 0.0), 6):g}" for k in turned], found[turned]
             )
             worst = min(around, key=lambda name: around[name])
             facts["directions_deg"] = around
             facts["worst_direction_deg"] = float(worst)
         return facts
 
-    def _seen(self, visibility: Visibility) -> Bool:
-        # for one position of each light: which hypotheses enough images show, shape (p, t)
-        count = len(self.hypotheses)
-        images = sum((unpack_flags(layer[0], count) for layer in visibility.words), start=np.uint8(0))
-        return np.asarray(images >= self.min_images)
-
-    def _hypothesis_weights(self) -> Int64:
-        return np.array([hypothesis.weight for hypothesis in self.hypotheses], np.int64)
+    def _found(self, visibility: Visibility) -> Bool:
+        # for one position of each light: which defects all images together find, shape (p, t)
+        return unpack_flags(visibility.most_units(self.needed)[-1], len(self.defects)) > 0
 
     def _mean_shares(self, names: Sequence[str], shares: Float64) -> dict[str, float]:
         # mean over the hypotheses of a name, in the order of the names

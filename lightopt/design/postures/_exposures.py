@@ -1,10 +1,9 @@
 """Further exposures of chosen postures: those that show enough more are planned.
 
 Candidates are the postures' images at other exposures, all lights together; the one that shows most pairs more is
-planned, then the next, as long as it shows enough more, or the target needs it. Where two images must show a pair, two
-exposures may add together what neither adds alone: where no single one shows enough more, two are planned that together
-show twice as much. A light's exposures in a posture are one image: a pair that two of them show has not been confirmed
-by another light or from another side.
+planned, then the next, as long as it shows enough more, or the target needs it. Since evidence adds up, two exposures
+may add together what neither adds alone: where no single one shows enough more, two are planned that together show
+twice as much. A light's exposures in a posture are one image, of which the best counts for each pair.
 """
 
 from __future__ import annotations
@@ -20,8 +19,9 @@ import numpy as np
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share
 from lightopt.core.transforms import Posture
+from lightopt.design.responses._evidence import UNITS_OF_IMAGE
 from lightopt.design.responses._image_evaluator import ImageEvaluator, scattered_flags
-from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, add_counts, counts_of_images
+from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, add_counts, sum_of_images
 from lightopt.lights import PanelLight
 
 DEFAULT_EXPOSURE_GAIN = 1.0
@@ -37,8 +37,7 @@ Reason = Literal["gain", "pair", "target"]
 # other pairs is then seen in more images than before
 _Gain = tuple[int, int]
 
-# flags of the pairs that the images of a posture show, shape (lights, p, words); where one image is enough, of all
-# together, shape (1, p, words)
+# units of evidence by the image of each light of a posture, shape (lights, units, p, words)
 Images = Words
 
 
@@ -89,7 +88,7 @@ class CandidateExposure:
 
     posture: Index of the posture.
     exposure: Relative to exposure 1.
-    images: Flags of the pairs that it shows, from :func:`images_of`.
+    images: Its units of evidence, shape (lights, units, p, words).
     """
 
     posture: int
@@ -103,18 +102,18 @@ def select_exposures(
     candidates: Sequence[CandidateExposure],
     weights: PairWeights,
     *,
-    min_images: int,
+    needed: int,
     least_gain: float,
     target: float | None = None,
 ) -> Brackets:
     """Plan exposures as the module's text says, the first of equals, as long as they add anything.
 
-    now: What the images of each posture show at exposure 1, from :func:`images_of`.
-    min_images: Images that must show a pair.
+    now: The same of each posture at exposure 1.
+    needed: Units of a pair that is found.
     least_gain, target: Shares of the pairs; below the target, whatever adds anything is planned.
     """
     total = max(1, weights.total)
-    planned = _PlannedImages(now, weights, min_images)
+    planned = _PlannedImages(now, weights, needed)
     before = planned.covered
     left = list(candidates)
     further: list[FurtherExposure] = []
@@ -160,8 +159,8 @@ def _next(
 class _PlannedImages:
     """What the planned images show; an image taken with several exposures shows what any of them shows."""
 
-    def __init__(self, images: Sequence[Images], weights: PairWeights, min_images: int) -> None:
-        self._images, self._weights, self._seen_in = list(images), weights, min_images
+    def __init__(self, images: Sequence[Images], weights: PairWeights, needed: int) -> None:
+        self._images, self._weights, self._needed = list(images), weights, needed
         self._own = [self._counts(flags) for flags in images]
         self._update()
 
@@ -176,7 +175,7 @@ class _PlannedImages:
             now = add_counts(others[at], self._counts(self._images[at] | candidate.images))
             covered, benefit = self._weights.merit(now)
             more = covered - self.covered
-            # the benefit of a pair grows by one at least where it is now seen often enough, or only once more
+            # the benefit of a pair that is now found has grown by a unit at least; the others have some units more
             gains.append((more, benefit - self._benefit - more))
         return gains
 
@@ -224,10 +223,10 @@ class _PlannedImages:
 
     def _without(self, postures: set[int]) -> Counts:
         rest = (own for i, own in enumerate(self._own) if i not in postures)
-        return self._weights.sum_counts(rest, self._seen_in)
+        return self._weights.sum_counts(rest, self._needed)
 
     def _counts(self, images: Images) -> Counts:
-        return counts_of_images(list(images), self._seen_in)
+        return sum_of_images(list(images), self._needed)
 
 
 def check_exposures(exposures: Sequence[float], gain_points: float) -> list[str]:
@@ -250,7 +249,6 @@ def plan_exposures(
     lights: Sequence[Sequence[PanelLight]],
     exposures: Sequence[float],
     *,
-    min_images: int,
     gain_points: float = DEFAULT_EXPOSURE_GAIN,
     target: float | None = None,
     progress: Share | None = None,
@@ -259,18 +257,17 @@ def plan_exposures(
 
     lights: The panels posture by posture, world frame.
     exposures: Further exposures to choose from; 1 is taken anyway.
-    min_images: Images that must show a pair, of all postures together.
     gain_points: The least gain [hundredths of the pairs].
     target: Share of the pairs that is to be shown.
     Raises InputError: More images than memory is meant for.
     """
     further = [exposure for exposure in exposures if exposure != 1.0]
-    layers = 1 if min_images == 1 else max(map(len, lights))
-    pair_bytes = len(evaluator.patches) * evaluator.weights.masks.shape[1] * 8
-    size = len(postures) * (1 + len(further)) * layers * pair_bytes
+    most = max(map(len, lights))
+    image_bytes = UNITS_OF_IMAGE * len(evaluator.patches) * evaluator.weights.masks.shape[1] * 8
+    size = len(postures) * (1 + len(further)) * most * image_bytes
     if size > MOST_IMAGE_BYTES:
         raise InputError(
-            f"option 'exposures': {len(postures)} postures × {1 + len(further)} exposures × {layers} lights × "
+            f"option 'exposures': {len(postures)} postures × {1 + len(further)} exposures × {most} lights × "
             f"{len(evaluator.patches):,} patches are {size / 1e9:.2f} GB, and there is room for "
             f"{MOST_IMAGE_BYTES / 1e9:.2f} GB; choose from fewer exposures, or lower option 'patch_budget'"
         )
@@ -279,9 +276,8 @@ def plan_exposures(
     for index, (posture, panels) in enumerate(zip(postures, lights, strict=True)):
         matrices = evaluator.matrices(posture, [[panel] for panel in panels], exposures=(1.0, *further))
         first, *rest = (
-            images_of(
-                [scattered_flags([matrix], evaluator.patches, light=light, place=0) for light in range(len(panels))],
-                min_images,
+            np.stack(
+                [scattered_flags([matrix], evaluator.patches, light=light, place=0) for light in range(len(panels))]
             )
             for matrix in matrices
         )
@@ -297,13 +293,8 @@ def plan_exposures(
         now,
         candidates,
         evaluator.weights,
-        min_images=min_images,
+        needed=evaluator.needed,
         least_gain=gain_points / 100.0,
         target=target,
     )
     return replace(found, grain=evaluator.table.grain)
-
-
-def images_of(flags: Sequence[Words], min_images: int) -> Images:
-    """The flags of a posture's lights; where one image is enough, only what they show together matters."""
-    return np.bitwise_or.reduce(flags, axis=0)[None] if min_images == 1 else np.stack(flags)

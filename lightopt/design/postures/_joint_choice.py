@@ -91,7 +91,6 @@ class _JointPlanner:
             choice.postures,
             [choice.panels] * len(choice.postures),
             self.whole.exposures,
-            min_images=self.request.min_images,
             gain_points=100.0 * self.least_gain,
             target=self.request.target,
             progress=self.run.stage("exposures"),
@@ -109,14 +108,13 @@ class _JointPlanner:
         """The lights where they serve the planned images best, and the exposures with enough gain there."""
         if self.candidates is None:
             return plan
-        if not position_counts_fit(self.whole, self.candidates, min_images=self.request.min_images):
+        if not position_counts_fit(self.whole, self.candidates):
             return replace(plan, converged=False)
         for _ in range(MOST_ITERATIONS):
             positions, _ = best_positions(
                 self.whole,
                 [(posture, plan.exposures_of(posture)) for posture in plan.postures],
                 self.candidates,
-                min_images=self.request.min_images,
                 limit=self.request.limit,
                 progress=self.run.stage("lights for the planned images"),
             )
@@ -143,7 +141,7 @@ class _JointPlanner:
         own = {i: self._counts(plan, postures[i], plan.exposures_of(postures[i])) for i in sorted(indices)}
         cover = replace(
             free,
-            steps=cover_steps([(i, own[i]) for i in greedy_order(own, weights, self.request.min_images)], weights),
+            steps=cover_steps([(i, own[i]) for i in greedy_order(own, weights, self.whole.needed)], weights),
             # where fewer postures show everything, more cannot add to it
             bounds=(*free.bounds, *([free.all_benefit] * (len(indices) - len(free.steps)))),
         )
@@ -154,4 +152,4 @@ class _JointPlanner:
 
     def _counts(self, plan: PostureChoice, posture: Posture, exposures: tuple[float, ...]) -> Counts:
         evaluator = replace(self.whole, exposures=exposures)
-        return evaluator.counts(posture, plan.panels, min_images=self.request.min_images)
+        return evaluator.counts(posture, plan.panels)

@@ -29,7 +29,7 @@ from lightopt.design.postures._joint_choice import choose_with_exposures
 from lightopt.design.postures._light_positions import position_counts, position_counts_fit
 from lightopt.design.postures._posture_choice import PostureChoice, PostureRequest
 from lightopt.design.postures._posture_grid import posture_grid, usable_postures
-from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
+from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches, without_edges
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.design.responses._packed_bits import unpack_flags
 from lightopt.design.search._combinations import Ranked
@@ -74,7 +74,9 @@ def planned_answers(
     first = result.answers[0].objective
     assert isinstance(first, DetectabilityObjective)
     evaluator = chosen.evaluator
-    goal = PlannedDetectability(first.hypotheses, first.min_images, area=int(evaluator.weights.areas.sum()))
+    goal = PlannedDetectability(
+        first.defects, first.min_images, first.false_alarms, area=int(evaluator.weights.areas.sum())
+    )
     answers = tuple(_planned(answer, goal, chosen, candidates, free) for answer in result.answers)
     return replace(result, answers=answers, curves=_curves(answers[0].found.best, chosen, candidates, free, progress))
 
@@ -86,17 +88,15 @@ def _curves(
     if (
         free is None
         or not all(angles in some for angles, some in zip(at, free.angles, strict=True))
-        or not position_counts_fit(evaluator, free, min_images=chosen.least)
+        or not position_counts_fit(evaluator, free)
     ):
         return ()
     postures = [(posture, chosen.choice.exposures_of(posture)) for posture in chosen.way.order]
-    lights = chosen.choice.position_counts or position_counts(
-        evaluator, postures, free, min_images=chosen.least, progress=progress
-    )
+    lights = chosen.choice.position_counts or position_counts(evaluator, postures, free, progress=progress)
 
     def score(combination: tuple[int, ...]) -> int:
         shown = (places[k] for places, k in zip(lights, combination, strict=True))
-        return weights.covered(weights.sum_counts(shown, chosen.least))
+        return weights.covered(weights.sum_counts(shown, evaluator.needed))
 
     here = tuple(some.index(angles) for angles, some in zip(at, free.angles, strict=True))
     return score_curves(free, replace(best, candidates=here), score)
@@ -112,10 +112,10 @@ def _planned(
     best, choice, evaluator = answer.found.best, chosen.choice, replace(chosen.evaluator, images=chosen.choice.images)
     panels = candidates.panels_at(best.candidates)
     images = (
-        replace(evaluator, exposures=choice.exposures_of(posture)).counts(posture, panels, min_images=chosen.least)
+        replace(evaluator, exposures=choice.exposures_of(posture)).counts(posture, panels)
         for posture in chosen.way.order
     )
-    counts = evaluator.weights.sum_counts(images, chosen.least)
+    counts = evaluator.weights.sum_counts(images, evaluator.needed)
     score = evaluator.weights.covered(counts)
     scores = {**answer.scores, goal.name: score}
     if answer.objective.name != goal.name:
@@ -124,7 +124,7 @@ def _planned(
     # where no other positions show more in these postures; else no bound is known but all there is to see
     best_there = choice.exact and choice.converged
     bound = score if best_there else evaluator.weights.total
-    seen = evaluator.weights.areas @ unpack_flags(counts[-1], len(goal.hypotheses))
+    seen = evaluator.weights.areas @ unpack_flags(counts[-1], len(goal.defects))
     return replace(
         answer,
         objective=goal,
@@ -254,6 +254,7 @@ def plan_postures(
     )
     scene = replace(scene, postures=postures)
     table = build_patches(scene, caster=caster, budget=options.patch_budget, threads=run.threads)
+    table = without_edges(table, scene, caster, threads=run.threads)
     whole = ImageEvaluator(
         scene=scene,
         table=table,
@@ -269,9 +270,7 @@ def plan_postures(
         postures,
         lights,
         candidates,
-        PostureRequest(
-            min_images=options.min_images, count=plan.choose_postures, target=plan.target, limit=options.limit
-        ),
+        PostureRequest(count=plan.choose_postures, target=plan.target, limit=options.limit),
         exposures=plan.all_exposures,
         gain_points=plan.exposure_gain,
         run=run,
@@ -282,8 +281,8 @@ def plan_postures(
     if not choice.postures:
         raise CheckFailed(
             f"no posture of {len(postures)} shows any defect of {part.source.path}'s catalogue in "
-            f"{counted(options.min_images, 'image')} or more: lower option 'threshold' or option 'min_images', or "
-            "change the lights' gain, their ranges, or the catalogue"
+            f"{counted(options.min_images, 'image')} or more: raise option 'false_alarms', lower option 'min_images', "
+            "or change the lights' gain, their ranges, or the catalogue"
         )
     return ChosenPostures(
         choice=choice,
@@ -293,6 +292,7 @@ def plan_postures(
         way=way_through(rig, choice.postures),
         pace=pace_text(rig),
         least=options.min_images,
+        false_alarms=options.false_alarms,
         plan=plan,
     )
 

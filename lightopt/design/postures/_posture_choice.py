@@ -21,8 +21,8 @@ class CoverStep:
     """One candidate of a cover.
 
     gain: What it adds to the benefit of those before it.
-    benefit: Of those before it and itself: Σ weight · min(k, count).
-    covered: Weight of the pairs that these show in k images or more.
+    benefit: Of those before it and itself: Σ weight · min(k, units).
+    covered: Weight of the pairs of k units or more, which count as found.
     """
 
     candidate: int
@@ -36,7 +36,7 @@ class Cover:
     """A choice of candidates.
 
     steps: The chosen ones, in the order in which they were chosen.
-    k: Images that must show a pair.
+    k: Units of evidence that a pair needs.
     total: Weight of all pairs.
     bounds: On the benefit of sets of 0, 1, 2, … candidates up to as many as were chosen.
     all_benefit, all_covered: Of all candidates together.
@@ -65,24 +65,24 @@ class Cover:
 
     @property
     def covered(self) -> int:
-        """Weight of the pairs that the chosen ones see in k images or more."""
+        """Weight of the pairs that the chosen ones find."""
         return self.steps[-1].covered if self.steps else 0
 
     @property
     def share(self) -> float:
-        """Share of all pairs, by weight, seen in k images or more."""
+        """Share of all pairs, by weight, that are found."""
         return self.covered / max(1, self.total)
 
     @property
     def bound_share(self) -> float:
-        """No set of as many candidates shows more than this share in k images or more."""
+        """No set of as many candidates finds more than this share."""
         if self.max_covered is not None:
             return self.max_covered / max(1, self.total)
         return self.bound_of(len(self.bounds) - 1)
 
     def bound_of(self, count: int) -> float:
-        """No set of `count` candidates, up to as many as were chosen, shows more than this share k times or more."""
-        # [count ≥ k] ≤ min(k, count) / k
+        """No set of `count` candidates, up to as many as were chosen, finds more than this share."""
+        # [units ≥ k] ≤ min(k, units) / k
         return min(self.bounds[count] / self.k, self.all_covered) / max(1, self.total)
 
     @property
@@ -90,14 +90,13 @@ class Cover:
         """No set of fewer candidates reaches the target; None without one, or where all together do not reach it."""
         if self.target is None or self.all_covered < self.target * self.total:
             return None
-        # a pair seen in k images has benefit k
+        # a pair that is found has benefit k
         enough = [size for size, bound in enumerate(self.bounds) if bound >= self.k * self.target * self.total]
         return enough[0] if enough else len(self.steps)
 
     @property
     def guarantee(self) -> float:
         """Share of the best set of as many that these cover at least."""
-        # with k = 1 never less than a greedy choice has whatever the candidates, 1 − (1 − 1/N)^N
         return self.share / self.bound_share if self.bound_share > 0.0 else 1.0
 
     @property
@@ -115,13 +114,11 @@ class Cover:
 class PostureRequest:
     """The share that the postures are to show, and their maximum number.
 
-    min_images: Images that must show a pair, of all postures together.
     count: Most postures; as many as the target takes where None.
     target: Share of the pairs to be shown.
     limit: Most combinations of the lights' positions that are tried; with more, lights are moved one at a time.
     """
 
-    min_images: int = 1
     count: int | None = None
     target: float | None = None
     limit: int = DEFAULT_LIMIT

@@ -55,7 +55,6 @@ class AlternatingSearch:
 
     postures: To choose from.
     candidates: Positions of the lights to choose from; None where no light moves.
-    min_images: Images that must show a pair, of all postures together.
     where: The patches, for progress messages.
     prove: Whether all sets of postures are searched where that is little work.
     images: Those of all positions of the lights are kept there; None for nowhere.
@@ -65,7 +64,6 @@ class AlternatingSearch:
     postures: Sequence[Posture]
     candidates: Candidates | None
     _: KW_ONLY
-    min_images: int
     where: str
     prove: bool
     run: RunContext
@@ -136,7 +134,6 @@ class AlternatingSearch:
                 replace(self.evaluator, images=self.images, keeps_images=True),
                 [(self.postures[i], self.evaluator.exposures) for i in key],
                 self.candidates,
-                min_images=self.min_images,
                 limit=request.limit,
                 progress=self._stage("lights for postures"),
             )
@@ -158,7 +155,7 @@ class AlternatingSearch:
             evaluator, found = replace(self.evaluator, threads=1), dict[int, Counts]()
 
             def count(i: int, posture: Posture) -> None:
-                found[i] = evaluator.counts(posture, panels, min_images=self.min_images)
+                found[i] = evaluator.counts(posture, panels)
 
             work = WorkCounter(len(self.postures), self._stage("postures for lights"))
 
@@ -197,7 +194,7 @@ def choose_postures(
     candidates: Positions to choose from; None where no light moves.
     Raises InputError: More postures than memory is meant for; lights that collide in every combination.
     """
-    size = len(postures) * request.min_images * len(whole.patches) * whole.weights.masks.shape[1] * 8
+    size = len(postures) * whole.needed * len(whole.patches) * whole.weights.masks.shape[1] * 8
     if size > MOST_COUNT_BYTES:
         raise InputError(
             f"{len(postures)} postures × {len(whole.patches):,} patches are {size / 1e9:.2f} GB of counts, and there "
@@ -218,19 +215,14 @@ class _MultiStartSearch:
     run: RunContext
 
     def __post_init__(self) -> None:
-        least = self.request.min_images
-        search = partial(
-            AlternatingSearch, postures=self.postures, candidates=self.candidates, min_images=least, run=self.run
-        )
+        search = partial(AlternatingSearch, postures=self.postures, candidates=self.candidates, run=self.run)
         self.drawn_cache = FlagCache(CACHED_BYTES)  # lights and postures come back from pass to pass
         self.images = ImageCache(CACHED_BYTES)  # the chosen postures are looked at again when they are found
         self.full_search = self.drawn_search = search(self.whole, where="all patches", prove=True, images=self.images)
         if self.drawn.table is not self.whole.table:
             drawn = replace(self.drawn, cache=self.drawn_cache)
             self.drawn_search = search(drawn, where="drawn patches", prove=False)
-        self.on_all_patches = self.drawn_search is self.full_search or position_counts_fit(
-            self.whole, self.candidates, min_images=least
-        )
+        self.on_all_patches = self.drawn_search is self.full_search or position_counts_fit(self.whole, self.candidates)
         self.starts = 1
         self._drawn: dict[int, Solution] = {}
 

@@ -4,7 +4,8 @@ Rays go from the centroid of every inspectable patch, one that the camera sees a
 (:data:`lightopt.rendering.GRAZING_DEG`), to the point lights of every candidate panel. The panel's light is computed as
 for images, then exposed without noise (paper, section 5.2, step 1): a level here is what the camera would deliver for
 the patch. With ``points: auto`` each patch's own five rays decide on shadows, since patches have no neighbours in a
-grid. Where images are tested for defects, the same rays decide which defects each image shows.
+grid. Where images are tested for defects, the same rays decide how much evidence each image gives of them; what lies
+at edges then counts as little as what is seen at a grazing angle, since an inspection leaves it out.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,14 +21,22 @@ from lightopt.core.errors import InputError, counted
 from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import Task, available_processors, run_all
 from lightopt.core.transforms import Posture
-from lightopt.design.responses._detection import DetectionModel, PatchDetection
+from lightopt.design.responses._evidence import UNITS_OF_IMAGE, DetectionModel, PatchEvidence, units_needed
 from lightopt.design.responses._luminance_matrix import Levels, LuminanceMatrix, Visibility, area_units
-from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, counts_of_images, weight_planes
+from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, sum_of_images, weight_planes
 from lightopt.geometry import RayCaster, face_normals
 from lightopt.lights import PanelLight
 from lightopt.optics import expose
-from lightopt.rendering import PatchTable, SurfacePoints, converged_panel, shade_converged, shade_points, shadow_targets
-from lightopt.scene import Scene, view_from_part
+from lightopt.rendering import (
+    PatchTable,
+    SurfacePoints,
+    converged_panel,
+    mask_pixels,
+    shade_converged,
+    shade_points,
+    shadow_targets,
+)
+from lightopt.scene import Scene, project, view_from_part
 
 BLOCK_PATCHES = 1 << 12  # patches whose levels, under all hypotheses, are in the processor's caches together
 BLOCKS_AT_ONCE = 8  # that a thread works on before it takes others
@@ -57,12 +66,12 @@ class FlagCache:
         self._words.clear()
 
     def find(self, posture: Posture, exposures: tuple[float, ...], panel: PanelLight) -> Words | None:
-        """Flags of shape (p, words), where they are held."""
+        """Flags of shape (units, p, words), where they are held."""
         found = self._words.get((posture, exposures, id(panel)))
         return None if found is None else found[1]
 
     def keep(self, posture: Posture, exposures: tuple[float, ...], panel: PanelLight, flags: Words) -> None:
-        """Hold flags of shape (p, words), if there is room left."""
+        """Hold flags of shape (units, p, words), if there is room left."""
         with self._lock:
             if self._bytes + flags.nbytes <= self._most_bytes:
                 self._bytes += flags.nbytes
@@ -81,13 +90,13 @@ class ImageCache:
         self._images: dict[Any, tuple[Levels, Words]] = {}
 
     def find(self, posture: Posture, exposures: Sequence[float], panel: PanelLight) -> tuple[Levels, Words] | None:
-        """Levels and flags, of shapes (e, p) and (e, p, words), where they are held."""
+        """Levels and flags, of shapes (e, p) and (e, units, p, words), where they are held."""
         return self._images.get(self._key(posture, exposures, panel))
 
     def keep(
         self, posture: Posture, exposures: Sequence[float], panel: PanelLight, levels: Levels, flags: Words
     ) -> None:
-        """Hold levels and flags, of shapes (e, p) and (e, p, words), if there is room left."""
+        """Hold levels and flags, of shapes (e, p) and (e, units, p, words), if there is room left."""
         if self._bytes + levels.nbytes + flags.nbytes <= self._most_bytes:
             self._bytes += levels.nbytes + flags.nbytes
             self._images[self._key(posture, exposures, panel)] = levels.copy(), flags.copy()
@@ -103,8 +112,8 @@ class ImageEvaluator:
     """A part, its patches, and the defects that its images are tested for.
 
     scene: Its lights are ignored.
-    table: The patches; their pairs with the hypotheses are counted.
-    detection: The hypotheses, and when one is visible; None where levels alone are wanted.
+    table: The patches; their pairs with the planned defects are counted.
+    detection: The defects, and when one counts as found; None where levels alone are wanted.
     shadows: Whether the part casts shadows on itself.
     exposures: That an image may be taken with: it shows what it shows with any of them.
     cache: For what images show; only for an evaluator of these very patches.
@@ -129,10 +138,10 @@ class ImageEvaluator:
 
     @property
     def weights(self) -> PairWeights:
-        """Weights of the pairs of these patches and the hypotheses."""
+        """Weights of the pairs of these patches and the planned defects."""
         assert self.detection is not None
         units = area_units(self.table.patches.areas[self.patches])
-        masks, factors = weight_planes(self.detection.hypotheses)
+        masks, factors = weight_planes(self.detection.catalogue.defects)
         return PairWeights(areas=units, masks=masks, factors=factors)
 
     def table_of(self, postures: Sequence[Posture]) -> PatchTable:
@@ -171,10 +180,12 @@ class ImageEvaluator:
             )
         shape = len(exposures), positions, len(seen)
         levels = np.zeros(shape, np.uint8 if scene.sensor.bit_depth <= 8 else np.uint16)
-        words = np.zeros((*shape, self._words), np.uint64)
+        words = np.zeros((len(exposures), positions, UNITS_OF_IMAGE, len(seen), self._words), np.uint64)
         flat = [panel for some in panels for panel in some]
         missing = self._fill_in_kept(posture, exposures, flat, levels, words)
-        view = None if detection is None or not missing else PatchDetection(scene, surface, posture, detection)
+        evidence = None
+        if detection is not None and missing:
+            evidence = PatchEvidence(scene, self.table, surface, posture, detection)
         blocks = [
             (start, surface.take(slice(start, start + BLOCK_PATCHES))) for start in range(0, len(seen), BLOCK_PATCHES)
         ]
@@ -184,21 +195,24 @@ class ImageEvaluator:
 
         def shade(at: int, panel: PanelLight, some: Sequence[tuple[int, SurfacePoints]]) -> None:
             for start, block in some:
-                shade_block(at, panel, slice(start, start + len(block)), block)
+                store(at, slice(start, start + len(block)), _levels(scene, block, panel, caster, blocker))
 
-        def shade_block(at: int, panel: PanelLight, here: slice, block: SurfacePoints) -> None:
-            if view is None:
-                level = _levels(scene, block, panel, caster, blocker)
-            else:
-                level, bits = view.evaluate(block, panel, here, caster, blocker, exposures)
-                for index, some in enumerate(bits):
-                    words[index, at, here] = some
+        def find_evidence(at: int, panel: PanelLight) -> None:
+            assert evidence is not None
+            level, units = evidence.evaluate(panel, caster, blocker, exposures)
+            store(at, slice(None), level)
+            for index, some in enumerate(units):
+                words[index, at] = some
+
+        def store(at: int, here: slice, level: Float32) -> None:
             for index, exposure in enumerate(exposures):
                 levels[index, at, here] = expose(
                     level[None, :], sensor=scene.sensor, exposure=exposure, full_scale=scene.reflectance.full_scale
                 )[0]
 
+        # evidence at a patch depends on its neighbours, so that all patches are done together
         groups = [blocks[first : first + BLOCKS_AT_ONCE] for first in range(0, len(blocks), BLOCKS_AT_ONCE)]
+        groups = groups if evidence is None else [blocks]
         work = WorkCounter(len(missing) * len(groups), progress)
 
         def count() -> None:
@@ -209,8 +223,11 @@ class ImageEvaluator:
             for at in missing:
                 if self.shadows:
                     caster.map_blockers(shadow_targets(moved[at]), rays=len(seen), threads=1)
-                for group in groups:
-                    yield shade, (at, moved[at], group)
+                if evidence is not None:
+                    yield find_evidence, (at, moved[at])
+                else:
+                    for group in groups:
+                        yield shade, (at, moved[at], group)
 
         run_all(tasks(), threads=self.threads or available_processors(), done=count)
         if self.images is not None and self.keeps_images:
@@ -226,7 +243,7 @@ class ImageEvaluator:
                 visibility=None
                 if detection is None
                 else Visibility(
-                    hypotheses=detection.hypotheses,
+                    defects=detection.catalogue.defects,
                     words=tuple(np.split(words[index], ends)),
                     areas=areas,
                     patch=seen.astype(np.int32),
@@ -239,7 +256,7 @@ class ImageEvaluator:
     def _fill_in_kept(
         self, posture: Posture, exposures: Sequence[float], panels: Sequence[PanelLight], levels: Levels, words: Words
     ) -> list[int]:
-        # images that are kept, into arrays of shapes (e, panels, p) and (e, panels, p, words); which panels are left
+        # images that are kept, into arrays of shapes (e, panels, p) and (e, panels, units, p, words); the panels left
         missing: list[int] = []
         for at, panel in enumerate(panels):
             image = None if self.images is None else self.images.find(posture, exposures, panel)
@@ -251,11 +268,11 @@ class ImageEvaluator:
 
     @property
     def _words(self) -> int:
-        return 0 if self.detection is None else -(-len(self.detection.hypotheses) // 64)
+        return 0 if self.detection is None else -(-len(self.detection.catalogue.defects) // 64)
 
     def _position_bytes(self, patches: int, exposures: int) -> int:
         # memory of `matrices` for one position of a light: levels, and the defects' bits
-        return patches * exposures * ((1 if self.scene.sensor.bit_depth <= 8 else 2) + 8 * self._words)
+        return patches * exposures * ((1 if self.scene.sensor.bit_depth <= 8 else 2) + 8 * UNITS_OF_IMAGE * self._words)
 
     def positions_at_once(self, posture: Posture, exposures: Sequence[float]) -> int:
         """How many positions of lights :meth:`matrices` has memory for."""
@@ -274,7 +291,7 @@ class ImageEvaluator:
             yield self.matrices(posture, [places[start : start + most]], exposures=exposures)
 
     def flags(self, posture: Posture, panels: Sequence[Sequence[PanelLight]]) -> tuple[Words, ...]:
-        """Which pairs the images show: of each light an array of shape (positions, p, words)."""
+        """Evidence of the pairs by the images: of each light an array of shape (positions, units, p, words)."""
         cache, exposures = self.cache, self.exposures
         if cache is None:
             return self._new_flags(posture, panels)
@@ -293,7 +310,7 @@ class ImageEvaluator:
 
     def _new_flags(self, posture: Posture, panels: Sequence[Sequence[PanelLight]]) -> tuple[Words, ...]:
         if not any(panels):
-            return tuple(np.zeros((0, len(self.patches), self._words), np.uint64) for _ in panels)
+            return tuple(np.zeros((0, UNITS_OF_IMAGE, len(self.patches), self._words), np.uint64) for _ in panels)
         if sum(map(len, panels)) <= self.positions_at_once(posture, self.exposures):
             matrices = self.matrices(posture, panels, exposures=self.exposures)
             lights = [[(matrices, light)] for light in range(len(panels))]
@@ -304,7 +321,7 @@ class ImageEvaluator:
             ]
         found: list[Words] = []
         for some, batches in zip(panels, lights, strict=True):
-            images = np.zeros((len(some), len(self.patches), self._words), np.uint64)
+            images = np.zeros((len(some), UNITS_OF_IMAGE, len(self.patches), self._words), np.uint64)
             place = 0
             for matrices, light in batches:
                 for at in range(len(matrices[0].levels[light])):
@@ -313,10 +330,16 @@ class ImageEvaluator:
             found.append(images)
         return tuple(found)
 
-    def counts(self, posture: Posture, panels: Sequence[PanelLight], *, min_images: int) -> Counts:
-        """In how many images of a posture, one of each light, each pair is seen, up to `min_images`."""
+    @property
+    def needed(self) -> int:
+        """Units of evidence that a pair needs to count as found."""
+        assert self.detection is not None
+        return units_needed(self.detection.min_images)
+
+    def counts(self, posture: Posture, panels: Sequence[PanelLight]) -> Counts:
+        """Units of evidence of each pair by the images of a posture, one of each light, up to what is needed."""
         images = self.flags(posture, [[panel] for panel in panels])
-        return counts_of_images([layer[0] for layer in images], min_images)
+        return sum_of_images([layer[0] for layer in images], self.needed)
 
 
 def luminance_matrix(
@@ -375,19 +398,35 @@ def _levels(
 
 
 def scattered_flags(matrices: Sequence[LuminanceMatrix], patches: Index, *, light: int, place: int) -> Words:
-    """An image's visible hypotheses in another numbering of the patches, shape (p, words).
+    """An image's units of evidence in another numbering of the patches, shape (units, p, words).
 
-    `matrices` have the visibility of some of the patches, one for each exposure of the image, which shows what any of
-    them shows. `patches` are the ascending indices of the patches that count, shape (p,).
+    `matrices` have the visibility of some of the patches, one for each exposure of the image: the best of them counts
+    for each pair. `patches` are the ascending indices of the patches that count, shape (p,).
     """
     first = matrices[0].visibility
     assert first is not None
-    flags = np.zeros((len(patches), first.words[light].shape[2]), np.uint64)
+    units, _, width = first.words[light].shape[1:]
+    flags = np.zeros((units, len(patches), width), np.uint64)
     rows = np.searchsorted(patches, first.patch)
     for matrix in matrices:
         assert matrix.visibility is not None
-        flags[rows] |= matrix.visibility.words[light][place]
+        flags[:, rows] |= matrix.visibility.words[light][place]
     return flags
+
+
+def without_edges(table: PatchTable, scene: Scene, caster: RayCaster, *, threads: int | None = None) -> PatchTable:
+    """The patches with those that an inspection leaves out, at silhouettes and creases, counted as grazing."""
+    grazing = table.grazing.copy()
+    for index, posture in enumerate(table.postures):
+        clean = mask_pixels(scene, posture, caster, threads=threads).clean
+        shown = np.flatnonzero(table.visible[index])
+        columns, rows, _ = project(view_from_part(scene, posture).camera, table.patches.centroids[shown])
+        x, y = (
+            np.clip(np.floor(a).astype(np.intp), 0, side - 1)
+            for a, side in zip((columns, rows), clean.shape[::-1], strict=True)
+        )
+        grazing[index, shown] |= ~clean[y, x]
+    return replace(table, grazing=grazing)
 
 
 def drawn_patches(table: PatchTable, count: int) -> PatchTable:

@@ -1,9 +1,9 @@
 """The luminance matrix: what the camera would deliver for every patch under every candidate position of a light.
 
-With it go visibility bits: which defects the same images show at the patches. Bit t % 64 of word t // 64 of a patch is
-hypothesis t. Patches are addressed by their index in the refined mesh of the run
-(:class:`lightopt.rendering.PatchTable`), which is refined once for all postures: the same index is the same patch in
-every posture.
+With it goes the evidence that the same images give of defects at the patches
+(:mod:`lightopt.design.responses._evidence`). Bit t % 64 of word t // 64 of a patch is planned defect t. Patches are
+addressed by their index in the refined mesh of the run (:class:`lightopt.rendering.PatchTable`), which is refined once
+for all postures: the same index is the same patch in every posture.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from lightopt.core.arrays import Float64, Int32, Int64, read_only
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
-from lightopt.design.responses._defect_hypotheses import DefectHypothesis
-from lightopt.design.responses._packed_bits import Words, add_image, weight_planes, weighted_bits
+from lightopt.design.responses._defect_hypotheses import PlannedDefect
+from lightopt.design.responses._packed_bits import Counts, Words, add_units, weight_planes, weighted_bits
 from lightopt.optics import Sensor
 
 Levels = NDArray[np.uint8 | np.uint16]
@@ -31,27 +31,27 @@ AREA_UNIT_MM2 = 1e-6  # areas are counted in whole square micrometres, so that s
 
 @dataclass(frozen=True, kw_only=True)
 class Visibility:
-    """Which (patch, hypothesis) the image of each light position shows in one posture.
+    """Evidence of t planned defects on patches by the image of each light position in one posture.
 
-    words: One array per light, in the rig's order: bits of the visible hypotheses, shape (candidates of the light, p,
-        ⌈t / 64⌉).
+    words: One array per light, in the rig's order: flags of the units of evidence, shape (candidates of the light,
+        units, p, ⌈t / 64⌉).
     areas: Of the inspectable patches [mm²], shape (p,).
     patch: Their indices among the patches of the run, ascending, shape (p,).
     grazing: Indices of the patches seen at a grazing angle, which are excluded, ascending.
     """
 
-    hypotheses: tuple[DefectHypothesis, ...]
+    defects: tuple[PlannedDefect, ...]
     words: tuple[Words, ...]
     areas: Float64
     patch: Int32
     grazing: Int32
 
     def __post_init__(self) -> None:
-        shape = len(self.areas), -(-len(self.hypotheses) // 64)
+        shape = len(self.areas), -(-len(self.defects) // 64)
         for index, layer in enumerate(self.words):
-            if layer.ndim != 3 or layer.shape[1:] != shape or layer.dtype != np.uint64:
+            if layer.ndim != 4 or layer.shape[2:] != shape or layer.dtype != np.uint64:
                 raise InputError(
-                    f"visibility: light {index}: expected uint64 of shape (candidates, {shape[0]}, {shape[1]}), "
+                    f"visibility: light {index}: expected uint64 of shape (candidates, units, {shape[0]}, {shape[1]}), "
                     f"found {layer.dtype} {layer.shape}"
                 )
         for name in ("areas", "patch"):
@@ -60,8 +60,8 @@ class Visibility:
 
     @cached_property
     def planes(self) -> tuple[Words, Int64]:
-        """The hypotheses' weights in binary: see :func:`weight_planes`."""
-        return weight_planes(self.hypotheses)
+        """The defects' weights in binary: see :func:`weight_planes`."""
+        return weight_planes(self.defects)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -70,7 +70,7 @@ class Visibility:
 
     @property
     def total_weight(self) -> int:
-        return sum(hypothesis.weight for hypothesis in self.hypotheses)
+        return sum(defect.weight for defect in self.defects)
 
     def rows(self, rows: Sequence[Int64]) -> Visibility:
         """Some candidates of each light, given by ascending indices."""
@@ -80,20 +80,23 @@ class Visibility:
     def patches(self, start: int, end: int) -> Visibility:
         return replace(
             self,
-            words=tuple(layer[:, start:end] for layer in self.words),
+            words=tuple(layer[:, :, start:end] for layer in self.words),
             areas=self.areas[start:end],
             patch=self.patch[start:end],
         )
 
-    def reachable(self, least: int) -> Words:
-        """What at least `least` images show if each light takes, for each hypothesis, the position that shows it."""
-        counters = np.zeros((least, *self.words[0].shape[1:]), np.uint64)
+    def most_units(self, needed: int) -> Counts:
+        """Units of evidence, up to `needed`, if each light takes for each defect the position that shows it best.
+
+        Returns flags of shape (needed, p, words).
+        """
+        counts = np.zeros((needed, *self.words[0].shape[2:]), np.uint64)
         for layer in self.words:
-            add_image(counters, np.bitwise_or.reduce(layer, axis=0))
-        return counters[-1]
+            add_units(counts, np.bitwise_or.reduce(layer, axis=0))
+        return counts
 
     def weights(self, seen: Words) -> Int64:
-        """Sum of the weights of the hypotheses whose bits are set, shape (p,)."""
+        """Sum of the weights of the defects whose bits are set, shape (p,)."""
         return weighted_bits(seen, *self.planes)
 
 

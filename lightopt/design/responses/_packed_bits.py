@@ -1,7 +1,8 @@
 """Flags packed into words of 64: of patches, or of pairs; counted over images and weighted.
 
-A *pair* is a patch and a defect hypothesis on it. Word w of patch p holds the flags of 64 hypotheses. A count of images
-from 0 to k takes k words of each: flag l − 1 says "seen in l images or more".
+A *pair* is a patch and a planned defect on it. Word w of patch p holds the flags of 64 defects. A count of units of
+evidence (:mod:`lightopt.design.responses._evidence`) from 0 to k takes k words of each: flag l − 1 says "l units or
+more". An image has up to 3 units of each pair, and images add up.
 
 The *benefit* of a count is the sum of its flags, each times its pair's weight; the weight *covered* is that of the
 pairs with the last flag.
@@ -11,17 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 
 import numpy as np
 
 from lightopt.core.arrays import Bool, Int64, UInt8, UInt64, read_only
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
-from lightopt.design.responses._defect_hypotheses import DefectHypothesis
+from lightopt.design.responses._defect_hypotheses import PlannedDefect
 
 Words = UInt64
-Counts = UInt64  # shape (k, p, words): flag l says that a pair is seen in l + 1 images or more
+Counts = UInt64  # shape (k, p, words): flag l says that a pair has l + 1 units of evidence or more
 Merit = tuple[int, int]  # weight covered, and benefit
 
 
@@ -39,30 +39,37 @@ def unpack_flags(words: Words, count: int) -> UInt8:
     return np.unpackbits(octets, axis=-1, bitorder="little")[..., :count]
 
 
-def add_image(counters: Words, image: Words) -> None:
-    """Count one image more: entry j of `counters` (k, …) has the flags that are set in more than j images.
-
-    `counters` is contiguous and changed in place; `image` has shape (…).
-    """
-    assert counters.flags.c_contiguous
-    count_flags(counters.reshape(len(counters), -1), image.reshape(-1))
-
-
-def add_counts(one: Words, other: Words) -> Words:
-    """The sum of two counts of images as :func:`add_image` makes them, up to k; shape (k, …).
+def add_units(total: Counts, more: Counts) -> None:
+    """Add a count, or the units of an image, to a count, in place; shapes (k, …) and (m, …), `total` is contiguous.
 
     (a + b ≥ l) = (a ≥ l) or (b ≥ l) or (a ≥ 1 and b ≥ l − 1) or … or (a ≥ l − 1 and b ≥ 1).
     """
-    total = one | other
-    for level in range(1, len(one)):
-        for low in range(level):
-            total[level] |= one[low] & other[level - 1 - low]
+    assert total.flags.c_contiguous
+    _add_units(total.reshape(len(total), -1), np.ascontiguousarray(more).reshape(len(more), -1))
+
+
+def add_counts(one: Counts, other: Counts) -> Counts:
+    """The sum of two counts up to k, as a new array; shapes (k, …) and (m, …) to (k, …)."""
+    total = one.copy()
+    add_units(total, other)
     return total
 
 
 @kernel
+def _add_units(total: Words, more: Words) -> None:
+    # from the highest flag down, so that those below are still the old ones
+    for level in range(len(total) - 1, -1, -1):
+        if level < len(more):
+            for w in range(total.shape[1]):
+                total[level, w] |= more[level, w]
+        for own in range(max(0, level - len(more)), level):
+            for w in range(total.shape[1]):
+                total[level, w] |= total[own, w] & more[level - 1 - own, w]
+
+
+@kernel
 def count_flags(counters: Words, more: Words) -> None:
-    """As :func:`add_image`, for rows: shapes (k, w) and (w,)."""
+    """Count one image more: row j of `counters` (k, w) has the flags that are set in more than j images (w,)."""
     for w in range(counters.shape[1]):
         carry = more[w]
         for k in range(len(counters)):
@@ -102,7 +109,7 @@ def common_bits(left: Words, right: Words) -> np.int64:
     return np.int64(total)
 
 
-def weight_planes(hypotheses: Sequence[DefectHypothesis]) -> tuple[Words, Int64]:
+def weight_planes(hypotheses: Sequence[PlannedDefect]) -> tuple[Words, Int64]:
     """The hypotheses' weights in binary: masks of the hypotheses that have a bit, and the value of that bit.
 
     Returns masks, shape (planes, ⌈t / 64⌉), and factors, shape (planes,), powers of two; bits that no weight has are
@@ -161,7 +168,10 @@ class PairWeights:
 
     def sum_counts(self, some: Iterable[Counts], k: int) -> Counts:
         """The sum of several counts, up to k, shape (k, p, words)."""
-        return reduce(add_counts, some, self.zero_counts(k))
+        total = self.zero_counts(k)
+        for counts in some:
+            add_units(total, counts)
+        return total
 
     def benefit(self, counts: Counts) -> int:
         """Σ weight · min(k, count)."""
@@ -176,7 +186,7 @@ class PairWeights:
 
     def gains(self, counts: Counts, more: Counts) -> Merit:
         """By how much :meth:`covered` and :meth:`benefit` grow when `more` is added to `counts`."""
-        after = more if len(counts) == 1 else add_counts(counts, more)
+        after = add_counts(counts, more)
         layers = zip(counts, after, strict=True)
         added = [int(_added_weight(*layer, self.areas, self.masks, self.factors)) for layer in layers]
         return added[-1], sum(added)
@@ -186,14 +196,14 @@ class PairWeights:
         return in_threads(lambda i: self.gains(counts, candidates[i]), range(len(candidates)), threads)
 
 
-def counts_of_images(images: Sequence[Words], k: int) -> Counts:
-    """In how many of some images each pair is seen, up to k, shape (k, p, words).
+def sum_of_images(images: Sequence[Counts], k: int) -> Counts:
+    """The units of evidence of some images together, up to k, shape (k, p, words).
 
-    `images` are the flags of each image, shape (p, words); at least one.
+    `images` have shape (units, p, words) each; at least one.
     """
-    total = np.zeros((k, *images[0].shape), np.uint64)
-    for flags in images:
-        add_image(total, flags)
+    total = np.zeros((k, *images[0].shape[1:]), np.uint64)
+    for units in images:
+        add_units(total, units)
     return total
 
 

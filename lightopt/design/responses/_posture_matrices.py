@@ -19,9 +19,9 @@ from lightopt.core.run_context import RunContext, Share
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
 from lightopt.design._problem import Problem, detection_model_of
-from lightopt.design.responses._defect_hypotheses import DefectHypothesis
-from lightopt.design.responses._detection import DetectionModel
-from lightopt.design.responses._image_evaluator import MOST_BYTES, ImageCache, ImageEvaluator
+from lightopt.design.responses._defect_hypotheses import PlannedDefect
+from lightopt.design.responses._evidence import UNITS_OF_IMAGE, DetectionModel
+from lightopt.design.responses._image_evaluator import MOST_BYTES, ImageCache, ImageEvaluator, without_edges
 from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Visibility
 from lightopt.images import make_folder, posture_folder, write_npz_atomic
 from lightopt.rendering import PatchTable, build_patches, patches_for_edge
@@ -48,7 +48,7 @@ def write_matrix(
 
 
 def read_matrix(
-    path: Path, *, key: str, lights: int, hypotheses: Sequence[DefectHypothesis] | None = None
+    path: Path, *, key: str, lights: int, defects: Sequence[PlannedDefect] | None = None
 ) -> LuminanceMatrix | None:
     """A cached matrix; None where there is none, it is damaged, or it depends on other inputs."""
     try:
@@ -58,10 +58,10 @@ def read_matrix(
                 return None
             levels, areas = tuple(arrays[f"light_{i}"] for i in range(lights)), arrays["areas_mm2"]
             seen = None
-            if hypotheses is not None:
+            if defects is not None:
                 words, patch = tuple(arrays[f"defects_{i}"] for i in range(lights)), arrays["patch"]
                 seen = Visibility(
-                    hypotheses=tuple(hypotheses), words=words, areas=areas, patch=patch, grazing=arrays["grazing"]
+                    defects=tuple(defects), words=words, areas=areas, patch=patch, grazing=arrays["grazing"]
                 )
             grazing_mm2 = float(arrays["grazing_mm2"])
             return LuminanceMatrix(levels=levels, areas=areas, visibility=seen, grazing_mm2=grazing_mm2)
@@ -74,7 +74,7 @@ COARSE_SHARE = 0.15
 
 MATRIX_NAME = "matrix.npz"
 
-# what of a part no level depends on; the hypotheses of the catalogue's defects have a key of their own
+# what of a part no level depends on; the catalogue's defects have a key of their own
 _NOT_OF_LEVELS: Any = {
     "name": True,
     "postures": True,
@@ -154,7 +154,10 @@ class PostureMatrices:
         """The patches, made when first needed."""
         if self.table is None:
             problem, budget = self.problem, self.problem.options.patch_budget
-            self.table = build_patches(problem.scene, caster=problem.caster, budget=budget, threads=self.run.threads)
+            threads = self.run.threads
+            self.table = build_patches(problem.scene, caster=problem.caster, budget=budget, threads=threads)
+            if self.detection is not None:
+                self.table = without_edges(self.table, problem.scene, problem.caster, threads=threads)
         return self.table
 
     def matrix(self, posture: Posture, *, held: int) -> LuminanceMatrix:
@@ -162,9 +165,9 @@ class PostureMatrices:
         facts = {**self._facts, "posture": posture.as_dict()}
         key = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
         path = self.folder / posture_folder(posture) / MATRIX_NAME
-        hypotheses = None if self.detection is None else self.detection.hypotheses
+        defects = None if self.detection is None else self.detection.catalogue.defects
         if self.problem.options.keep_matrix:
-            cached = read_matrix(path, key=key, lights=len(self.problem.candidates.names), hypotheses=hypotheses)
+            cached = read_matrix(path, key=key, lights=len(self.problem.candidates.names), defects=defects)
             if cached is not None:
                 self.reused += 1
                 return cached
@@ -212,11 +215,14 @@ def _matrix_facts(problem: Problem, detection: DetectionModel | None) -> dict[st
     mesh = part.source.resolve(part.mesh.file)
     defects: dict[str, Any] = {}
     if detection is not None:
-        # what is visible depends on the sensor's noise and saturation, too
+        # evidence depends on the sensor's noise and saturation, too
         defects = {
-            "defects": [asdict(hypothesis) for hypothesis in detection.hypotheses],
-            "noise": asdict(detection.contrast),
-            "defects narrower than a pixel": "F (D - M) + A M in two pixels",
+            "defects": [asdict(own.entry) for own in detection.catalogue.entries],
+            "noise": asdict(detection.sensor),
+            "full_scale": detection.full_scale,
+            "false_alarms": detection.false_alarms,
+            "min_images": detection.min_images,
+            "units": UNITS_OF_IMAGE,
         }
     return {
         **defects,

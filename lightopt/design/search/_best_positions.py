@@ -62,7 +62,8 @@ def answer_set(
     """
     for matrix, posture in zip(matrices, postures, strict=True):
         if not len(matrix.areas):
-            sight = f"the camera sees surface at more than {GRAZING_DEG:g}° to its normal only"
+            edges = " or at edges" if source.detection is not None else ""
+            sight = f"the camera sees surface at more than {GRAZING_DEG:g}° to its normal{edges} only"
             raise InputError(
                 f"posture {posture}: {sight if matrix.grazing_mm2 else 'the camera sees no patch'}, so no "
                 "position of the lights is better than another; check the part's placement and the posture"

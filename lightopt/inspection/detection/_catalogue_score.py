@@ -11,13 +11,13 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 from scipy import ndimage
 
-from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32, UInt8
+from lightopt.core.arrays import Bool, Float32, Float64, Index, Int8, Int16, Int32, UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.defects import CONFIRMED, SIZES, chance_score, rest_of_images
 from lightopt.inspection.detection._deviation import Deviations
-from lightopt.inspection.prediction._template_bank import CODES, EntryTemplates, Int8, Int16, TemplateBank
+from lightopt.inspection.prediction._template_bank import CODES, EntryTemplates, TemplateBank
 
 LEAST_SCORE = 3.0  # defects of lower scores are not sought
 

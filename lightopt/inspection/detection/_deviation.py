@@ -11,10 +11,9 @@ from scipy import ndimage
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
-from lightopt.defects import DARK
+from lightopt.defects import DARK, REGISTRATION_PX
 from lightopt.inspection._image_blocks import in_image_blocks
 from lightopt.inspection.prediction._posture_view import PostureView
-from lightopt.inspection.prediction._template_bank import REGISTRATION_PX
 
 # a step between pixels of so many times the steps before and after it is the edge of the shadow of a point light: a ray
 # per pixel has it a pixel further or not, however little the part is off

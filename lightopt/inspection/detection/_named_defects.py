@@ -9,13 +9,20 @@ import numpy as np
 from scipy import ndimage
 
 from lightopt.core.arrays import Bool, Int32
-from lightopt.defects import SHAPE_KINDS, SIZES, DefectKind, depth_of_slope, tangent_references
+from lightopt.defects import (
+    SHAPE_KINDS,
+    SIZES,
+    DefectKind,
+    depth_of_slope,
+    image_axes,
+    tangent_axis,
+    tangent_references,
+)
 from lightopt.estimate.registration import Placement
 from lightopt.inspection.detection._catalogue_score import ExplainedDefect
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.inspection.prediction._registered_set import world_to_mesh_file
-from lightopt.inspection.prediction._template_bank import image_axes, tangent_axis
 from lightopt.scene import Scene
 
 NORMAL_95: Final = 1.959964

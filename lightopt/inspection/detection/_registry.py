@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from lightopt.core.arrays import Float32
+from lightopt.defects import CATALOGUE_SHARE
 from lightopt.inspection.detection._catalogue_score import ExplainedDefect, explain_deviations
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._matched_filter import TEMPLATES, score_templates
@@ -16,9 +17,6 @@ from lightopt.inspection.fusion._synthetic_image import SyntheticImage
 from lightopt.inspection.prediction._template_bank import TemplateBank
 
 MakeSynthetic = Callable[[], SyntheticImage]
-
-# of the false alarms, the share that the catalogue's defects may cause; what no hypothesis describes has the others
-CATALOGUE_SHARE = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)

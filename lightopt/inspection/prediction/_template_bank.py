@@ -11,12 +11,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lightopt.core.arrays import Bool, Float32, Float64, Int32, UInt8
+from lightopt.core.arrays import Bool, Float32, Float64, Int8, Int16, Int32, UInt8
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import blocks, in_threads
-from lightopt.defects import MOST_CHANGE, CatalogueEntry, DefectHypotheses, defect_hypotheses, expected_change
+from lightopt.defects import (
+    FORESHORTENINGS,
+    MOST_CHANGE,
+    REGISTRATION_PX,
+    CatalogueEntry,
+    DefectHypotheses,
+    defect_hypotheses,
+    expected_change,
+    foreshortening_classes,
+    image_axes,
+    plane_to_image,
+    search_grid,
+    tangent_axis,
+)
 from lightopt.geometry import RayCaster
 from lightopt.inspection._image_blocks import mask_window
 from lightopt.inspection.prediction._posture_view import PostureView
@@ -31,29 +43,11 @@ from lightopt.rendering import (
 )
 from lightopt.scene import Scene, pixel_footprint
 
-Int16 = NDArray[np.int16]
-Int8 = NDArray[np.int8]
-
-REGISTRATION_PX = 0.1
-"""The part is known to lie within about this much of where the model has it: steep edges are off by so much."""
-
 # a place is tested where a defect of the entry's own size and amplitude is expected to stand out by so much; elsewhere
 # only one several times as strong would be found
 LEAST_EXPECTED = 1.5
 
-# The narrowest size of a defect is so many pixels wide, and the middle size of a scratch; where they would be wider,
-# the pixels are larger, up to so many times
-WIDTH_PX, SCRATCH_PX, MOST_RATIO = 8.0, 2.2, 15
-
-STEPS_PER_WIDTH = 8.0  # places to test are an eighth of the middle size's width apart
-
 CODES = 127  # changes are stored as whole numbers up to this
-
-# Middles of defects less than so many pixels wide are sought between pixels, too: on a smaller part of their width
-FINE_PX, HALVES = 5.0, ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
-
-# Foreshortening: cosines of the angle to the normal in so many steps of this ratio, and directions within half a turn
-FORESHORTENING, COSINES, AZIMUTHS = 0.85, 11, 8
 
 _POINTS = 8192  # that are shaded at once
 _ROWS = 16  # rows of places that a thread works on at once
@@ -176,25 +170,9 @@ def _surface(pixels: PosturePixels, clean: Bool) -> _Surface:
     index[~clean] = -1
     right, up = image_axes(surface.views, camera.right)
     references = tangent_axis(surface.normals, right)
-    x, y, z = (np.einsum("ij,ij->i", surface.normals, axis) for axis in (right, up, surface.views))
-    cosine = np.clip(np.rint(np.log(np.maximum(z, 1e-6)) / math.log(FORESHORTENING)), 0, COSINES - 1)
-    azimuth = np.rint(np.arctan2(y, x) / math.pi * AZIMUTHS) % AZIMUTHS
-    classes = (cosine * AZIMUTHS + np.where(cosine > 0, azimuth, 0)).astype(np.int16)
+    classes = foreshortening_classes(surface.normals, surface.views, right, up).astype(np.int16)
     depth = (surface.points[index[clean]] - camera.position) @ camera.forward
     return _Surface(pixels, index, references, classes, pixel_footprint(camera, float(np.median(depth))))
-
-
-def image_axes(views: Float64, right: Float64) -> tuple[Float64, Float64]:
-    """Unit vectors to the right and up in the image, at right angles to the views, each of shape (k, 3)."""
-    across = right - (views @ right)[:, None] * views
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    return across, np.cross(views, across).astype(np.float64)
-
-
-def tangent_axis(normals: Float64, right: Float64) -> Float64:
-    """The image's right in tangent planes, which turns of defects are counted from towards N × it, shape (k, 3)."""
-    axis = right - np.einsum("ij,ij->i", right, normals)[:, None] * normals
-    return axis / np.linalg.norm(axis, axis=1, keepdims=True)
 
 
 def _templates(
@@ -207,14 +185,10 @@ def _templates(
     caster: RayCaster,
     threads: int | None,
 ) -> EntryTemplates:
-    long = own.entry.shape.kind == "scratch"
-    width = own.shapes[1 if long else 0].width / surface.footprint / (SCRATCH_PX if long else WIDTH_PX)
-    ratio = max(1, min(round(width), MOST_RATIO))
+    grid = search_grid(own, surface.footprint)
+    ratio, halves = grid.ratio, grid.halves
     footprint = ratio * surface.footprint
     border = 2 + math.ceil(0.5 * max(shape.length for shape in own.shapes) / footprint)
-    fine = own.shapes[1].width < FINE_PX * footprint
-    # along a scratch its place matters little
-    halves = HALVES[: (2 if long else 4) if fine else 1]
     rows, columns = mask_window(view.clean)
     count = np.stack(
         [_block_sums((view.clean & (level > 0.0))[rows, columns], ratio, border) for level in view.predicted], axis=-1
@@ -260,7 +234,7 @@ def _templates(
 
     in_threads(shade, range(len(tasks)), threads)
     pieces = _pieces(own, halves, np.unique(foreshortening[foreshortening >= 0]).tolist(), footprint, breadth)
-    step = max(1, int(own.shapes[1].width / footprint / STEPS_PER_WIDTH))
+    step = grid.step
     places = (-(-(height - 2 * border) // step), -(-(breadth - 2 * border) // step))
     inverse = np.zeros((len(own.turns) * len(halves), *places), np.float32)
 
@@ -298,26 +272,15 @@ def _block_sums(mask: Bool, ratio: int, border: int) -> UInt8:
     return np.pad(padded.reshape(height, ratio, width, ratio).sum(axis=(1, 3), dtype=np.uint8), border)
 
 
-def _to_image(foreshortening: int, footprint: float) -> Float64:
-    # pixels to the right and down by mm along the axes of a class' tangent plane, shape (2, 2)
-    steps, azimuth = divmod(foreshortening, AZIMUTHS)
-    cosine = FORESHORTENING**steps
-    sine, angle = math.sqrt(1.0 - cosine**2), math.pi * azimuth / AZIMUTHS
-    normal = np.array([[sine * math.cos(angle), sine * math.sin(angle), cosine]])
-    first = tangent_axis(normal, np.array([[1.0, 0.0, 0.0]]))[0]
-    second = np.cross(normal[0], first)
-    return np.array([[first[0], second[0]], [-first[1], -second[1]]]) / footprint
-
-
 def _pieces(
     own: DefectHypotheses, halves: Sequence[tuple[float, float]], classes: Sequence[int], footprint: float, breadth: int
 ) -> Pieces:
     sizes, turns = len(own.shapes), len(own.turns)
-    counts = np.zeros((COSINES * AZIMUTHS, sizes, turns * len(halves)), np.int32)
+    counts = np.zeros((FORESHORTENINGS, sizes, turns * len(halves)), np.int32)
     # empty ones first: there may be no place to test
     parts: list[tuple[Int32, Int32, Float64]] = [(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0))]
     for one in classes:
-        to_image = _to_image(one, footprint)
+        to_image = plane_to_image(one, footprint)
         for size in range(sizes):
             for pose, (turn, off) in enumerate(itertools.product(range(turns), halves)):
                 mixture = own.seen_by_pixels(size, turn, to_image, off_px=off)

@@ -12,7 +12,7 @@ from lightopt.report._page import Block, Facts, Note, Table
 
 
 def defect_tables(document: Mapping[str, Any]) -> list[Table]:
-    """The share of each kind of defect that is seen, and the directions of walls that are seen worst."""
+    """The share of each kind of defect that is found, and the orientation of long defects that is found worst."""
     answers = [
         (group["postures"], answer, group["grain"])
         for group in document["results"]
@@ -31,13 +31,12 @@ def defect_tables(document: Mapping[str, Any]) -> list[Table]:
         ]
         for postures, answer, grain in answers
     ]
-    images = counted(answers[0][1]["min_images"], "image")
     caption = (
-        f"Shares of {answers[0][1]['share_of']}, on which {images} or more show the defect. "
-        "Directions of walls are counted as direction_deg of defects: in the tangent plane, counterclockwise seen from "
-        "outside, from the X axis of the mesh file."
+        f"Shares of {answers[0][1]['share_of']}, on which the defect is found. Orientations of long defects are "
+        "counted as direction_deg of defects: in the tangent plane, counterclockwise seen from outside, from the X "
+        "axis of the mesh file."
     )
-    header = ["posture", *names, "kind seen worst", "walls seen worst lean to"]
+    header = ["posture", *names, "kind found worst", "orientation found worst"]
     return [Table(header=header, rows=rows, caption=caption)]
 
 
@@ -57,13 +56,12 @@ def blind_tables(document: Mapping[str, Any]) -> list[Table]:
         shares = dict.fromkeys(reasons, 0.0) | {one["reason"]: one["share"] for one in facts["blind"]}
         cells = [text(share) for share in (facts["seen"], *shares.values(), facts["left_out_of_surface"])]
         rows.append([name, lights, *cells])
-    images = counted(spots["min_images"], "image")
     caption = (
-        f"Shares of {spots['shares_of']}. Seen: in {images} or more, of one posture or of all postures. "
+        f"Shares of {spots['shares_of']}. Found: by the images of one posture or of all postures together. "
         f"{BLIND_LIGHTS[1].capitalize()}: every light wherever it shows that defect; no one set of positions need show "
-        "all of it. Left out: of the whole surface, what the camera sees at a grazing angle only."
+        "all of it. Left out: of the whole surface, what the camera sees at a grazing angle or an edge only."
     )
-    header = ["posture", "lights", "seen", *reasons, "left out"]
+    header = ["posture", "lights", "found", *reasons, "left out"]
     return [Table(header=header, rows=rows, numbers_from=2, caption=caption)]
 
 
@@ -94,15 +92,10 @@ def posture_table(chosen: Mapping[str, Any], *, with_exposures: bool = True) -> 
         for posture in map(Posture.from_dict, chosen["order_of_travel"])
         for number, one in [numbered[posture]]
     ]
-    k = chosen["min_images"]
-    columns = (
-        "adds, what the posture shows that the postures chosen before it do not; together, what it shows with them."
-        if k == 1
-        else f"adds, images new to a patch and defect, up to {k} of each; together, what is seen in {k} images or more."
-    )
     caption = (
-        "In the order of least travel, if all postures are captured in one round. Of the surface × defects: "
-        f"{columns} Shares refer to {chosen['shares_of']}."
+        "In the order of least travel, if all postures are captured in one round. Of the surface × defects: adds, the "
+        "evidence that the posture adds to that of the postures chosen before it, as a share of all that is needed; "
+        f"together, what is found in them. Shares refer to {chosen['shares_of']}."
     )
     header = ["posture", "chosen as no.", *(["exposures"] if with_exposures else []), "adds", "together"]
     return Table(header=header, rows=rows, caption=caption)

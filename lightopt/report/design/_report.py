@@ -6,14 +6,14 @@ from typing import Any
 from lightopt.core.errors import counted
 from lightopt.core.transforms import Posture
 from lightopt.design import (
-    DIRECTIONS,
     LEFT_OUT_MEANING,
     DesignOutput,
     ObjectiveResult,
     SetResult,
     angles_of,
-    defect_hypotheses,
+    finding_text,
     near_meaning,
+    planned_catalogue,
     share_text,
     shares_of,
 )
@@ -135,13 +135,9 @@ def _answer(result: SetResult) -> Answer:
 
 
 def _plan_answer(chosen: Mapping[str, Any], exposures: Mapping[str, Any] | None) -> Answer:
-    images = counted(chosen["min_images"], "image")
     postures = ", ".join(str(Posture.from_dict(one)) for one in chosen["order_of_travel"])
-    text = (
-        f"of the walls of the catalogue's defects, at every place of the surface, are visible in {images} or more of "
-        f"the planned images, in {postures}. It is not a share of whole defects, of which any wall may be found. The "
-        "surface is what the camera sees in any candidate posture"
-    )
+    found = finding_text(chosen["min_images"], chosen["false_alarms"])
+    text = f"{found}, in {postures}. The surface is what the camera sees in any candidate posture"
     share, grain = chosen["share"], chosen["patches"]["grain"]
     if exposures is not None:
         share = exposures["share"]
@@ -221,7 +217,7 @@ def _physics(output: DesignOutput) -> list[tuple[str, str]]:
     )
     options = output.document["provenance"]["options"]
     seen_against = "used for detectability only"
-    use = seen_against if "threshold" in options else "not part of the score"
+    use = seen_against if "false_alarms" in options else "not part of the score"
     coefficients = f"R_d {reflectance.R_d:g}, R_s {reflectance.R_s:g}, σ {reflectance.sigma:g} rad"
     return [
         ("levels", levels),
@@ -230,8 +226,13 @@ def _physics(output: DesignOutput) -> list[tuple[str, str]]:
         ("lights", "; ".join(dict.fromkeys(map(_light, scene.lights)))),
         ("shadows", "cast by the part" if options["shadows"] else "none"),
         ("patches", output.patches.message),
-        ("left out", f"what the camera sees at more than {GRAZING_DEG:g}° to the normal"),
+        ("left out", _left_out(options)),
     ]
+
+
+def _left_out(options: Mapping[str, Any]) -> str:
+    edges = " or at silhouettes and creases" if "false_alarms" in options else ""
+    return f"what the camera sees at more than {GRAZING_DEG:g}° to the normal{edges}"
 
 
 def _light(light: PanelLight) -> str:
@@ -254,15 +255,17 @@ def _search(output: DesignOutput) -> list[tuple[str, str]]:
         ("objectives", ", ".join(options["objectives"])),
         ("defects", "none on the part: the scores are those of a good part"),
     ]
-    if "threshold" in options:
+    if "false_alarms" in options:
         entries = build_catalogue(output.result.part)
-        trials = counted(len(defect_hypotheses(entries)), "trial")
-        images = counted(options["min_images"], "image")
-        visible = f"where the level changes by {options['threshold']:g} times the noise or more, in {images} or more"
+        hypotheses = f"{len(planned_catalogue(entries).defects)} hypotheses"
+        alone = "one image may decide" if options["min_images"] == 1 else f"{options['min_images']} images must show it"
+        found = (
+            f"where the expected evidence of all images passes the threshold of {options['false_alarms']:g} false "
+            f"alarms per posture; {alone}"
+        )
         facts += [
-            ("defect catalogue", f"{', '.join(entry.name for entry in entries)}: {trials}"),
-            ("directions of walls", f"{DIRECTIONS}, evenly around"),
-            ("a defect is seen", visible),
+            ("defect catalogue", f"{', '.join(entry.name for entry in entries)}: {hypotheses}"),
+            ("a defect is found", found),
         ]
     if (tolerances := options.get("tolerances")) is not None:
         text = (

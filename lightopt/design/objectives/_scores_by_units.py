@@ -1,16 +1,19 @@
-"""Values of pairs of patch and hypothesis by the number of images that show them, for all combinations, as differences.
+"""Values of pairs of patch and defect by their units of evidence, for all combinations of light positions.
 
-Along the candidates of a light the number of images that show a pair changes a few times. Let b_lj say that light l has
-more than j of them, and v(n) be the value of n images. With the lights' numbers n_l,
+Along the candidates of a light the units of a pair change a few times. Let b_lj say that light l has more than j of
+them, and v(n) be the value of n units. With the lights' units n_l,
 
     v(Σ n_l) = Σ over j_1, j_2, … of Δ(m, s) · Π_l [n_l ≥ j_l],
     Δ(m, s) = Σ_{i ≤ m} (−1)^i · binomial(m, i) · v(s − i),
 
-m being how many of the j_l are above 0 and s their sum. With one image per light and v(n) = [n ≥ 2] that is e₂ − 2·e₃
-+ 3·e₄ − … in elementary symmetric sums of the b_l. A product of m flags that rise or fall at places c_l is, in the
+m being how many of the j_l are above 0 and s their sum. With one unit per light and v(n) = [n ≥ 2] that is e₂ −
+2·e₃ + 3·e₄ − … in elementary symmetric sums of the b_l. A product of m flags that rise or fall at places c_l is, in the
 array of its mixed differences along the lights' candidates, ±1 at the place of those c_l, with 0 for the other lights
-(:mod:`lightopt.design.objectives._difference_tables`). All hypotheses of a patch are processed as one word: those that
-rise at the same places cost no more than one. Lights with one candidate only shift v for the hypotheses they show.
+(:mod:`lightopt.design.objectives._difference_tables`). All defects of a patch are processed as one word: those that
+rise at the same places cost no more than one. Lights with one candidate only shift v for the defects they show.
+
+Patches where units change nearly everywhere are added up combination by combination; the last light's positions share
+the sum of the others.
 """
 
 import math
@@ -18,12 +21,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Int64
+from lightopt.core.arrays import Bool, Int64, UInt64
 from lightopt.core.kernels import kernel
 from lightopt.core.run_context import Share, WorkCounter
-from lightopt.core.threads import blocks, run_all
+from lightopt.core.threads import available_processors, blocks, run_all
 from lightopt.design.objectives._difference_tables import Differences
-from lightopt.design.responses._packed_bits import Words, add_image, word_weight
+from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, add_counts, add_units, word_weight
 
 CHUNK_PATCHES = 1 << 12  # patches of one task of a thread: some 0.01 s
 
@@ -33,6 +36,12 @@ MOST_NODES = 1 << 18
 
 LEAST_NODES = 1 << 10  # however few combinations there are
 
+# words that a task of plain additions reads, at most: some 0.1 s of a thread, so that Ctrl-C is heard
+TASK_WORDS = 100_000_000
+
+PositionCounts = UInt64
+"""Units of every position of a light, shape (positions, k, p, words)."""
+
 # of all lights in turn: places, hypotheses, signs (rise or fall), levels; and where those of each light end
 _Changes = tuple[Int64, Words, Int64, Int64, Int64]
 
@@ -41,13 +50,103 @@ _Products = tuple[Int64, Words, Int64, Int64, Int64]
 
 
 def at_least(least: int) -> Int64:
-    """Values for :func:`count_run_sums`: 1 where `least` images or more show a pair."""
+    """Values for :func:`count_run_sums`: 1 from `least` units on."""
     return np.array([0] * least + [1], np.int64)
 
 
 def up_to(most: int) -> Int64:
-    """Values for :func:`count_run_sums`: the number of images that show a pair, up to `most`."""
+    """Values for :func:`count_run_sums`: the number of units, up to `most`."""
     return np.arange(most + 1, dtype=np.int64)
+
+
+def combination_sums(
+    lights: Sequence[PositionCounts],
+    weights: PairWeights,
+    needed: int,
+    *,
+    benefit: bool = True,
+    threads: int | None = None,
+    progress: Share | None = None,
+) -> tuple[Int64, Int64]:
+    """Covered weight and benefit of every combination of positions, the last light's varying fastest.
+
+    needed: Units of a pair that is covered.
+    benefit: Whether Σ weight · min(needed, units) is computed, too; else the covered weight stands for it.
+    """
+    count = threads or available_processors()
+    values = np.stack([at_least(needed), up_to(needed)][: 2 if benefit and needed > 1 else 1])
+    tables, left = count_run_sums(
+        lights, weights.areas, (weights.masks, weights.factors), values, threads=count, progress=progress
+    )
+    covered, each = tables[0], tables[-1]
+    if left.any():
+        plain = _added_up([positions[:, :, left] for positions in lights], weights.of(left), needed, count, progress)
+        # not in place: both may be the same table
+        covered, each = covered + plain[0], each + plain[1 if benefit else 0]
+    return covered, each
+
+
+def _added_up(
+    lights: Sequence[PositionCounts], weights: PairWeights, needed: int, threads: int, progress: Share | None
+) -> tuple[Int64, Int64]:
+    sizes = [len(positions) for positions in lights]
+    inner = math.prod(sizes[1:])
+    patches = lights[0].shape[2]
+    covers, benefits = np.zeros((sizes[0], inner), np.int64), np.zeros((sizes[0], inner), np.int64)
+    step = max(1, TASK_WORDS // (inner * lights[0][0, :, 0].size))
+
+    def of_first(first: int, start: int, end: int) -> None:
+        own = weights.of(slice(start, end))
+        some = [positions[:, :, start:end] for positions in (lights[0][first : first + 1], *lights[1:])]
+
+        def add(light: int, so_far: Counts, at: int) -> int:
+            # sums of the combinations of the lights from `light` on, written from `at` on; where the next ones go
+            if light < len(some) - 1:
+                for positions in some[light]:
+                    at = add(light + 1, add_counts(so_far, positions), at)
+                return at
+            here = slice(at, at + len(some[light]))
+            sums = covers[first, here], benefits[first, here]
+            _last(so_far, some[light], own.areas, own.masks, own.factors, *sums)
+            return here.stop
+
+        add(0, own.zero_counts(needed), 0)
+
+    for start in range(0, patches, step):
+        # a row of the tables is written by one task at a time
+        tasks = ((of_first, (first, start, min(start + step, patches))) for first in range(sizes[0]))
+        run_all(tasks, threads=threads, done=None if progress is None else lambda: progress(1.0))
+    return covers.ravel(), benefits.ravel()
+
+
+@kernel
+def _last(
+    counts: Counts,
+    positions: PositionCounts,
+    areas: Int64,
+    masks: Words,
+    factors: Int64,
+    covered: Int64,
+    benefit: Int64,
+) -> None:
+    k, own = counts.shape[0], positions.shape[1]
+    for c in range(len(positions)):
+        for p in range(counts.shape[1]):
+            most, each = np.int64(0), np.int64(0)
+            for w in range(counts.shape[2]):
+                for level in range(k):
+                    flags = counts[level, p, w]
+                    if level < own:
+                        flags |= positions[c, level, p, w]
+                    for low in range(max(0, level - own), level):
+                        flags |= counts[low, p, w] & positions[c, level - 1 - low, p, w]
+                    if flags:
+                        value = word_weight(flags, w, masks, factors)
+                        each += value
+                        if level == k - 1:
+                            most += value
+            covered[c] += areas[p] * most
+            benefit[c] += areas[p] * each
 
 
 def count_run_sums(
@@ -59,14 +158,14 @@ def count_run_sums(
     threads: int,
     progress: Share | None = None,
 ) -> tuple[Int64, Bool]:
-    """Σ weight of the patch · weight of the hypothesis · value of the number of images, for all combinations.
+    """Σ weight of the patch · weight of the defect · value of the units of evidence, for all combinations.
 
-    counts: One array per light, shape (candidates, levels, p, ⌈t / 64⌉): flag j of a hypothesis says that a
-        candidate's images show it more than j times. A light has as many levels as images, or as many as matter.
+    counts: One array per light, shape (candidates, levels, p, ⌈t / 64⌉): flag j of a defect says that a candidate's
+        images give more than j units. A light has as many levels as units, or as many as matter.
     weights: Of the patches, shape (p,).
-    planes: Masks of the hypotheses that share a factor, and the factors; see
+    planes: Masks of the defects that share a factor, and the factors; see
         :func:`lightopt.design.responses._luminance_matrix.weight_planes`.
-    values: Of 0, 1, … images; more than the last have its value. One row per table, shape (v, n + 1).
+    values: Of 0, 1, … units; more than the last have its value. One row per table, shape (v, n + 1).
     Returns tables: Shape (v, combinations), the last light's candidates varying fastest.
     Returns left: Patches that the tables omit since their flags change at too many places, shape (p,).
     """
@@ -86,8 +185,8 @@ def count_run_sums(
     def add(start: int, end: int) -> None:
         # row j: hypotheses that the lights without a choice show exactly j times, in the last row as often or more
         above = np.zeros((most_images, end - start, width), np.uint64)
-        for flags in (flags for layer in fixed for flags in layer[0]):
-            add_image(above, flags[start:end])
+        for flags in (layer[0] for layer in fixed):
+            add_units(above, flags[:, start:end])
         shown = np.concatenate([~above[:1], above[:-1] & ~above[1:], above[-1:]])
         # candidates of all moving lights one after the other, patches first: what a patch needs lies together
         rows = np.zeros((end - start, width, levels, sum(len(layer) for layer in moving)), np.uint64)

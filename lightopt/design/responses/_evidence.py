@@ -1,0 +1,461 @@
+"""How much evidence each image gives of each planned defect: the statistic of the inspection, as it is expected.
+
+A defect changes each pixel of an image by m standard deviations of the good part's level
+(:func:`lightopt.defects.expected_change`), and the image's evidence is E = Σ m² over its pixels: so much the image adds
+to the square of the statistic Z that the inspection computes (:mod:`lightopt.defects`). The defect counts as found
+where the images' evidence adds up to T², with T from the false alarms that are allowed. Where k images must show a
+defect, those but the k − 1 best must add up to 3² still, so that an image counts for (T² − 3²) / (k − 1) at most.
+
+Pixels around a patch see its neighbours: their levels are looked up in the image, where patches are found by their
+middles. The standard deviation is that of the sensor's noise and of a part that lies a tenth of a pixel off.
+
+Evidence is counted in whole units, 3 of which are enough where one image may decide, else 4 · (k − 1). An image's units
+are flags: flag j says that it has more than j (:mod:`lightopt.design.responses._packed_bits`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import ndimage
+
+from lightopt.core.arrays import Float32, Float64, Int8, Int32, Int64
+from lightopt.core.errors import InputError
+from lightopt.core.kernels import kernel
+from lightopt.core.transforms import Posture
+from lightopt.defects import (
+    CONFIRMED,
+    DARK,
+    FORESHORTENINGS,
+    MOST_CHANGE,
+    REGISTRATION_PX,
+    SIZES,
+    defect_hypotheses,
+    foreshortening_classes,
+    image_axes,
+    least_z,
+    plane_to_image,
+    search_grid,
+    tangent_axis,
+    tangent_references,
+)
+from lightopt.design.responses._defect_hypotheses import PlannedCatalogue
+from lightopt.design.responses._packed_bits import Words
+from lightopt.geometry import RayCaster
+from lightopt.lights import PanelLight
+from lightopt.optics import Sensor
+from lightopt.rendering import PatchTable, SurfacePoints, converged_panel, shade_variants, surface_variants
+from lightopt.scene import Scene, pixel_footprint, project, view_from_part
+
+UNITS_OF_IMAGE = 3
+"""Most units of evidence that an image counts for."""
+
+DEFAULT_FALSE_ALARMS = 0.05
+
+# evidence from which on an image counts for one, two and three units, as shares of T²: with units of a third where one
+# image may decide, and of a quarter where two must; of these a last quarter confirms the others
+_ALONE = (1.0 / 6.0, 1.0 / 2.0, 1.0)
+_CONFIRMED = (0.25, 0.5, 0.72)
+
+PIXELS_ACROSS = 5.0  # a defect's width is divided into so many pixels where the camera's are smaller
+
+_CODES = 127  # changes are stored as whole numbers up to this
+_AT_ONCE = 1 << 12  # patches that are shaded at once
+_FOOTPRINT_STEPS = 32  # footprints within a 32nd of an octave share what pixels see of defects
+
+
+def false_alarms_problem(false_alarms: float) -> str | None:
+    """What is wrong with a number of false alarms; None where nothing is."""
+    if math.isfinite(false_alarms) and 1e-9 <= false_alarms <= 1.0:
+        return None
+    return (
+        "option 'false_alarms': expected the false alarms of a good part in a posture that are allowed, from 1e-9 to "
+        f"1, found {false_alarms:g}"
+    )
+
+
+def units_needed(min_images: int) -> int:
+    """Units of evidence of a defect that counts as found."""
+    return UNITS_OF_IMAGE if min_images == 1 else (UNITS_OF_IMAGE + 1) * (min_images - 1)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DetectionModel:
+    """The defects that images are tested for, and when one counts as found.
+
+    full_scale: Grey level that makes a full-scale sensor level at exposure 1.
+    false_alarms: Allowed in the images of a posture of a good part.
+    min_images: Images that must show a defect.
+    Raises InputError: False alarms out of range.
+    """
+
+    catalogue: PlannedCatalogue
+    sensor: Sensor
+    full_scale: float
+    false_alarms: float = DEFAULT_FALSE_ALARMS
+    min_images: int = 1
+    _stencils: dict[int, _Stencils] = field(default_factory=dict[int, "_Stencils"], init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if problem := false_alarms_problem(self.false_alarms):
+            raise InputError(problem)
+
+    def stencils(self, footprint: float) -> _Stencils:
+        """What pixels of this footprint see of the defects."""
+        step = round(_FOOTPRINT_STEPS * math.log2(footprint))
+        if step not in self._stencils:
+            self._stencils[step] = _make_stencils(self.catalogue, 2.0 ** (step / _FOOTPRINT_STEPS))
+        return self._stencils[step]
+
+    def limits(self, pixels: float, footprint: float) -> Float64:
+        """Evidence from which on an image counts for one unit and more, for each entry, shape (e, 3).
+
+        pixels: That can be inspected in the images.
+        """
+        entries, found = self.catalogue.entries, np.empty((len(self.catalogue.entries), UNITS_OF_IMAGE))
+        for e, planned in enumerate(entries):
+            own = defect_hypotheses(planned.entry)
+            grid = search_grid(own, footprint)
+            places = pixels / (grid.ratio * grid.step) ** 2
+            z = least_z(places * len(own.turns) * len(grid.halves) * len(SIZES), len(entries), self.false_alarms)
+            if self.min_images == 1:
+                found[e] = np.array(_ALONE) * z * z
+            else:
+                most = (z * z - CONFIRMED**2) / (self.min_images - 1)
+                found[e] = np.array(_CONFIRMED) / _CONFIRMED[-1] * max(most, CONFIRMED**2)
+        return found
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Stencils:
+    """What pixels see of each planned defect h in each class c of foreshortening.
+
+    first: Pieces of group g = h · classes + c are those from first[g] to first[g + 1], shape (groups + 1,)
+    along: Steps to the right and down between the segments of a long defect that are tested [px], 0 for one that is
+        tested whole, shape (groups, 2)
+    right, down: Of the piece's pixel from the defect's middle [px], shape (n,)
+    variant, weight: Of the piece; weights are of a pixel's deviation in units of its noise, shape (n,)
+    """
+
+    first: Int32
+    along: Float32
+    right: Float32
+    down: Float32
+    variant: Int32
+    weight: Float32
+
+
+def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> _Stencils:
+    right: list[Float64] = [np.zeros(0)]
+    down: list[Float64] = [np.zeros(0)]
+    variant: list[Int64] = [np.zeros(0, np.int64)]
+    weight: list[Float64] = [np.zeros(0)]
+    counts: list[int] = [0]
+    along: list[Float64] = []
+    before = 0
+    for own in catalogue.entries:
+        ratio = max(1.0, own.shapes[1].width / (footprint * PIXELS_ACROSS))
+        # a scratch is found by any of its segments: three of them stand for all
+        rest = own.entry.shape.length - own.shapes[1].length if own.entry.shape.kind == "scratch" else 0.0
+        step = max(0.0, rest) / 3.0
+        for turn in range(len(own.turns)):
+            for one in range(FORESHORTENINGS):
+                to_image = plane_to_image(one, ratio * footprint)
+                mixture = own.seen_by_pixels(1, turn, to_image)
+                right.append(ratio * mixture.column.astype(np.float64))
+                down.append(ratio * mixture.row.astype(np.float64))
+                variant.append(before + mixture.variant.astype(np.int64))
+                weight.append(ratio * mixture.weight)
+                counts.append(len(mixture.weight))
+                angle = own.turns[turn]
+                along.append(ratio * step * to_image @ np.array([math.cos(angle), math.sin(angle)]))
+        before += len(own.slope)
+    return _Stencils(
+        first=np.cumsum(counts).astype(np.int32),
+        along=np.stack(along).astype(np.float32),
+        right=np.concatenate(right).astype(np.float32),
+        down=np.concatenate(down).astype(np.float32),
+        variant=np.concatenate(variant).astype(np.int32),
+        weight=np.concatenate(weight).astype(np.float32),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _ImagePatches:
+    """The p patches of a posture in its image.
+
+    column, row: Of their middles [px], shape (p,)
+    owner: Patch that each cell of the image sees, −1 for none, shape (rows, columns)
+    cell: Side of a cell [px]
+    """
+
+    column: Float32
+    row: Float32
+    owner: Int32
+    cell: float
+
+
+class PatchEvidence:
+    """The inspectable patches of a posture, tested for defects."""
+
+    def __init__(
+        self, scene: Scene, table: PatchTable, surface: SurfacePoints, posture: Posture, detection: DetectionModel
+    ) -> None:
+        self._scene, self._surface, self._detection = scene, surface, detection
+        camera = view_from_part(scene, posture).camera
+        right, up = image_axes(surface.views, camera.right)
+        self._references = tangent_axis(surface.normals, right)
+        self._class = foreshortening_classes(surface.normals, surface.views, right, up).astype(np.int32)
+        depth = (surface.points - camera.position) @ camera.forward
+        footprint = pixel_footprint(camera, float(np.median(depth)) if len(depth) else 1.0)
+        cosines = np.einsum("ij,ij->i", surface.normals, surface.views)
+        areas = table.patches.areas[table.inspectable(posture)] * cosines / footprint**2
+        self._image = _locate(scene, table, posture, areas)
+        self._stencils = detection.stencils(footprint)
+        self._limits = detection.limits(float(areas.sum()), footprint)
+        # turns are counted from the part's axes, and what pixels see of them from the image's
+        axes = scene.placement.rotation
+        own = tangent_references(surface.normals, x_axis=axes[:, 0], y_axis=axes[:, 1])
+        x = np.einsum("ij,ij->i", own, self._references)
+        y = np.einsum("ij,ij->i", own, np.cross(surface.normals, self._references))
+        self._angle = np.arctan2(y, x)
+        entries = detection.catalogue.entries
+        self._entry = np.repeat(np.arange(len(entries)), [len(one.turns) for one in entries]).astype(np.int32)
+        self._turns = np.array([len(one.turns) for one in entries], np.int32)
+        self._variants = surface_variants(
+            slope=np.concatenate([one.slope for one in entries]),
+            direction=np.concatenate([one.direction for one in entries]),
+            R_d_factor=np.concatenate([one.R_d_factor for one in entries]),
+            sigma_factor=np.concatenate([one.sigma_factor for one in entries]),
+            reflectance=scene.reflectance,
+        )
+
+    def evaluate(
+        self, panel: PanelLight, caster: RayCaster, blocker: RayCaster | None, exposures: Sequence[float]
+    ) -> tuple[Float32, list[Words]]:
+        """Levels of the patches, and the units of evidence of an image at each exposure.
+
+        panel: Part frame.
+        Returns levels at exposure 1 [grey level], shape (p,), and per exposure flags of shape (units, p, words).
+        """
+        count, variants = len(self._surface), len(self._variants.R_d)
+        source = converged_panel(panel, centre=caster.centre, radius=caster.radius) if panel.points == "auto" else panel
+        plain, good = np.empty(count, np.float32), np.empty(count)
+        varied = np.empty((count, variants), np.float32)
+        for start in range(0, count, _AT_ONCE):
+            here = slice(start, start + _AT_ONCE)
+            shaded = shade_variants(
+                self._surface.take(here),
+                self._references[here],
+                source,
+                self._variants,
+                reflectance=self._scene.reflectance,
+                caster=blocker,
+            )
+            plain[here], good[here], varied[here] = shaded.plain, shaded.good, shaded.varied.T
+        return plain, [self._units(good, varied, exposure) for exposure in exposures]
+
+    def _units(self, good: Float64, varied: Float32, exposure: float) -> Words:
+        sensor, image, stencils = self._detection.sensor, self._image, self._stencils
+        codes = np.zeros(varied.shape, np.int8)
+        _fill_changes(
+            good,
+            varied,
+            image.column,
+            image.row,
+            image.owner,
+            image.cell,
+            exposure * sensor.max_level / self._detection.full_scale,
+            sensor.saturated_from - sensor.black_level,
+            sensor.read_noise_levels,
+            sensor.electrons_per_level or math.inf,
+            codes,
+        )
+        words = np.zeros((UNITS_OF_IMAGE, len(good), -(-len(self._entry) // 64)), np.uint64)
+        _add_evidence(
+            codes,
+            image.column,
+            image.row,
+            image.owner,
+            image.cell,
+            self._class,
+            self._angle,
+            self._entry,
+            self._turns,
+            stencils.first,
+            stencils.along,
+            stencils.right,
+            stencils.down,
+            stencils.variant,
+            stencils.weight,
+            self._limits * (_CODES / MOST_CHANGE) ** 2,
+            words,
+        )
+        return words
+
+
+def _locate(scene: Scene, table: PatchTable, posture: Posture, areas: Float64) -> _ImagePatches:
+    # `areas`: of the inspectable patches in the image [px²]
+    camera = view_from_part(scene, posture).camera
+    inspectable = table.inspectable(posture)
+    shown = np.flatnonzero(table.visible[table.postures.index(posture)])
+    columns, rows, _ = project(camera, table.patches.centroids[shown])
+    cell = max(1.0, math.sqrt(float(np.median(areas)))) if len(areas) else 1.0
+    shape = math.ceil(camera.height / cell), math.ceil(camera.width / cell)
+    number = np.full(len(table.patches), -1, np.int32)
+    number[inspectable] = np.arange(len(inspectable), dtype=np.int32)
+    own = number[shown]
+    # of several patches in a cell one that can be inspected has it
+    order = np.argsort(own, kind="stable")
+    y, x = (
+        np.clip(np.floor(a[order] / cell).astype(np.intp), 0, side - 1)
+        for a, side in zip((rows, columns), shape, strict=True)
+    )
+    none = -2
+    owner = np.full(shape, none, np.int32)
+    owner[y, x] = own[order]
+    return _ImagePatches(
+        column=columns[own >= 0].astype(np.float32),
+        row=rows[own >= 0].astype(np.float32),
+        owner=_filled(owner, none),
+        cell=cell,
+    )
+
+
+def _filled(owner: Int32, none: int) -> Int32:
+    # cells between patches see the nearest one, if it is next to them
+    if not (owner != none).any():
+        return np.full_like(owner, -1)
+    distance: Float64 = np.empty(owner.shape)
+    place: Int32 = np.empty((2, *owner.shape), np.int32)
+    ndimage.distance_transform_edt(owner == none, return_indices=True, distances=distance, indices=place)
+    nearest: Int32 = owner[tuple(place)]
+    return np.where(distance <= 2.0, nearest, np.int32(-1))
+
+
+@kernel
+def _owner_at(column: float, row: float, owner: Int32, cell: float) -> int:
+    x, y = math.floor(column / cell), math.floor(row / cell)
+    if x < 0 or y < 0 or y >= owner.shape[0] or x >= owner.shape[1]:
+        return -1
+    return owner[y, x]
+
+
+@kernel
+def _fill_changes(
+    good: Float64,
+    varied: Float32,
+    column: Float32,
+    row: Float32,
+    owner: Int32,
+    cell: float,
+    scale: float,
+    limit: float,
+    read_noise: float,
+    electrons: float,
+    codes: Int8,
+) -> None:
+    # changes by the variants, of each patch; see expected_change. Levels are above black
+    unit = _CODES / MOST_CHANGE
+    for p in range(len(good)):
+        level = min(scale * good[p], limit)
+        square = 0.0
+        for across in range(2):
+            dx, dy = cell * (1 - across), cell * across
+            before = _owner_at(column[p] - dx, row[p] - dy, owner, cell)
+            after = _owner_at(column[p] + dx, row[p] + dy, owner, cell)
+            low = level if before < 0 else min(scale * good[before], limit)
+            high = level if after < 0 else min(scale * good[after], limit)
+            steps = (before >= 0) + (after >= 0)
+            slope = (high - low) / (max(steps, 1) * cell)
+            square += slope * slope
+        noise = math.sqrt(
+            read_noise * read_noise + level / electrons + 1.0 / 12.0 + REGISTRATION_PX * REGISTRATION_PX * square
+        )
+        dark = scale * good[p] < DARK * noise
+        for v in range(varied.shape[1]):
+            change = (min(max(scale * varied[p, v], 0.0), limit) - level) / noise
+            if dark and abs(change) <= DARK:
+                change = 0.0
+            codes[p, v] = round(max(-MOST_CHANGE, min(MOST_CHANGE, change)) * unit)
+
+
+@kernel
+def _add_evidence(
+    codes: Int8,
+    column: Float32,
+    row: Float32,
+    owner: Int32,
+    cell: float,
+    classes: Int32,
+    angle: Float64,
+    entry: Int32,
+    turns: Int32,
+    first: Int32,
+    along: Float32,
+    right: Float32,
+    down: Float32,
+    variant: Int32,
+    weight: Float32,
+    limits: Float64,
+    words: Words,
+) -> None:
+    for p in range(len(codes)):
+        start = 0
+        for h in range(len(entry)):
+            if h > 0 and entry[h] != entry[h - 1]:
+                start = h
+            count = turns[entry[h]]
+            # the same turn as the image counts it
+            turn = (h - start + round(angle[p] / math.pi * count)) % count
+            group = (start + turn) * FORESHORTENINGS + classes[p]
+            energy = np.float32(0.0)
+            for segment in range(-1, 2):
+                dx, dy = segment * along[group, 0], segment * along[group, 1]
+                if segment != 0 and dx == 0.0 and dy == 0.0:
+                    continue
+                energy = max(
+                    energy,
+                    _energy(
+                        codes, column[p] + dx, row[p] + dy, p if segment == 0 else -1, owner, cell,
+                        first[group], first[group + 1], right, down, variant, weight,
+                    ),
+                )  # fmt: skip
+            bit = np.uint64(1) << np.uint64(h % 64)
+            for unit in range(len(words)):
+                if energy >= limits[entry[h], unit]:
+                    words[unit, p, h // 64] |= bit
+
+
+@kernel
+def _energy(
+    codes: Int8,
+    column: float,
+    row: float,
+    own: int,
+    owner: Int32,
+    cell: float,
+    start: int,
+    end: int,
+    right: Float32,
+    down: Float32,
+    variant: Int32,
+    weight: Float32,
+) -> float:
+    # Σ m² of a defect with its middle at a point of the image, which patch `own` is at, −1 for none
+    energy, change = np.float32(0.0), np.float32(0.0)
+    last_right, last_down = np.float32(np.nan), np.float32(np.nan)
+    q = -1
+    for n in range(start, end):
+        if right[n] != last_right or down[n] != last_down:
+            energy += change * change
+            change = np.float32(0.0)
+            last_right, last_down = right[n], down[n]
+            near = own >= 0 and max(abs(right[n]), abs(down[n])) < 0.5 * cell
+            q = own if near else _owner_at(column + right[n], row + down[n], owner, cell)
+        if q >= 0:
+            change += weight[n] * np.float32(codes[q, variant[n]])
+    return energy + change * change

@@ -1,0 +1,132 @@
+"""Evidence of defects on patches: kernels against plain NumPy, and limits of the units."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from lightopt.core.errors import InputError
+from lightopt.defects import BUILT_IN_CATALOGUE, expected_change, least_z
+from lightopt.design import DetectionModel, planned_catalogue
+from lightopt.design.responses import _evidence as evidence
+from lightopt.optics import Sensor
+
+SENSOR = Sensor(bit_depth=8, read_noise_levels=0.8, electrons_per_level=60)
+
+
+def model(**options):
+    return DetectionModel(catalogue=planned_catalogue(BUILT_IN_CATALOGUE), sensor=SENSOR, full_scale=255.0, **options)
+
+
+def test_an_image_counts_for_three_units_at_most_and_no_image_alone_for_enough():
+    for k, needed in ((1, 3), (2, 4), (3, 8)):
+        assert evidence.units_needed(k) == needed
+        limits = model(min_images=k).limits(1e6, 0.05)
+        assert limits.shape == (len(BUILT_IN_CATALOGUE), 3)
+        assert (np.diff(limits, axis=1) > 0.0).all()
+        # of 1e6 pixels and thousands of tests noise alone exceeds this in one posture of twenty
+        z2 = model().limits(1e6, 0.05)[:, 2]
+        assert ((z2 > 5.0**2) & (z2 < 8.0**2)).all()
+        if k > 1:
+            # all but k − 1 images must add up to 9, which the best of the others have
+            np.testing.assert_allclose(limits[:, 2] * (k - 1), z2 - 9.0)
+            assert evidence.UNITS_OF_IMAGE * (k - 1) < needed
+
+
+def test_fewer_false_alarms_need_more_evidence():
+    assert least_z(1e5, 7, 0.05) == pytest.approx(5.51, abs=0.01)
+    assert least_z(1e5, 7, 0.001) > least_z(1e5, 7, 0.05) > least_z(1e3, 7, 0.05)
+    with pytest.raises(InputError, match="option 'false_alarms': expected"):
+        model(false_alarms=0.0)
+
+
+def image(rng, patches):
+    """Patches in an image of 12 x 9 cells of 2.5 px, one or none in each; their cells' middles."""
+    owner = np.full((9, 12), -1, np.int32)
+    at = np.sort(rng.choice(owner.size, patches, replace=False))
+    owner.ravel()[at] = np.arange(patches)
+    row, column = np.divmod(at, 12)
+    cell = 2.5
+    return owner, cell, ((column + 0.5) * cell).astype(np.float32), ((row + 0.5) * cell).astype(np.float32)
+
+
+def owner_at(owner, cell, column, row):
+    x, y = math.floor(column / cell), math.floor(row / cell)
+    inside = 0 <= y < owner.shape[0] and 0 <= x < owner.shape[1]
+    return owner[y, x] if inside else -1
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_changes_are_those_of_the_statistic_with_noise_and_registration(seed):
+    rng = np.random.default_rng(seed)
+    patches = 70
+    owner, cell, column, row = image(rng, patches)
+    good = rng.choice([0.0, 1.0, 40.0, 200.0, 400.0], patches) * rng.random(patches)
+    varied = (good[:, None] * rng.uniform(0.7, 1.4, (patches, 6)) + rng.normal(0.0, 4.0, (patches, 6))).astype(
+        np.float32
+    )
+    scale, limit = 0.7, 251.0
+    codes = np.zeros(varied.shape, np.int8)
+    evidence._fill_changes(good, varied, column, row, owner, cell, scale, limit, 0.8, 60.0, codes)
+    level = np.minimum(scale * good, limit)
+    for p in range(patches):
+        square = 0.0
+        for dx, dy in ((cell, 0.0), (0.0, cell)):
+            near = [owner_at(owner, cell, column[p] + s * dx, row[p] + s * dy) for s in (-1, 1)]
+            low, high = (level[p] if q < 0 else level[q] for q in near)
+            square += ((high - low) / (max(1, sum(q >= 0 for q in near)) * cell)) ** 2
+        deviation = math.sqrt(0.8**2 + level[p] / 60.0 + 1.0 / 12.0 + 0.1**2 * square)
+        expected = expected_change(
+            np.full(6, scale * good[p]), scale * varied[p].astype(float), deviation=np.full(6, deviation), limit=limit
+        )
+        np.testing.assert_allclose(codes[p] * 8.0 / 127.0, expected, atol=0.5 * 8.0 / 127.0 + 1e-6)
+    assert np.count_nonzero(codes) > 100
+    assert np.count_nonzero(codes == 0) > 10
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_evidence_is_the_sum_of_squares_over_the_pixels_of_a_defect(seed):
+    """Each piece looked up plainly, with two entries: a round one, and one in four orientations."""
+    rng = np.random.default_rng(seed)
+    patches, variants = 70, 5
+    owner, cell, column, row = image(rng, patches)
+    codes = rng.integers(-127, 128, (patches, variants)).astype(np.int8)
+    classes = rng.integers(0, evidence.FORESHORTENINGS, patches).astype(np.int32)
+    angle = rng.uniform(-math.pi, math.pi, patches)
+    entry, turns = np.array([0, 1, 1, 1, 1], np.int32), np.array([1, 4], np.int32)
+    groups = len(entry) * evidence.FORESHORTENINGS
+    pieces = [
+        sorted(set(map(tuple, np.c_[rng.integers(-3, 4, (4, 2)), rng.integers(0, variants, 4)].tolist())))
+        for _ in range(groups)
+    ]
+    first = np.cumsum([0, *map(len, pieces)]).astype(np.int32)
+    right, down, variant = (np.array([piece[i] for own in pieces for piece in own]) for i in range(3))
+    right = 2.0 * right
+    weight = rng.random(len(variant)).astype(np.float32)
+    along = rng.uniform(-9.0, 9.0, (groups, 2)).astype(np.float32) * (rng.random((groups, 1)) < 0.5)
+    limits = np.sort(rng.uniform(0.0, 40_000.0, (2, 3)), axis=1)
+    words = np.zeros((3, patches, 1), np.uint64)
+    evidence._add_evidence(
+        codes, column, row, owner, cell, classes, angle, entry, turns, first, along, right.astype(np.float32),
+        down.astype(np.float32), variant.astype(np.int32), weight, limits, words,
+    )  # fmt: skip
+    for p in range(patches):
+        for h in range(5):
+            turn = 0 if h == 0 else 1 + (h - 1 + round(angle[p] / math.pi * 4)) % 4
+            group = turn * evidence.FORESHORTENINGS + classes[p]
+            energy = 0.0
+            for segment in (-1, 0, 1) if along[group].any() else (0,):
+                x, y = column[p] + segment * along[group, 0], row[p] + segment * along[group, 1]
+                pixels = {}
+                for n in range(first[group], first[group + 1]):
+                    near = segment == 0 and max(abs(right[n]), abs(down[n])) < 0.5 * cell
+                    q = p if near else owner_at(owner, cell, x + right[n], y + down[n])
+                    own = pixels.setdefault((right[n], down[n]), [0.0])
+                    own[0] += 0.0 if q < 0 else weight[n] * float(codes[q, variant[n]])
+                energy = max(energy, sum(own**2 for (own,) in pixels.values()))
+            if np.abs(limits[entry[h]] - energy).min() < 0.1:
+                continue
+            bits = [int(words[j, p, 0] >> np.uint64(h) & np.uint64(1)) for j in range(3)]
+            assert bits == [int(energy >= limit) for limit in limits[entry[h]]]
