@@ -60,7 +60,9 @@ DEFAULT_FALSE_ALARMS = 0.05
 _ALONE = (1.0 / 6.0, 1.0 / 2.0, 1.0)
 _CONFIRMED = (0.25, 0.5, 0.72)
 
-PIXELS_ACROSS = 5.0  # a defect's width is divided into so many pixels where the camera's are smaller
+# a defect's width is divided into so many pixels where the camera's are smaller, a scratch's into fewer; of a segment of
+# a scratch a piece little longer than wide stands for the whole
+_PIXELS_ACROSS, _PIXELS_ACROSS_SCRATCH, _SCRATCH_WIDTHS = 4.0, 2.2, 1.4
 
 _CODES = 127  # changes are stored as whole numbers up to this
 _AT_ONCE = 1 << 12  # patches that are shaded at once
@@ -157,21 +159,28 @@ def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> _Stencils:
     along: list[Float64] = []
     before = 0
     for own in catalogue.entries:
-        ratio = max(1.0, own.shapes[1].width / (footprint * PIXELS_ACROSS))
+        long = own.entry.shape.kind == "scratch"
+        width = own.shapes[1].width
+        ratio = max(1.0, width / (footprint * (_PIXELS_ACROSS_SCRATCH if long else _PIXELS_ACROSS)))
         # a scratch is found by any of its segments: three of them stand for all
-        rest = own.entry.shape.length - own.shapes[1].length if own.entry.shape.kind == "scratch" else 0.0
-        step = max(0.0, rest) / 3.0
+        step = max(0.0, own.entry.shape.length - own.shapes[1].length) / 3.0 if long else 0.0
         for turn in range(len(own.turns)):
+            axis = np.array([math.cos(own.turns[turn]), math.sin(own.turns[turn])])
             for one in range(FORESHORTENINGS):
                 to_image = plane_to_image(one, ratio * footprint)
-                mixture = own.seen_by_pixels(1, turn, to_image)
-                right.append(ratio * mixture.column.astype(np.float64))
-                down.append(ratio * mixture.row.astype(np.float64))
-                variant.append(before + mixture.variant.astype(np.int64))
-                weight.append(ratio * mixture.weight)
-                counts.append(len(mixture.weight))
-                angle = own.turns[turn]
-                along.append(ratio * step * to_image @ np.array([math.cos(angle), math.sin(angle)]))
+                seen = own.seen_by_pixels(1, turn, to_image)
+                place = np.stack([seen.column, seen.row]).astype(np.float64)
+                own_weight = ratio * seen.weight
+                kept = np.ones(len(own_weight), np.bool_)
+                if long:
+                    kept = np.abs(axis @ np.linalg.solve(to_image, place)) <= 0.5 * _SCRATCH_WIDTHS * width
+                    own_weight = own_weight * math.sqrt(float((own_weight**2).sum() / (own_weight[kept] ** 2).sum()))
+                right.append(ratio * place[0, kept])
+                down.append(ratio * place[1, kept])
+                variant.append(before + seen.variant[kept].astype(np.int64))
+                weight.append(own_weight[kept])
+                counts.append(int(kept.sum()))
+                along.append(ratio * step * to_image @ axis)
         before += len(own.slope)
     return _Stencils(
         first=np.cumsum(counts).astype(np.int32),
@@ -277,18 +286,17 @@ class PatchEvidence:
         words = np.zeros((UNITS_OF_IMAGE, len(good), -(-len(self._entry) // 64)), np.uint64)
         _add_evidence(
             codes,
-            image.column,
-            image.row,
+            image.column / np.float32(image.cell),
+            image.row / np.float32(image.cell),
             image.owner,
-            image.cell,
             self._class,
             self._angle,
             self._entry,
             self._turns,
             stencils.first,
-            stencils.along,
-            stencils.right,
-            stencils.down,
+            stencils.along / np.float32(image.cell),
+            stencils.right / np.float32(image.cell),
+            stencils.down / np.float32(image.cell),
             stencils.variant,
             stencils.weight,
             self._limits * (_CODES / MOST_CHANGE) ** 2,
@@ -389,7 +397,6 @@ def _add_evidence(
     column: Float32,
     row: Float32,
     owner: Int32,
-    cell: float,
     classes: Int32,
     angle: Float64,
     entry: Int32,
@@ -403,6 +410,7 @@ def _add_evidence(
     limits: Float64,
     words: Words,
 ) -> None:
+    # places in the image in cells
     for p in range(len(codes)):
         start = 0
         for h in range(len(entry)):
@@ -412,18 +420,17 @@ def _add_evidence(
             # the same turn as the image counts it
             turn = (h - start + round(angle[p] / math.pi * count)) % count
             group = (start + turn) * FORESHORTENINGS + classes[p]
-            energy = np.float32(0.0)
-            for segment in range(-1, 2):
-                dx, dy = segment * along[group, 0], segment * along[group, 1]
-                if segment != 0 and dx == 0.0 and dy == 0.0:
-                    continue
-                energy = max(
-                    energy,
-                    _energy(
-                        codes, column[p] + dx, row[p] + dy, p if segment == 0 else -1, owner, cell,
-                        first[group], first[group + 1], right, down, variant, weight,
-                    ),
-                )  # fmt: skip
+            pieces = first[group], first[group + 1]
+            enough = np.float32(limits[entry[h], limits.shape[1] - 1])
+            energy = _energy(codes, column[p], row[p], p, owner, pieces, right, down, variant, weight, enough)
+            dx, dy = along[group]
+            if dx != 0.0 or dy != 0.0:
+                for side in (-1, 1):
+                    if energy >= enough:
+                        break
+                    x, y = column[p] + side * dx, row[p] + side * dy
+                    other = _energy(codes, x, y, -1, owner, pieces, right, down, variant, weight, enough)
+                    energy = max(energy, other)
             bit = np.uint64(1) << np.uint64(h % 64)
             for unit in range(len(words)):
                 if energy >= limits[entry[h], unit]:
@@ -433,29 +440,36 @@ def _add_evidence(
 @kernel
 def _energy(
     codes: Int8,
-    column: float,
-    row: float,
+    column: np.float32,
+    row: np.float32,
     own: int,
     owner: Int32,
-    cell: float,
-    start: int,
-    end: int,
+    pieces: tuple[np.int32, np.int32],
     right: Float32,
     down: Float32,
     variant: Int32,
     weight: Float32,
-) -> float:
-    # Σ m² of a defect with its middle at a point of the image, which patch `own` is at, −1 for none
+    enough: np.float32,
+) -> np.float32:
+    # Σ m² of a defect with its middle at a point of the image, which patch `own` is at, −1 for none; the sum ends where
+    # it is enough
     energy, change = np.float32(0.0), np.float32(0.0)
     last_right, last_down = np.float32(np.nan), np.float32(np.nan)
     q = -1
-    for n in range(start, end):
+    for n in range(pieces[0], pieces[1]):
         if right[n] != last_right or down[n] != last_down:
             energy += change * change
+            if energy >= enough:
+                return energy
             change = np.float32(0.0)
             last_right, last_down = right[n], down[n]
-            near = own >= 0 and max(abs(right[n]), abs(down[n])) < 0.5 * cell
-            q = own if near else _owner_at(column + right[n], row + down[n], owner, cell)
+            if own >= 0 and max(abs(last_right), abs(last_down)) < np.float32(0.5):
+                q = own
+            else:
+                x, y = column + last_right, row + last_down
+                q = -1
+                if x >= 0 and y >= 0 and x < owner.shape[1] and y < owner.shape[0]:
+                    q = owner[int(y), int(x)]
         if q >= 0:
             change += weight[n] * np.float32(codes[q, variant[n]])
     return energy + change * change
