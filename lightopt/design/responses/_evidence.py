@@ -60,8 +60,8 @@ DEFAULT_FALSE_ALARMS = 0.05
 _ALONE = (1.0 / 6.0, 1.0 / 2.0, 1.0)
 _CONFIRMED = (0.25, 0.5, 0.72)
 
-# a defect's width is divided into so many pixels where the camera's are smaller, a scratch's into fewer; of a segment of
-# a scratch a piece little longer than wide stands for the whole
+# a defect's width is divided into so many pixels where the camera's are smaller, a scratch's into fewer; of its segment
+# a piece little longer than wide stands for the whole
 _PIXELS_ACROSS, _PIXELS_ACROSS_SCRATCH, _SCRATCH_WIDTHS = 4.0, 2.2, 1.4
 
 _CODES = 127  # changes are stored as whole numbers up to this
