@@ -32,6 +32,7 @@ MOST_STEPS = 400
 SMALLEST_SIDE = 3
 COARSEST_SWEEPS = 12
 SWEEPS = 2
+REPEATED = 4  # sizes of blocks that a cycle goes through twice: more of them take time and save no steps
 
 Grid = NDArray[Any]  # float64 or float32
 
@@ -143,7 +144,8 @@ class PoissonGrid:
         coarse, correction = grids[depth + 1]
         residual(u, b, level.wx, level.wy, coarse)
         self._cycle(depth + 1, grids)
-        self._cycle(depth + 1, grids, again=True)
+        if depth < REPEATED:
+            self._cycle(depth + 1, grids, again=True)
         add_coarse(u, correction, level.reciprocal)
         relax(u, b, level.wx, level.wy, level.reciprocal, 1, SWEEPS)
 
