@@ -167,7 +167,7 @@ def _made(vertices: Float32, faces: Int32, planes: Float32, either: Bool, target
     far = float(view[9]) - 1.0
     beside = reach * min(1.0, 2.0 / (far - reach))
     slack = float(view[11]) * beside / (far - beside) * (1.0 + (1.0 + beside) / (far - beside))
-    numbers = np.float32([FACING_TOLERANCE + reach, TEXEL_MARGIN + slack, beside])
+    numbers = np.array([FACING_TOLERANCE + reach, TEXEL_MARGIN + slack, beside], np.float32)
     _fill(vertices, faces, planes, either, target, view, depths, *numbers)
     return view, depths
 
