@@ -14,7 +14,6 @@ import math
 from typing import Final
 
 import numpy as np
-from scipy import special
 
 from lightopt.core.arrays import Float32, Float64
 
@@ -49,6 +48,8 @@ def expected_change(good: Float64, varied: Float64, *, deviation: Float64, limit
 
 def chance_score(z: Float64) -> Float64:
     """−log₁₀ of the probability that a normal deviate is off by as much as Z to either side."""
+    from scipy import special  # takes long to load, and most commands do not need it
+
     return -(special.log_ndtr(-np.abs(z)) + math.log(2.0)) / math.log(10.0)
 
 

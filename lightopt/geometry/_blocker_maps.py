@@ -8,11 +8,16 @@ blocks the ray. A map holds for each texel of a perspective view from the target
 A shadow ray does not start at the point but a little off the surface. In a fold of less than 90°, or where two bodies
 touch, it may start inside a solid, which it then leaves without having entered it. Triangles at such folds, and those
 that may touch another body, are in the maps whichever way they face.
+
+A map may serve all targets within a reach R of its own. A ray from the same point to one of these passes a place of
+the mesh at most a share of R beside the ray to the map's target, and surface that faces away from it faces away from
+the map's target but for R. So triangles are that much larger in the map, and nearer.
 """
 
 import logging
 import math
 import threading
+from collections.abc import Collection
 
 import numpy as np
 
@@ -28,7 +33,8 @@ LEAST_DISTANCE = 1.5  # of a target from the mesh's centre, in radii of the mesh
 MOST_MAPS = 256  # maps that are held at once: 144 MiB
 MOST_BODIES = 100  # of a mesh; of more, all triangles are taken to touch another one
 FEW_TRIANGLES = 300_000  # of maps that are made in less time than threads take to begin
-WORTHWHILE_SHARE = 0.1  # a map is made where as many rays as this share of the triangles may go to its target
+WORTHWHILE_SHARE = 0.1  # a map is made where as many rays as this share of the triangles may go to its targets
+REACH = 0.03  # of the maps of targets that move [radii of the mesh]
 
 # in radii of the mesh, some hundred times the rounding of its float32 coordinates
 FACING_TOLERANCE = 1e-4
@@ -53,6 +59,9 @@ class BlockerMaps:
         self._surface: tuple[Float32, Bool] | None = None
         self._closed: bool | None = None
         self._maps: dict[bytes, BlockerMap] = {}
+        # the same of targets that move, which serve those nearby; and rays so far to targets around one without a map
+        self._moving: dict[bytes, BlockerMap] = {}
+        self._asked: dict[bytes, int] = {}
 
     def check(self) -> bool:
         """Find out whether the mesh is closed and consistently oriented; if it is not, there are no maps."""
@@ -92,7 +101,7 @@ class BlockerMaps:
         candidates: Shape (t, n)
         """
         with self._lock:
-            found = [self._maps.get(key) for key in _keys(targets)]
+            found = [self._maps.get(key) or self._moving.get(_near(key, self._moving)) for key in _keys(targets)]
         if not any(found):
             return candidates
         rest = candidates.copy()
@@ -101,37 +110,65 @@ class BlockerMaps:
                 _drop_proven(*blockers, begins, row)
         return rest
 
-    def make(self, targets: Float64, *, rays: int, threads: int | None) -> None:
+    def make(self, targets: Float64, *, rays: int, moving: bool = False, threads: int | None = None) -> None:
         """Make the maps of targets that have none, where so many rays to each of them make that worthwhile.
 
         targets: As in :meth:`find`
+        moving: Whether other targets follow that are near these: their maps serve these, too, and rays to them count
         """
         with self._lock:
-            if rays <= WORTHWHILE_SHARE * len(self._faces) or not self._is_closed():
+            least = WORTHWHILE_SHARE * len(self._faces)
+            if (rays <= least and not moving) or not self._is_closed():
                 return
             surface = self._surface
             assert surface is not None
             distance = np.linalg.norm(targets, axis=1)
             keys = [key for i, key in enumerate(_keys(targets)) if distance[i] >= LEAST_DISTANCE]
             fresh = [key for key in dict.fromkeys(keys) if key not in self._maps][:MOST_MAPS]
-            few = len(fresh) * len(self._faces) < FEW_TRIANGLES
-            made = in_threads(
-                lambda i: _made(self._vertices, self._faces, *surface, np.frombuffer(fresh[i])),
-                range(len(fresh)),
-                1 if few else threads,
-            )
-            self._maps |= dict(zip(fresh, made, strict=True))
-            for key in list(self._maps)[:-MOST_MAPS]:
-                del self._maps[key]
+            if moving:
+                fresh = [key for key in fresh if not _near(key, self._moving) and self._count(key, rays) > least]
+        reach = REACH if moving else 0.0
+        # without the lock: other threads make maps of other targets
+        made = in_threads(
+            lambda i: _made(self._vertices, self._faces, *surface, np.frombuffer(fresh[i]), reach),
+            range(len(fresh)),
+            1 if len(fresh) * len(self._faces) < FEW_TRIANGLES else threads,
+        )
+        with self._lock:
+            maps = self._moving if moving else self._maps
+            maps |= dict(zip(fresh, made, strict=True))
+            for kept in (maps, self._asked):
+                for key in list(kept)[:-MOST_MAPS]:
+                    del kept[key]
+
+    def _count(self, key: bytes, rays: int) -> int:
+        # rays so far to targets around this one
+        place = _near(key, self._asked) or key
+        self._asked[place] = self._asked.get(place, 0) + rays
+        return self._asked[place]
+
+
+def _near(key: bytes, places: Collection[bytes]) -> bytes:
+    # of the targets at some places the nearest one that has this one in its reach; none: no bytes
+    if not places:
+        return b""
+    distance = np.linalg.norm(np.frombuffer(b"".join(places)).reshape(-1, 3) - np.frombuffer(key), axis=1)
+    nearest = int(np.argmin(distance))
+    return list(places)[nearest] if distance[nearest] <= REACH else b""
 
 
 def _keys(targets: Float64) -> list[bytes]:
     return [target.tobytes() for target in np.ascontiguousarray(targets, np.float64)]
 
 
-def _made(vertices: Float32, faces: Int32, planes: Float32, either: Bool, target: Float64) -> BlockerMap:
+def _made(vertices: Float32, faces: Int32, planes: Float32, either: Bool, target: Float64, reach: float) -> BlockerMap:
     view, depths = _view(target), np.full((TEXELS, TEXELS), np.inf, np.float32)
-    _fill(vertices, faces, planes, either, target, view, depths)
+    # the ray to a target within reach is at most so far beside at a place of the unit sphere, and there so many texels
+    far = float(view[9]) - 1.0
+    beside = reach * min(1.0, 2.0 / (far - reach))
+    slack = float(view[11]) * beside / (far - beside) * (1.0 + (1.0 + beside) / (far - beside))
+    numbers = np.array([FACING_TOLERANCE + reach, TEXEL_MARGIN + slack, beside], np.float32)
+    _fill(vertices, faces, planes, either, target, view, depths, *numbers)
     return view, depths
 
 
@@ -217,19 +254,28 @@ def _normal(vertices: Float32, face: Int32) -> tuple[float, float, float]:
 
 @kernel
 def _fill(
-    vertices: Float32, faces: Int32, planes: Float32, either: Bool, target: Float64, view: Float32, depths: Float32
+    vertices: Float32,
+    faces: Int32,
+    planes: Float32,
+    either: Bool,
+    target: Float64,
+    view: Float32,
+    depths: Float32,
+    facing: float,
+    margin: float,
+    nearer: float,
 ) -> None:
     # every texel that the bounding box of a triangle touches gets the depth of its nearest vertex
     seen = np.empty((len(vertices), 3), np.float32)
     for i in range(len(vertices)):
         seen[i, 0], seen[i, 1], seen[i, 2] = _project(view, vertices[i, 0], vertices[i, 1], vertices[i, 2])
-    last, margin = len(depths) - 1, np.float32(TEXEL_MARGIN)
+    last = len(depths) - 1
     for i in range(len(faces)):
         beyond = planes[i, 0] * target[0] + planes[i, 1] * target[1] + planes[i, 2] * target[2] - planes[i, 3]
-        if beyond > FACING_TOLERANCE and not either[i]:
+        if beyond > facing and not either[i]:
             continue
         a, b, c = faces[i, 0], faces[i, 1], faces[i, 2]
-        depth = min(seen[a, 2], seen[b, 2], seen[c, 2])
+        depth = min(seen[a, 2], seen[b, 2], seen[c, 2]) - nearer
         left = max(0, int(min(seen[a, 0], seen[b, 0], seen[c, 0]) - margin))
         right = min(last, int(max(seen[a, 0], seen[b, 0], seen[c, 0]) + margin))
         top = max(0, int(min(seen[a, 1], seen[b, 1], seen[c, 1]) - margin))

@@ -134,14 +134,15 @@ class RayCaster:
         seen[target, point] = self._run("OCCLUDED", *_rays_of_pairs(begins, local, point, target)) < 0
         return seen
 
-    def map_blockers(self, targets: Float64, *, rays: int, threads: int | None = None) -> None:
+    def map_blockers(self, targets: Float64, *, rays: int, moving: bool = False, threads: int | None = None) -> None:
         """Make maps that prove rays to some targets free, where so many rays to each of them make that worthwhile.
 
         targets: [mm], shape (t, 3)
         rays: To each of them from points seen from outside, over all calls of :meth:`visible`
+        moving: Whether targets follow that are near these, as of a part that is moved: maps then serve these as well
         """
         if self._recorder is None:  # which gets all rays
-            self._maps.make(self._local(targets), rays=rays, threads=threads)
+            self._maps.make(self._local(targets), rays=rays, moving=moving, threads=threads)
 
     def _local(self, points: Float64) -> Float64:
         return (points - self.centre) / self.radius

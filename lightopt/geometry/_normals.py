@@ -6,6 +6,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64, Int32
 from lightopt.core.kernels import kernel
+from lightopt.core.threads import side_by_side
 from lightopt.geometry._topology import EdgePairs, join, merge_rows, next_corner
 from lightopt.geometry._triangle_mesh import TriangleMesh, face_cross
 
@@ -30,14 +31,18 @@ def smooth_normals(
     faces: Vertex indices with an agreeing winding, shape (m, 3)
     crease_angle: Largest angle between the normals of two faces across a smooth edge [rad]
     """
-    flat = _unit_crosses(vertices, faces)
-    smooth = ~pairs.same_direction & (_bends(flat, pairs.corners) <= crease_angle + _ANGLE_ROUNDING)
-    group = _join_corners(3 * len(faces), pairs.corners[smooth])
+
+    def groups() -> tuple[Float64, Int32]:
+        flat = _unit_crosses(vertices, faces)
+        smooth = ~pairs.same_direction & (_bends(flat, pairs.corners) <= crease_angle + _ANGLE_ROUNDING)
+        return flat, _join_corners(3 * len(faces), pairs.corners[smooth])
+
+    (flat, group), angles = side_by_side(groups, lambda: _corner_angles(vertices, faces))
     members = np.flatnonzero(group == np.arange(len(group), dtype=np.int32))
     number = np.empty(len(group), dtype=np.int32)
     number[members] = np.arange(len(members), dtype=np.int32)
     new_faces = number[group].reshape(-1, 3)
-    summed = _sum_by_angle(vertices, faces, flat, new_faces, len(members))
+    summed = _sum_by_angle(angles, flat, new_faces, len(members))
     normals, cancelled = _unit_or(summed, flat[members // 3])
     return TriangleMesh(vertices[faces.reshape(-1)[members]], new_faces, normals), cancelled
 
@@ -163,8 +168,8 @@ def _join_corners(corner_count: int, pairs: Int32) -> Int32:
 
 
 @kernel
-def _sum_by_angle(vertices: Float64, faces: Int32, flat: Float64, new_faces: Int32, vertex_count: int) -> Float64:
-    total = np.zeros((vertex_count, 3))
+def _corner_angles(vertices: Float64, faces: Int32) -> Float64:
+    angles = np.empty((len(faces), 3))
     for f in range(len(faces)):
         for k in range(3):
             here, after, before = (
@@ -175,7 +180,15 @@ def _sum_by_angle(vertices: Float64, faces: Int32, flat: Float64, new_faces: Int
             ux, uy, uz = after[0] - here[0], after[1] - here[1], after[2] - here[2]
             vx, vy, vz = before[0] - here[0], before[1] - here[1], before[2] - here[2]
             cx, cy, cz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-            angle = np.arctan2(np.sqrt(cx * cx + cy * cy + cz * cz), ux * vx + uy * vy + uz * vz)
+            angles[f, k] = np.arctan2(np.sqrt(cx * cx + cy * cy + cz * cz), ux * vx + uy * vy + uz * vz)
+    return angles
+
+
+@kernel
+def _sum_by_angle(angles: Float64, flat: Float64, new_faces: Int32, vertex_count: int) -> Float64:
+    total = np.zeros((vertex_count, 3))
+    for f in range(len(new_faces)):
+        for k in range(3):
             for axis in range(3):
-                total[new_faces[f, k], axis] += angle * flat[f, axis]
+                total[new_faces[f, k], axis] += angles[f, k] * flat[f, axis]
     return total

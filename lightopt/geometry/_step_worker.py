@@ -9,6 +9,7 @@ file, and none of that can be stopped from inside Python.
 """
 
 import sys
+from types import ModuleType
 
 EXIT_READ = 3
 EXIT_MEMORY = 4
@@ -18,8 +19,8 @@ def main(arguments: list[str]) -> int:
     """Tessellate; the exit status is 0, `EXIT_READ` (the kernel refused the file) or `EXIT_MEMORY`."""
     step, glb, linear, angular, relative, memory = arguments
     _limit_memory(int(memory))
-    # cascadio imports trimesh, which takes longer than most parts, only to register itself there if it can
-    sys.modules["trimesh"] = None  # type: ignore[assignment]
+    # cascadio's extension of trimesh takes longer to import than many a part to tessellate
+    sys.modules["cascadio.extension"] = ModuleType("cascadio.extension")
     try:
         import cascadio
 

@@ -20,6 +20,10 @@ _ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
 _PACKED_AT_ONCE = 2  # arrays of an archive that are compressed at the same time
 
 
+# an array of which so many elements are not compressed to less than this share of their size is stored as it is
+_SAMPLE, _WORTHWHILE = 50_000, 0.85
+
+
 def write_atomically(path: str | Path, write: Callable[[Path], object], *, overwrite: bool = True) -> str:
     """Let `write` fill a temporary file beside `path`, then rename it; returns the SHA-256 in hex.
 
@@ -105,7 +109,8 @@ class _Packed(list[bytes]):
 
 
 def _deflated(array: NDArray[Any]) -> _Packed:
-    compressor, packed = zlib.compressobj(1, zlib.DEFLATED, -zlib.MAX_WBITS), _Packed()
+    level = 1 if _is_compressible(array) else 0
+    compressor, packed = zlib.compressobj(level, zlib.DEFLATED, -zlib.MAX_WBITS), _Packed()
 
     class Target:
         def write(self, data: bytes) -> None:
@@ -114,6 +119,13 @@ def _deflated(array: NDArray[Any]) -> _Packed:
     np.lib.format.write_array(Target(), array, allow_pickle=False)  # pyright: ignore[reportArgumentType]
     packed.append(compressor.flush())
     return packed
+
+
+def _is_compressible(array: NDArray[Any]) -> bool:
+    # by a sample from the middle: the digits of measured numbers look random
+    begin = max(0, array.size - _SAMPLE) // 2
+    sample = array.reshape(-1)[begin : begin + _SAMPLE].tobytes()
+    return len(zlib.compress(sample, 1)) < _WORTHWHILE * len(sample)
 
 
 def make_folder(folder: Path) -> None:

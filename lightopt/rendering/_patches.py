@@ -43,6 +43,8 @@ _MOST_PATCHES = 1 << 24
 # image rows whose rays are cast at once, and points that are tested at once: they bound the memory
 _BLOCK_ROWS, _BLOCK_POINTS = 32, 1 << 16
 
+_TILE = 4  # pixels along a side of the tiles that points are tested in
+
 
 @dataclass(frozen=True, kw_only=True)
 class PatchTable:
@@ -320,4 +322,10 @@ def visible_points(points: Float64, facets: Float64, view: PartView, caster: Ray
         & (rows[visible] >= 0.0)
         & (rows[visible] < camera.height)
     )
-    return caster.visible(points, facets, camera.position[None, :], candidates=visible[None, :])[0]
+    # tile by tile, so that rays that go nearly the same way follow each other
+    order = np.flatnonzero(visible)
+    tile = (rows[order].astype(np.int32) // _TILE) * camera.width + columns[order].astype(np.int32) // _TILE
+    order = order[np.argsort(tile, kind="stable")]
+    cast = np.ones((1, len(order)), np.bool_)
+    visible[order] = caster.visible(points[order], facets[order], camera.position[None, :], candidates=cast)[0]
+    return visible

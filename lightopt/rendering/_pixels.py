@@ -179,16 +179,17 @@ def _store_masks(
 
 
 def panel_visibility(
-    pixels: PosturePixels, light: PanelLight, caster: RayCaster, *, threads: int | None = None
+    pixels: PosturePixels, light: PanelLight, caster: RayCaster, *, moving: bool = False, threads: int | None = None
 ) -> UInt8:
     """What each pixel sees of a panel: :data:`UNLIT`, :data:`WHOLE` or :data:`LEFT_OUT`, shape (k,).
 
     light: Part frame
+    moving: Whether it will be asked again with the panel nearby, as of a part that is moved
     """
     surface = pixels.surface
     targets = shadow_targets(light)
     front = np.flatnonzero(surface.front)
-    caster.map_blockers(targets, rays=len(front), threads=threads)
+    caster.map_blockers(targets, rays=len(front), moving=moving, threads=threads)
 
     def chunk(start: int) -> tuple[Index, Index, Index | slice]:
         end = start + _CHUNK

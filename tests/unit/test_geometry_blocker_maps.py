@@ -54,6 +54,17 @@ CLOSED = {
 CLOSED["hollow"].faces[len(BALL.faces) :] = CLOSED["hollow"].faces[len(BALL.faces) :, ::-1]
 
 
+def bumpy_ball() -> trimesh.Trimesh:
+    """Hills and valleys of triangles about as small as a texel."""
+    mesh = trimesh.creation.icosphere(subdivisions=5)
+    x = np.asarray(mesh.vertices)
+    mesh.vertices = x * (1.0 + 0.08 * np.prod(np.sin(9.0 * x + 0.5), axis=1, keepdims=True))
+    return mesh
+
+
+BUMPY = bumpy_ball()
+
+
 def shadow_rays(mesh, seed, *, rays=3000, near=2.0, far=8.0):
     """A caster, and points of its mesh that a camera sees with targets that they face."""
     rng = np.random.default_rng(seed)
@@ -86,13 +97,16 @@ def direction(rng):
     return way / np.linalg.norm(way)
 
 
-def cast_with_and_without(caster, arrays, facing):
-    """What is blocked, by every ray and by maps, and the rays that were cast each time."""
+def cast_with_and_without(caster, arrays, facing, *, map_at=None):
+    """What is blocked, by every ray and by maps, and the rays that were cast each time.
+
+    map_at: targets to make the maps of, which these targets are near
+    """
     before = caster.rays_cast
     target, point = (index.astype(np.int32) for index in np.nonzero(facing))
     plain = caster.occluded(*arrays, point_index=point, target_index=target)
     between = caster.rays_cast
-    caster.map_blockers(arrays[2], rays=10**9, threads=2)
+    caster.map_blockers(arrays[2] if map_at is None else map_at, rays=10**9, moving=map_at is not None, threads=2)
     mapped = ~caster.visible(*arrays, candidates=facing, outside=True)
     assert mapped[~facing].all()
     return plain, mapped[facing], between - before, caster.rays_cast - between
@@ -107,6 +121,39 @@ def test_no_blocked_ray_is_taken_for_free(name):
         saved += every - cast
     # folds and other bodies nearby keep their rays
     assert saved > 0 or name in ("star", "ball in a box", "ring through a box")
+
+
+@pytest.mark.parametrize("reach", [maps.REACH, 0.3])
+@pytest.mark.parametrize("near", [1.8, 6.0])
+@pytest.mark.parametrize("name", [*CLOSED, "bumpy ball"])
+def test_the_map_of_a_moving_target_takes_no_blocked_ray_to_one_nearby_for_free(name, near, reach, monkeypatch):
+    monkeypatch.setattr(maps, "REACH", reach)
+    saved = 0
+    for seed in range(3):
+        mesh = BUMPY if name == "bumpy ball" else CLOSED[name]
+        caster, arrays, facing = shadow_rays(mesh, seed, near=near, far=near + 0.5)
+        rng = np.random.default_rng(seed)
+        off = np.stack([direction(rng) * reach * share for share in (0.999, 0.99, 0.5, 0.0)]) * caster.radius
+        plain, mapped, every, cast = cast_with_and_without(caster, arrays, facing, map_at=arrays[2] + off)
+        np.testing.assert_array_equal(mapped, plain)
+        saved += every - cast
+    assert saved > 0 or reach > 0.1 or name in ("star", "ball in a box", "ring through a box")
+
+
+def test_a_map_is_made_once_enough_rays_went_to_targets_that_move():
+    caster, (points, normals, targets), facing = shadow_rays(BALL, 0)
+    few = int(maps.WORTHWHILE_SHARE * len(BALL.faces) / 3) + 1
+    step = 0.2 * maps.REACH * caster.radius * direction(np.random.default_rng(1))
+    free = []
+    for number in range(5):
+        here = targets + number * step
+        caster.map_blockers(here, rays=few, moving=True)
+        caster.visible(points, normals, here, candidates=facing, outside=True)
+        free.append(caster.rays_free)
+    assert free[1] == 0 < free[2] < free[3] < free[4]
+    # beyond the reach of its map a target has none
+    caster.visible(points, normals, targets + 20.0 * step, candidates=facing, outside=True)
+    assert caster.rays_free == free[4]
 
 
 @pytest.mark.hypothesis

@@ -111,7 +111,7 @@ def light_at(
 
     def shade(number: int) -> None:
         name = names[number]
-        verdict = panel_visibility(some, panels[name], caster, threads=1)
+        verdict = panel_visibility(some, panels[name], caster, moving=True, threads=1)
         whole = np.flatnonzero(verdict == WHOLE)
         layer = light_layer(surface.take(whole), panels[name], caster, threads=1)
         known = np.where((verdict == WHOLE) | (verdict == UNLIT), 0.0, np.nan)

@@ -2,8 +2,8 @@
 
 The minimum of Σ w·(u_j − u_i − g_ij)² over all edges is the solution of Poisson's equation with the natural boundary
 condition: nothing is said about what lies beyond the mask, holes included. It is found by conjugate gradients,
-preconditioned by a cycle of multigrid on blocks of pixels (Braess 1995, doi:10.1007/BF02238484), so that the number of
-steps hardly depends on the size of the image or on the outline of the mask.
+preconditioned by a W-cycle of multigrid on blocks of pixels (Braess 1995, doi:10.1007/BF02238484), so that the number
+of steps hardly depends on the size of the image or on the outline of the mask.
 
 Grids have a border of one row and one column of zeros on every side, so that no pixel lacks a neighbour. An edge joins
 a pixel with the one to its right (`wx`) or below it (`wy`), and is kept at the former. Edges of weight 0 are not there:
@@ -32,6 +32,7 @@ MOST_STEPS = 400
 SMALLEST_SIDE = 3
 COARSEST_SWEEPS = 12
 SWEEPS = 2
+REPEATED = 4  # sizes of blocks that a cycle goes through twice: more of them take time and save no steps
 
 Grid = NDArray[Any]  # float64 or float32
 
@@ -130,10 +131,11 @@ class PoissonGrid:
                 return
         raise LightoptError(f"gradients were not integrated within {MOST_STEPS} steps")
 
-    def _cycle(self, depth: int, grids: Sequence[tuple[Float32, Float32]]) -> None:
-        # one symmetric V-cycle from 0
+    def _cycle(self, depth: int, grids: Sequence[tuple[Float32, Float32]], *, again: bool = False) -> None:
+        # one symmetric W-cycle, from 0 or from where it was
         level, (b, u) = self._levels[depth], grids[depth]
-        u.fill(0.0)
+        if not again:
+            u.fill(0.0)
         if depth + 1 == len(self._levels):
             relax(u, b, level.wx, level.wy, level.reciprocal, 0, COARSEST_SWEEPS)
             relax(u, b, level.wx, level.wy, level.reciprocal, 1, COARSEST_SWEEPS)
@@ -142,6 +144,8 @@ class PoissonGrid:
         coarse, correction = grids[depth + 1]
         residual(u, b, level.wx, level.wy, coarse)
         self._cycle(depth + 1, grids)
+        if depth < REPEATED:
+            self._cycle(depth + 1, grids, again=True)
         add_coarse(u, correction, level.reciprocal)
         relax(u, b, level.wx, level.wy, level.reciprocal, 1, SWEEPS)
 

@@ -203,7 +203,7 @@ def sample_pixels(
     number = [image.light for image in prediction.images.lights].index(light)
     level = prediction.images.lights[number].level
     clean = np.flatnonzero(prediction.clean)
-    down, right = (np.asarray(g, np.float64).ravel()[clean] for g in np.gradient(level))
+    down, right = (g.ravel()[clean].astype(np.float64) for g in np.gradient(level))
     step = np.hypot(down, right)
     if not len(clean):
         return PixelSample(clean, np.zeros(0, np.bool_), np.zeros(0), np.zeros((0, 3)))

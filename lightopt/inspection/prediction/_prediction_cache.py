@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from lightopt.core.arrays import Float64
+from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
 from lightopt.defects import CatalogueEntry
 from lightopt.estimate.registration import Observation, Placement, Registration
@@ -108,7 +109,7 @@ class PredictionCache:
             pixels = sum(len(key[1]) for key in keys.values()) * scene.camera.width * scene.camera.height
             if 6 * 4 * pixels > MOST_BYTES:
                 return None
-            found = self._fit(scene, observations, keys, moves=True)
+            found = self._fit(scene, observations, keys, moves=True, threads=threads)
             if not found.near or found.misfit > LOOSE * self.misfit:
                 return None
             for key in keys.values():
@@ -116,15 +117,16 @@ class PredictionCache:
                     self.derivatives[key] = placement_derivatives(
                         scene, self.placement, key[0], self.rendered[key], self._caster(scene), threads=threads
                     )
-        found = self._fit(scene, observations, keys, moves=True)
+        found = self._fit(scene, observations, keys, moves=True, threads=threads)
         if not found.near or found.misfit > TIGHT * self.misfit:
             return None
         return scene, found.placement(scene, self.placement), found.offset
 
-    def measure_misfit(self, scene: Scene, observations: Sequence[Observation]) -> None:
+    def measure_misfit(self, scene: Scene, observations: Sequence[Observation], *, threads: int | None = None) -> None:
         """Remember how well a part's images fit the predictions that were made for it."""
         if self.misfit is None:
-            self.misfit = self._fit(scene, observations, _keys(scene, observations), moves=False).misfit
+            keys = _keys(scene, observations)
+            self.misfit = self._fit(scene, observations, keys, moves=False, threads=threads).misfit
 
     def surface_map(
         self, scene: Scene, expected: Sequence[Posture] = (), *, threads: int | None = None
@@ -171,18 +173,26 @@ class PredictionCache:
         return self.caster
 
     def _fit(
-        self, scene: Scene, observations: Sequence[Observation], keys: dict[Posture, Key], *, moves: bool
+        self,
+        scene: Scene,
+        observations: Sequence[Observation],
+        keys: dict[Posture, Key],
+        *,
+        moves: bool,
+        threads: int | None,
     ) -> PlacementOffset:
         assert self.placement is not None
-        samples: list[PixelSample] = []
-        for o in observations:
-            key = keys[o.posture]
-            derivatives = self.derivatives.get(key)
-            mine = key, o.light, derivatives is not None
-            if mine not in self.samples:
-                self.samples[mine] = sample_pixels(scene, self.placement, self.rendered[key], derivatives, o.light)
-            samples.append(self.samples[mine])
-        return fit_placement_offset(scene, self.placement, observations, samples, moves=moves)
+        placement = self.placement
+        asked = [(keys[o.posture], o.light, keys[o.posture] in self.derivatives) for o in observations]
+        fresh = [mine for mine in dict.fromkeys(asked) if mine not in self.samples]
+
+        def sample(number: int) -> PixelSample:
+            key, light, _ = fresh[number]
+            return sample_pixels(scene, placement, self.rendered[key], self.derivatives.get(key), light)
+
+        self.samples |= dict(zip(fresh, in_threads(sample, range(len(fresh)), threads), strict=True))
+        samples = [self.samples[mine] for mine in asked]
+        return fit_placement_offset(scene, placement, observations, samples, moves=moves)
 
 
 def observed_lights(scene: Scene, observations: Sequence[Observation]) -> tuple[str, ...]:

@@ -11,6 +11,7 @@ import numpy as np
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Float64, Int32
 from lightopt.core.run_context import RunContext
+from lightopt.core.threads import side_by_side
 from lightopt.core.transforms import Posture, rotation_z
 from lightopt.estimate.registration import (
     Observation,
@@ -69,7 +70,7 @@ def register_set(
             view = posture_view(scene, mine, prediction, where=where, threads=threads)
             yield view, {x: tuple(sorted((o.exposure, o.frames) for o in mine if o.light == x)) for x in view.lights}
         if register and offset is None:
-            cache.measure_misfit(scene, observations)
+            cache.measure_misfit(scene, observations, threads=threads)
 
     return RegisteredSet(nominal, placement, scene, views(), cache.registration if register else None)
 
@@ -86,13 +87,20 @@ def nominal_scene(
 
     scenes: Of the same rig and part by postures and lights, to reuse and to add to: reading a mesh takes time.
     """
-    observations = read_observations(image_set, rig, part, threads=threads)
-    used = {o.light for o in observations}
+    used = {entry.light for entry in image_set.images}
     names = tuple(light.name for light in rig.lights if light.name in used)
     key = observed_postures(image_set), names
     scenes = {} if scenes is None else scenes
-    if key not in scenes:
-        scenes[key] = build_scene(rig, part, postures=key[0], lights=names, defects=False)
+
+    def read() -> tuple[Observation, ...]:
+        return read_observations(image_set, rig, part, threads=threads)
+
+    if key in scenes:
+        return scenes[key], read()
+    # a STEP file is read by another process
+    scenes[key], observations = side_by_side(
+        lambda: build_scene(rig, part, postures=key[0], lights=names, defects=False), read
+    )
     return scenes[key], observations
 
 
