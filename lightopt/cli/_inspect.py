@@ -39,7 +39,7 @@ def inspect(
             help="residual: measured minus predicted level; catalogue: the same, and the defects of the part's "
             "catalogue as whole shapes; template: dots and lines in the synthetic image.",
         ),
-    ] = "residual",
+    ] = "catalogue",
     fusion: Annotated[
         str,
         common.model_option(

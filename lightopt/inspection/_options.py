@@ -18,7 +18,7 @@ class InspectOptions:
     register: whether the part is searched for around its nominal place.
     """
 
-    detector: str = "residual"
+    detector: str = "catalogue"
     fusion: Fusion | None = "paper"
     false_alarms: float = 0.05
     min_images: int = 2
