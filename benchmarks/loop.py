@@ -33,6 +33,7 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Bool
 from lightopt.defects import BUILT_IN_CATALOGUE, PlacedDefect, tangent_references
 from lightopt.design import DetectionModel, ImageEvaluator, planned_catalogue, unpack_flags, without_edges
+from lightopt.design._problem import images_that_decide
 from lightopt.images import ImageSet, read_image_set
 from lightopt.inspection import InspectOptions, PredictionCache, SetEvaluation, evaluate_set, inspect_set
 from lightopt.rendering import build_patches, cast_rays_at
@@ -110,7 +111,10 @@ class Prediction:
             table=self.table,
             caster=caster,
             detection=DetectionModel(
-                catalogue=catalogue, sensor=scene.sensor, full_scale=scene.reflectance.full_scale, min_images=min_images
+                catalogue=catalogue,
+                sensor=scene.sensor,
+                full_scale=scene.reflectance.full_scale,
+                min_images=images_that_decide(rig, part, min_images, longest=1.0),
             ),
         )
         self.defects = catalogue.defects

@@ -61,6 +61,8 @@ def least_z(tests: float, entries: int, false_alarms: float) -> float:
 
     false_alarms: Expected in the images of a posture of a good part
     """
+    from scipy import special
+
     chance = CATALOGUE_SHARE * false_alarms / (max(tests, 1.0) * entries)
     return float(-special.ndtri(min(0.5 * chance, 0.5)))
 

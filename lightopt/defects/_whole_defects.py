@@ -26,6 +26,8 @@ WALL_LEVELS = (1.0,)
 # points that a pixel is sampled at along each side: so many across the defect's width, within these limits
 ACROSS_WIDTH, LEAST_SAMPLES, MOST_SAMPLES = 10.0, 3, 15
 
+_MOST_FINER = 2  # directions are doubled so often at most
+
 LEAST_SHARE = 0.06  # a variant with less than this share of the greatest one of any pixel is left out
 
 
@@ -33,20 +35,24 @@ LEAST_SHARE = 0.06  # a variant with less than this share of the greatest one of
 class HypothesisGrid:
     """How finely surfaces that lean are told apart.
 
-    directions: That a wall leans to
+    directions: That a wall leans to, at least
+    fine_slope: Steeper walls lean to twice or four times as many [rad]: what they reflect turns by more
     segment_turns: Orientations of a scratch within half a turn; each has walls that lean to both sides
     bowl_levels: Slopes of bowls, as shares of the steepest; what is less than half of the least of them is flat
     """
 
     directions: int
+    fine_slope: float
     segment_turns: int
     bowl_levels: tuple[float, ...]
 
 
-INSPECTION_GRID = HypothesisGrid(directions=16, segment_turns=16, bowl_levels=(1.0 / 3.0, 2.0 / 3.0, 1.0))
+INSPECTION_GRID = HypothesisGrid(
+    directions=16, fine_slope=math.inf, segment_turns=16, bowl_levels=(1.0 / 3.0, 2.0 / 3.0, 1.0)
+)
 """Of templates that images are compared with."""
 
-PLANNING_GRID = HypothesisGrid(directions=8, segment_turns=8, bowl_levels=(0.5, 1.0))
+PLANNING_GRID = HypothesisGrid(directions=8, fine_slope=math.radians(4.5), segment_turns=8, bowl_levels=(0.5, 1.0))
 """Of expected evidence: levels may be coarser where they are added up and not compared."""
 
 
@@ -140,7 +146,9 @@ class DefectHypotheses:
 def defect_hypotheses(entry: CatalogueEntry, grid: HypothesisGrid = INSPECTION_GRID) -> DefectHypotheses:
     """The hypotheses of an entry of the catalogue: its sizes in all orientations."""
     shape = entry.shape
-    levels, directions, turns = WALL_LEVELS, grid.directions, 1
+    levels, turns = WALL_LEVELS, 1
+    finer = math.ceil(math.log2(max(shape.slope, 1e-9) / grid.fine_slope)) if math.isfinite(grid.fine_slope) else 0
+    directions = grid.directions << min(max(finer, 0), _MOST_FINER)
     if shape.kind == "scratch":
         turns, directions = grid.segment_turns, 2 * grid.segment_turns
         shape = replace(shape, length=min(shape.length, SEGMENT_LENGTH * shape.width))

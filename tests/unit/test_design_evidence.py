@@ -118,7 +118,7 @@ def test_evidence_is_the_sum_of_squares_over_the_pixels_of_a_defect(seed):
             turn = 0 if h == 0 else 1 + (h - 1 + round(angle[p] / math.pi * 4)) % 4
             group = turn * evidence.FORESHORTENINGS + classes[p]
             energy = 0.0
-            for segment in (-1, 0, 1) if along[group].any() else (0,):
+            for segment in (-2, -1, 0, 1, 2) if along[group].any() else (0,):
                 x, y = column[p] + segment * along[group, 0], row[p] + segment * along[group, 1]
                 pixels = {}
                 for n in range(first[group], first[group + 1]):

@@ -162,8 +162,8 @@ def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> _Stencils:
         long = own.entry.shape.kind == "scratch"
         width = own.shapes[1].width
         ratio = max(1.0, width / (footprint * (_PIXELS_ACROSS_SCRATCH if long else _PIXELS_ACROSS)))
-        # a scratch is found by any of its segments: three of them stand for all
-        step = max(0.0, own.entry.shape.length - own.shapes[1].length) / 3.0 if long else 0.0
+        # a scratch is found by any of its segments: five of them stand for all
+        step = max(0.0, own.entry.shape.length - own.shapes[1].length) / 4.0 if long else 0.0
         for turn in range(len(own.turns)):
             axis = np.array([math.cos(own.turns[turn]), math.sin(own.turns[turn])])
             for one in range(FORESHORTENINGS):
@@ -425,7 +425,7 @@ def _add_evidence(
             energy = _energy(codes, column[p], row[p], p, owner, pieces, right, down, variant, weight, enough)
             dx, dy = along[group]
             if dx != 0.0 or dy != 0.0:
-                for side in (-1, 1):
+                for side in (-1, 1, -2, 2):
                     if energy >= enough:
                         break
                     x, y = column[p] + side * dx, row[p] + side * dy

@@ -29,6 +29,9 @@ NORMAL_95: Final = 1.959964
 
 GAP_PX = 3  # explained defects this near to each other are one: segments of a scratch, or two walls of a dent
 
+# deviations that go beyond explained defects by more than this share of their pixels are not described by them
+_DESCRIBED = 1.0
+
 # besides the noise: sizes lie far apart, so that the size between them is off by about this share, and of a narrow
 # defect by so much of a pixel, since a narrower and steeper one changes the images nearly alike
 SIZE_ERROR, SIZE_ERROR_PX = 0.1, 0.5
@@ -93,7 +96,9 @@ def join_explained(
 ) -> tuple[Int32, int, dict[int, tuple[ExplainedDefect, ...]]]:
     """Regions of explained defects, and those of other deviations that are apart from them.
 
-    Number of the region of each pixel, how many there are, and by number of the region the defects that it is of.
+    Number of the region of each pixel, how many there are, and by number of the region the defects that it is of. Where
+    other deviations go far beyond the defects that they touch, the catalogue does not describe what is there: the
+    region has both, and is of none of these defects.
 
     labels, count: Of the other deviations.
     """
@@ -104,17 +109,43 @@ def join_explained(
         mask[one.rows, one.columns] = True
     wide = np.asarray(ndimage.binary_dilation(mask, _DISC), np.bool_)
     near, number = _label(wide)
-    result = np.where(mask, near, np.int32(0))
+    # regions of either kind that touch are one
+    touching = np.unique(np.stack([labels[wide], near[wide]]), axis=1)
+    touching = touching[:, touching[0] > 0]
+    beyond = np.bincount(labels[~wide], minlength=count + 1)
+    within = np.bincount(near[mask], minlength=number + 1)
+    group = np.arange(number + 1)
+    described = np.ones(number + 1, np.bool_)
+    joined: dict[int, int] = {}
+    for label in np.unique(touching[0]).tolist():
+        own = np.unique(group[touching[1, touching[0] == label]])
+        if beyond[label] > _DESCRIBED * within[np.isin(group, own)].sum():
+            joined[label] = int(own[0])
+            group[np.isin(group, own)] = own[0]
+            described[own[0]] = False
+    result = np.where(mask, group[near], 0).astype(np.int32)
+    for label, region in joined.items():
+        result[labels == label] = group[region]
     owners: dict[int, tuple[ExplainedDefect, ...]] = {}
     for one in explained:
-        own = int(near[one.rows[0], one.columns[0]])
-        owners[own] = (*owners.get(own, ()), one)
-    touched = np.unique(labels[wide])
-    apart = np.setdiff1d(np.arange(1, count + 1), touched)
+        region = int(group[near[one.rows[0], one.columns[0]]])
+        if described[region]:
+            owners[region] = (*owners.get(region, ()), one)
+    apart = np.setdiff1d(np.arange(1, count + 1), touching[0])
     new = np.zeros(count + 1, np.int32)
     new[apart] = number + np.arange(1, len(apart) + 1, dtype=np.int32)
     others = new[labels]
-    return np.where(others > 0, others, result), number + len(apart), owners
+    return _renumbered(np.where(others > 0, others, result), owners)
+
+
+def _renumbered(
+    labels: Int32, owners: Mapping[int, tuple[ExplainedDefect, ...]]
+) -> tuple[Int32, int, dict[int, tuple[ExplainedDefect, ...]]]:
+    # without gaps, in the same order
+    present = np.unique(labels[labels > 0])
+    new = np.zeros(int(labels.max(initial=0)) + 1, np.int32)
+    new[present] = np.arange(1, len(present) + 1, dtype=np.int32)
+    return new[labels], len(present), {int(new[region]): some for region, some in owners.items() if new[region]}
 
 
 def _label(mask: Bool) -> tuple[Int32, int]:
