@@ -356,12 +356,12 @@ def test_what_is_allowed_and_what_is_found_is_said(cli, bench, parts):
     bench.part.write_text(text + "inspection: {most_defects: 3, least_size_mm: 4.5}\n", encoding="utf-8")
     ran = inspect(cli, bench, parts["bad"], "--fusion", "none", "--fail-on-defect", "--evaluate")
     assert ran.status == 0
-    assert "OK: 1 defect that counts, 3 allowed\n" in ran.out
+    assert "OK: 2 defects that count, 3 allowed\n" in ran.out
     share = 100.0 * found(bench)["surface"]["finds_contrast"]["0.2"]
     reported = f"a disc of 5 px that changes the light by 20 % is found on {share:.1f} %"
     assert reported in ran.out
     page = (bench.out / "report.html").read_text(encoding="utf-8")
-    assert "1 defect that counts, 3 allowed. 2 defects on the" in page
+    assert "2 defects that count, 3 allowed. 1 defect on the" in page
     assert reported in page
     assert "0 without an evaluable pixel; 0 false alarms per posture" in ran.out
 

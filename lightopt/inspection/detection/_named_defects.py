@@ -96,9 +96,9 @@ def join_explained(
 ) -> tuple[Int32, int, dict[int, tuple[ExplainedDefect, ...]]]:
     """Regions of explained defects, and those of other deviations that are apart from them.
 
-    Number of the region of each pixel, how many there are, and by number of the region the defects that it is of. Where
-    other deviations go far beyond the defects that they touch, the catalogue does not describe what is there: the
-    region has both, and is of none of these defects.
+    Number of the region of each pixel, how many there are, and by number of the region the defects that it is of. Other
+    deviations that touch one region belong to it. Where they go far beyond the defects that they touch, the catalogue
+    does not describe what is there: the region has all of them, and is of none of these defects.
 
     labels, count: Of the other deviations.
     """
@@ -119,6 +119,8 @@ def join_explained(
     joined: dict[int, int] = {}
     for label in np.unique(touching[0]).tolist():
         own = np.unique(group[touching[1, touching[0] == label]])
+        if len(own) == 1:
+            joined[label] = int(own[0])
         if beyond[label] > _DESCRIBED * within[np.isin(group, own)].sum():
             joined[label] = int(own[0])
             group[np.isin(group, own)] = own[0]

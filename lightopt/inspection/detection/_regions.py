@@ -189,7 +189,14 @@ def measure_regions(
         nearest = int(np.argmin(np.sum((points - middle) ** 2, axis=1)))
         contrast = _contrasts(z, row, column, view)
         size = _extents(points, normal, float(np.sqrt(area.mean())))
-        named = name_defect(explained, size[0], view, found, scene=scene, placement=placement) if explained else None
+        kind, named = _kind(z, row, column, view, contrast), None
+        if explained:
+            named = name_defect(explained, size[0], view, found, scene=scene, placement=placement)
+            # where the lights clearly show the other kind, no entry describes the defect
+            if {kind, _kind_of(named)} == {"shape", "stain"}:
+                named = None
+            else:
+                kind = _kind_of(named)
         detections.append(
             Detection(
                 posture=view.posture,
@@ -202,7 +209,7 @@ def measure_regions(
                 area=float(area.sum()),
                 score=float(score[box][region].max()),
                 contrast=contrast,
-                kind=_kind(z, row, column, view, contrast) if named is None else _kind_of(named),
+                kind=kind,
                 points=points,
                 named=named,
             )
