@@ -64,6 +64,14 @@ _CONFIRMED = (0.25, 0.5, 0.72)
 # a piece little longer than wide stands for the whole
 _PIXELS_ACROSS, _PIXELS_ACROSS_SCRATCH, _SCRATCH_WIDTHS = 4.0, 2.2, 1.4
 
+# Defects lie anywhere in their pixels: middles of narrow ones, of fewer pixels than this, are taken half way between the
+# two places that differ most
+_NARROW_PX, _OFF_PX = 5.0, (0.25, 0.25)
+
+# the inspection compares the greatest Z of the hypotheses near a defect, which noise makes greater than that of the true
+# one by about this much
+_GREATEST_OF_NEAR = 0.5
+
 _CODES = 127  # changes are stored as whole numbers up to this
 _AT_ONCE = 1 << 12  # patches that are shaded at once
 _FOOTPRINT_STEPS = 32  # footprints within a 32nd of an octave share what pixels see of defects
@@ -123,6 +131,7 @@ class DetectionModel:
             grid = search_grid(own, footprint)
             places = pixels / (grid.ratio * grid.step) ** 2
             z = least_z(places * len(own.turns) * len(grid.halves) * len(SIZES), len(entries), self.false_alarms)
+            z -= _GREATEST_OF_NEAR
             if self.min_images == 1:
                 found[e] = np.array(_ALONE) * z * z
             else:
@@ -162,13 +171,14 @@ def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> _Stencils:
         long = own.entry.shape.kind == "scratch"
         width = own.shapes[1].width
         ratio = max(1.0, width / (footprint * (_PIXELS_ACROSS_SCRATCH if long else _PIXELS_ACROSS)))
+        off = _OFF_PX if width < _NARROW_PX * ratio * footprint else (0.0, 0.0)
         # a scratch is found by any of its segments: five of them stand for all
         step = max(0.0, own.entry.shape.length - own.shapes[1].length) / 4.0 if long else 0.0
         for turn in range(len(own.turns)):
             axis = np.array([math.cos(own.turns[turn]), math.sin(own.turns[turn])])
             for one in range(FORESHORTENINGS):
                 to_image = plane_to_image(one, ratio * footprint)
-                seen = own.seen_by_pixels(1, turn, to_image)
+                seen = own.seen_by_pixels(1, turn, to_image, off_px=off)
                 place = np.stack([seen.column, seen.row]).astype(np.float64)
                 own_weight = ratio * seen.weight
                 kept = np.ones(len(own_weight), np.bool_)
