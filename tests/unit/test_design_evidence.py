@@ -31,7 +31,7 @@ def test_an_image_counts_for_three_units_at_most_and_no_image_alone_for_enough()
         assert ((z2 > 4.5**2) & (z2 < 7.5**2)).all()
         if k > 1:
             # all but k − 1 images must add up to 9, which the best of the others have
-            np.testing.assert_allclose(limits[:, 2] * (k - 1), z2 - 9.0)
+            np.testing.assert_allclose(limits[:, 2] * (k - 1), np.maximum(z2 - 9.0, 9.0 * (k - 1)))
             assert evidence.UNITS_OF_IMAGE * (k - 1) < needed
 
 
@@ -68,8 +68,8 @@ def test_changes_are_those_of_the_statistic_with_noise_and_registration(seed):
         np.float32
     )
     scale, limit = 0.7, 251.0
-    codes = np.zeros(varied.shape, np.int8)
-    evidence._fill_changes(good, varied, column, row, owner, cell, scale, limit, 0.8, 60.0, codes)
+    codes, bounds = np.zeros(varied.shape, np.int16), np.zeros((patches, 3), np.float32)
+    evidence._fill_changes(good, varied, column, row, owner, cell, scale, limit, 0.8, 60.0, codes, bounds)
     level = np.minimum(scale * good, limit)
     for p in range(patches):
         square = 0.0
@@ -78,12 +78,16 @@ def test_changes_are_those_of_the_statistic_with_noise_and_registration(seed):
             low, high = (level[p] if q < 0 else level[q] for q in near)
             square += ((high - low) / (max(1, sum(q >= 0 for q in near)) * cell)) ** 2
         deviation = math.sqrt(0.8**2 + level[p] / 60.0 + 1.0 / 12.0 + 0.1**2 * square)
+        linear = (scale * varied[p].astype(float) - level[p]) / deviation
+        np.testing.assert_allclose(codes[p] / 16.0, np.clip(linear, -2000.0, 2000.0), atol=1.0 / 32.0 + 1e-6)
+        # of a pixel that one variant fills it is the statistic's
+        clipped = np.clip(linear, bounds[p, 0], bounds[p, 1])
         expected = expected_change(
             np.full(6, scale * good[p]), scale * varied[p].astype(float), deviation=np.full(6, deviation), limit=limit
         )
-        np.testing.assert_allclose(codes[p] * 8.0 / 127.0, expected, atol=0.5 * 8.0 / 127.0 + 1e-6)
+        np.testing.assert_allclose(np.where(np.abs(clipped) <= bounds[p, 2], 0.0, clipped), expected, atol=1e-5)
     assert np.count_nonzero(codes) > 100
-    assert np.count_nonzero(codes == 0) > 10
+    assert np.count_nonzero(bounds[:, 2]) > 10
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -92,7 +96,8 @@ def test_evidence_is_the_sum_of_squares_over_the_pixels_of_a_defect(seed):
     rng = np.random.default_rng(seed)
     patches, variants = 70, 5
     owner, cell, column, row = image(rng, patches)
-    codes = rng.integers(-127, 128, (patches, variants)).astype(np.int8)
+    codes = rng.integers(-200, 200, (patches, variants)).astype(np.int16)
+    bounds = np.c_[rng.uniform(-8.0, 0.0, patches), rng.uniform(0.0, 8.0, patches), rng.choice([0.0, 3.0], patches)]
     classes = rng.integers(0, evidence.FORESHORTENINGS, patches).astype(np.int32)
     angle = rng.uniform(-math.pi, math.pi, patches)
     entry, turns = np.array([0, 1, 1, 1, 1], np.int32), np.array([1, 4], np.int32)
@@ -104,14 +109,15 @@ def test_evidence_is_the_sum_of_squares_over_the_pixels_of_a_defect(seed):
     first = np.cumsum([0, *map(len, pieces)]).astype(np.int32)
     right, down, variant = (np.array([piece[i] for own in pieces for piece in own]) for i in range(3))
     right = 2.0 * right
-    weight = rng.random(len(variant)).astype(np.float32)
+    share = rng.random(len(variant)).astype(np.float32)
+    ratio = rng.uniform(1.0, 3.0, groups).astype(np.float32)
     along = rng.uniform(-9.0, 9.0, (groups, 2)).astype(np.float32) * (rng.random((groups, 1)) < 0.5)
-    limits = np.sort(rng.uniform(0.0, 40_000.0, (2, 3)), axis=1)
+    limits = np.sort(rng.uniform(0.0, 300.0, (2, 3)), axis=1)
     words = np.zeros((3, patches, 1), np.uint64)
     evidence._add_evidence(
-        codes, column / np.float32(cell), row / np.float32(cell), owner, classes, angle, entry, turns, first,
+        codes, bounds.astype(np.float32), column / np.float32(cell), row / np.float32(cell), owner, classes, angle, entry, turns, first,
         along / np.float32(cell), (right / cell).astype(np.float32), (down / cell).astype(np.float32),
-        variant.astype(np.int32), weight, limits, words,
+        variant.astype(np.int32), share, ratio, limits, words,
     )  # fmt: skip
     for p in range(patches):
         for h in range(5):
@@ -124,10 +130,13 @@ def test_evidence_is_the_sum_of_squares_over_the_pixels_of_a_defect(seed):
                 for n in range(first[group], first[group + 1]):
                     near = segment == 0 and max(abs(right[n]), abs(down[n])) < 0.5 * cell
                     q = p if near else owner_at(owner, cell, x + right[n], y + down[n])
-                    own = pixels.setdefault((right[n], down[n]), [0.0])
-                    own[0] += 0.0 if q < 0 else weight[n] * float(codes[q, variant[n]])
-                energy = max(energy, sum(own**2 for (own,) in pixels.values()))
-            if np.abs(limits[entry[h]] - energy).min() < 0.1:
+                    own = pixels.setdefault((right[n], down[n]), [q, 0.0])
+                    own[1] += 0.0 if q < 0 else share[n] * codes[q, variant[n]] / 16.0
+                changes = [np.clip(m, *bounds[q, :2]) for q, m in pixels.values() if q >= 0]
+                dark = [bounds[q, 2] for q, _ in pixels.values() if q >= 0]
+                squares = sum(m**2 for m, none in zip(changes, dark, strict=True) if abs(m) > none)
+                energy = max(energy, float(ratio[group]) ** 2 * squares)
+            if np.abs(limits[entry[h]] - energy).min() < 1e-3:
                 continue
             bits = [int(words[j, p, 0] >> np.uint64(h) & np.uint64(1)) for j in range(3)]
             assert bits == [int(energy >= limit) for limit in limits[entry[h]]]

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import ndimage
 
-from lightopt.core.arrays import Float32, Float64, Int8, Int32, Int64
+from lightopt.core.arrays import Float32, Float64, Int16, Int32, Int64
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
 from lightopt.core.transforms import Posture
@@ -72,7 +72,7 @@ _NARROW_PX, _OFF_PX = 5.0, (0.25, 0.25)
 # one by about this much
 _GREATEST_OF_NEAR = 0.5
 
-_CODES = 127  # changes are stored as whole numbers up to this
+_CODES_PER_DEVIATION = 16  # changes are stored as whole numbers of 16 bits: of walls that glint, many deviations
 _AT_ONCE = 1 << 12  # patches that are shaded at once
 _FOOTPRINT_STEPS = 32  # footprints within a 32nd of an octave share what pixels see of defects
 
@@ -148,7 +148,8 @@ class _Stencils:
     along: Steps to the right and down between the segments of a long defect that are tested [px], 0 for one that is
         tested whole, shape (groups, 2)
     right, down: Of the piece's pixel from the defect's middle [px], shape (n,)
-    variant, weight: Of the piece; weights are of a pixel's deviation in units of its noise, shape (n,)
+    variant, share: Of the piece, and how much of its pixel it is, shape (n,)
+    ratio: Side of these pixels by that of the camera's, shape (groups,)
     """
 
     first: Int32
@@ -156,14 +157,16 @@ class _Stencils:
     right: Float32
     down: Float32
     variant: Int32
-    weight: Float32
+    share: Float32
+    ratio: Float32
 
 
 def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> _Stencils:
     right: list[Float64] = [np.zeros(0)]
     down: list[Float64] = [np.zeros(0)]
     variant: list[Int64] = [np.zeros(0, np.int64)]
-    weight: list[Float64] = [np.zeros(0)]
+    share: list[Float64] = [np.zeros(0)]
+    ratios: list[float] = []
     counts: list[int] = [0]
     along: list[Float64] = []
     before = 0
@@ -180,15 +183,15 @@ def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> _Stencils:
                 to_image = plane_to_image(one, ratio * footprint)
                 seen = own.seen_by_pixels(1, turn, to_image, off_px=off)
                 place = np.stack([seen.column, seen.row]).astype(np.float64)
-                own_weight = ratio * seen.weight
-                kept = np.ones(len(own_weight), np.bool_)
+                kept, sides = np.ones(len(seen.weight), np.bool_), ratio
                 if long:
                     kept = np.abs(axis @ np.linalg.solve(to_image, place)) <= 0.5 * _SCRATCH_WIDTHS * width
-                    own_weight = own_weight * math.sqrt(float((own_weight**2).sum() / (own_weight[kept] ** 2).sum()))
+                    sides *= math.sqrt(float((seen.weight**2).sum() / (seen.weight[kept] ** 2).sum()))
                 right.append(ratio * place[0, kept])
                 down.append(ratio * place[1, kept])
                 variant.append(before + seen.variant[kept].astype(np.int64))
-                weight.append(own_weight[kept])
+                share.append(seen.weight[kept])
+                ratios.append(sides)
                 counts.append(int(kept.sum()))
                 along.append(ratio * step * to_image @ axis)
         before += len(own.slope)
@@ -198,7 +201,8 @@ def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> _Stencils:
         right=np.concatenate(right).astype(np.float32),
         down=np.concatenate(down).astype(np.float32),
         variant=np.concatenate(variant).astype(np.int32),
-        weight=np.concatenate(weight).astype(np.float32),
+        share=np.concatenate(share).astype(np.float32),
+        ratio=np.array(ratios, np.float32),
     )
 
 
@@ -279,7 +283,7 @@ class PatchEvidence:
 
     def _units(self, good: Float64, varied: Float32, exposure: float) -> Words:
         sensor, image, stencils = self._detection.sensor, self._image, self._stencils
-        codes = np.zeros(varied.shape, np.int8)
+        codes, bounds = np.zeros(varied.shape, np.int16), np.zeros((len(good), 3), np.float32)
         _fill_changes(
             good,
             varied,
@@ -292,10 +296,12 @@ class PatchEvidence:
             sensor.read_noise_levels,
             sensor.electrons_per_level or math.inf,
             codes,
+            bounds,
         )
         words = np.zeros((UNITS_OF_IMAGE, len(good), -(-len(self._entry) // 64)), np.uint64)
         _add_evidence(
             codes,
+            bounds,
             image.column / np.float32(image.cell),
             image.row / np.float32(image.cell),
             image.owner,
@@ -308,8 +314,9 @@ class PatchEvidence:
             stencils.right / np.float32(image.cell),
             stencils.down / np.float32(image.cell),
             stencils.variant,
-            stencils.weight,
-            self._limits * (_CODES / MOST_CHANGE) ** 2,
+            stencils.share,
+            stencils.ratio,
+            self._limits,
             words,
         )
         return words
@@ -374,10 +381,12 @@ def _fill_changes(
     limit: float,
     read_noise: float,
     electrons: float,
-    codes: Int8,
+    codes: Int16,
+    bounds: Float32,
 ) -> None:
-    # changes by the variants, of each patch; see expected_change. Levels are above black
-    unit = _CODES / MOST_CHANGE
+    # Changes by the variants, of each patch, as the camera would deliver them if it did not clip: mixed levels are
+    # clipped, not those that are mixed. `bounds` are the least and the greatest change that it delivers, and the change
+    # that is none: see expected_change. Levels are above black
     for p in range(len(good)):
         level = min(scale * good[p], limit)
         square = 0.0
@@ -393,17 +402,18 @@ def _fill_changes(
         noise = math.sqrt(
             read_noise * read_noise + level / electrons + 1.0 / 12.0 + REGISTRATION_PX * REGISTRATION_PX * square
         )
-        dark = scale * good[p] < DARK * noise
+        bounds[p, 0] = max(-level / noise, -MOST_CHANGE)
+        bounds[p, 1] = min((limit - level) / noise, MOST_CHANGE)
+        bounds[p, 2] = DARK if level < DARK * noise else 0.0
         for v in range(varied.shape[1]):
-            change = (min(max(scale * varied[p, v], 0.0), limit) - level) / noise
-            if dark and abs(change) <= DARK:
-                change = 0.0
-            codes[p, v] = round(max(-MOST_CHANGE, min(MOST_CHANGE, change)) * unit)
+            change = (scale * varied[p, v] - level) / noise
+            codes[p, v] = round(max(-32_000.0, min(32_000.0, change * _CODES_PER_DEVIATION)))
 
 
 @kernel
 def _add_evidence(
-    codes: Int8,
+    codes: Int16,
+    bounds: Float32,
     column: Float32,
     row: Float32,
     owner: Int32,
@@ -416,7 +426,8 @@ def _add_evidence(
     right: Float32,
     down: Float32,
     variant: Int32,
-    weight: Float32,
+    share: Float32,
+    ratio: Float32,
     limits: Float64,
     words: Words,
 ) -> None:
@@ -431,25 +442,28 @@ def _add_evidence(
             turn = (h - start + round(angle[p] / math.pi * count)) % count
             group = (start + turn) * FORESHORTENINGS + classes[p]
             pieces = first[group], first[group + 1]
-            enough = np.float32(limits[entry[h], limits.shape[1] - 1])
-            energy = _energy(codes, column[p], row[p], p, owner, pieces, right, down, variant, weight, enough)
+            # in units of a pixel
+            area = ratio[group] * ratio[group]
+            enough = np.float32(limits[entry[h], limits.shape[1] - 1]) / area
+            energy = _energy(codes, bounds, column[p], row[p], p, owner, pieces, right, down, variant, share, enough)
             dx, dy = along[group]
             if dx != 0.0 or dy != 0.0:
                 for side in (-1, 1, -2, 2):
                     if energy >= enough:
                         break
                     x, y = column[p] + side * dx, row[p] + side * dy
-                    other = _energy(codes, x, y, -1, owner, pieces, right, down, variant, weight, enough)
+                    other = _energy(codes, bounds, x, y, -1, owner, pieces, right, down, variant, share, enough)
                     energy = max(energy, other)
             bit = np.uint64(1) << np.uint64(h % 64)
             for unit in range(len(words)):
-                if energy >= limits[entry[h], unit]:
+                if energy * area >= limits[entry[h], unit]:
                     words[unit, p, h // 64] |= bit
 
 
 @kernel
 def _energy(
-    codes: Int8,
+    codes: Int16,
+    bounds: Float32,
     column: np.float32,
     row: np.float32,
     own: int,
@@ -458,28 +472,29 @@ def _energy(
     right: Float32,
     down: Float32,
     variant: Int32,
-    weight: Float32,
+    share: Float32,
     enough: np.float32,
 ) -> np.float32:
     # Σ m² of a defect with its middle at a point of the image, which patch `own` is at, −1 for none; the sum ends where
     # it is enough
-    energy, change = np.float32(0.0), np.float32(0.0)
-    last_right, last_down = np.float32(np.nan), np.float32(np.nan)
-    q = -1
-    for n in range(pieces[0], pieces[1]):
-        if right[n] != last_right or down[n] != last_down:
-            energy += change * change
-            if energy >= enough:
-                return energy
-            change = np.float32(0.0)
-            last_right, last_down = right[n], down[n]
-            if own >= 0 and max(abs(last_right), abs(last_down)) < np.float32(0.5):
-                q = own
-            else:
-                x, y = column + last_right, row + last_down
-                q = -1
-                if x >= 0 and y >= 0 and x < owner.shape[1] and y < owner.shape[0]:
-                    q = owner[int(y), int(x)]
+    energy = np.float32(0.0)
+    n, end = pieces
+    while n < end and energy < enough:
+        here_right, here_down = right[n], down[n]
+        q = -1
+        if own >= 0 and max(abs(here_right), abs(here_down)) < np.float32(0.5):
+            q = own
+        else:
+            x, y = column + here_right, row + here_down
+            if x >= 0 and y >= 0 and x < owner.shape[1] and y < owner.shape[0]:
+                q = owner[int(y), int(x)]
+        change = np.float32(0.0)
+        while n < end and right[n] == here_right and down[n] == here_down:
+            if q >= 0:
+                change += share[n] * np.float32(codes[q, variant[n]])
+            n += 1
         if q >= 0:
-            change += weight[n] * np.float32(codes[q, variant[n]])
-    return energy + change * change
+            change = max(min(change / np.float32(_CODES_PER_DEVIATION), bounds[q, 1]), bounds[q, 0])
+            if abs(change) > bounds[q, 2]:
+                energy += change * change
+    return energy
