@@ -507,8 +507,6 @@ def test_an_axis_that_the_stage_lacks_stands_at_0(monkeypatch: pytest.MonkeyPatc
         ("grbl", [Axis("rotation", "A", TURN)], "axes are X, Y and Z"),
         ("zaber", [Axis("rotation", "X", TURN)], r"device/axis \(2/1\), found X"),
         ("zaber", [Axis("elevation", "1", TILT), Axis("rotation", "1/1", TURN)], "same axis"),
-        ("marlin", [Axis("rotation", "X", TURN)], "unknown stage driver marlin; there are: shot, gsc, grbl, zaber"),
-        ("shot", [], "no axis"),
     ],
 )
 def test_axes_that_a_device_cannot_have(

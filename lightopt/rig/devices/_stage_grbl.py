@@ -202,7 +202,7 @@ class GrblDialogue(Dialogue):
             )
         self._restarted = False
         self._homing = True  # until it answers ok: while it seeks, it reports nothing and ignores a hold
-        self._line("$H", deadline_s=self._home_timeout_s)
+        self._line("$H", deadline_s=self.home_timeout_s)
         self._homing = False
 
     def halt(self) -> None:
