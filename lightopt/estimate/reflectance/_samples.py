@@ -115,10 +115,15 @@ class Samples:
 
     def with_levels(self, levels: Sequence[Float32], saturated: Sequence[Bool]) -> Samples:
         """The same pixels of other images of the same lights, postures and exposures; one array per image."""
-        rows = np.concatenate([group.row for group in self.groups])[self.sample]
-        columns = np.concatenate([group.column for group in self.groups])[self.sample]
+        rows, columns = self.places
         stack, flags = np.stack(levels), np.stack(saturated)
         return replace(self, level=stack[self.image, rows, columns], saturated=flags[self.image, rows, columns])
+
+    @property
+    def places(self) -> tuple[Int32, Int32]:
+        """Row and column in the image of each observation, shape (N,) each."""
+        rows, columns = (np.concatenate([getattr(g, name) for g in self.groups]) for name in ("row", "column"))
+        return rows[self.sample], columns[self.sample]
 
     def specular(self, sigma: float) -> Float64:
         """Light per unit of R_s for a lobe of width σ [rad], shape (n,)."""
