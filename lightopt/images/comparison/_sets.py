@@ -32,7 +32,6 @@ class SetComparison(Comparison):
     notes: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         return {
             **super().as_dict(),
             "notes": list(self.notes),
