@@ -91,7 +91,7 @@ class Comparison:
         return not self.reasons
 
     def as_dict(self) -> dict[str, Any]:
-        return {"a": self.a, "b": self.b, "passed": self.passed, "reasons": list(self.reasons)}
+        return {**vars(self), "passed": self.passed}
 
 
 @dataclass(frozen=True)
