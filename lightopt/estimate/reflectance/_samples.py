@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
-from lightopt.core.errors import InputError, counted
+from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation
@@ -143,14 +143,10 @@ def collect_samples(
     """Choose pixels by their geometry alone and look up what was measured there.
 
     uniform: Whether `budget` is one for all octaves together, so that shares of the pixels are shares of the image.
-    Raises InputError: images of a posture or a light that the scene lacks, or no pixel is left.
+    scene: With the postures and lights of the images.
+    Raises InputError: no pixel is left.
     """
     names = [light.name for light in scene.lights]
-    if lacking := [o.name for o in observations if o.posture not in scene.postures or o.light not in names]:
-        raise InputError(
-            f"{counted(len(lacking), 'image')} of a posture or a light that the scene lacks, such as {lacking[0]}; "
-            "build the scene with the postures and lights of the images"
-        )
     groups: list[SampleGroup] = []
     wanted = sorted({(scene.postures.index(o.posture), names.index(o.light)) for o in observations})
     pixels: PosturePixels | None = None

@@ -50,12 +50,10 @@ def exposure_problems(rig: RigConfig, wiring: Wiring, exposures: tuple[float, ..
 
 
 def light_problems(rig: RigConfig, wiring: Wiring, lights: Iterable[str], *, on_s: float, taken: str) -> Iterator[str]:
-    """Lights above their highest level, or that would be on longer at a stretch [s] than they may for what is taken."""
+    """Lights that would be on longer at a stretch [s] than they may for what is taken."""
     for name in lights:
-        channel, top = wiring.light(name), wiring.top_level(name)
+        channel = wiring.light(name)
         where = rig.source.at("hardware", "lights", name)
-        if channel.level > top:
-            yield f"{where}: level {channel.level} is above the highest allowed, {top}"
         if channel.max_on_s is not None and on_s > channel.max_on_s:
             yield (
                 f"{where}: would be on for {on_s:.3g} s without a break (settling and {taken}), longer than max_on_s "

@@ -104,7 +104,7 @@ class Dialogue(ABC):
     @classmethod
     @abstractmethod
     def check_axes(cls, axes: Sequence[Axis]) -> None:
-        """Refuse axes and speeds that the device cannot have, as far as that is known without it (InputError)."""
+        """Refuse speeds, and axes together, that the device cannot have, as far as is known without it (InputError)."""
 
     @abstractmethod
     def identify(self) -> dict[str, str]:
