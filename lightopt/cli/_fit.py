@@ -228,9 +228,9 @@ def _save_residuals(folder: FitFolder, rig: RigConfig) -> Callable[[Any, Any], N
     # a picture of measured minus predicted for each image that was left out
     from lightopt.images import png_name
     from lightopt.report import residual_picture
+    from lightopt.scene import build_sensor
 
-    sensor = rig.camera.sensor
-    full = float(2**sensor.bit_depth - 1)
+    sensor = build_sensor(rig.camera)
 
     def save(seen: Any, levels: Any) -> None:
         name = png_name(seen.light, seen.posture, seen.exposure).replace("/", "_")
@@ -238,8 +238,8 @@ def _save_residuals(folder: FitFolder, rig: RigConfig) -> Callable[[Any, Any], N
             folder.place(f"left-out/{name}"),
             measured=seen.levels,
             predicted=levels,
-            saturated_from=sensor.saturation_level or full,
-            full=full,
+            saturated_from=sensor.saturated_from,
+            full=float(sensor.max_level),
         )
 
     return save

@@ -15,7 +15,6 @@ from lightopt.config._hardware import (
     HardwareConfig as HardwareConfig,
     StageDeviceConfig as StageDeviceConfig,
 )
-from lightopt.config._lights import LightConfig as LightConfig
 from lightopt.config._load import (
     LightsOnly as LightsOnly,
     input_hashes as input_hashes,
@@ -29,5 +28,5 @@ from lightopt.config._part import (
     PartConfig as PartConfig,
     PlacementConfig as PlacementConfig,
 )
-from lightopt.config._rig import RigConfig as RigConfig
+from lightopt.config._rig import LightConfig as LightConfig, RigConfig as RigConfig
 from lightopt.config._source_file import Source as Source

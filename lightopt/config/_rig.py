@@ -1,5 +1,6 @@
 """A rig file: camera, lights, stage and hardware."""
 
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
@@ -7,7 +8,98 @@ from pydantic import Field, ValidationInfo, ValidatorFunctionWrapHandler, field_
 from lightopt.config import _fields as fields
 from lightopt.config._camera import CameraConfig
 from lightopt.config._hardware import HardwareConfig, misfits
-from lightopt.config._lights import LightConfig, LightSourceConfig, auto_sums
+
+_Normalisation = Literal["mean", "sum"]
+_Falloff = Literal["none", "inverse_square"]
+_Exponent = Annotated[float, Field(ge=0, le=1000), fields.expecting("a number from 0 to 1000")]
+_AUTO_SUM = "sum cannot be used with points: auto, a continuous panel; use mean"
+
+
+class LightSourceConfig(fields.Frozen):
+    """A rectangular panel of light, and the point lights that stand for it."""
+
+    size_mm: fields.Size = Field(description="Size of the panel along the azimuth and along the elevation [mm].")
+    points: fields.Points = Field(
+        description="Point lights of the panel: a square number (1, 4, 9, 16, ...), or auto for the converged panel."
+    )
+    normalisation: _Normalisation = Field(
+        default="mean",
+        description="mean: the points share the output of the panel; sum: each point counts in full, so "
+        "brightness grows with the number of points.",
+        validate_default=True,
+    )
+    falloff: _Falloff = Field(
+        default="none",
+        description="none: brightness does not depend on the distance; inverse_square: it does, and is "
+        "unchanged at the distance of the panel's centre.",
+    )
+    emission_exponent: _Exponent = Field(
+        default=0.0, description="Exponent n of the panel's emission, cosⁿ of the angle to its axis; 0 is uniform."
+    )
+
+    @field_validator("normalisation")
+    @classmethod
+    def _finite(cls, normalisation: str, info: ValidationInfo) -> str:
+        if normalisation == "sum" and info.data.get("points") == "auto":
+            raise fields.complaint(_AUTO_SUM)
+        return normalisation
+
+
+class LightConfig(fields.Frozen):
+    """One panel light, which faces the origin; any key of light_source may be given here for this light."""
+
+    name: fields.FileName = Field(description="Name of the light; it becomes a file name and differs from the others.")
+    distance_mm: fields.Length = Field(description="Distance from the origin to the panel's centre [mm].")
+    elevation_deg: fields.Elevation = Field(
+        description="Elevation of the panel's centre above the table plane [deg]; 90 is straight above."
+    )
+    azimuth_deg: fields.Azimuth = Field(description="Azimuth of the panel's centre about Z, from X [deg].")
+    elevation_range_deg: fields.ElevationRange | None = Field(
+        default=None, description="Elevations [low, high] that the light can be moved to [deg]; fixed if absent."
+    )
+    azimuth_range_deg: fields.AzimuthRange | None = Field(
+        default=None, description="Azimuths [low, high] that the light can be moved to [deg]; fixed if absent."
+    )
+    gain: fields.Coefficient = Field(default=1.0, description="Factor on the brightness of this light.")
+    size_mm: fields.Size | None = Field(
+        default=None, description="Size of this panel along azimuth and elevation [mm]; as light_source if absent."
+    )
+    points: fields.Points | None = Field(
+        default=None, description="Point lights of this panel, a square or auto; as light_source if absent."
+    )
+    normalisation: _Normalisation | None = Field(
+        default=None, description="mean or sum for this light; as light_source if absent."
+    )
+    falloff: _Falloff | None = Field(
+        default=None, description="none or inverse_square for this light; as light_source if absent."
+    )
+    emission_exponent: _Exponent | None = Field(
+        default=None, description="Emission exponent of this light; as light_source if absent."
+    )
+
+    @field_validator("elevation_range_deg", "azimuth_range_deg")
+    @classmethod
+    def _holds_the_light(cls, ends: tuple[float, float] | None, info: ValidationInfo) -> tuple[float, float] | None:
+        angle = str(info.field_name).replace("_range", "")
+        now = info.data.get(angle)
+        if ends is not None and now is not None and not ends[0] <= now <= ends[1]:
+            raise fields.complaint(
+                f"the light is at {angle} {now:g}, outside [{ends[0]:g}, {ends[1]:g}]; "
+                "widen the range or move the light into it"
+            )
+        return ends
+
+
+def _auto_sums(lights: Sequence[object], shared: LightSourceConfig | None) -> Iterator[fields.Complaint]:
+    """Complaints about lights whose points and normalisation, their own or the shared ones, exclude each other."""
+    for i, light in enumerate(lights):
+        own = {key: fields.value_of(light, key) for key in ("points", "normalisation")}
+        if shared is None or own == {"points": None, "normalisation": None}:
+            continue
+        both = {key: getattr(shared, key) if value is None else value for key, value in own.items()}
+        if both == {"points": "auto", "normalisation": "sum"}:
+            key = "normalisation" if own["normalisation"] is not None else "points"
+            yield (i, key), own[key], fields.complaint(_AUTO_SUM)
 
 
 class StageConfig(fields.Frozen):
@@ -43,7 +135,7 @@ class RigConfig(fields.FileConfig):
     @classmethod
     def _fit_together(cls, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
         lights, shared = fields.entries(value), info.data.get("light_source")
-        complaints = [*fields.same_names(lights, "lights", str.lower), *auto_sums(lights, shared)]
+        complaints = [*fields.same_names(lights, "lights", str.lower), *_auto_sums(lights, shared)]
         return fields.with_complaints(value, handler, complaints)
 
     @field_validator("hardware", mode="wrap")

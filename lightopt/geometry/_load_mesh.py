@@ -69,8 +69,8 @@ def load_mesh(
 
     path: File; its ending gives the format (`MESH_SUFFIXES`)
     unit_mm: Length of one unit of the file [mm]. Required for formats that carry none (`UNITLESS_SUFFIXES`). STEP
-        declares its own, which a value has to agree with. GLB is metres by its specification; a value is believed over
-        that, as many programs write other units.
+        declares its own. GLB is metres by its specification; a value is believed over that, as many programs write
+        other units.
     normals: "smooth" for vertex normals, "facet" for none
     crease_angle: Largest bend between two facets across an edge that is smooth [rad], 0 to π; for meshes without own
         normals
@@ -82,7 +82,6 @@ def load_mesh(
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    _check_arguments(unit_mm, normals, crease_angle, chord_tolerance_mm, angular_tolerance, max_triangles)
     if suffix not in MESH_SUFFIXES:
         raise InputError(f"{path}: unknown mesh format '{path.suffix}', expected one of {', '.join(MESH_SUFFIXES)}")
     if unit_mm is None and suffix in UNITLESS_SUFFIXES:
@@ -92,7 +91,6 @@ def load_mesh(
         raw = read_step(
             path,
             data,
-            unit_mm=unit_mm,
             chord_tolerance_mm=chord_tolerance_mm,
             angular_tolerance=angular_tolerance,
             max_triangles=max_triangles,
@@ -197,26 +195,6 @@ def _compact(vertices: Float64, faces: Int32) -> TriangleMesh:
     used[faces] = True
     number = np.cumsum(used, dtype=np.int32) - 1
     return TriangleMesh(vertices[used], number[faces])
-
-
-def _check_arguments(
-    unit_mm: float | None,
-    normals: str,
-    crease_angle: float,
-    chord_tolerance_mm: float,
-    angular_tolerance: float,
-    max_triangles: int,
-) -> None:
-    if normals not in ("smooth", "facet"):
-        raise InputError(f"normals: expected 'smooth' or 'facet', found {normals!r}")
-    if not 0.0 <= crease_angle <= math.pi:
-        raise InputError(f"crease angle: expected 0 to {math.pi:.4f} rad, found {crease_angle}")
-    if max_triangles < 1:
-        raise InputError(f"max_triangles: expected at least 1, found {max_triangles}")
-    lengths = {"unit": unit_mm, "chord tolerance": chord_tolerance_mm, "angular tolerance": angular_tolerance}
-    for key, value in lengths.items():
-        if value is not None and not (math.isfinite(value) and value > 0.0):
-            raise InputError(f"{key}: expected a number above 0, found {value}")
 
 
 def _read(path: Path, max_triangles: int) -> bytes:

@@ -30,23 +30,17 @@ MEMORY_GB = 4.0  # address space of each of the two workers [10⁹ bytes]; not l
 
 
 def read_step(
-    path: Path,
-    data: bytes,
-    *,
-    unit_mm: float | None,
-    chord_tolerance_mm: float,
-    angular_tolerance: float,
-    max_triangles: int,
+    path: Path, data: bytes, *, chord_tolerance_mm: float, angular_tolerance: float, max_triangles: int
 ) -> RawMesh:
     """Triangles of a STEP file [mm], Z up, all solids of an assembly in place.
 
-    The file declares its unit; a unit that the caller gives has to be the same. A coarse tessellation
-    learns the size, so that a unit mistake ends in a message and not in hours of tessellating.
+    The file declares its unit. A coarse tessellation learns the size, so that a unit mistake ends in a message and not
+    in hours of tessellating.
 
     chord_tolerance_mm: Largest distance between triangle and surface [mm]
     angular_tolerance: Largest angle between neighbouring tangents along an edge [rad]
-    Raises InputError: The file is cut off or not STEP, its unit is another one, the part is over 1 m or under 0.1 mm, a
-        limit was reached, or there are more than `max_triangles`
+    Raises InputError: The file is cut off or not STEP, the part is over 1 m or under 0.1 mm, a limit was reached, or
+        there are more than `max_triangles`
     """
     name = str(path)
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"ISO-10303-21"):
@@ -56,8 +50,6 @@ def read_step(
             f"{name}: the STEP file is cut off: {len(data):,} bytes without END-ISO-10303-21 at the end. "
             "Export or copy it again"
         )
-    if unit_mm is not None:
-        _check_unit(name, data, unit_mm)
     deadline = time.monotonic() + TIMEOUT_S
     # both at the same time; the fine one is ended where the coarse one finds a mistake
     with (
@@ -84,21 +76,6 @@ def declared_unit_mm(data: bytes) -> float | None:
     """Millimetres in the length unit that a STEP file declares; None where it declares none, or several."""
     declared = step_units_mm(data)
     return next(iter(declared)) if len(declared) == 1 else None
-
-
-def _check_unit(name: str, data: bytes, unit_mm: float) -> None:
-    declared = declared_unit_mm(data)
-    if declared is None:
-        raise InputError(
-            f"{name}: the STEP file declares no length unit, several, or an unknown one, so whether it is "
-            f"{unit_name(unit_mm)} cannot be told; leave the unit out to take the file as it is"
-        )
-    if abs(declared - unit_mm) > 1e-9 * unit_mm:
-        raise InputError(
-            f"{name}: the STEP file declares {unit_name(declared)}, the part says {unit_name(unit_mm)}; "
-            f"leave the unit out to take the file's, or export the part again in {unit_name(unit_mm)} if "
-            "the file is wrong"
-        )
 
 
 def _check_size(name: str, parts: list[dict[str, NDArray[Any]]], declared: float | None) -> None:

@@ -73,12 +73,8 @@ def write_npz_atomic(path: str | Path, arrays: Mapping[str, NDArray[Any]]) -> st
 
     The same arrays in the same order give the same bytes.
 
-    Raises InputError: the file cannot be written, or an array holds Python objects.
+    Raises InputError: the file cannot be written.
     """
-    for name, array in arrays.items():
-        if array.dtype.hasobject:
-            raise InputError(f"{path}: array {name!r} holds Python objects; expected numbers, booleans or strings")
-
     names = list(arrays)
 
     def write(temporary: Path) -> None:

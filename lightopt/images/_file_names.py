@@ -1,6 +1,5 @@
 """Names of the files of an image set."""
 
-import re
 from collections.abc import Iterable
 from pathlib import PurePosixPath, PureWindowsPath
 
@@ -10,9 +9,6 @@ from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 
 MANIFEST_NAME = "manifest.json"
-
-_FORBIDDEN = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
-_RESERVED = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)
 
 ImageKey = tuple[str, Posture, float]
 
@@ -74,16 +70,9 @@ class FileNames:
     def claim_images(self, keys: Iterable[ImageKey]) -> None:
         """Reserve the files of images (light, posture, exposure) and of their postures' geometry.
 
-        Raises InputError: two images would share a file, or a light's name cannot be a file's name.
+        Raises InputError: two images would share a file.
         """
         for light, posture, exposure in keys:
-            bad = not light or _FORBIDDEN.search(light) or _RESERVED.fullmatch(light)
-            if bad or light.startswith(".") or light.endswith((" ", ".")):
-                raise InputError(
-                    f'light {light!r}: cannot be part of a file name; expected a name without / \\ : * ? " < > |, '
-                    "without a leading dot, a trailing dot or blank, and none of Windows' device names (con, aux, "
-                    "nul, …)"
-                )
             where = posture_folder(posture)
             self.claim(geometry_name(posture), f"the geometry of {where}")
             self.claim(exr_name(light, posture), f"light {light!r} in {where}")

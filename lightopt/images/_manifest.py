@@ -78,7 +78,6 @@ class ImageEntry:
         return self.exposure * share if 0.0 < share < math.inf else self.exposure
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         return {
             "light": self.light,
             "light_elevation_deg": self.light_elevation_deg,
@@ -102,7 +101,6 @@ class GeometryEntry:
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         hashes = {"sha256": dict(self.sha256)} if self.sha256 else {}
         return {"posture": self.posture.as_dict(), "exr": self.exr, **hashes, **self.extra}
 

@@ -45,7 +45,6 @@ class Overlap:
         return int((self.count >= 2).sum())
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         return {
             "posture": self.posture.as_dict(),
             "exposure": self.exposure,

@@ -53,7 +53,7 @@ def check_sensor(checked: CheckedRig) -> Iterator[Finding]:
     """Range of levels between black and saturation, and the noise that comes with it."""
     sensor = checked.rig.camera.sensor
     full = 2**sensor.bit_depth - 1
-    top = full if sensor.saturation_level is None else sensor.saturation_level
+    top = sensor.saturation_level or full
     values = {"full_scale": full, "saturation_level": top, "black_level": sensor.black_level}
     usable = top - sensor.black_level
     level: Level = "warning" if usable < (1.0 - LOST_RANGE) * full else "ok"

@@ -36,7 +36,6 @@ class Finding:
         object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         return {**vars(self), "values": dict(self.values)}
 
 
@@ -53,7 +52,6 @@ class CheckResult:
         return max(levels, key=get_args(Level).index)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         return {"worst": self.worst, "findings": [finding.as_dict() for finding in self.findings]}
 
 

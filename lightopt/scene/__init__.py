@@ -5,6 +5,7 @@
 
 from lightopt.scene._build import (
     build_camera as build_camera,
+    build_lights as build_lights,
     build_scene as build_scene,
     build_sensor as build_sensor,
     chord_tolerance as chord_tolerance,
@@ -22,12 +23,12 @@ from lightopt.scene._camera import (
     screen_window as screen_window,
 )
 from lightopt.scene._defects import (
+    angle_outside_range as angle_outside_range,
     build_catalogue as build_catalogue,
     defect_facts as defect_facts,
     place_defects as place_defects,
 )
 from lightopt.scene._image_area import image_area as image_area
-from lightopt.scene._lights import build_lights as build_lights
 from lightopt.scene._part_size import guess_unit as guess_unit, is_absurd as is_absurd, view_size as view_size
 from lightopt.scene._point_spacing import (
     coarse_points as coarse_points,

@@ -8,11 +8,12 @@ from typing import Literal
 
 import numpy as np
 
-from lightopt.config import CameraConfig, PartConfig, RigConfig, load_part, load_rig
+from lightopt.config import CameraConfig, PartConfig, RigConfig, load_part, load_rig, points_problem
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture, rotation_x, rotation_y, rotation_z
 from lightopt.core.units import MM_PER_UNIT
 from lightopt.geometry import UNITLESS_SUFFIXES, TriangleMesh, load_mesh, points_inside, transformed
+from lightopt.lights import PanelLight, place_light
 from lightopt.optics import Reflectance, Sensor
 from lightopt.scene._camera import (
     Distortion,
@@ -23,7 +24,6 @@ from lightopt.scene._camera import (
     place_camera,
 )
 from lightopt.scene._defects import outside_stage_range, place_defects
-from lightopt.scene._lights import build_lights
 from lightopt.scene._part_size import guess_unit, view_size
 from lightopt.scene._scene import Placement, Scene, view_from_part
 
@@ -111,15 +111,44 @@ def build_camera(rig: RigConfig) -> PinholeCamera:
 
 def build_sensor(camera: CameraConfig) -> Sensor:
     """The sensor of a rig's camera."""
-    s = camera.sensor
-    full = 2**s.bit_depth - 1
-    return Sensor(
-        bit_depth=s.bit_depth,
-        saturation_level=full if s.saturation_level is None else s.saturation_level,
-        black_level=s.black_level,
-        read_noise_levels=s.read_noise_levels,
-        electrons_per_level=s.electrons_per_level,
-    )
+    own = camera.sensor.model_dump()
+    return Sensor(**own | {"saturation_level": own["saturation_level"] or 2 ** own["bit_depth"] - 1})
+
+
+def build_lights(
+    rig: RigConfig, names: Sequence[str] | None = None, points: int | Literal["auto"] | None = None
+) -> tuple[PanelLight, ...]:
+    """The rig's panels, world frame.
+
+    names: Of the lights to keep; all by default
+    points: Point lights per panel, instead of the rig's
+    Raises InputError: A name that the rig does not have
+    """
+    known = [light.name for light in rig.lights]
+    unknown = [name for name in names or () if name not in known]
+    if unknown:
+        raise InputError(*(f'no light "{name}" in {rig.source.path}; it has {", ".join(known)}' for name in unknown))
+    lights: list[PanelLight] = []
+    for light in (light for light in rig.lights if names is None or light.name in names):
+        if points is not None and (problem := points_problem(points)):
+            raise InputError(f"points of {light.name}: {problem}")
+        shared = rig.light_source
+        own = {key: getattr(light, key) for key in type(shared).model_fields if getattr(light, key) is not None}
+        source = shared.model_copy(update=own)
+        panel = place_light(
+            name=light.name,
+            distance=light.distance_mm,
+            elevation=math.radians(light.elevation_deg),
+            azimuth=math.radians(light.azimuth_deg),
+            size=source.size_mm,
+            points=source.points if points is None else points,
+            normalisation=source.normalisation,
+            gain=light.gain,
+            inverse_square=source.falloff == "inverse_square",
+            emission_exponent=source.emission_exponent,
+        )
+        lights.append(panel)
+    return tuple(lights)
 
 
 def part_postures(part: PartConfig) -> tuple[Posture, ...]:

@@ -101,16 +101,18 @@ def defect_facts(defects: Sequence[PlacedDefect], placement: Placement) -> list[
 
 def outside_stage_range(rig: RigConfig, posture: Posture, *, where: str) -> list[str]:
     """Messages about a posture that the rig's stage cannot take, each beginning with `where`."""
-    limits = (
-        ("elevation", "elevation_range_deg", rig.stage.elevation_range_deg),
-        ("rotation", "rotation_range_deg", rig.stage.rotation_range_deg),
-    )
-    return [
-        f"{where}: {axis} {getattr(posture, axis + '_deg'):g}° is outside the stage's range "
-        f"{low:g}° to {high:g}° ({rig.source.at('stage', key)})"
-        for axis, key, (low, high) in limits
-        if not low <= getattr(posture, axis + "_deg") <= high
-    ]
+    angles = {"elevation": posture.elevation_deg, "rotation": posture.rotation_deg}
+    problems = (angle_outside_range(rig, axis, angle) for axis, angle in angles.items())
+    return [f"{where}: {problem}" for problem in problems if problem is not None]
+
+
+def angle_outside_range(rig: RigConfig, axis: str, angle: float) -> str | None:
+    """Message about an angle [°] that the stage's axis, ``elevation`` or ``rotation``, cannot take; else None."""
+    key = f"{axis}_range_deg"
+    low, high = getattr(rig.stage, key)
+    if low <= angle <= high:
+        return None
+    return f"{axis} {angle:g}° is outside the stage's range {low:g}° to {high:g}° ({rig.source.at('stage', key)})"
 
 
 @dataclass(frozen=True, eq=False)

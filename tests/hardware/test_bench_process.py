@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices import LightSettings, light_drivers
+from lightopt.rig.devices import LIGHT_DRIVERS, LightSettings
 from lightopt.rig.devices._device import LinkLostError, ReplyError
 from lightopt.rig.devices._serial_link import SerialLink
 from lightopt.rig.simulated import BenchProcess, _bench_process
@@ -55,7 +55,7 @@ def test_world_and_trace() -> None:
         assert bench.ports["side"].startswith("socket://127.0.0.1:")
         state = bench.state()
         assert (state["pid"], set(state["levels"]), state["positions"]) == (bench.pid, {"top", "side"}, {})
-        controller = light_drivers()["ccs"](LightSettings("top", bench.ports["top"]), None)
+        controller = LIGHT_DRIVERS["ccs"](LightSettings("top", bench.ports["top"]), None)
         controller.set_level(2, 51)
         controller.set_level(2, 0)
         controller.close()
@@ -116,7 +116,7 @@ def test_control_socket_wants_its_token() -> None:
 
 def test_killed_bench_is_a_pulled_cable() -> None:
     bench = BenchProcess({"a": CCS})
-    controller = light_drivers()["ccs"](LightSettings("a", bench.ports["a"]), None)
+    controller = LIGHT_DRIVERS["ccs"](LightSettings("a", bench.ports["a"]), None)
     bench.kill()
     with pytest.raises(LinkLostError):
         controller.set_level(1, 0)
@@ -189,7 +189,7 @@ def test_usage() -> None:
 def test_clients_come_and_go() -> None:
     with BenchProcess({"a": CCS | {"tcp": True, "wedges": True}}) as bench:
         for level in (1, 2, 3):
-            controller = light_drivers()["ccs"](LightSettings("a", bench.ports["a"]), None)
+            controller = LIGHT_DRIVERS["ccs"](LightSettings("a", bench.ports["a"]), None)
             controller.set_level(2, level)
             with pytest.raises(HardwareError, match="its one connection"):
                 SerialLink(bench.ports["a"], device="b", baud=9600)
@@ -202,7 +202,7 @@ def test_an_empty_connection_wedges_the_device_that_is_said_to() -> None:
             pass
         time.sleep(0.1)
         with pytest.raises(ReplyError, match="no reply"):
-            light_drivers()["ccs"](LightSettings("a", bench.ports["a"], timeout_s=0.05), None)
+            LIGHT_DRIVERS["ccs"](LightSettings("a", bench.ports["a"], timeout_s=0.05), None)
         assert bench.levels("a")[1] == 1
 
 

@@ -16,7 +16,7 @@ from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import CameraSettings, check_camera_driver, find_cameras, open_camera
 from lightopt.rig.devices._camera_genicam import GenicamSdk
 from lightopt.rig.devices._camera_pixels import PIXEL_FORMATS, levels_of
-from lightopt.rig.devices._drivers import camera_drivers
+from lightopt.rig.devices._drivers import CAMERA_DRIVERS
 from lightopt.rig.simulated._camera_gige import FORMATS, packed
 
 SETTINGS = {"where": "rig.yaml:3: camera", "resolution_px": (160, 120), "bit_depth": 8}
@@ -126,7 +126,7 @@ def test_packed_pixels_of_a_producer_are_read_by_our_tables() -> None:
 
 
 def test_every_driver_that_rig_files_may_name_is_there() -> None:
-    assert set(camera_drivers()) == {"aravis", "genicam"}
+    assert set(CAMERA_DRIVERS) == {"aravis", "genicam"}
 
 
 BAD = [

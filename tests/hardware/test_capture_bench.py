@@ -168,6 +168,8 @@ def test_a_folder_is_replayed_as_it_was_captured(bed, tmp_path):
 
 # --- a process of its own, whose lights are looked at from outside
 
+ENDING = ("SIGINT", "SIGTERM", "SIGHUP")
+
 
 @pytest.fixture
 def light_ms():
@@ -194,11 +196,14 @@ def outside(bed, light_ms):
 
 def start(rig, part, out, *options):
     command = [sys.executable, "-m", "lightopt", "capture", rig, part, "-o", out, "--home", *options]
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # an ignored one would be inherited
+    # a signal that the tests ignore (SIGHUP under nohup) would be ignored by the command, too
+    numbers = [getattr(signal, name) for name in ENDING if hasattr(signal, name)]
+    before = [signal.signal(number, signal.default_int_handler) for number in numbers]
     try:
         return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
 
 
 def until_lit(bench: BenchProcess, process):
@@ -211,7 +216,7 @@ def until_lit(bench: BenchProcess, process):
 
 @pytest.mark.slow
 @posix
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("name", ENDING)
 def test_lights_go_off_when_the_command_is_ended(outside, tmp_path, name):
     bench, rig, part = outside
     process = start(rig, part, tmp_path / "out")

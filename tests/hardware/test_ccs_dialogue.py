@@ -12,7 +12,7 @@ from hypothesis import given, strategies as st
 from scripted import scripted_link
 
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices import LightSettings, light_drivers
+from lightopt.rig.devices import LIGHT_DRIVERS, LightSettings
 from lightopt.rig.devices._device import RefusedError, ReplyError
 from lightopt.rig.devices._light_ccs import CcsController
 from lightopt.rig.simulated._light_ccs import CcsFirmware
@@ -275,7 +275,7 @@ def test_opening_says_something_at_once_and_closes_after_failure(monkeypatch: py
     """An empty connection wedges a PD3-EI until it is power cycled."""
     _, port = scripted_link(monkeypatch, [(b"@00CE3\r\n", None)] * 3)
     with pytest.raises(ReplyError, match=r"light controller side \(ccs\) on COM8: no reply"):
-        light_drivers()["ccs"](LightSettings("side", "COM8", timeout_s=0.02), None)
+        LIGHT_DRIVERS["ccs"](LightSettings("side", "COM8", timeout_s=0.02), None)
     assert port.closed
     assert port.sent[0] == b"@00CE3\r\n"
     assert (port.opened_with["url"], port.opened_with["baudrate"], port.opened_with["exclusive"]) == (
@@ -290,7 +290,7 @@ def test_baud_rates(monkeypatch: pytest.MonkeyPatch, driver: str, baud: int) -> 
     for given_, expected in ((None, baud), (57600, 57600)):
         _, port = scripted_link(monkeypatch, [])
         with pytest.raises(AssertionError, match="after the end"):
-            light_drivers()[driver](
+            LIGHT_DRIVERS[driver](
                 LightSettings(
                     "a", "COM1", baud=given_, template={"set": "{level}", "read": "?", "read_reply": "(?P<level>.)"}
                 ),

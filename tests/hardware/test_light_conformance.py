@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices import LightController, LightSettings, all_off, light_drivers
+from lightopt.rig.devices import LIGHT_DRIVERS, LightController, LightSettings, all_off
 from lightopt.rig.devices._device import LinkLostError
 from lightopt.rig.simulated import BenchProcess
 
@@ -103,7 +103,7 @@ def rig(request: pytest.FixtureRequest, bench: BenchProcess) -> Iterator[Rig]:
 
 def opened(kind: Kind, port: str) -> LightController:
     settings = LightSettings("main", port, timeout_s=0.5, **kind.settings)
-    return light_drivers()[kind.driver](settings, None)
+    return LIGHT_DRIVERS[kind.driver](settings, None)
 
 
 def set_until_stopped(controller: LightController, times: int) -> None:

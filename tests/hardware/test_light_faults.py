@@ -10,7 +10,7 @@ import pytest
 from test_light_conformance import TEMPLATE
 
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices import LightController, LightSettings, all_off, light_drivers
+from lightopt.rig.devices import LIGHT_DRIVERS, LightController, LightSettings, all_off
 from lightopt.rig.devices._device import LinkLostError, ReplyError
 from lightopt.rig.simulated import BenchProcess
 from lightopt.rig.simulated._light_sa import SaFirmware
@@ -39,7 +39,7 @@ def lights(request: pytest.FixtureRequest, bench: BenchProcess) -> Iterator[tupl
 
 def opened(name: str, bench: BenchProcess) -> LightController:
     settings = LightSettings(name, bench.ports[name], timeout_s=TIMEOUT_S, **OPTIONS[name])
-    return light_drivers()[name](settings, None)
+    return LIGHT_DRIVERS[name](settings, None)
 
 
 def retries(controller: Any) -> int:
@@ -177,7 +177,7 @@ def test_cable_pulled_at_every_command_of_a_set(after: int, obeyed: bool) -> Non
 def test_no_level_above_the_channel_s_is_sent(name: str) -> None:
     with BenchProcess({name: {"kind": name, "options": OPTIONS[name]}}) as bench:
         settings = LightSettings(name, bench.ports[name], max_levels={2: 90}, **OPTIONS[name])
-        controller = light_drivers()[name](settings, None)
+        controller = LIGHT_DRIVERS[name](settings, None)
         controller.set_level(2, 90)
         heard = bench.state()["deliveries"][name]
         with pytest.raises(InputError, match=r"channel 2 may have an intensity of 90 at most \(max_level\), found 91"):

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from typing import Any
 
 import pytest
 from hypothesis import given, strategies as st
 from scripted import scripted_link
 
-from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices import LightSettings, light_drivers
+from lightopt.core.errors import HardwareError
+from lightopt.rig.devices import LightSettings
 from lightopt.rig.devices._device import RefusedError, ReplyError
 from lightopt.rig.devices._light_sa import SaController
 from lightopt.rig.devices._light_template import TemplateController
@@ -90,14 +89,6 @@ def test_sa_that_cannot_be_read(monkeypatch: pytest.MonkeyPatch) -> None:
     assert controller.read_level(1) is None
     assert controller.identify().details == {"read_back": "no"}
     assert port.dialogue == []
-
-
-@pytest.mark.parametrize("options", [{"channels": 7}, {"top_level": 10000}])
-def test_sa_more_than_the_protocol_can_say(monkeypatch: pytest.MonkeyPatch, options: dict[str, int]) -> None:
-    link, port = scripted_link(monkeypatch, [])
-    with pytest.raises(InputError, match="6 channels and intensities up to 9999"):
-        SaController(link, replace(LIGHTS, **options))
-    assert port.sent == []
 
 
 @pytest.mark.parametrize(("ack", "replies"), [("upper", b"AB"), ("lower", b"ab"), ("!", b"!!")])
@@ -204,30 +195,6 @@ def test_template_holds_something_else(monkeypatch: pytest.MonkeyPatch) -> None:
     link, _ = scripted_link(monkeypatch, script)
     with pytest.raises(HardwareError, match="channel 2 was set to 25 but holds 24"):
         TemplateController(link, replace(LIGHTS, template=FULL)).set_level(2, 25)
-
-
-@pytest.mark.parametrize(
-    ("template", "words"),
-    [
-        ({"set": "{levl}"}, "template.set cannot be used"),
-        ({"set": "{level"}, "template.set cannot be used"),
-        ({"set": "{level}", "set_reply": "("}, "template.set cannot be used"),
-        ({"set": "{level}", "read": "?", "read_reply": "x"}, "no group"),
-        ({"set": "{level}", "read": "?"}, "no group"),
-    ],
-)
-def test_template_that_cannot_be_used(monkeypatch: pytest.MonkeyPatch, template: dict[str, Any], words: str) -> None:
-    link, port = scripted_link(monkeypatch, [])
-    with pytest.raises(InputError, match=words):
-        TemplateController(link, replace(LIGHTS, template=template))
-    assert port.sent == []
-
-
-def test_template_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
-    _, port = scripted_link(monkeypatch, [])
-    with pytest.raises(InputError, match="there is no template"):
-        light_drivers()["template"](LIGHTS, None)
-    assert port.closed
 
 
 def test_template_firmware_refuses_patterns_it_cannot_make_a_reply_of() -> None:

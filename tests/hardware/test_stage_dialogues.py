@@ -492,7 +492,6 @@ def test_an_axis_that_the_stage_lacks_stands_at_0(monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize(
     ("driver", "axes", "words"),
     [
-        ("shot", [Axis("rotation", "3", TURN)], "axes are 1 and 2, found 3"),
         ("shot", [Axis("rotation", "1", TURN, steps_per_deg=0.01, speed_deg_per_s=1)], "takes 1 to 500000"),
         ("gsc", [Axis("rotation", "1", TURN, steps_per_deg=400, speed_deg_per_s=90)], "takes 1 to 20000"),
         (
@@ -503,12 +502,7 @@ def test_an_axis_that_the_stage_lacks_stands_at_0(monkeypatch: pytest.MonkeyPatc
             ],
             "different ranges of the controller",
         ),
-        ("shot", [Axis("elevation", "1", TILT, 100), Axis("rotation", "1", TURN, 100)], "same axis"),
-        ("grbl", [Axis("rotation", "A", TURN)], "axes are X, Y and Z"),
-        ("zaber", [Axis("rotation", "X", TURN)], r"device/axis \(2/1\), found X"),
         ("zaber", [Axis("elevation", "1", TILT), Axis("rotation", "1/1", TURN)], "same axis"),
-        ("marlin", [Axis("rotation", "X", TURN)], "unknown stage driver marlin; there are: shot, gsc, grbl, zaber"),
-        ("shot", [], "no axis"),
     ],
 )
 def test_axes_that_a_device_cannot_have(

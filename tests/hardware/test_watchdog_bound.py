@@ -9,7 +9,7 @@ import pytest
 
 from lightopt.core.errors import HardwareError
 from lightopt.rig.capture._watchdog import LightWatchdog
-from lightopt.rig.devices import LightSettings, LightsStillOnError, all_off, light_drivers, run_in_parallel
+from lightopt.rig.devices import LIGHT_DRIVERS, LightSettings, LightsStillOnError, all_off, run_in_parallel
 from lightopt.rig.simulated import BenchProcess
 
 LONGEST_S = 0.3
@@ -27,7 +27,7 @@ def test_a_light_burns_no_longer_because_replies_are_lost(kind, tcp, answered):
     """The controller falls silent as the light comes on: for ccs once it has acknowledged the intensity."""
     with BenchProcess({"main": {"kind": kind, "tcp": tcp}}) as bench:
         settings = LightSettings("main", bench.ports["main"], timeout_s=1.0)
-        controller = light_drivers()[kind](settings, None)
+        controller = LIGHT_DRIVERS[kind](settings, None)
         bench.set_fault("main", "drop", count=None, after=answered)
         watch = LightWatchdog(lambda _light: controller.set_level(3, 0))
         watch.start("light", LONGEST_S)
@@ -44,7 +44,7 @@ def test_a_light_burns_no_longer_because_replies_are_lost(kind, tcp, answered):
 
 def test_a_reading_gives_way_to_darkening():
     with BenchProcess({"main": {"kind": "ccs", "options": {"levels": {"1": 200}}}}) as bench:
-        controller = light_drivers()["ccs"](LightSettings("main", bench.ports["main"], timeout_s=5.0), None)
+        controller = LIGHT_DRIVERS["ccs"](LightSettings("main", bench.ports["main"], timeout_s=5.0), None)
         bench.set_fault("main", "drop")
         watch = LightWatchdog(lambda _light: controller.set_level(1, 0))
         watch.start("light", 0.1)

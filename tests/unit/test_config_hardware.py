@@ -22,7 +22,7 @@ from lightopt.config import (
 )
 from lightopt.config._hardware import TemplateConfig, TimingConfig
 from lightopt.core.errors import InputError
-from lightopt.rig.devices import light_drivers
+from lightopt.rig.devices import LIGHT_DRIVERS
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -122,7 +122,7 @@ def test_the_sample_says_the_same_rig_as_the_plain_one() -> None:
 
 def test_drivers_of_the_file_are_those_that_exist() -> None:
     schema = ControllerConfig.model_json_schema()["properties"]["driver"]["enum"]
-    assert set(schema) == set(light_drivers())
+    assert set(schema) == set(LIGHT_DRIVERS)
 
 
 MAIN = "main: {driver: ccs, port: COM3, channels: 2, dialect: serial, baud: 9600}"

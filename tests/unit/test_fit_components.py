@@ -182,7 +182,7 @@ def test_what_separates_r_s_from_sigma_depends_on_what_is_saturated(saturated, s
         rms=1.0, typical=1.0, noise=1.0, image_noise=1.0, explained=1.0, epsilon=0.0, tau=0.0, saturated=saturated
     )
     found = SimpleNamespace(free=(R_D, LOG_R_S, LOG_SIGMA), R_s=12_500.0, correlation=lambda *_: -0.99, describes=True)
-    said = fit_warnings(found, quality, (12_281.0, 13_141.0), shorter=shorter, placed=True)
+    said = [*fit_warnings(found, quality, (12_281.0, 13_141.0), shorter=shorter, placed=True)]
     assert f"(correlation -0.990, R_s between 1.228e+04 and 1.314e+04): {requested}" in said[0]
     assert any("no pixel is saturated" in text for text in said) is (saturated == 0.0)
 

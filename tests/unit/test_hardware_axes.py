@@ -46,24 +46,6 @@ def test_limits(low: float, high: float, angle: float) -> None:
             axis.target(angle, step=1.0)
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"steps_per_deg": 0.0}, "steps_per_deg should be a number other than 0 and is 0"),
-        ({"steps_per_deg": math.nan}, "steps_per_deg"),
-        ({"zero": math.inf}, "zero should be a number and is inf"),
-        ({"range_deg": (10.0, -10.0)}, "from low to high and is 10° … -10°"),
-        ({"speed_deg_per_s": 0.0}, "the speed should be above"),
-        ({"home_sense": 0}, "home_sense should be 1 or -1 and is 0"),
-        ({"device": ""}, "name of the axis is missing"),
-    ],
-)
-def test_axes_that_cannot_be(options: dict[str, object], words: str) -> None:
-    values: dict[str, object] = {"name": "rotation", "device": "1", "range_deg": (0.0, 1.0), **options}
-    with pytest.raises(InputError, match=words):
-        Axis(**values)  # type: ignore[arg-type]
-
-
 @given(
     positions=st.lists(st.integers(-16_777_215, 16_777_215), min_size=1, max_size=2),
     detached=st.booleans(),

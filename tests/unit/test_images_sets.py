@@ -320,20 +320,15 @@ def test_read_only_folder_is_reported_before_any_work(read_only_folder: Path):
 
 
 @pytest.mark.parametrize(
-    ("keys", "reported"),
+    "keys",
     [
-        ([("a", POSTURES[0], 1.0), ("A", POSTURES[0], 1.0)], "would both be written"),
-        ([("a_x2", POSTURES[0], 1.0), ("a", POSTURES[0], 2.0)], "would both be written"),
-        ([("geometry", POSTURES[0], 1.0)], "would both be written"),
-        ([("../a", POSTURES[0], 1.0)], "cannot be part of a file name"),
-        ([("", POSTURES[0], 1.0)], "cannot be part of a file name"),
-        ([("NUL", POSTURES[0], 1.0)], "cannot be part of a file name"),
-        ([("a:b", POSTURES[0], 1.0)], "cannot be part of a file name"),
-        ([(".a", POSTURES[0], 1.0)], "cannot be part of a file name"),
+        [("a", POSTURES[0], 1.0), ("A", POSTURES[0], 1.0)],
+        [("a_x2", POSTURES[0], 1.0), ("a", POSTURES[0], 2.0)],
+        [("geometry", POSTURES[0], 1.0)],
     ],
 )
-def test_names_that_clash_or_cannot_be_files_are_refused_before_any_work(tmp_path: Path, keys: list, reported: str):
-    with pytest.raises(InputError, match=reported):
+def test_names_that_clash_are_refused_before_any_work(tmp_path: Path, keys: list):
+    with pytest.raises(InputError, match="would both be written"):
         ImageSetWriter(tmp_path, HEADER, plan=keys)
     assert content(tmp_path) == {}
 

@@ -149,24 +149,6 @@ def test_huge_file_is_refused_by_its_size(tmp_path):
     refused(path, "too much for the 5 triangles", max_triangles=5)
 
 
-@pytest.mark.parametrize(
-    ("changes", "match"),
-    [
-        ({"normals": "flat"}, "expected 'smooth' or 'facet'"),
-        ({"crease_angle": 30.0}, "expected 0 to 3.1416 rad"),
-        ({"crease_angle": math.nan}, "crease angle"),
-        ({"unit_mm": 0.0}, "unit: expected a number above 0"),
-        ({"unit_mm": math.inf}, "unit"),
-        ({"chord_tolerance_mm": -1.0}, "chord tolerance"),
-        ({"angular_tolerance": 0.0}, "angular tolerance"),
-        ({"max_triangles": 0}, "max_triangles"),
-    ],
-)
-def test_parameters_out_of_range(tmp_path, changes, match):
-    path = written(tmp_path, "cube.stl", exported("stl"))
-    refused(path, match, **changes)
-
-
 def test_coordinates_beyond_reason(tmp_path):
     path = written(tmp_path, "part.ply", ascii_ply("0 0 0\n9e9 0 0\n0 1 0\n", "3 0 1 2\n", (3, 1)))
     refused(path, "coordinates up to 9e\\+09 units of 1 mm, at most 1e\\+09 mm")

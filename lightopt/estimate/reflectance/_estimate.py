@@ -72,13 +72,11 @@ class Optimum(_Reflectance):
     criterion: Criterion | None
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         names = ("start_sigma", "sigma", "R_d", "R_s", "value")
         return {**{name: float(f"{getattr(self, name):.8g}") for name in names}, "converged": self.converged}
 
 
 def optimum_of(start_sigma: float, top: Maximum, criterion: Criterion | None) -> Optimum:
-    """The end of a climb as an optimum."""
     return Optimum(start_sigma=start_sigma, x=top.x, value=top.value, converged=top.converged, criterion=criterion)
 
 

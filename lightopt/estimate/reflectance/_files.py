@@ -4,11 +4,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from lightopt.config import PartConfig, RigConfig, Source, copied_text, input_hashes
+from lightopt.config import PartConfig, PlacementConfig, RigConfig, Source, copied_text, input_hashes
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
 from lightopt.estimate.reflectance._result import FitResult
-from lightopt.estimate.registration import PartFilePlacement
 from lightopt.images import ImageSet, ResultFolder
 
 PART_NAME = "part.fitted.yaml"
@@ -64,13 +63,13 @@ def _part_text(folder: Path, result: FitResult, part: PartConfig) -> str:
     return copied_text(part, folder, values)
 
 
-def _placement_values(part: PartConfig, found: PartFilePlacement) -> dict[tuple[str | int, ...], str]:
+def _placement_values(part: PartConfig, found: PlacementConfig) -> dict[tuple[str | int, ...], str]:
     vectors = {"rotate_deg": found.rotate_deg, "translate_mm": found.translate_mm}
     lists = {key: "[" + ", ".join(f"{value:.6g}" for value in vector) + "]" for key, vector in vectors.items()}
     lines = part.source.lines
     if ("placement",) not in lines:
         inside = ", ".join(f"{key}: {text}" for key, text in lists.items())
-        return {("placement",): f"{{anchor: {part.placement.anchor}, {inside}}}"}
+        return {("placement",): f"{{anchor: {found.anchor}, {inside}}}"}
     values: dict[tuple[str | int, ...], str] = {}
     for key, vector in vectors.items():
         if ("placement", key) in lines:

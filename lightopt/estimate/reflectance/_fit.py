@@ -1,7 +1,7 @@
 """The two fits, diffuse and specular: from a rig, a part and images to reflectance."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -152,8 +152,7 @@ def fit_specular(
     result, setup, samples, _ = max(tried, key=lambda one: _rank(one[3]))
     result = replace(result, rows=tuple(t[3] for t in tried if t[3] is not None))
     if result.estimate is not None and "auto" not in options.points:
-        even = _evenly_lit_warnings(setup, samples, result.estimate)
-        result = replace(result, warnings=(*result.warnings, *even))
+        result = replace(result, warnings=(*result.warnings, *_evenly_lit_warnings(setup, samples, result.estimate)))
     if options.validate and result.estimate is not None:
         left_out = leave_lights_out(
             setup.scene,
@@ -266,11 +265,11 @@ def _diffuse_only(samples: Samples, x: Float64) -> tuple[Samples, float]:
     )
 
 
-def _evenly_lit_warnings(setup: FitSetup, samples: Samples, found: Estimate) -> tuple[str, ...]:
+def _evenly_lit_warnings(setup: FitSetup, samples: Samples, found: Estimate) -> Iterator[str]:
     # where ``points: auto`` describes the images better than the point lights of the fit
     lights = [group.layer.light for group in samples.groups if group.layer is not None]
     if any(light.points == "auto" or light.normalisation == "sum" for light in lights):
-        return ()
+        return
     few = subsample(samples, SECOND_BUDGET)
     even = evenly_lit(few, setup.caster)
     freed, held = setup.options.freed, setup.held
@@ -281,15 +280,14 @@ def _evenly_lit_warnings(setup: FitSetup, samples: Samples, found: Estimate) -> 
     ratio = 2.0 * count * (panels.mean_log_likelihood - points.mean_log_likelihood)
     moved = max(abs(math.log(panels.R_s / found.R_s)), abs(math.log(panels.sigma / found.sigma)))
     if ratio < LEAST_RATIO or moved < LEAST_DIFFERENCE:
-        return ()
+        return
     number = lights[0].points
     lit = "1 point" if number == 1 else f"{number} points"
-    text = (
+    yield (
         f"evenly lit panels describe these images better than {lit} per panel: R_s would be about {panels.R_s:.4g} "
         f"and σ {panels.sigma:.4g} rad, which the intervals given here do not take into account. Use points: auto in "
         "the rig file"
     )
-    return (text,)
 
 
 def _paper_result(setup: FitSetup, samples: Samples, paper: PaperDiffuse | PaperSpecular) -> FitResult:
@@ -316,13 +314,13 @@ def _paper_result(setup: FitSetup, samples: Samples, paper: PaperDiffuse | Paper
     )
 
 
-def _likelihood_warnings(setup: FitSetup, samples: Samples, fitted: Mapping[str, float]) -> tuple[str, ...]:
+def _likelihood_warnings(setup: FitSetup, samples: Samples, fitted: Mapping[str, float]) -> Iterator[str]:
     # compare the paper's answer, which comes from a mean, a count and a sum, with the likelihood of all pixels
     few = subsample(samples, SECOND_BUDGET)
     whole = fit_reflectance(few, freed=FreeParameters())
     quality = assess_quality(few, whole)
     placed = refuse_unexplained_images(setup, few, whole, quality)
-    warnings = [*poor_fit_warnings(whole, quality, placed=placed)]
+    yield from poor_fit_warnings(whole, quality, placed=placed)
     likeliest = {"R_d": whole.R_d, "R_s": whole.R_s, "sigma_rad": whole.sigma}
     off = [
         f"{name.replace('sigma_rad', 'σ')} {value:.4g} instead of {likeliest[name]:.4g}"
@@ -330,8 +328,7 @@ def _likelihood_warnings(setup: FitSetup, samples: Samples, fitted: Mapping[str,
         if abs(math.log(max(value, 1e-9) / max(likeliest[name], 1e-9))) > LEAST_PAPER_DIFFERENCE
     ]
     if off:
-        warnings.append(
+        yield (
             f"the default method, which uses every pixel, disagrees on these images ({'; '.join(off)}): the "
             "mean, count and sum of the paper's method hardly distinguish these values"
         )
-    return tuple(warnings)

@@ -214,7 +214,6 @@ class Likelihood:
 
 
 def likelihood_at(samples: Samples, log_sigma: float) -> Likelihood:
-    """The likelihood at one σ."""
     light = samples.specular(math.exp(log_sigma))
     return Likelihood(samples, np.array([log_sigma]), light[:, None])
 

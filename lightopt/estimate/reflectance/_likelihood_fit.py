@@ -68,7 +68,6 @@ class Climb:
         return max(CLOSE_CALL, 0.5 * CHI2_95 * float(np.max(self.inflation, initial=1.0)))
 
     def as_estimate(self, scan: tuple[ScanPoint, ...]) -> Estimate:
-        """The estimate at this maximum."""
         return Estimate(
             x=self.maximum.x,
             free=self.free,

@@ -15,7 +15,7 @@ from lightopt.core.run_context import RunContext
 from lightopt.estimate.reflectance._estimate import Estimate
 from lightopt.estimate.reflectance._fit_samples import fit_reflectance
 from lightopt.estimate.reflectance._likelihood import clipped_levels, predicted
-from lightopt.estimate.reflectance._quality import Quality
+from lightopt.estimate.reflectance._quality import Quality, mean_levels
 from lightopt.estimate.reflectance._samples import Samples, collect_samples, subsample
 from lightopt.estimate.reflectance._setup import FitSetup, register_with_fit
 from lightopt.estimate.registration import FLIPS, LEVEL_CAP, Agreement, Observation, PoseFrame, agreement, place_part
@@ -132,11 +132,6 @@ def _light_subset(observations: Sequence[Observation]) -> list[Observation]:
     return [o for o in observations if lights.index(o.light) in some]
 
 
-def _levels(samples: Samples, found: Estimate) -> tuple[Float64, Float64]:
-    # measured and predicted, clipped where the camera clips
-    return clipped_levels(samples, predicted(samples, samples.specular(found.sigma), found.x))
-
-
 def _excess_residual(samples: Samples, noise: float) -> Float64:
     """Mean square of residuals beyond the noise's [sensor level²], shape (2,).
 
@@ -147,7 +142,7 @@ def _excess_residual(samples: Samples, noise: float) -> Float64:
     """
     found = fit_reflectance(samples)
     weight = samples.weight[samples.sample]
-    square = np.square(np.subtract(*_levels(samples, found)))
+    square = np.square(np.subtract(*clipped_levels(samples, mean_levels(samples, found))))
     none = np.zeros(len(samples.diffuse))
     dull = np.square(np.subtract(*clipped_levels(samples, predicted(samples, none, found.x))))
     cap = (LEVEL_CAP * samples.sensor.max_level) ** 2
@@ -164,7 +159,7 @@ def explained_share(before: Float64, after: Float64, noise: float) -> float:
 
 
 def _agreement(samples: Samples, found: Estimate) -> Agreement:
-    level, model = _levels(samples, found)
+    level, model = clipped_levels(samples, mean_levels(samples, found))
     black = samples.sensor.black_level
     frames = samples.facts.frames[samples.image]
     noise = np.sqrt(samples.sensor.noise_variance(model - black, frames=frames))

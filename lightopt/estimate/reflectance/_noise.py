@@ -1,6 +1,7 @@
 """The noise that the images show."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -40,7 +41,6 @@ class MeasuredNoise:
     hindrance: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         values = {
             "read_noise_levels": self.read_noise,
             "read_noise_standard_error": self.read_noise_error,
@@ -76,11 +76,12 @@ def measure_noise(samples: Samples, mean: Float64, *, describes: bool = True) ->
     return _photon_transfer(at, variance, error, samples.sensor)
 
 
-def noise_warnings(noise: MeasuredNoise) -> tuple[str, ...]:
+def noise_warnings(noise: MeasuredNoise) -> Iterator[str]:
     """Warn where the noise is not, or only partly, written."""
     if noise.read_noise is None and noise.electrons is None:
-        return (f"the noise is not written: {noise.hindrance}",)
-    return (f"only a part of the noise is written: {noise.hindrance}",) if noise.hindrance else ()
+        yield f"the noise is not written: {noise.hindrance}"
+    elif noise.hindrance:
+        yield f"only a part of the noise is written: {noise.hindrance}"
 
 
 def _photon_transfer(signal: Float64, variance: Float64, error: Float64, sensor: Sensor) -> MeasuredNoise:
@@ -129,8 +130,7 @@ def image_noise(samples: Samples) -> float:
 
     Immerkær 1996, doi:10.1006/cviu.1996.0060: what a 3 × 3 window leaves of anything that is a plane or a saddle.
     """
-    row = np.concatenate([group.row for group in samples.groups])[samples.sample]
-    column = np.concatenate([group.column for group in samples.groups])[samples.sample]
+    row, column = samples.places
     height, width = samples.images[0].levels.shape
     use = (row > 0) & (row < height - 1) & (column > 0) & (column < width - 1)
     use &= (samples.diffuse[samples.sample] > 0.0) & (samples.level > 0.0) & ~samples.saturated

@@ -6,6 +6,7 @@ by equation 10, and the σ is kept whose total specular brightness is closest to
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,11 +49,9 @@ class PaperOptions:
     away: float = math.radians(20.0)
 
     def as_dict(self) -> dict[str, float]:
-        """JSON form."""
         return dict(vars(self))
 
     def problems(self) -> tuple[str, ...]:
-        """Problems of the values."""
         found = [
             f"option '{name}': expected a number above 0, found {value:g}"
             for name, value in vars(self).items()
@@ -91,7 +90,6 @@ class PaperDiffuse:
     iterations: tuple[tuple[float, float, float], ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         rows = [{"R_d": r, "B_r": b, "D": d} for r, b, d in self.iterations]
         return {"R_d": self.R_d, "image": self.image, "pixels": self.pixels, "iterations": rows}
 
@@ -126,7 +124,6 @@ class PaperSpecular:
     matching_sigmas: tuple[float, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         steps = [
             {
                 "sigma_rad": float(f"{step.sigma:.6g}"),
@@ -146,16 +143,14 @@ class PaperSpecular:
             "sweep": steps,
         }
 
-    def warnings(self) -> tuple[str, ...]:
+    def warnings(self) -> Iterator[str]:
         """Warn where the procedure hardly determines σ."""
         found = self.matching_sigmas
-        if not found or found[-1] <= WIDE_RANGE * found[0]:
-            return ()
-        text = (
-            f"{len(found)} σ of the sweep, from {found[0]:g} to {found[-1]:g} rad, come within λ_s2 of the measured "
-            f"brightness of {self.image}: section 4.3 hardly determines σ here, nor R_s with it"
-        )
-        return (text,)
+        if found and found[-1] > WIDE_RANGE * found[0]:
+            yield (
+                f"{len(found)} σ of the sweep, from {found[0]:g} to {found[-1]:g} rad, come within λ_s2 of the "
+                f"measured brightness of {self.image}: section 4.3 hardly determines σ here, nor R_s with it"
+            )
 
 
 def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:

@@ -1,6 +1,7 @@
 """How well the model describes the images, and warnings and refusals of fits."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,7 +75,6 @@ class Quality:
         return self.epsilon > POOR_EPSILON or self.typical > POOR_NOISE * self.floor
 
     def as_dict(self) -> dict[str, float | bool]:
-        """JSON form."""
         return {name: value if isinstance(value, bool) else float(f"{value:.6g}") for name, value in vars(self).items()}
 
 
@@ -112,13 +112,13 @@ def mean_levels(samples: Samples, found: Estimate) -> Float64:
 
 def fit_warnings(
     found: Estimate, quality: Quality, interval: Interval | None, *, shorter: bool, placed: bool
-) -> tuple[str, ...]:
+) -> Iterator[str]:
     """Warnings about a fit of R_s and σ.
 
     interval: 95 % of R_s [grey level].
     shorter: Whether the images have more than one exposure already.
     """
-    warnings: list[str] = list(poor_fit_warnings(found, quality, placed=placed))
+    yield from poor_fit_warnings(found, quality, placed=placed)
     if LOG_R_S in found.free and LOG_SIGMA in found.free:
         low, high = interval or (found.R_s, found.R_s)
         width = math.log(high / max(low, 1e-9)) if low is not None and high is not None else math.inf
@@ -129,35 +129,33 @@ def fit_warnings(
             what = "a still shorter exposure" if shorter else "a shorter exposure, such as 1/16 of this one"
         if math.isinf(width):
             side = "upper" if high is None else "lower"
-            warnings.append(f"R_s has no {side} bound: images of other R_s and σ look the same; add {what}")
+            yield f"R_s has no {side} bound: images of other R_s and σ look the same; add {what}"
         elif abs(correlation) > STRONG_CORRELATION and width > WIDE_INTERVAL and found.describes:
-            warnings.append(
+            yield (
                 f"these images hardly separate R_s from σ (correlation {correlation:.3f}, R_s between {low:.4g} and "
                 f"{high:.4g}): add {what}"
             )
         if quality.saturated == 0.0:
-            warnings.append("no pixel is saturated: R_s and σ come from the flanks and the peak of the highlight alone")
+            yield "no pixel is saturated: R_s and σ come from the flanks and the peak of the highlight alone"
     if R_D not in found.free:
         # the slope of the criterion may contradict the value at which R_d was held
         here = found.maximum.evaluation
         curvature = float(here.curvature[R_D, R_D])
         step = float(here.gradient[R_D]) / max(curvature, 1e-300)
         if abs(step) >= 0.02 * max(found.R_d, 1e-9) and abs(step) * math.sqrt(curvature) >= 5.0:
-            warnings.append(
+            yield (
                 f"R_d is held at {found.R_d:.4g}, but these images indicate a {'larger' if step > 0.0 else 'smaller'} "
                 "value. This biases R_s and σ: run fit-diffuse first, or fit R_d as well"
             )
-    return tuple(warnings)
 
 
-def poor_fit_warnings(found: Estimate, quality: Quality, *, placed: bool = False) -> tuple[str, ...]:
+def poor_fit_warnings(found: Estimate, quality: Quality, *, placed: bool = False) -> Iterator[str]:
     """Warn where the model does not describe the images, or the rig file their noise.
 
     placed: Whether the part's placement is excluded as a cause: it was fitted, or no other explains the residual.
     """
-    warnings: list[str] = []
     if quality.image_noise > MORE_NOISE * quality.noise:
-        warnings.append(
+        yield (
             f"the noise of the images is about {quality.image_noise:.2g} sensor levels, but {quality.noise:.2g} by the "
             "rig file: give read_noise_levels and electrons_per_level of the sensor"
         )
@@ -169,17 +167,16 @@ def poor_fit_warnings(found: Estimate, quality: Quality, *, placed: bool = False
             else f"the residual of the fit ({quality.rms:.3g} sensor levels rms) is not much larger than the noise, "
             "but is neither noise nor dust"
         )
-        warnings.append(
+        yield (
             f"{left}. The values are those of least squares over all pixels, which predict such images best, and the "
             f"intervals come from the scatter between {found.scatter}. {_reasons(found, placed=placed)}"
         )
     elif quality.poor:
-        warnings.append(
+        yield (
             f"the model describes these images badly: {100.0 * quality.epsilon:.1f} % of the pixels are outliers, "
             f"and the residual is {quality.rms:.3g} sensor levels rms, where the noise is {quality.floor:.2g}. "
             f"{_reasons(found, placed=placed)}"
         )
-    return tuple(warnings)
 
 
 def _reasons(found: Estimate, *, placed: bool) -> str:
@@ -234,28 +231,26 @@ def refuse_out_of_range(found: Estimate, brightest: float) -> None:
         )
 
 
-def convergence_warnings(found: Estimate) -> tuple[str, ...]:
+def convergence_warnings(found: Estimate) -> Iterator[str]:
     """Warn where the optimiser did not converge."""
-    warnings: list[str] = []
     if not found.maximum.converged:
         lights = found.criterion.samples.lights
         names = [parameter_name(place, lights) for place in found.maximum.unsettled]
         along = f" along {', '.join(names)}" if names else ""
-        warnings.append(
+        yield (
             f"the fit did not converge: after {found.maximum.steps} steps it still improves{along}; its values and "
             "intervals are not those of an optimum. Other images, or fewer free parameters, may help"
         )
-        return tuple(warnings)
+        return
     if found.unsettled_refits:
-        warnings.append(
+        yield (
             f"{found.unsettled_refits} of the fits without one of the {found.scatter} each did not converge: the "
             "intervals, which come from their scatter, may be wrong"
         )
     best = max((optimum.value for optimum in found.optima if optimum.converged), default=-math.inf)
-    warnings += [
-        f"the optimisation that started at σ {optimum.start_sigma:.3g} rad stopped at σ {optimum.sigma:.3g} rad before "
-        "convergence, with a result not worse than the best: there may be another optimum"
-        for optimum in found.optima
-        if not optimum.converged and optimum.value >= best
-    ]
-    return tuple(warnings)
+    for optimum in found.optima:
+        if not optimum.converged and optimum.value >= best:
+            yield (
+                f"the optimisation that started at σ {optimum.start_sigma:.3g} rad stopped at σ {optimum.sigma:.3g} "
+                "rad before convergence, with a result not worse than the best: there may be another optimum"
+            )

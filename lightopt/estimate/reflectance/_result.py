@@ -1,10 +1,11 @@
 """The result of a fit."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from lightopt.config import PlacementConfig
 from lightopt.estimate.reflectance._estimate import Estimate, Interval
 from lightopt.estimate.reflectance._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
 from lightopt.estimate.reflectance._noise import MeasuredNoise
@@ -12,7 +13,7 @@ from lightopt.estimate.reflectance._paper import PaperDiffuse, PaperSpecular
 from lightopt.estimate.reflectance._quality import Quality, convergence_warnings
 from lightopt.estimate.reflectance._uncertainty import profile_regions
 from lightopt.estimate.reflectance._validation import LeftOut, PointsRow
-from lightopt.estimate.registration import PartFilePlacement, Placement, Registration
+from lightopt.estimate.registration import Placement, Registration
 from lightopt.scene import Scene
 
 
@@ -36,7 +37,6 @@ class FittedValue:
     regions: tuple[Interval, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         facts: dict[str, Any] = {
             "value": float(f"{self.value:.8g}"),
             "standard_error": float(f"{self.standard_error:.4g}") if self.standard_error else None,
@@ -76,7 +76,7 @@ class FitResult:
     noise: MeasuredNoise | None = None
     write_noise: bool = False
     registration: Registration | None = None
-    file_placement: PartFilePlacement | None = None
+    file_placement: PlacementConfig | None = None
     highlight_fit: Estimate | None = None
     correlation: float | None = None
     observations: int = 0
@@ -98,7 +98,7 @@ class FitResult:
         fits = [found for found in (self.highlight_fit, self.estimate) if found is not None]
         placed = self.registration is None or self.registration.converged
         validated = all(left.converged for left in self.left_out)
-        return placed and validated and not any(convergence_warnings(found) for found in fits)
+        return placed and validated and not [text for found in fits for text in convergence_warnings(found)]
 
     @property
     def placement(self) -> Placement | None:
@@ -178,16 +178,14 @@ def format_interval(interval: Interval) -> str:
     return f"from {low:.6g}, no upper bound" if high is None else f"{low:.6g} to {high:.6g}"
 
 
-def separate_region_warnings(values: Iterable[FittedValue]) -> tuple[str, ...]:
+def separate_region_warnings(values: Iterable[FittedValue]) -> Iterator[str]:
     """Warn of intervals that join separate regions between which the images do not decide."""
     several = [f"{v.name} {' or '.join(map(format_interval, v.regions))}" for v in values if v.regions]
-    if not several:
-        return ()
-    text = (
-        f"the images do not decide between separate ranges ({'; '.join(several)}): the 95 % intervals include all "
-        "of these, and values between them fit worse. Images under other lights, or at another exposure, may decide"
-    )
-    return (text,)
+    if several:
+        yield (
+            f"the images do not decide between separate ranges ({'; '.join(several)}): the 95 % intervals include all "
+            "of these, and values between them fit worse. Images under other lights, or at another exposure, may decide"
+        )
 
 
 def _fitted(
@@ -236,16 +234,14 @@ def fitted_gains(scene: Scene, found: Estimate) -> dict[str, FittedValue]:
     return gains
 
 
-def negative_black_level_warnings(dark: FittedValue | None) -> tuple[str, ...]:
+def negative_black_level_warnings(dark: FittedValue | None) -> Iterator[str]:
     """Warn of a black level that a rig file cannot hold."""
-    if dark is None or dark.value >= 0.0:
-        return ()
-    text = (
-        f"the fitted black level is {dark.value:.3g}, but a rig file has none below 0: rig.fitted.yaml has 0, and "
-        "images predicted from it are too bright by the difference. The camera subtracts more than its black level: "
-        "check its offset"
-    )
-    return (text,)
+    if dark is not None and dark.value < 0.0:
+        yield (
+            f"the fitted black level is {dark.value:.3g}, but a rig file has none below 0: rig.fitted.yaml has 0, and "
+            "images predicted from it are too bright by the difference. The camera subtracts more than its black "
+            "level: check its offset"
+        )
 
 
 def fitted_dark(scene: Scene, found: Estimate) -> FittedValue:

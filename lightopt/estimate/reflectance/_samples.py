@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
-from lightopt.core.errors import InputError, counted
+from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation
@@ -115,10 +115,15 @@ class Samples:
 
     def with_levels(self, levels: Sequence[Float32], saturated: Sequence[Bool]) -> Samples:
         """The same pixels of other images of the same lights, postures and exposures; one array per image."""
-        rows = np.concatenate([group.row for group in self.groups])[self.sample]
-        columns = np.concatenate([group.column for group in self.groups])[self.sample]
+        rows, columns = self.places
         stack, flags = np.stack(levels), np.stack(saturated)
         return replace(self, level=stack[self.image, rows, columns], saturated=flags[self.image, rows, columns])
+
+    @property
+    def places(self) -> tuple[Int32, Int32]:
+        """Row and column in the image of each observation, shape (N,) each."""
+        rows, columns = (np.concatenate([getattr(g, name) for g in self.groups]) for name in ("row", "column"))
+        return rows[self.sample], columns[self.sample]
 
     def specular(self, sigma: float) -> Float64:
         """Light per unit of R_s for a lobe of width σ [rad], shape (n,)."""
@@ -138,14 +143,10 @@ def collect_samples(
     """Choose pixels by their geometry alone and look up what was measured there.
 
     uniform: Whether `budget` is one for all octaves together, so that shares of the pixels are shares of the image.
-    Raises InputError: images of a posture or a light that the scene lacks, or no pixel is left.
+    scene: With the postures and lights of the images.
+    Raises InputError: no pixel is left.
     """
     names = [light.name for light in scene.lights]
-    if lacking := [o.name for o in observations if o.posture not in scene.postures or o.light not in names]:
-        raise InputError(
-            f"{counted(len(lacking), 'image')} of a posture or a light that the scene lacks, such as {lacking[0]}; "
-            "build the scene with the postures and lights of the images"
-        )
     groups: list[SampleGroup] = []
     wanted = sorted({(scene.postures.index(o.posture), names.index(o.light)) for o in observations})
     pixels: PosturePixels | None = None

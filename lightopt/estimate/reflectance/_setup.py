@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from lightopt.config import PartConfig, RigConfig
+from lightopt.config import PartConfig, PlacementConfig, RigConfig
 from lightopt.core.arrays import Float64
 from lightopt.core.run_context import RunContext
 from lightopt.estimate.reflectance._estimate import FreeParameters
@@ -17,7 +17,6 @@ from lightopt.estimate.reflectance._paper import PaperOptions
 from lightopt.estimate.reflectance._samples import OCTAVES, Samples, collect_samples
 from lightopt.estimate.registration import (
     Observation,
-    PartFilePlacement,
     Registration,
     observed_postures,
     part_file_placement,
@@ -78,7 +77,7 @@ class FitSetup:
     caster: RayCaster
     observations: tuple[Observation, ...]
     registration: Registration | None = None
-    file_placement: PartFilePlacement | None = None
+    file_placement: PlacementConfig | None = None
     options: FitOptions = field(default_factory=FitOptions)
     run: RunContext = field(default_factory=RunContext)
 

@@ -134,15 +134,12 @@ def _at_optimum(estimate: Estimate, other: Optimum) -> Estimate | None:
         return None
     here = other.criterion.evaluate(other.x)
     index = list(estimate.free)
-    curvature = here.curvature[np.ix_(index, index)]
-    size = np.sqrt(np.maximum(np.diag(curvature), 1e-12))
-    scaled = curvature / np.outer(size, size) + 1e-9 * np.eye(len(index))
     return replace(
         estimate,
         x=other.x,
         criterion=other.criterion,
         maximum=replace(estimate.maximum, x=other.x, evaluation=here),
-        covariance=np.linalg.inv(scaled) / np.outer(size, size),
+        covariance=_inverse(here.curvature[np.ix_(index, index)]),
     )
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+from scipy.ndimage import binary_erosion
 from scipy.spatial import KDTree
 
 from lightopt.core.arrays import Bool, Float32, Float64
@@ -21,7 +22,7 @@ from lightopt.estimate.reflectance._samples import Samples, subsample
 from lightopt.estimate.reflectance._setup import FitSetup
 from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
-from lightopt.optics import Reflectance, Sensor, saturated_region
+from lightopt.optics import Sensor, saturated_region
 from lightopt.rendering import render_posture
 from lightopt.scene import Scene
 
@@ -55,7 +56,6 @@ class Comparison:
     predicted_area: int
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         return {
             "image": self.image,
             "rms_grey_levels": float(f"{self.rms:.5g}"),
@@ -79,7 +79,6 @@ class LeftOut:
     converged: bool = True
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         return {
             "light": self.light,
             "R_d": float(f"{self.R_d:.6g}"),
@@ -132,24 +131,23 @@ def leave_lights_out(
     return tuple(results)
 
 
-def validation_warnings(left_out: tuple[LeftOut, ...], sensor: Sensor) -> tuple[str, ...]:
+def validation_warnings(left_out: tuple[LeftOut, ...], sensor: Sensor) -> Iterator[str]:
     """Warn of fits that did not converge and of poor predictions."""
     if not left_out:
-        return ("no validation: it leaves out one light, and the images show only one",)
-    warnings: list[str] = []
+        yield "no validation: it leaves out one light, and the images show only one"
+        return
     unsettled = [left.light for left in left_out if not left.converged]
     if unsettled:
-        warnings.append(
+        yield (
             f"{len(unsettled)} of the {len(left_out)} fits without one light each did not converge (without "
             f"{', '.join(unsettled)}): their prediction errors mean little"
         )
     worst = max((image for left in left_out for image in left.images), key=lambda image: image.rms_sensor)
     if worst.rms_sensor > POOR_SHARE * sensor.max_level:
-        warnings.append(
+        yield (
             f"{worst.image}, predicted from the other lights, is {worst.rms_sensor:.3g} sensor levels rms off "
             f"({worst.rms:.3g} grey levels at exposure 1): do not rely on predicted images of this surface"
         )
-    return tuple(warnings)
 
 
 def compare_image(seen: Observation, levels: Float32, hit: Bool, sensor: Sensor, full_scale: float) -> Comparison:
@@ -183,9 +181,7 @@ def _border_distance(first: Bool, second: Bool) -> float | None:
 
 
 def _border(mask: Bool) -> Float64:
-    padded = np.pad(mask, 1)
-    inner = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
-    places = np.argwhere(mask & ~inner).astype(np.float64)
+    places = np.argwhere(mask & ~binary_erosion(mask)).astype(np.float64)
     return places[:: max(1, len(places) // MOST_BORDER_PIXELS)]
 
 
@@ -197,12 +193,7 @@ def predict_images(
     x: Parameters, shape (K,), as :mod:`lightopt.estimate.reflectance._likelihood` orders them.
     """
     names = [light.name for light in scene.lights]
-    reflectance = Reflectance(
-        R_d=float(x[R_D]),
-        R_s=math.exp(x[LOG_R_S]),
-        sigma=math.exp(x[LOG_SIGMA]),
-        full_scale=scene.reflectance.full_scale,
-    )
+    reflectance = replace(scene.reflectance, R_d=float(x[R_D]), R_s=math.exp(x[LOG_R_S]), sigma=math.exp(x[LOG_SIGMA]))
     scale = scene.sensor.max_level / scene.reflectance.full_scale
     for posture in dict.fromkeys(o.posture for o in observations):
         shown = [o for o in observations if o.posture == posture]
@@ -247,7 +238,6 @@ class PointsRow:
         return area + abs(self.perimeter - self.measured_perimeter) / max(self.measured_perimeter, 1.0)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         return {
             "points": self.points,
             "R_d": float(f"{self.R_d:.6g}"),

@@ -17,7 +17,6 @@ from lightopt.estimate.registration._observations import (
 )
 from lightopt.estimate.registration._pixels import view_of_placed as view_of_placed
 from lightopt.estimate.registration._placement import (
-    PartFilePlacement as PartFilePlacement,
     Placement as Placement,
     PoseFrame as PoseFrame,
     part_file_placement as part_file_placement,

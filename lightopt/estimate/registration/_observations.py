@@ -104,8 +104,7 @@ def _manifest_problems(image_set: ImageSet, rig: RigConfig, part: PartConfig) ->
             f"({rig.source.at('camera', 'sensor', 'bit_depth')})"
         )
         return
-    full = 2**sensor.bit_depth - 1
-    saturation = full if sensor.saturation_level is None else sensor.saturation_level
+    saturation = build_sensor(rig.camera).saturated_from
     if manifest.saturation_level is not None and manifest.saturated_from != saturation:
         yield (
             f"{where}: saturated from level {manifest.saturated_from:g}, but the rig says {saturation:g} "

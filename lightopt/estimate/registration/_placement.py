@@ -39,7 +39,6 @@ class Placement:
     observable: tuple[bool, bool, bool] = (True, True, True)
 
     def as_dict(self) -> dict[str, float | list[str]]:
-        """JSON form."""
         names = ("x", "y", "turn")
         return {
             "observable": [name for name, seen in zip(names, self.observable, strict=True) if seen],
@@ -59,20 +58,8 @@ def place_part(scene: Scene, placement: Placement) -> Scene:
     return move_part(scene, turn, shift)
 
 
-@dataclass(frozen=True)
-class PartFilePlacement:
-    """Values of ``placement`` in a part file that put the part at its measured placement.
-
-    rotate_deg: About the fixed X, then Y, then Z axis, before the anchor [°].
-    translate_mm: After the anchor [mm].
-    """
-
-    rotate_deg: tuple[float, float, float]
-    translate_mm: tuple[float, float, float]
-
-
-def part_file_placement(scene: Scene, placement: Placement, file: PlacementConfig) -> PartFilePlacement:
-    """Express a placement as the rotation and translation of a part file.
+def part_file_placement(scene: Scene, placement: Placement, file: PlacementConfig) -> PlacementConfig:
+    """``placement`` of a part file that puts the part at its measured placement, with the anchor that `file` has.
 
     The anchor uses the bounding box of the rotated part, so that the translation takes back what the anchor moves.
 
@@ -90,10 +77,8 @@ def part_file_placement(scene: Scene, placement: Placement, file: PlacementConfi
         anchored = turn @ np.array(file.translate_mm, dtype=np.float64)
     shift = scene.pivot - turn @ scene.pivot + np.array([placement.x, placement.y, 0.0]) + anchored
     about_x, about_y, about_z = file.rotate_deg
-    return PartFilePlacement(
-        rotate_deg=(about_x, about_y, math.remainder(about_z + math.degrees(placement.turn), 360.0)),
-        translate_mm=(float(shift[0]), float(shift[1]), float(shift[2])),
-    )
+    about_z = math.remainder(about_z + math.degrees(placement.turn), 360.0)
+    return file.model_copy(update={"rotate_deg": (about_x, about_y, about_z), "translate_mm": tuple(shift.tolist())})
 
 
 @dataclass(frozen=True)

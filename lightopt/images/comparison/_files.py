@@ -91,8 +91,7 @@ class Comparison:
         return not self.reasons
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return {"a": self.a, "b": self.b, "passed": self.passed, "reasons": list(self.reasons)}
+        return {**vars(self), "passed": self.passed}
 
 
 @dataclass(frozen=True)
@@ -105,7 +104,6 @@ class FileComparison(Comparison):
     channels: tuple[ChannelDifference, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
         return {**super().as_dict(), "channels": [channel.as_dict() for channel in self.channels]}
 
 

@@ -21,25 +21,18 @@ _LEAST_SCALE = 0.05
 
 
 def difference_picture(
-    a: str | Path,
-    b: str | Path,
-    path: str | Path,
-    *,
-    channel: str | None = None,
-    scale: float | None = None,
-    saturation: float | None = None,
-    overwrite: bool = True,
+    a: str | Path, b: str | Path, path: str | Path, *, saturation: float | None = None, overwrite: bool = True
 ) -> float:
     """Write a PNG of the signed difference new − golden: blue lower, white equal, red higher; returns the scale.
 
     Pixels saturated only in the golden image `a` are green, only in the new one `b` magenta, values that are not
-    finite in either black. Channel, scale and numbers of such pixels are in the file's metadata.
+    finite in either black. Channel, scale and numbers of such pixels are in the file's metadata. The channel is ``Y``,
+    a PNG's levels, or the first one; the scale, the difference of the full colours [level of the files], is the 99.9th
+    percentile of the differences.
 
-    channel: The channel to show; ``Y``, a PNG's levels, or the first one.
-    scale: Difference of the full colours [level of the files]; by default the 99.9th percentile of the differences.
     saturation: Level from which a pixel counts as saturated; by default what the files say.
-    Raises InputError: An image cannot be read, they differ in format or size, a channel is missing, the scale is not
-        above 0, the picture cannot be written, or one of other content is there and `overwrite` is False.
+    Raises InputError: An image cannot be read, they differ in format or size or share no channel, the picture cannot be
+        written, or one of other content is there and `overwrite` is False.
     """
     golden, new = load_file(Path(a)), load_file(Path(b))
     if golden.kind != new.kind or golden.shape != new.shape:
@@ -47,20 +40,16 @@ def difference_picture(
             f"{a} and {b}: no difference to show between {golden.kind} of {golden.shape} and {new.kind} of {new.shape}"
         )
     common = sorted(golden.channels.keys() & new.channels.keys())
-    preferred = [name for name in ("Y", LEVELS) if name in common] + common
-    name = channel if channel is not None else preferred[0] if preferred else ""
-    if name not in common:
-        raise InputError(f"no channel {name!r} in both images; they share {', '.join(common) or 'none'}")
+    if not common:
+        raise InputError(f"{a} and {b}: no channel is in both images")
+    name = next((name for name in ("Y", LEVELS) if name in common), common[0])
     old, now = golden.channels[name].astype(np.float64), new.channels[name].astype(np.float64)
     finite = np.isfinite(old) & np.isfinite(now)
     signed = np.zeros(old.shape)
     np.subtract(now, old, out=signed, where=finite)
-    if scale is None:
-        scale = _LEAST_SCALE
-        if signed.any():
-            scale = max(float(np.percentile(np.abs(signed[signed != 0]), _SCALE_PERCENTILE)), _LEAST_SCALE)
-    elif not (scale > 0 and np.isfinite(scale)):
-        raise InputError(f"scale of the difference picture: expected a number above 0, found {scale}")
+    scale = _LEAST_SCALE
+    if signed.any():
+        scale = max(float(np.percentile(np.abs(signed[signed != 0]), _SCALE_PERCENTILE)), _LEAST_SCALE)
     pixels = _diverging(signed / scale)
     only_golden = only_new = np.zeros(old.shape, np.bool_)
     if name in ("Y", LEVELS):

@@ -32,14 +32,7 @@ class SetComparison(Comparison):
     notes: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON form."""
-        return {
-            **super().as_dict(),
-            "notes": list(self.notes),
-            "missing": list(self.missing),
-            "extra": list(self.extra),
-            "files": [file.as_dict() for file in self.files],
-        }
+        return {**super().as_dict(), "files": [file.as_dict() for file in self.files]}
 
 
 def compare_sets(a: str | Path, b: str | Path, thresholds: ComparisonThresholds = _DEFAULTS) -> SetComparison:

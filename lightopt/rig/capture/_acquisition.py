@@ -5,7 +5,6 @@ from collections.abc import Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from datetime import datetime, timezone
 from typing import Any
 
 from lightopt.core.errors import HardwareError, InputError
@@ -15,7 +14,7 @@ from lightopt.rig.capture._capture_plan import CapturePlan
 from lightopt.rig.capture._merged_exposures import ExposureImage, FrameMean
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._software_cameras import FolderCamera
-from lightopt.rig.devices import Event, Frame
+from lightopt.rig.devices import Event, Frame, now
 
 # a camera whose exposure time differs from the requested one by more than this share is refused
 EXPOSURE_TOLERANCE = 0.005
@@ -39,17 +38,6 @@ class Timing:
     writing_s: float = 0.0
     closing_s: float = 0.0
 
-    @property
-    def overhead(self) -> float:
-        """Time beyond settling, exposing and transfer, as a share of these; without opening, closing and moves."""
-        needed = self.settling_s + self.exposing_s + self.transfer_s
-        spent = self.whole_s - self.opening_s - self.closing_s - self.moving_s
-        return (spent - needed) / needed if needed else 0.0
-
-    def parts(self) -> dict[str, float]:
-        """Seconds by name, without the whole."""
-        return {name: value for name, value in vars(self).items() if name != "whole_s"}
-
     @contextmanager
     def spent(self, name: str) -> Generator[None]:
         """Count the time of the block as `name`."""
@@ -58,11 +46,6 @@ class Timing:
             yield
         finally:
             setattr(self, name, getattr(self, name) + time.monotonic() - begun)
-
-
-def utc() -> str:
-    """Now, UTC, ISO 8601 with milliseconds."""
-    return datetime.now(timezone.utc).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,7 +193,7 @@ class AcquisitionEngine:
             for _ in range(self._plan.wiring.hardware.timing.discard_frames):
                 self._grab()  # it may have begun before the change
         self._changed = False
-        begun = utc()
+        begun = now()
         mean = FrameMean(self._sensor)
         first = last = self._grab()
         counted = [self._worker.submit(mean.add, first.levels)]  # while the next is exposed

@@ -12,12 +12,12 @@ from lightopt.core.run_context import RunContext
 from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._wiring import VIRTUAL, VIRTUAL_EXPOSURE_US, Wiring, start_lights, wiring_of
 from lightopt.rig.devices import (
+    LIGHT_DRIVERS,
     LightController,
     LightSettings,
     LightsStillOnError,
     SerialLog,
     all_off,
-    light_drivers,
     run_in_parallel,
 )
 
@@ -104,7 +104,7 @@ def open_controller(wiring: Wiring, name: str, *, port: str, log: SerialLog | No
             if channel.controller == name and channel.max_level is not None
         },
     )
-    return light_drivers()[config.driver](settings, log)
+    return LIGHT_DRIVERS[config.driver](settings, log)
 
 
 def lights_on(wiring: Wiring, channels: Mapping[str, Iterable[int]]) -> list[str]:

@@ -7,7 +7,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.rig.capture._wiring import VIRTUAL, Wiring
 from lightopt.rig.simulated import EXPOSURE_RANGE_US
-from lightopt.scene import part_postures
+from lightopt.scene import angle_outside_range, part_postures
 
 
 def posture_problems(
@@ -26,22 +26,13 @@ def posture_problems(
         )
     for posture, where in named:
         for name, angle in (("elevation", posture.elevation_deg), ("rotation", posture.rotation_deg)):
-            if (problem := outside_range(rig, name, angle)) is not None:
+            if (problem := angle_outside_range(rig, name, angle)) is not None:
                 yield f"{where}: {problem}"
             elif stage is not None and getattr(stage, name) is None and angle != 0.0:
                 yield (
                     f"{where}: {name} {angle:g}°, but the stage has no {name} axis, which is at 0° "
                     f"({rig.source.at('hardware', 'stage')})"
                 )
-
-
-def outside_range(rig: RigConfig, name: str, angle: float) -> str | None:
-    """Message where an angle [°] is outside the range of a stage's axis, else None."""
-    low, high = getattr(rig.stage, f"{name}_range_deg")
-    if low <= angle <= high:
-        return None
-    where = rig.source.at("stage", f"{name}_range_deg")
-    return f"{name} {angle:g}° is outside the stage's range {low:g}° to {high:g}° ({where})"
 
 
 def exposure_problems(rig: RigConfig, wiring: Wiring, exposures: tuple[float, ...]) -> Iterator[str]:
@@ -59,12 +50,10 @@ def exposure_problems(rig: RigConfig, wiring: Wiring, exposures: tuple[float, ..
 
 
 def light_problems(rig: RigConfig, wiring: Wiring, lights: Iterable[str], *, on_s: float, taken: str) -> Iterator[str]:
-    """Lights above their highest level, or that would be on longer at a stretch [s] than they may for what is taken."""
+    """Lights that would be on longer at a stretch [s] than they may for what is taken."""
     for name in lights:
-        channel, top = wiring.light(name), wiring.top_level(name)
+        channel = wiring.light(name)
         where = rig.source.at("hardware", "lights", name)
-        if channel.level > top:
-            yield f"{where}: level {channel.level} is above the highest allowed, {top}"
         if channel.max_on_s is not None and on_s > channel.max_on_s:
             yield (
                 f"{where}: would be on for {on_s:.3g} s without a break (settling and {taken}), longer than max_on_s "
@@ -93,7 +82,7 @@ def check_level(wiring: Wiring, rig: RigConfig, name: str, level: int | None) ->
 def check_angles(rig: RigConfig, *, elevation: float | None, rotation: float | None) -> None:
     """Check angles [°] against the stage's range; None is not checked. InputError with one message per angle."""
     requested = (("elevation", elevation), ("rotation", rotation))
-    outside = (outside_range(rig, name, angle) for name, angle in requested if angle is not None)
+    outside = (angle_outside_range(rig, name, angle) for name, angle in requested if angle is not None)
     if problems := [problem for problem in outside if problem is not None]:
         raise InputError(*problems)
 

@@ -10,10 +10,10 @@ from lightopt.config import ChannelConfig, RigConfig
 from lightopt.core.errors import LightoptError
 from lightopt.core.transforms import Posture
 from lightopt.images import write_png
-from lightopt.rig.capture._acquisition import utc
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._software_cameras import FolderCamera
 from lightopt.rig.capture._wiring import STAGE, Wiring
+from lightopt.rig.devices import now
 
 _DARKENING_S = 0.3  # a light is switched off so long before it reaches its `max_on_s`
 
@@ -102,7 +102,7 @@ def snap(
     frame = devices.grab(held, light)
     if light is not None:
         devices.light_off(light)
-    facts = {"time": utc(), "exposure_us": frame.exposure_us, "light": light, "bit_depth": camera.bit_depth}
+    facts = {"time": now(), "exposure_us": frame.exposure_us, "light": light, "bit_depth": camera.bit_depth}
     write_png(path, frame.levels, metadata=facts, overwrite=overwrite)
     return int(frame.levels.min()), int(frame.levels.max()), float(frame.levels.mean())
 

@@ -13,12 +13,17 @@ Its simulated counterpart is the module of the same name in ``lightopt.rig.simul
 from lightopt.rig.devices._camera import Camera as Camera, Frame as Frame
 from lightopt.rig.devices._camera_pixels import Levels as Levels
 from lightopt.rig.devices._camera_sdk import CameraInfo as CameraInfo, CameraSettings as CameraSettings
-from lightopt.rig.devices._device import Event as Event, Identity as Identity, frame_limit_s as frame_limit_s
+from lightopt.rig.devices._device import (
+    Event as Event,
+    Identity as Identity,
+    frame_limit_s as frame_limit_s,
+    now as now,
+)
 from lightopt.rig.devices._drivers import (
+    LIGHT_DRIVERS as LIGHT_DRIVERS,
     check_camera_driver as check_camera_driver,
     check_stage as check_stage,
     find_cameras as find_cameras,
-    light_drivers as light_drivers,
     open_camera as open_camera,
     open_stage as open_stage,
 )

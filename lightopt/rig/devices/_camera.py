@@ -70,10 +70,6 @@ class FrameOrder:
         self.lost = 0
         self.last: RawFrame | None = None
 
-    def begin(self) -> None:
-        """Begin a new acquisition: cameras may count from the beginning again."""
-        self.last = None
-
     def check(self, frame: RawFrame) -> None:
         """Raise a ReplyError for a frame that is incomplete, came before, or is older than the one before."""
         if frame.problem is not None:
@@ -199,7 +195,7 @@ class MachineCamera:
 
     def _take(self, end: float) -> RawFrame:
         if not self._running:
-            self._order.begin()
+            self._order.last = None  # cameras may count from the beginning again
             self._sdk.start()
             self._running = True
         self._discard_pending_frames(end)

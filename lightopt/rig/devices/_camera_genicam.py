@@ -51,10 +51,6 @@ class GenicamSdk(CameraLibrary):
         self._acquirer: Any = None
         self._harvester = _harvester(settings.producer or "", settings.where)
         try:
-            if settings.packet_size is not None or settings.packet_delay_ns is not None:
-                raise InputError(
-                    f"{self._where}: packets are set by the maker's producer; leave out packet_size and packet_delay_ns"
-                )
             chosen = choose_camera(_cameras(self._harvester), settings)
             self._acquirer = self._try(f"opening {chosen}", lambda: self._harvester.create({"id_": chosen.identifier}))
             self._acquirer.num_buffers = max(_BUFFERS, self._acquirer.min_num_buffers)

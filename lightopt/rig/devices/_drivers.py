@@ -22,30 +22,21 @@ from lightopt.rig.devices._stage_grbl import GrblDialogue
 from lightopt.rig.devices._stage_sigmakoki import GscDialogue, ShotDialogue
 from lightopt.rig.devices._stage_zaber import ZaberDialogue
 
-
-def light_drivers() -> dict[str, Callable[[LightSettings, SerialLog | None], LightController]]:
-    """What opens a light controller, by the name of its protocol."""
-    return {driver.NAME: driver.open for driver in (CcsController, SaController, TemplateController)}
-
-
-def stage_drivers() -> dict[str, type[Dialogue]]:
-    """The protocols of stages by name."""
-    return {"shot": ShotDialogue, "gsc": GscDialogue, "grbl": GrblDialogue, "zaber": ZaberDialogue}
-
-
-def camera_drivers() -> dict[str, Callable[[CameraSettings], CameraSdk]]:
-    """What opens a camera, by the name of the driver."""
-    return {"aravis": AravisSdk, "genicam": GenicamSdk}
+LIGHT_DRIVERS: dict[str, Callable[[LightSettings, SerialLog | None], LightController]] = {
+    driver.NAME: driver.open for driver in (CcsController, SaController, TemplateController)
+}
+STAGE_DRIVERS: dict[str, type[Dialogue]] = {
+    "shot": ShotDialogue,
+    "gsc": GscDialogue,
+    "grbl": GrblDialogue,
+    "zaber": ZaberDialogue,
+}
+CAMERA_DRIVERS: dict[str, Callable[[CameraSettings], CameraSdk]] = {"aravis": AravisSdk, "genicam": GenicamSdk}
 
 
 def check_stage(driver: str, axes: Sequence[Axis]) -> None:
     """Check axes and speeds against what the driver of a stage can do; nothing is opened. Raises an InputError."""
-    known = stage_drivers()
-    if driver not in known:
-        raise InputError(f"unknown stage driver {driver}; there are: {', '.join(known)}")
-    if not axes:
-        raise InputError("the stage has no axis: hardware.stage needs elevation, rotation, or both")
-    known[driver].check_axes(axes)
+    STAGE_DRIVERS[driver].check_axes(axes)
 
 
 def open_stage(
@@ -64,11 +55,11 @@ def open_stage(
     baud: Baud rate; the protocol's usual one if None.
     clock: Source of time, for tests.
 
-    Raises InputError for an unknown driver, axes that it cannot have, or a port that is not there or in use.
+    Raises InputError for axes that the driver cannot have, or a port that is not there or in use.
     Raises HardwareError when the device does not answer where it has to when it is opened.
     """
     check_stage(driver, axes)
-    kind = stage_drivers()[driver]
+    kind = STAGE_DRIVERS[driver]
     link = SerialLink(
         port,
         device=f"stage ({driver})",
@@ -82,7 +73,7 @@ def open_stage(
     except LightoptError:
         link.close()
         raise
-    return Stage(driver=driver, dialogue=dialogue, axes=axes, home_timeout_s=home_timeout_s, clock=clock)
+    return Stage(driver=driver, dialogue=dialogue, axes=axes, clock=clock)
 
 
 def open_camera(
@@ -100,7 +91,7 @@ def open_camera(
     Raises InputError when software or camera are not there, or it cannot be configured for the rig.
     Raises HardwareError when it does not answer.
     """
-    return MachineCamera(driver, camera_drivers()[driver](settings), settings, on_event=on_event, wait_ready=wait_ready)
+    return MachineCamera(driver, CAMERA_DRIVERS[driver](settings), settings, on_event=on_event, wait_ready=wait_ready)
 
 
 def check_camera_driver(driver: str, producer: Path | None) -> None:

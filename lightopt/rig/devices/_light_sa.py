@@ -7,13 +7,11 @@ checksum.
 
 import re
 
-from lightopt.core.errors import InputError
 from lightopt.rig.devices._device import RefusedError, ReplyError
 from lightopt.rig.devices._light import LightController, LightSettings
 from lightopt.rig.devices._serial_link import SerialLink
 
 _LETTERS = "ABCDEF"
-_TOP = 9999
 _ACK = re.compile(rb"NG|[A-Fa-f!]")
 _VALUE = re.compile(rb"NG|[A-Fa-f]\d{4}")
 
@@ -26,11 +24,6 @@ class SaController(LightController):
 
     def __init__(self, link: SerialLink, settings: LightSettings) -> None:
         super().__init__(link, settings)
-        if self.channels > len(_LETTERS) or self.top_level > _TOP:
-            raise InputError(
-                f"{link.device}: the protocol has {len(_LETTERS)} channels and intensities up to {_TOP}, "
-                f"found channels: {self.channels}, top_level: {self.top_level}"
-            )
         self._reads = self._can_read_levels()
 
     def _send_level(self, channel: int, level: int) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 
-from lightopt.core.errors import InputError
 from lightopt.rig.devices._device import ReplyError
 from lightopt.rig.devices._light import LightController, LightSettings
 from lightopt.rig.devices._serial_link import SerialLink
@@ -27,16 +26,15 @@ class TemplateController(LightController):
 
     def __init__(self, link: SerialLink, settings: LightSettings) -> None:
         super().__init__(link, settings)
-        if settings.template is None:
-            raise InputError(f"{link.device}: there is no template")
+        assert settings.template is not None
         self._words = {key: text for key, text in settings.template.items() if text is not None}
         self._end = self._words.get("end", "").encode("latin-1")
-        self._patterns: dict[str, re.Pattern[bytes]] = {}
+        self._patterns = {
+            verb: re.compile(self._words[f"{verb}_reply"].encode("latin-1"), re.DOTALL)
+            for verb in ("set", "off", "read")
+            if f"{verb}_reply" in self._words
+        }
         self._reads = "read" in self._words
-        for verb in ("set", "off", "read"):
-            self._check_verb(verb)
-        if self._reads and "level" not in getattr(self._patterns.get("read"), "groupindex", {}):
-            raise InputError(f"{link.device}: template.read_reply has no group (?P<level>…)")
         self._query_identity()
 
     def _send_level(self, channel: int, level: int) -> None:
@@ -46,16 +44,6 @@ class TemplateController(LightController):
 
     def _query_level(self, channel: int) -> int:
         return self._retry.run(lambda: self._read_once(channel))
-
-    def _check_verb(self, verb: str) -> None:
-        try:
-            if verb in self._words:
-                self._command(verb, 1, 0)
-            if f"{verb}_reply" in self._words:
-                pattern = self._words[f"{verb}_reply"].encode("latin-1")
-                self._patterns[verb] = re.compile(pattern, re.DOTALL)
-        except (KeyError, IndexError, ValueError, re.error) as error:
-            raise InputError(f"{self._link.device}: template.{verb} cannot be used: {error}") from None
 
     def _command(self, verb: str, channel: int, level: int) -> bytes:
         text = self._words[verb].format(

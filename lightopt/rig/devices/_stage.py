@@ -54,19 +54,10 @@ class Stage:
     failed move it is refused until the stage has been homed. An axis that is not among `axes` stands at 0.
     """
 
-    def __init__(
-        self,
-        *,
-        driver: str,
-        dialogue: Dialogue,
-        axes: Sequence[Axis],
-        home_timeout_s: float = 180.0,
-        clock: Clock | None = None,
-    ) -> None:
+    def __init__(self, *, driver: str, dialogue: Dialogue, axes: Sequence[Axis], clock: Clock | None = None) -> None:
         self._driver = driver
         self._dialogue = dialogue
         self._axes = tuple(axes)
-        self._home_timeout_s = home_timeout_s
         self._clock = clock or Clock()
         self._link = dialogue.link
         self.events = self._link.events
@@ -260,7 +251,7 @@ class Stage:
         return "; " + ", ".join(parts) if parts else ""
 
     def _await_homing(self) -> Reading:
-        started = self._clock.now()
+        started, limit_s = self._clock.now(), self._dialogue.home_timeout_s
         moved = self._dialogue.HOMES_TO_END
         wrong_since: float | None = None
         while True:
@@ -269,9 +260,9 @@ class Stage:
             if reading.moving:
                 moved = True
                 wrong_since = None
-                if now - started > self._home_timeout_s:
+                if now - started > limit_s:
                     raise self._link.failure(
-                        f"has not found its origin after {self._home_timeout_s:g} s: look at the limit switches"
+                        f"has not found its origin after {limit_s:g} s: look at the limit switches"
                     )
             else:
                 problem = self._dialogue.homed(reading)

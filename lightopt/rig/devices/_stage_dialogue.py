@@ -1,6 +1,5 @@
 """What the driver of a stage implements (:class:`Dialogue`), and its axes: angles of the rig, units of the device."""
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -28,8 +27,6 @@ class Axis:
     steps_per_deg: Device units per degree; negative where the device counts against the rig's sense.
     zero: Device units at which the rig's angle is 0.
     home_sense: +1 or -1: the sense of the count in which a device seeks its origin, for those that need it (GSC-02).
-
-    Raises InputError for values that cannot be.
     """
 
     name: str
@@ -39,24 +36,6 @@ class Axis:
     zero: float = 0.0
     speed_deg_per_s: float = 20.0
     home_sense: int = -1
-
-    def __post_init__(self) -> None:
-        low, high = self.range_deg
-        wrong: list[str] = []
-        if not (math.isfinite(self.steps_per_deg) and self.steps_per_deg != 0):
-            wrong.append(f"steps_per_deg should be a number other than 0 and is {self.steps_per_deg:g}")
-        if not math.isfinite(self.zero):
-            wrong.append(f"zero should be a number and is {self.zero:g}")
-        if not (math.isfinite(low) and math.isfinite(high) and low <= high):
-            wrong.append(f"the range should go from low to high and is {describe_range(self.range_deg)}")
-        if not (math.isfinite(self.speed_deg_per_s) and self.speed_deg_per_s > 0):
-            wrong.append(f"the speed should be above 0°/s and is {self.speed_deg_per_s:g}°/s")
-        if self.home_sense not in (-1, 1):
-            wrong.append(f"home_sense should be 1 or -1 and is {self.home_sense}")
-        if not self.device:
-            wrong.append("the device's name of the axis is missing")
-        if wrong:
-            raise InputError(*(f"stage axis {self.name}: {problem}" for problem in wrong))
 
     def angle_of(self, units: float) -> float:
         """The rig's angle [°] at a position of the device."""
@@ -120,12 +99,12 @@ class Dialogue(ABC):
         self.link = link
         self._retry = Retry(link)
         self._axes = tuple(axes)
-        self._home_timeout_s = home_timeout_s
+        self.home_timeout_s = home_timeout_s
 
     @classmethod
     @abstractmethod
     def check_axes(cls, axes: Sequence[Axis]) -> None:
-        """Refuse axes and speeds that the device cannot have, as far as that is known without it (InputError)."""
+        """Refuse speeds, and axes together, that the device cannot have, as far as is known without it (InputError)."""
 
     @abstractmethod
     def identify(self) -> dict[str, str]:

@@ -126,10 +126,7 @@ class GrblDialogue(Dialogue):
 
     @classmethod
     def check_axes(cls, axes: Sequence[Axis]) -> None:
-        """Refuse axes that Grbl does not have; the speeds that it allows are only known from the device."""
-        names = [axis.device for axis in axes]
-        if any(name not in _AXES for name in names) or len(set(names)) < len(names):
-            raise InputError(f"stage: Grbl's axes are X, Y and Z, each for one angle; found {', '.join(names)}")
+        """Nothing: the speeds that Grbl allows are only known from the device."""
 
     def identify(self) -> dict[str, str]:
         lines = self._retry.run(lambda: self._line("$I"))
@@ -202,7 +199,7 @@ class GrblDialogue(Dialogue):
             )
         self._restarted = False
         self._homing = True  # until it answers ok: while it seeks, it reports nothing and ignores a hold
-        self._line("$H", deadline_s=self._home_timeout_s)
+        self._line("$H", deadline_s=self.home_timeout_s)
         self._homing = False
 
     def halt(self) -> None:

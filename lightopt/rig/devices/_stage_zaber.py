@@ -127,7 +127,6 @@ def parse_reply(line: bytes) -> Reply:
 
 _SPEED_UNIT = 1.6384  # maxspeed per microstep per second
 _STOPS = frozenset({"WL"})  # warnings after which the position is not to be trusted
-_ADDRESS = re.compile(r"(?:(?P<device>[1-9]\d?)/)?(?P<axis>[1-9])")
 
 
 class ZaberDialogue(Dialogue):
@@ -274,12 +273,8 @@ class ZaberDialogue(Dialogue):
 
 def _address(axis: Axis) -> tuple[int, int]:
     """Numbers of the device and of its axis."""
-    match = _ADDRESS.fullmatch(axis.device)
-    if match is None:
-        raise InputError(
-            f"stage axis {axis.name}: expected an axis of device 1 (2), or device/axis (2/1), found {axis.device}"
-        )
-    return int(match["device"] or 1), int(match["axis"])
+    device, _, number = axis.device.rpartition("/")
+    return int(device or 1), int(number)
 
 
 def _described(text: str, meanings: Mapping[str, str]) -> str:
