@@ -115,9 +115,9 @@ def test_evidence_is_the_sum_of_squares_over_the_pixels_of_a_defect(seed):
     limits = np.sort(rng.uniform(0.0, 300.0, (2, 3)), axis=1)
     words = np.zeros((3, patches, 1), np.uint64)
     evidence._add_evidence(
-        codes, bounds.astype(np.float32), column / np.float32(cell), row / np.float32(cell), owner, classes, angle, entry, turns, first,
-        along / np.float32(cell), (right / cell).astype(np.float32), (down / cell).astype(np.float32),
-        variant.astype(np.int32), share, ratio, limits, words,
+        codes, bounds.astype(np.float32), column / np.float32(cell), row / np.float32(cell), owner, classes, angle,
+        entry, turns, first, along / np.float32(cell), (right / cell).astype(np.float32),
+        (down / cell).astype(np.float32), variant.astype(np.int32), share, ratio, limits, words,
     )  # fmt: skip
     for p in range(patches):
         for h in range(5):

@@ -64,12 +64,12 @@ _CONFIRMED = (0.25, 0.5, 0.72)
 # a piece little longer than wide stands for the whole
 _PIXELS_ACROSS, _PIXELS_ACROSS_SCRATCH, _SCRATCH_WIDTHS = 4.0, 2.2, 1.4
 
-# Defects lie anywhere in their pixels: middles of narrow ones, of fewer pixels than this, are taken half way between the
-# two places that differ most
+# Defects lie anywhere in their pixels: middles of narrow ones, of fewer pixels than this, are taken half way between
+# the two places that differ most
 _NARROW_PX, _OFF_PX = 5.0, (0.25, 0.25)
 
-# the inspection compares the greatest Z of the hypotheses near a defect, which noise makes greater than that of the true
-# one by about this much
+# the inspection compares the greatest Z of the hypotheses near a defect, which noise makes greater than that of the
+# true one by about this much
 _GREATEST_OF_NEAR = 0.5
 
 _CODES_PER_DEVIATION = 16  # changes are stored as whole numbers of 16 bits: of walls that glint, many deviations
