@@ -15,14 +15,13 @@ from benchmarks.search import PLAIN_COMBINATIONS, REFINED, SCALES, THRESHOLDS, S
 from lightopt import build_scene, load_rig
 from lightopt.defects import BUILT_IN_CATALOGUE, CatalogueEntry, DefectShape
 from lightopt.design import (
-    Contrast,
-    DefectHypothesis,
     DetectabilityObjective,
     DetectionModel,
     LuminanceMatrix,
-    defect_hypotheses,
+    PlannedCatalogue,
     find_candidates,
     luminance_matrix,
+    planned_catalogue,
     search,
 )
 from lightopt.rendering import build_patches, cast_rays_at
@@ -34,9 +33,9 @@ FEW_POSITIONS = 4
 """Positions of each light in the comparison of matrices with converged panels."""
 
 
-def three_slopes() -> tuple[DefectHypothesis, ...]:
-    """Eight directions of three slopes."""
-    return defect_hypotheses(
+def three_slopes() -> PlannedCatalogue:
+    """Dents of three slopes."""
+    return planned_catalogue(
         [
             CatalogueEntry(
                 f"dent of {slope:g}°", DefectShape(kind="dent", length=2.0, width=2.0, slope=math.radians(slope))
@@ -56,12 +55,12 @@ def run(size: Size) -> Report:
     for part in PARTS:
         for name, trials in (
             ("three slopes", three_slopes()),
-            ("built-in catalogue", defect_hypotheses(BUILT_IN_CATALOGUE)),
+            ("built-in catalogue", planned_catalogue(BUILT_IN_CATALOGUE)),
         ):
             matrix = matrix_rows(part, name, trials, scale, 4, repeats, matrices, numbers)
             searches += search_rows(part, name, matrix, trials, repeats, numbers)
         matrix_rows(
-            part, "built-in catalogue", defect_hypotheses(BUILT_IN_CATALOGUE), scale, "auto", repeats, matrices, numbers
+            part, "built-in catalogue", planned_catalogue(BUILT_IN_CATALOGUE), scale, "auto", repeats, matrices, numbers
         )
     numbers["peak_bytes"] = peak_bytes()
     return Report(
@@ -69,11 +68,11 @@ def run(size: Size) -> Report:
         [
             Table(
                 f"search, every combination scored, {THREADS} threads (target < 3 s)",
-                ("part", "defects", "bits", "seen in", "combinations", "least s", "plain s", "times faster"),
+                ("part", "defects", "pairs", "images", "combinations", "least s", "plain s", "times faster"),
                 searches,
             ),
             Table(
-                "matrix with the visibility of defects against that of levels alone (target ≤ 3)",
+                "matrix with the evidence of defects against that of levels alone",
                 (
                     "part",
                     "defects",
@@ -98,7 +97,7 @@ def run(size: Size) -> Report:
 def matrix_rows(
     part: str,
     name: str,
-    trials: tuple[DefectHypothesis, ...],
+    trials: PlannedCatalogue,
     scale: Scale,
     points: int | str,
     repeats: int,
@@ -116,7 +115,7 @@ def matrix_rows(
     table = replace(table, visible=table.visible & keep)
     panels = find_candidates(load_rig(RIG), step_deg=scale.step_deg, points=points).panels  # type: ignore[arg-type]
     inspection = DetectionModel(
-        hypotheses=trials, contrast=Contrast(sensor=scene.sensor, full_scale=scene.reflectance.full_scale)
+        catalogue=trials, sensor=scene.sensor, full_scale=scene.reflectance.full_scale, min_images=2
     )
     few = tuple(
         tuple(light[k] for k in np.linspace(0, len(light) - 1, min(len(light), FEW_POSITIONS)).astype(int))
@@ -146,12 +145,7 @@ def matrix_rows(
 
 
 def search_rows(
-    part: str,
-    name: str,
-    matrix: LuminanceMatrix,
-    trials: tuple[DefectHypothesis, ...],
-    repeats: int,
-    numbers: dict[str, object],
+    part: str, name: str, matrix: LuminanceMatrix, trials: PlannedCatalogue, repeats: int, numbers: dict[str, object]
 ) -> list[tuple[str, ...]]:
     """A row for each number of images; the fast and the plain way in the same rounds."""
     rows: list[tuple[str, ...]] = []
@@ -160,7 +154,7 @@ def search_rows(
     count = PLAIN_COMBINATIONS // 10
     drawn = [tuple(int(rng.integers(n)) for n in matrix.shape) for _ in range(count)]
     for min_images in SEEN_IN:
-        objective = DetectabilityObjective(trials, min_images)
+        objective = DetectabilityObjective(trials.defects, min_images)
         weights = objective.weights(matrix.areas)
 
         def fast(objective: DetectabilityObjective = objective) -> object:
@@ -175,7 +169,7 @@ def search_rows(
         slow = min(times["plain"]) / count * cells
         rows.append(
             (
-                part, name, f"{len(matrix.areas):,} × {len(trials)}", str(min_images), f"{cells:,}",
+                part, name, f"{len(matrix.areas):,} × {len(trials.defects)}", str(min_images), f"{cells:,}",
                 f"{min(times['search']):.3f}", f"{slow:,.0f}", f"{slow / min(times['search']):,.0f}",
             )
         )  # fmt: skip

@@ -16,7 +16,6 @@ from lightopt import build_scene, load_part, load_rig
 from lightopt.core.transforms import Posture
 from lightopt.design import (
     DRAWN_PATCHES,
-    Contrast,
     DetectionModel,
     ImageEvaluator,
     PairAssessment,
@@ -26,11 +25,12 @@ from lightopt.design import (
     Tolerances,
     analyse_tolerances,
     choose_postures,
-    counts_of_images,
-    defect_hypotheses,
     drawn_patches,
     find_candidates,
     place_lights,
+    planned_catalogue,
+    sum_of_images,
+    without_edges,
 )
 from lightopt.rendering import build_patches, cast_rays_at
 from lightopt.scene import build_catalogue
@@ -78,14 +78,15 @@ def run(size: Size) -> Report:
             postures=tuple(Posture(tilt, turn) for tilt in TILTS for turn in turns),
         )
         caster = cast_rays_at(scene)
-        table = build_patches(scene, caster=caster, budget=scale.patches)
-        contrast = Contrast(sensor=scene.sensor, full_scale=scene.reflectance.full_scale)
-        trials = defect_hypotheses(build_catalogue(part))
+        table = without_edges(build_patches(scene, caster=caster, budget=scale.patches), scene, caster)
+        catalogue = planned_catalogue(build_catalogue(part))
         whole = ImageEvaluator(
             scene=scene,
             table=table,
             caster=caster,
-            detection=DetectionModel(hypotheses=trials, contrast=contrast),
+            detection=DetectionModel(
+                catalogue=catalogue, sensor=scene.sensor, full_scale=scene.reflectance.full_scale, min_images=2
+            ),
             threads=THREADS,
         )
         drawn = replace(whole, table=drawn_patches(table, scale.drawn))
@@ -98,7 +99,7 @@ def run(size: Size) -> Report:
         rows.append(
             (
                 name,
-                f"{len(scene.postures)} × {len(whole.patches):,} × {len(trials)}",
+                f"{len(scene.postures)} × {len(whole.patches):,} × {len(catalogue.defects)}",
                 f"{cut:.0f}",
                 f"{seconds:.0f}",
                 f"{work:.0f}",
@@ -137,12 +138,12 @@ def run(size: Size) -> Report:
                 f"(targets: {TARGET_S:.0f} s, {TARGET_BYTES / 1e9:.0f} GB)",
                 (
                     "part",
-                    "postures × patches × trials",
+                    "postures × patches × defects",
                     "patches s",
                     "whole s",
                     "processor s",
                     "GB",
-                    "seen",
+                    "found",
                     "bound",
                     "all",
                 ),
@@ -150,7 +151,7 @@ def run(size: Size) -> Report:
             ),
             Table(
                 f"lights placed for two of the postures at {scale.fine:g}°, every combination, images counted before",
-                ("part", "seen in", "combinations", "patches", "s", "processor s"),
+                ("part", "images", "combinations", "patches", "s", "processor s"),
                 place_rows,
             ),
             Table(
@@ -172,13 +173,16 @@ def placing(whole: ImageEvaluator, choice: PostureChoice, step_deg: float) -> di
     candidates = find_candidates(load_rig(RIG), step_deg=step_deg)
     images = [whole.flags(posture, candidates.panels) for posture in choice.postures[:2]]
     took: dict[int, tuple[int, float, float]] = {}
+    detection = whole.detection
+    assert detection is not None
     for k in (1, 2):
+        needed = replace(whole, detection=replace(detection, min_images=k)).needed
         lights = [
-            np.stack([counts_of_images(list(places), k) for places in zip(*postures, strict=True)])
+            np.stack([sum_of_images(list(places), needed) for places in zip(*postures, strict=True)])
             for postures in zip(*images, strict=True)
         ]
         start, work = time.perf_counter(), time.process_time()
-        found = place_lights(lights, whole.weights, candidates.space, threads=THREADS)
+        found = place_lights(lights, whole.weights, candidates.space, needed=needed, threads=THREADS)
         assert found.exact
         took[k] = (math.prod(candidates.space.sizes), time.perf_counter() - start, time.process_time() - work)
     return took
@@ -194,6 +198,6 @@ def tolerances(drawn: ImageEvaluator, choice: PostureChoice) -> tuple[float, int
         exposures=((1.0,),),
     )
     names = [light.name for light in rig.lights]
-    assess = PairAssessment(drawn, setup, min_images=1)
+    assess = PairAssessment(drawn, setup)
     found = analyse_tolerances(assess, names, Tolerances(light_deg=2.0, pose_deg=1.0))
     return found.worst / max(1, found.score), len(drawn.patches)

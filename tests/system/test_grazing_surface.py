@@ -15,15 +15,14 @@ from lightopt.config import load_part, load_rig
 from lightopt.core.transforms import Posture
 from lightopt.design import (
     OBJECTIVES,
-    Contrast,
     DetectionModel,
     ImageEvaluator,
     LevelThresholds,
     area_units,
-    defect_hypotheses,
     drawn_patches,
     find_candidates,
     luminance_matrix,
+    planned_catalogue,
     search,
 )
 from lightopt.rendering import GRAZING_DEG, build_patches, cast_rays_at
@@ -80,7 +79,7 @@ def test_scores_and_shares_of_a_sphere_are_of_the_cap_that_is_seen_at_up_to_80_d
     inspectable, visible = caps()
     candidates = find_candidates(rig, step_deg=30.0)
     inspection = DetectionModel(
-        hypotheses=defect_hypotheses(build_catalogue(part)), contrast=Contrast(sensor=scene.sensor, full_scale=255.0)
+        catalogue=planned_catalogue(build_catalogue(part)), sensor=scene.sensor, full_scale=255.0
     )
     matrix = luminance_matrix(scene, table, posture, candidates.panels, caster=caster, detection=inspection)
     assert matrix.areas.sum() == pytest.approx(inspectable, rel=0.01)

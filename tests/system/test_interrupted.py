@@ -231,7 +231,7 @@ def test_ctrl_c_is_answered_soon_while_panels_of_very_many_points_are_cast(share
     """A block of patches under such a panel takes many seconds of a processor; it ends within one piece of it."""
     from lightopt import build_scene
     from lightopt.defects import BUILT_IN_CATALOGUE
-    from lightopt.design import Contrast, DetectionModel, defect_hypotheses, luminance_matrix
+    from lightopt.design import DetectionModel, luminance_matrix, planned_catalogue
     from lightopt.geometry import RayCaster
     from lightopt.rendering import build_patches
 
@@ -246,9 +246,7 @@ def test_ctrl_c_is_answered_soon_while_panels_of_very_many_points_are_cast(share
 
     caster = RayCaster(scene.mesh.vertices, scene.mesh.faces, recorder=tell)
     table = build_patches(scene, caster=caster, budget=8000)
-    inspection = DetectionModel(
-        hypotheses=defect_hypotheses(BUILT_IN_CATALOGUE), contrast=Contrast(sensor=scene.sensor, full_scale=255)
-    )
+    inspection = DetectionModel(catalogue=planned_catalogue(BUILT_IN_CATALOGUE), sensor=scene.sensor, full_scale=255.0)
 
     def cast(points: int) -> None:
         panels = [[replace(light, points=points)] for light in scene.lights]
