@@ -119,23 +119,26 @@ def test_evidence_is_the_sum_of_squares_over_the_pixels_of_a_defect(seed):
         entry, turns, first, along / np.float32(cell), (right / cell).astype(np.float32),
         (down / cell).astype(np.float32), variant.astype(np.int32), share, ratio, limits, words,
     )  # fmt: skip
+
+    def energy_at(p, h):
+        group = h * evidence.FORESHORTENINGS + classes[p]
+        pixels = {}
+        for n in range(first[group], first[group + 1]):
+            near = max(abs(right[n]), abs(down[n])) < 0.5 * cell
+            q = p if near else owner_at(owner, cell, column[p] + right[n], row[p] + down[n])
+            own = pixels.setdefault((right[n], down[n]), [q, 0.0])
+            own[1] += 0.0 if q < 0 else share[n] * codes[q, variant[n]] / 16.0
+        changes = [(np.clip(m, *bounds[q, :2]), bounds[q, 2]) for q, m in pixels.values() if q >= 0]
+        return float(ratio[group]) ** 2 * sum(m**2 for m, none in changes if abs(m) > none)
+
     for p in range(patches):
         for h in range(5):
             turn = 0 if h == 0 else 1 + (h - 1 + round(angle[p] / math.pi * 4)) % 4
-            group = turn * evidence.FORESHORTENINGS + classes[p]
-            energy = 0.0
-            for segment in (-2, -1, 0, 1, 2) if along[group].any() else (0,):
-                x, y = column[p] + segment * along[group, 0], row[p] + segment * along[group, 1]
-                pixels = {}
-                for n in range(first[group], first[group + 1]):
-                    near = segment == 0 and max(abs(right[n]), abs(down[n])) < 0.5 * cell
-                    q = p if near else owner_at(owner, cell, x + right[n], y + down[n])
-                    own = pixels.setdefault((right[n], down[n]), [q, 0.0])
-                    own[1] += 0.0 if q < 0 else share[n] * codes[q, variant[n]] / 16.0
-                changes = [np.clip(m, *bounds[q, :2]) for q, m in pixels.values() if q >= 0]
-                dark = [bounds[q, 2] for q, _ in pixels.values() if q >= 0]
-                squares = sum(m**2 for m, none in zip(changes, dark, strict=True) if abs(m) > none)
-                energy = max(energy, float(ratio[group]) ** 2 * squares)
+            dx, dy = along[turn * evidence.FORESHORTENINGS + classes[p]]
+            near = [p]
+            if dx or dy:
+                near += [owner_at(owner, cell, column[p] + side * dx, row[p] + side * dy) for side in (-2, -1, 1, 2)]
+            energy = max(energy_at(q, turn) for q in near if q >= 0)
             if np.abs(limits[entry[h]] - energy).min() < 1e-3:
                 continue
             bits = [int(words[j, p, 0] >> np.uint64(h) & np.uint64(1)) for j in range(3)]

@@ -431,7 +431,18 @@ def _add_evidence(
     limits: Float64,
     words: Words,
 ) -> None:
-    # places in the image in cells
+    # places in the image in cells. First the evidence of each defect in each turn as the image counts it, then the
+    # greatest along each defect: what its segments have is what the patches that they lie on have
+    found = np.zeros((len(codes), len(entry)), np.float32)
+    for p in range(len(codes)):
+        for h in range(len(entry)):
+            group = h * FORESHORTENINGS + classes[p]
+            # in units of a pixel
+            area = ratio[group] * ratio[group]
+            enough = np.float32(limits[entry[h], limits.shape[1] - 1]) / area
+            pieces = first[group], first[group + 1]
+            energy = _energy(codes, bounds, column[p], row[p], p, owner, pieces, right, down, variant, share, enough)
+            found[p, h] = energy * area
     for p in range(len(codes)):
         start = 0
         for h in range(len(entry)):
@@ -439,24 +450,19 @@ def _add_evidence(
                 start = h
             count = turns[entry[h]]
             # the same turn as the image counts it
-            turn = (h - start + round(angle[p] / math.pi * count)) % count
-            group = (start + turn) * FORESHORTENINGS + classes[p]
-            pieces = first[group], first[group + 1]
-            # in units of a pixel
-            area = ratio[group] * ratio[group]
-            enough = np.float32(limits[entry[h], limits.shape[1] - 1]) / area
-            energy = _energy(codes, bounds, column[p], row[p], p, owner, pieces, right, down, variant, share, enough)
-            dx, dy = along[group]
+            own = start + (h - start + round(angle[p] / math.pi * count)) % count
+            energy = found[p, own]
+            dx, dy = along[own * FORESHORTENINGS + classes[p]]
             if dx != 0.0 or dy != 0.0:
-                for side in (-1, 1, -2, 2):
-                    if energy >= enough:
-                        break
+                for side in (-2, -1, 1, 2):
                     x, y = column[p] + side * dx, row[p] + side * dy
-                    other = _energy(codes, bounds, x, y, -1, owner, pieces, right, down, variant, share, enough)
-                    energy = max(energy, other)
+                    if x >= 0 and y >= 0 and x < owner.shape[1] and y < owner.shape[0]:
+                        q = owner[int(y), int(x)]
+                        if q >= 0:
+                            energy = max(energy, found[q, own])
             bit = np.uint64(1) << np.uint64(h % 64)
             for unit in range(len(words)):
-                if energy * area >= limits[entry[h], unit]:
+                if energy >= limits[entry[h], unit]:
                     words[unit, p, h // 64] |= bit
 
 
@@ -475,14 +481,13 @@ def _energy(
     share: Float32,
     enough: np.float32,
 ) -> np.float32:
-    # Σ m² of a defect with its middle at a point of the image, which patch `own` is at, −1 for none; the sum ends where
-    # it is enough
+    # Σ m² of a defect with its middle at patch `own`; the sum ends where it is enough
     energy = np.float32(0.0)
     n, end = pieces
     while n < end and energy < enough:
         here_right, here_down = right[n], down[n]
         q = -1
-        if own >= 0 and max(abs(here_right), abs(here_down)) < np.float32(0.5):
+        if max(abs(here_right), abs(here_down)) < np.float32(0.5):
             q = own
         else:
             x, y = column + here_right, row + here_down
