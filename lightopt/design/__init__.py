@@ -64,7 +64,6 @@ from lightopt.design.postures._posture_choice import PostureChoice as PostureCho
 from lightopt.design.postures._posture_search import choose_postures as choose_postures
 from lightopt.design.responses._defect_hypotheses import (
     PlannedCatalogue as PlannedCatalogue,
-    PlannedDefect as PlannedDefect,
     planned_catalogue as planned_catalogue,
 )
 from lightopt.design.responses._evidence import DetectionModel as DetectionModel
@@ -79,7 +78,6 @@ from lightopt.design.responses._luminance_matrix import (
     Levels as Levels,
     LevelThresholds as LevelThresholds,
     LuminanceMatrix as LuminanceMatrix,
-    Visibility as Visibility,
     area_units as area_units,
 )
 from lightopt.design.responses._packed_bits import sum_of_images as sum_of_images, unpack_flags as unpack_flags

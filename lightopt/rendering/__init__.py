@@ -47,7 +47,6 @@ from lightopt.rendering._scene_checks import (
     too_few_pixels as too_few_pixels,
 )
 from lightopt.rendering._surface import (
-    GRAZING_COSINE as GRAZING_COSINE,
     GRAZING_DEG as GRAZING_DEG,
     SurfacePoints as SurfacePoints,
     trace_samples as trace_samples,

@@ -16,7 +16,7 @@ from lightopt.design import BlindReason, blind_text
 from lightopt.images import read_png
 
 LIGHTS = ("light1", "light2", "light3")
-DEFECTS = ("--objective", "detectability", "--objective", "paper", "--min-images", "2", "--threshold", "4")
+DEFECTS = ("--objective", "detectability", "--objective", "paper", "--min-images", "2", "--false-alarms", "0.2")
 
 
 @pytest.fixture
@@ -51,7 +51,7 @@ def ply_of(path):
 def test_result_has_scores_kinds_directions_and_blind_spots(planned):
     result = result_of(planned.out)
     assert result["provenance"]["options"]["min_images"] == 2
-    assert result["provenance"]["options"]["threshold"] == 4.0
+    assert result["provenance"]["options"]["false_alarms"] == 0.2
     for one in result["results"]:
         found, paper = one["objectives"]
         assert found["objective"] == "detectability"
@@ -86,9 +86,9 @@ def test_table_and_surface_say_the_same_in_the_part_files_coordinates(planned):
     own = [r for r in rows if (r["postures"], r["lights"]) == ("all", "chosen")]
     whole = {r["what"]: float(r["share"]) for r in own if r["share_of"] != "surface"}
     (left_out,) = (r for r in own if r["share_of"] == "surface")
-    assert whole["seen"] == pytest.approx(spots["chosen"]["seen"], abs=1e-6)
+    assert whole["found"] == pytest.approx(spots["chosen"]["seen"], abs=1e-6)
     assert sum(whole.values()) == pytest.approx(1.0, abs=1e-5)
-    assert left_out["what"] == "left out: seen at a grazing angle"
+    assert left_out["what"] == "left out: at a grazing angle or an edge"
     assert float(left_out["share"]) == pytest.approx(spots["chosen"]["left_out_of_surface"], abs=1e-6)
     assert sum(float(r["area_mm2"]) for r in own) == pytest.approx(spots["surface_mm2"], rel=1e-4)
     lines, vertices, faces = ply_of(planned.out / "blind.ply")
@@ -103,7 +103,7 @@ def test_table_and_surface_say_the_same_in_the_part_files_coordinates(planned):
     areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     assert areas.sum() == pytest.approx(spots["surface_mm2"], rel=1e-4)
     counted = areas[faces["code"] != BlindReason.GRAZING].sum()
-    assert (areas * faces["seen"]).sum() / counted == pytest.approx(whole["seen"], abs=1e-4)
+    assert (areas * faces["seen"]).sum() / counted == pytest.approx(whole["found"], abs=1e-4)
     for code in np.unique(faces["code"]):
         lost = (areas * (1 - faces["seen"]))[faces["code"] == code].sum() / counted
         if code not in (BlindReason.SEEN, BlindReason.GRAZING):
@@ -155,20 +155,20 @@ def test_kept_matrices_are_reused_and_give_the_same_bytes(planned, cli, snapshot
     assert ran.status == 0
     assert "2 stored luminance matrices reused" in ran.out
     assert "never seen by the camera" in ran.out
-    assert "kind seen worst" in ran.out
+    assert "kind found worst" in ran.out
     assert snapshot(planned.out) == before
 
 
 @pytest.mark.slow
-def test_other_thresholds_and_other_noise_are_other_matrices_and_other_results(three, cli):
+def test_other_false_alarms_and_other_noise_are_other_matrices_and_other_results(three, cli):
     command = ("optimize", three.rig, three.part, "-o", three.out, *FEW, *BARE, "--posture", "0,0")
     command += ("--objective", "detectability", "--keep-matrix")
     assert cli(*command).status == 0
     loose = result_of(three.out)["results"][0]["objectives"][0]["score"]
-    ran = cli(*command, "--threshold", "20")
+    ran = cli(*command, "--false-alarms", "1e-9")
     assert ran.status == 2
-    assert "options.threshold: previously 5.0, now 20.0" in ran.err
-    ran = cli(*command, "--threshold", "20", "--force")
+    assert "options.false_alarms: previously 0.05, now 1e-09" in ran.err
+    ran = cli(*command, "--false-alarms", "1e-9", "--force")
     assert ran.status == 0
     assert "reused" not in ran.out
     strict = result_of(three.out)["results"][0]["objectives"][0]["score"]
@@ -185,11 +185,11 @@ def test_other_thresholds_and_other_noise_are_other_matrices_and_other_results(t
     ("arguments", "message"),
     [
         (("--min-images", "2"), "--min-images: has no effect without --objective detectability"),
-        (("--threshold", "2"), "--threshold: has no effect without --objective detectability"),
+        (("--false-alarms", "1"), "--false-alarms: has no effect without --objective detectability"),
         (("--objective", "detectability", "--min-images", "0"), "Invalid value for '--min-images'"),
         (("--objective", "detectability", "--min-images", "4"), "seen in 4 images, and the rig has 3 lights only"),
-        (("--objective", "detectability", "--threshold", "0"), "--threshold: expected a number above 0"),
-        (("--objective", "detectability", "--threshold", "nan"), "--threshold: expected a number above 0"),
+        (("--objective", "detectability", "--false-alarms", "0"), "--false-alarms: expected the false alarms"),
+        (("--objective", "detectability", "--false-alarms", "nan"), "--false-alarms: expected the false alarms"),
     ],
 )
 def test_bad_options(three, cli, arguments, message):
@@ -211,4 +211,4 @@ def test_part_with_a_catalogue_of_its_own(three, cli):
     assert cli(*command, "--objective", "detectability").status == 0
     found = result_of(three.out)["results"][0]["objectives"][0]
     assert list(found["defects"]) == ["<knock>", "spot"]
-    assert json.loads((three.out / "result.json").read_text(encoding="utf-8"))["blind_spots"]["min_images"] == 1
+    assert json.loads((three.out / "result.json").read_text(encoding="utf-8"))["blind_spots"]["min_images"] == 2

@@ -213,7 +213,7 @@ def test_defaults_in_the_help_are_those_of_the_library():
         ("optimize", "step"): optimize.step_deg,
         ("optimize", "max_combinations"): optimize.limit,
         ("optimize", "min_images"): optimize.min_images,
-        ("optimize", "threshold"): optimize.threshold,
+        ("optimize", "false_alarms"): optimize.false_alarms,
         ("optimize", "ranking_rows"): optimize.rows,
         ("optimize", "posture_step"): plan.posture_step_deg,
         ("optimize", "allow_outside"): plan.allow_outside_px,

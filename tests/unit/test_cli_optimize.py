@@ -418,9 +418,10 @@ def test_plain_shapes_have_an_answer_or_an_error_in_words(three, cli, shape, obj
     SHAPES[shape].export(three.mesh)
     ran = cli("optimize", three.rig, three.part, "-o", three.out, *QUICK, "--objective", objective)
     assert "nan" not in (ran.out + ran.err).lower()
-    if shape == "sheet":
+    if shape == "sheet" or (shape, objective) == ("torus", "detectability"):
+        # in so small an image all of the torus is a silhouette or a crease
         assert ran.status == 2
-        assert "the camera sees surface at more than 80° to its normal only" in ran.err
+        assert "the camera sees surface at more than 80° to its normal" in ran.err
         assert not (three.out / "result.json").exists()
         return
     assert ran.status == 0, ran.err
@@ -428,7 +429,8 @@ def test_plain_shapes_have_an_answer_or_an_error_in_words(three, cli, shape, obj
     (answer,) = group["objectives"]
     assert 0.0 < answer["share_of_inspectable_area"] <= 1.0
     assert 0.0 <= group["left_out_of_visible_area"] < 0.5
-    assert (group["left_out_of_visible_area"] > 0.0) is (shape != "plate")
+    # the edges of a plate are left out where defects are planned for
+    assert (group["left_out_of_visible_area"] > 0.0) is (shape != "plate" or objective == "detectability")
 
 
 ONE_LIGHT = """lights:
@@ -443,7 +445,18 @@ def test_one_light_is_placed_for_defects_and_refused_by_objectives_that_compare_
     assert "objective coverage requires each patch to be usable in 2 images, and there is one light only" in refused.err
     assert "use the objective detectability" in refused.err
     arguments = ("--step", "30", "--patches", "500", *BARE, "--posture", "0,0")
-    ran = cli("optimize", bench.rig, bench.part, "-o", bench.out, "--objective", "detectability", *arguments)
+    ran = cli(
+        "optimize",
+        bench.rig,
+        bench.part,
+        "-o",
+        bench.out,
+        "--objective",
+        "detectability",
+        "--min-images",
+        "1",
+        *arguments,
+    )
     assert ran.status == 0, ran.err
     (result,) = json.loads((bench.out / "result.json").read_text(encoding="utf-8"))["results"]
     (answer,) = result["objectives"]

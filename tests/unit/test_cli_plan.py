@@ -47,8 +47,10 @@ def test_the_result_says_postures_gains_and_bounds(planned):
     chosen = result["chosen_postures"]
     assert len(chosen["postures"]) == 2
     first, second = chosen["postures"]
-    assert first["gain"] == first["share"]
-    assert second["share"] == pytest.approx(first["gain"] + second["gain"], abs=2e-6) == chosen["share"]
+    # gains are of evidence: what is found has all that it needs, other defects have a part
+    assert 0.0 < second["gain"] < first["gain"]
+    assert first["share"] <= first["gain"]
+    assert first["share"] <= second["share"] == chosen["share"] <= first["gain"] + second["gain"]
     assert chosen["share"] <= chosen["bound"] <= chosen["all_candidates"] + 1e-9
     assert chosen["greedy_guarantee"] == pytest.approx(chosen["share"] / chosen["bound"], abs=2e-6)
     assert chosen["optimum"] == "local"
@@ -217,7 +219,7 @@ def test_what_is_planned_goes_with_the_plan(two, cli):
     assert cli("optimize", two.rig, two.part, "-o", two.out, *FEW, "--exposures", "1/16").status == 0
     assert (two.out / "part.planned.yaml").is_file()
     options = result_of(two.out)["provenance"]["options"]
-    assert (options["min_images"], options["threshold"]) == (1, 5.0)  # exposures are planned for defects
+    assert (options["min_images"], options["false_alarms"]) == (2, 0.05)  # exposures are planned for defects
     ran = plan(cli, two, "--force")
     assert ran.status == 0, ran.err
     assert not (two.out / "part.planned.yaml").exists()
@@ -244,7 +246,7 @@ def test_one_light_is_enough_where_postures_are_chosen(two, cli, reach):
     requested = ("--patches", "200", "--step", "10", "--choose-postures", "2", "--posture-step", "90")
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *requested, "--min-images", "2", "--light-tolerance", "1")
     assert ran.status == 0, ran.err
-    assert "2 postures of 13 show" in ran.out
+    assert "2 postures of 13: " in ran.out
     result = result_of(two.out)
     # either posture confirms what the other shows
     assert result["chosen_postures"]["share"] > 0.0
@@ -353,32 +355,33 @@ def test_images_of_chosen_postures_have_the_planned_exposures(two, cli):
 @pytest.mark.slow
 def test_what_is_planned_is_rendered_as_it_is_planned(two, cli):
     requested = ("--patches", "150", "--step", "10", "--common-lights")
-    offer = ("--exposures", "1,1/16,8", "--exposure-gain", "0.6")
+    offer = ("--exposures", "1,1/16,8", "--exposure-gain", "2.5")
     ran = cli("optimize", two.rig, two.part, "-o", two.out, *requested, *offer, "-v")
     assert ran.status == 0, ran.err
     result = result_of(two.out)
     planned_ones: dict[Posture, list[float]] = {p: [1.0] for p in (Posture(0.0, 0.0), Posture(-10.0, 170.0))}
     for shot in result["exposures"]["shots"]:
         planned_ones[Posture.from_dict(shot["posture"])] += [shot["exposure"]] * shot["planned"]
-    assert sorted(map(len, planned_ones.values())) == [2, 3], "their exposures differ"
+    assert sorted(map(len, planned_ones.values())) == [1, 2], "their exposures differ"
     taken: dict[Posture, set[float]] = {}
     for listed in result["images"]:
         for entry in read_image_set(two.out / listed["folder"]).images:
             taken.setdefault(entry.posture, set()).add(entry.exposure)
             assert entry.exposure in listed["exposures"]
     assert {posture: set(levels) for posture, levels in planned_ones.items()} == taken
-    assert len(result["overlaps"]) == 5
+    assert len(result["overlaps"]) == sum(map(len, planned_ones.values()))
     for overlap in result["overlaps"]:
         assert (two.out / overlap["map"]).is_file()
         assert overlap["exposure"] in planned_ones[Posture.from_dict(overlap["posture"])]
     page = (two.out / "report.html").read_text(encoding="utf-8")
     assert "What the camera would deliver at the planned exposures" in page
-    assert page.count(", exposure 0.0625<") == 2
-    assert page.count(", exposure 8<") == 1
+    for exposure in (0.0625, 8.0):
+        pictures = sum(exposure in levels for levels in planned_ones.values())
+        assert page.count(f", exposure {exposure:g}<") == pictures
     # each command begins at (0°, 0°) and takes its own postures
     captures = [one["command"] for one in result["rounds"]]
     assert captures == [text for text in result["commands"] if text.startswith("lightopt capture")]
-    assert len(captures) == 2
+    assert 1 <= len(captures) <= 2
     for number, one in enumerate(result["rounds"], start=1):
         words = shlex.split(one["command"])[2:]
         words[:2] = [str(two.out / word) for word in words[:2]]
@@ -395,7 +398,10 @@ def test_what_is_planned_is_rendered_as_it_is_planned(two, cli):
 
 @pytest.mark.slow
 def test_nothing_to_see_is_said(two, cli):
-    requested = ("--choose-postures", "2", "--posture-step", "90", "--threshold", "1e6")
+    requested = ("--choose-postures", "2", "--posture-step", "90", "--false-alarms", "1e-9")
+    two.edit(
+        "part.yaml", CATALOGUE, "defect_catalogue: [{name: faint, kind: stain, size_mm: 0.2, R_d_factor: 0.999}]\n"
+    )
     ran = plan(cli, two, *requested)
     assert ran.status == 1
     assert "no posture of 13 shows any defect" in ran.err
@@ -510,8 +516,8 @@ def test_tolerances_of_another_objective(two, cli):
             "objective paper drops each patch's highest and lowest level, and with 2 lights nothing is left",
         ),
         (("--exposures", "1,1/4", "--min-images", "9"), "2 lights × 2 postures, further exposures of the same light"),
-        (("--choose-postures", "1", "--threshold", "-1"), "--threshold: expected a number above 0"),
-        (("--exposures", "1/4", "--threshold", "nan"), "--threshold: expected a number above 0"),
+        (("--choose-postures", "1", "--false-alarms", "-1"), "--false-alarms: expected the false alarms"),
+        (("--exposures", "1/4", "--false-alarms", "nan"), "--false-alarms: expected the false alarms"),
         (("--choose-postures", "1", "--ranking-rows", "0"), "--ranking-rows: expected at least 1, found 0"),
         (("--choose-postures", "1", "--patches", "0"), "Invalid value for '--patches'"),
         (("--choose-postures", "1", "--threads", "0"), "Invalid value for '--threads'"),

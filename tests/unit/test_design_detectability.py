@@ -14,12 +14,12 @@ from lightopt.design import (
     DetectabilityObjective,
     LevelThresholds,
     LuminanceMatrix,
-    PlannedDefect,
     area_units,
     planned_catalogue,
     search,
 )
 from lightopt.design.objectives import _scores_by_units as unit_sums
+from lightopt.design.responses._defect_hypotheses import PlannedDefect
 
 THRESHOLDS = LevelThresholds(shade=10, saturation=255)
 

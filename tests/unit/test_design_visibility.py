@@ -9,8 +9,9 @@ import pytest
 
 from lightopt.core.errors import InputError
 from lightopt.defects import BUILT_IN_CATALOGUE, CatalogueEntry, DefectShape
-from lightopt.design import BlindReason, LevelThresholds, LuminanceMatrix, Visibility, blind_text, planned_catalogue
+from lightopt.design import BlindReason, LevelThresholds, LuminanceMatrix, blind_text, planned_catalogue
 from lightopt.design.blind_spots._blind_spots import blind_spots, by_light, defect_visibility
+from lightopt.design.responses._luminance_matrix import Visibility
 
 THRESHOLDS = LevelThresholds(shade=10, saturation=255, black=2)
 

@@ -55,10 +55,10 @@ UNITS_OF_IMAGE = 3
 
 DEFAULT_FALSE_ALARMS = 0.05
 
-# evidence from which on an image counts for one, two and three units, as shares of T²: with units of a third where one
-# image may decide, and of a quarter where two must; of these a last quarter confirms the others
+# evidence from which on an image counts for one, two and three units: as shares of T² where one image may decide, and
+# else of what it counts for at most
 _ALONE = (1.0 / 6.0, 1.0 / 2.0, 1.0)
-_CONFIRMED = (0.25, 0.5, 0.72)
+_CONFIRMED = (0.28, 0.61, 0.92)
 
 # a defect's width is divided into so many pixels where the camera's are smaller, a scratch's into fewer; of its segment
 # a piece little longer than wide stands for the whole
@@ -136,7 +136,7 @@ class DetectionModel:
                 found[e] = np.array(_ALONE) * z * z
             else:
                 most = (z * z - CONFIRMED**2) / (self.min_images - 1)
-                found[e] = np.array(_CONFIRMED) / _CONFIRMED[-1] * max(most, CONFIRMED**2)
+                found[e] = np.array(_CONFIRMED) * max(most, CONFIRMED**2)
         return found
 
 
@@ -185,8 +185,9 @@ def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> _Stencils:
                 place = np.stack([seen.column, seen.row]).astype(np.float64)
                 kept, sides = np.ones(len(seen.weight), np.bool_), ratio
                 if long:
-                    kept = np.abs(axis @ np.linalg.solve(to_image, place)) <= 0.5 * _SCRATCH_WIDTHS * width
-                    sides *= math.sqrt(float((seen.weight**2).sum() / (seen.weight[kept] ** 2).sum()))
+                    near = np.abs(axis @ np.linalg.solve(to_image, place)) <= 0.5 * _SCRATCH_WIDTHS * width
+                    kept = near if near.any() else kept
+                    sides *= math.sqrt(float((seen.weight**2).sum() / max((seen.weight[kept] ** 2).sum(), 1e-12)))
                 right.append(ratio * place[0, kept])
                 down.append(ratio * place[1, kept])
                 variant.append(before + seen.variant[kept].astype(np.int64))
