@@ -24,8 +24,8 @@ from lightopt.design.search._exact_search import SearchResult
 from lightopt.rendering import GRAZING_DEG, PatchTable
 
 LEFT_OUT_MEANING = (
-    f"left out: of the surface that the camera sees, what it sees at more than {GRAZING_DEG:g}° to the normal; it "
-    "counts neither as covered nor as uncovered"
+    f"left out: of the surface that the camera sees, what it sees at more than {GRAZING_DEG:g}° to the normal, and "
+    "with objective detectability what lies at silhouettes and creases; it counts neither as covered nor as uncovered"
 )
 """What the share that is left out is."""
 

@@ -429,10 +429,15 @@ def test_exposures_are_planned_where_they_add_enough(world, least):
         assert shot.gain == pytest.approx(gain)
         enough = gain > 0.0 and gain >= 0.01 * points
         assert (shot.reason == "gain") == enough
-        # where two images must agree, two may show together what neither shows alone
+        # since evidence adds up, two may show together what neither shows alone
         assert shot.planned == enough or shot.reason == "pair"
         if shot.planned:
             shots.append((shot.posture, shot.exposure))
+    pairs = [shot.gain for shot in found.further if shot.reason == "pair"]
+    assert len(pairs) % 2 == 0
+    for one, other in zip(pairs[::2], pairs[1::2], strict=True):
+        assert one + other > 0.0
+        assert one + other >= 0.02 * points
     assert found.after == pytest.approx(plain(shots))
     assert len(found.further) == 4
     assert any(shot.planned for shot in found.further)

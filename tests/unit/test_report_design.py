@@ -322,7 +322,7 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
     assert len(single) == 2
     labels = [kind.label for kind in reasons.classes]
     names = {
-        BlindReason.SEEN: "seen",
+        BlindReason.SEEN: "found",
         BlindReason.CAMERA: "never seen by the camera",
         BlindReason.GRAZING: "left out: at a grazing angle or an edge",
         BlindReason.SHADOWED: "shadowed",
@@ -332,7 +332,7 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
     for layer, found in ((reasons, chosen), (reachable, possible)):
         expected = [
             names.get(code, "saturated by a light")
-            + (", other defects seen" if code != BlindReason.SEEN and share > 0.0 else "")
+            + (", other defects found" if code != BlindReason.SEEN and share > 0.0 else "")
             for code, share in zip(found.codes.tolist(), found.share, strict=True)
         ]
         assert [labels[k] for k in layer.of_face] == expected

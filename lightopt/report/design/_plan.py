@@ -117,7 +117,7 @@ def posture_facts(chosen: Mapping[str, Any], rounds: Sequence[Mapping[str, Any]]
         ("all candidates together show", text(chosen["all_candidates"])),
         (
             "the camera sees, in some posture",
-            f"{sight[0]} of the surface; {sight[1]} is left out, seen at a grazing angle only",
+            f"{sight[0]} of the surface; {sight[1]} is left out, seen at a grazing angle or an edge only",
         ),
         ("travel from (0°, 0°)", _travel(chosen, rounds)),
         ("resolution", grain),

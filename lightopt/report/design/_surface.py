@@ -44,7 +44,7 @@ LEVEL_CLASSES = (
     ("usable in one image only", "#f0e442"),
     ("saturated in two images or more", "#d55e00"),
     ("shaded: usable in no image", "#0b3c5d"),
-    ("left out: seen at a grazing angle", "#cc79a7"),
+    ("left out: at a grazing angle or an edge", "#cc79a7"),
     ("the camera does not see it", "#c9ced6"),
 )
 _UNSEEN = len(LEVEL_CLASSES) - 1
@@ -73,8 +73,7 @@ class PostureClasses:
     """Class of each patch in a posture, indices into :data:`LEVEL_CLASSES`, shape (p,), uint8.
 
     `areas` are those of the inspectable classes [µm²], counted as the objectives count; `left_out` is the share of
-    the surface in view that is seen at a grazing angle, `grain` how far shares may be off since each patch counts as
-    its middle does.
+    the surface in view that is left out, `grain` how far shares may be off since each patch counts as its middle does.
     """
 
     posture: Posture
@@ -210,7 +209,7 @@ def _combined_note(shares: Sequence[str], postures: int) -> Note:
     return Note(
         text=f"{which} {shares[0]} of the part's surface in two usable images or more; "
         f"{shares[_UNSEEN]} the camera never sees. {shares[_LEFT_OUT]} of the whole surface, "
-        "which it sees at a grazing angle only, is left out of these shares."
+        "which it sees at a grazing angle or an edge only, is left out of these shares."
     )
 
 
