@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,8 +14,13 @@ from test_cli_optimize import BARE, FEW, result_of, with_lights
 
 from lightopt import build_scene
 from lightopt.cli._main import run
-from lightopt.design import BlindReason, blind_text
+from lightopt.config import load_part, load_rig
+from lightopt.core.transforms import Posture
+from lightopt.design import BlindReason, ImageEvaluator, blind_text
+from lightopt.design._problem import images_that_decide
 from lightopt.images import read_png
+from lightopt.rendering import build_patches, cast_rays_at
+from lightopt.scene import build_lights
 
 LIGHTS = ("light1", "light2", "light3")
 DEFECTS = ("--objective", "detectability", "--objective", "paper", "--min-images", "2", "--false-alarms", "0.2")
@@ -212,3 +219,55 @@ def test_part_with_a_catalogue_of_its_own(three, cli):
     found = result_of(three.out)["results"][0]["objectives"][0]
     assert list(found["defects"]) == ["<knock>", "spot"]
     assert json.loads((three.out / "result.json").read_text(encoding="utf-8"))["blind_spots"]["min_images"] == 2
+
+
+def test_where_the_surface_scatters_too_little_light_one_image_decides_and_it_is_said(three, cli):
+    three.edit("part.yaml", "R_d: 45.0", "R_d: 0.5")
+    command = ("optimize", three.rig, three.part, "-o", three.out, "--patches", "400", "--step", "30", *BARE)
+    command += ("--posture", "0,0", "--objective", "detectability")
+    ran = cli(*command)
+    assert ran.status == 0, ran.err
+    assert "the surface scatters too little light to be seen (R_d 0.5)" in ran.err
+    assert "one image decides" in ran.err
+    decided = result_of(three.out)
+    (answer,) = decided["results"][0]["objectives"]
+    options = decided["provenance"]["options"]
+    assert {answer["min_images"], options["min_images"], decided["blind_spots"]["min_images"]} == {1}
+    # it is the same result as if one image had been requested, which needs no warning
+    ran = cli(*command, "--min-images", "1")
+    assert ran.status == 0, ran.err
+    assert "one image decides" not in ran.err
+    requested = result_of(three.out)
+    assert requested["provenance"]["options"] == options
+    assert requested["results"] == decided["results"]
+    # of levels alone nothing is decided
+    assert "one image decides" not in cli(*command[:-2], "--force").err
+
+
+def test_one_image_decides_where_the_brightest_scattered_light_drowns_in_noise(three):
+    rig, part = load_rig(three.rig), load_part(three.part)
+
+    def scattering(R_d):
+        reflectance = part.reflectance.model_copy(update={"R_d": R_d, "R_s": 0.0})
+        return part.model_copy(update={"reflectance": reflectance})
+
+    def decides(R_d, longest=1.0):
+        return images_that_decide(rig, scattering(R_d), 2, longest=longest)
+
+    low, high = 1e-3, 45.0
+    assert (decides(low), decides(high)) == (1, 2)
+    while high > 1.001 * low:
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if decides(middle) == 1 else (low, middle)
+    # a longer exposure is as good as more light
+    assert [decides(0.1 * low, longest) for longest in (1.0, 9.9, 10.1)] == [1, 1, 2]
+    assert images_that_decide(rig, scattering(high), 3, longest=1.0) == 3
+    assert images_that_decide(rig, scattering(low), 1, longest=1.0) == 1
+    # thirty times as much light as is just not seen is nowhere brighter than thirty times three deviations
+    scene = replace(build_scene(rig, scattering(30.0 * low)), postures=(Posture(0.0, 0.0),))
+    caster = cast_rays_at(scene)
+    table = build_patches(scene, caster=caster, budget=1000)
+    evaluator = ImageEvaluator(scene=scene, table=table, caster=caster, detection=None)
+    levels = evaluator.matrices(Posture(0.0, 0.0), [[light] for light in build_lights(rig)])[0].levels
+    least = 3.0 * math.sqrt(scene.sensor.noise_variance(3.0))
+    assert 0.7 * 30.0 * least < max(layer.max() for layer in levels) <= 1.05 * 30.0 * least
