@@ -140,7 +140,7 @@ def test_every_patch_is_painted_as_its_levels_say(done, blocks):
         seen = iter(result.levels[0].T.tolist())
         for is_seen, is_left_out in zip(visible, grazing, strict=True):
             if not is_seen:
-                left_out, unseen = "left out: at a grazing angle or an edge", "the camera does not see it"
+                left_out, unseen = "left out: seen at a grazing angle", "the camera does not see it"
                 expected.append(left_out if is_left_out else unseen)
                 continue
             levels = next(seen)
@@ -332,7 +332,7 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
     for layer, found in ((reasons, chosen), (reachable, possible)):
         expected = [
             names.get(code, "saturated by a light")
-            + (", other defects seen" if code != BlindReason.SEEN and share > 0.0 else "")
+            + (", other defects found" if code != BlindReason.SEEN and share > 0.0 else "")
             for code, share in zip(found.codes.tolist(), found.share, strict=True)
         ]
         assert [labels[k] for k in layer.of_face] == expected
