@@ -322,7 +322,7 @@ def test_blind_spots_are_painted_and_listed_as_they_were_found(inspected):
     assert len(single) == 2
     labels = [kind.label for kind in reasons.classes]
     names = {
-        BlindReason.SEEN: "seen",
+        BlindReason.SEEN: "found",
         BlindReason.CAMERA: "never seen by the camera",
         BlindReason.GRAZING: "left out: at a grazing angle or an edge",
         BlindReason.SHADOWED: "shadowed",
