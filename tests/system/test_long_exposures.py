@@ -38,7 +38,7 @@ def test_a_long_exposure_is_planned_and_its_commands_make_its_images(small, monk
     shots = result["exposures"]["shots"]
     # what is lit at a slant is dark: 16 times as much light lifts its defects above the noise
     assert {shot["exposure"] for shot in shots if shot["planned"]} == {16.0}
-    assert result["exposures"]["share"] > result["exposures"]["share_without"] + 0.05
+    assert result["exposures"]["share"] > result["exposures"]["share_without"] + 0.02
     monkeypatch.chdir("plan")
     for command in result["commands"]:
         words = shlex.split(command)[1:]

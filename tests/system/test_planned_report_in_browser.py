@@ -127,7 +127,7 @@ def check_blind_spots(seen: Opened, report: Path) -> None:
     """The table of blind spots has the result's shares."""
     spots = result_of(report)["blind_spots"]
     header, *rows = table_under(seen, "Blind spots")
-    assert header[:3] == ["posture", "lights", "seen"]
+    assert header[:3] == ["posture", "lights", "found"]
     for row, side in zip(rows[:2], ("chosen", "any_position"), strict=True):
         assert row[2] == share_text(spots[side]["seen"], spots["grain"])
         for entry in spots[side]["blind"]:

@@ -13,7 +13,8 @@ from lightopt.geometry import face_areas
 from lightopt.inspection import PostureCoverage
 from lightopt.inspection.detection._coverage import SurfaceState, surface_coverage
 from lightopt.inspection.prediction._predict import map_surface
-from lightopt.rendering import GRAZING_COSINE, cast_rays_at, trace_pixels
+from lightopt.rendering import cast_rays_at, trace_pixels
+from lightopt.rendering._surface import GRAZING_COSINE
 
 FLAT, TURN, TILTED = Posture(0.0, 0.0), Posture(0.0, 360.0), Posture(-40.0, 170.0)
 CONTRASTS = (0.05, 0.1, 0.2, 0.4)

@@ -8,17 +8,9 @@ import numpy as np
 import pytest
 
 from lightopt import build_scene, render
-from lightopt.rendering import (
-    GRAZING_COSINE,
-    UNLIT,
-    WHOLE,
-    cast_rays_at,
-    light_layer,
-    mask_pixels,
-    panel_visibility,
-    trace_pixels,
-)
+from lightopt.rendering import UNLIT, WHOLE, cast_rays_at, light_layer, mask_pixels, panel_visibility, trace_pixels
 from lightopt.rendering._pixels import LEFT_OUT
+from lightopt.rendering._surface import GRAZING_COSINE
 
 
 @pytest.mark.parametrize("points", [1, 9, "auto"])
