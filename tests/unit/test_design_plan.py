@@ -166,7 +166,10 @@ def test_tolerances_of_pairs_are_those_of_recounting_every_corner(world, least):
     rig, evaluator = world
     evaluator = deciding(evaluator, least)
     postures = POSTURES[1:3]
-    exposures = ((1.0, 0.25), (1.0,))
+    exposures = ((1.0, 0.7), (1.0,))
+    # of a pair that both exposures show in part, the better one counts and not their sum
+    long, short = (pairs_of(evaluator, postures[0], build_lights(rig), exposure=one) for one in exposures[0])
+    assert ((long < UNITS_OF_IMAGE) & (long > 0) & (short > 0)).any()
     assess = PairAssessment(evaluator, setup_of(rig, postures, exposures))
     found = analyse_tolerances(assess, ["light1", "light2"], Tolerances(light_deg=4.0, pose_deg=3.0, draws=3, seed=1))
     weights = heavy(evaluator)
