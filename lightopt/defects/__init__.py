@@ -32,10 +32,12 @@ from lightopt.defects._statistic import (
     CATALOGUE_SHARE as CATALOGUE_SHARE,
     CONFIRMED as CONFIRMED,
     DARK as DARK,
+    DEFAULT_FALSE_ALARMS as DEFAULT_FALSE_ALARMS,
     MOST_CHANGE as MOST_CHANGE,
     REGISTRATION_PX as REGISTRATION_PX,
     chance_score as chance_score,
     expected_change as expected_change,
+    false_alarms_problem as false_alarms_problem,
     least_z as least_z,
     rest_of_images as rest_of_images,
 )

@@ -53,6 +53,17 @@ def chance_score(z: Float64) -> Float64:
     return -(special.log_ndtr(-np.abs(z)) + math.log(2.0)) / math.log(10.0)
 
 
+DEFAULT_FALSE_ALARMS: Final = 0.05
+"""Expected in the images of a posture of a good part."""
+
+
+def false_alarms_problem(false_alarms: float) -> str | None:
+    """What is wrong with a number of false alarms per posture; None where nothing is."""
+    if 1e-9 <= false_alarms <= 1.0:
+        return None
+    return f"option 'false_alarms': expected a number from 1e-9 to 1, found {false_alarms:g}"
+
+
 def least_z(tests: float, entries: int, false_alarms: float) -> float:
     """The |Z| at which a defect counts as found.
 

@@ -48,6 +48,7 @@ from lightopt.design.blind_spots._files import (
 )
 from lightopt.design.objectives._detectability import (
     DetectabilityObjective as DetectabilityObjective,
+    deciding_text as deciding_text,
     finding_text as finding_text,
 )
 from lightopt.design.objectives._objective import (

@@ -9,12 +9,12 @@ from lightopt.config import PartConfig, RigConfig, input_hashes, points_problem
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
+from lightopt.defects import DEFAULT_FALSE_ALARMS, false_alarms_problem
 from lightopt.design._tolerances import Tolerances
 from lightopt.design.objectives._detectability import DetectabilityObjective, min_images_problem
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.postures._exposures import DEFAULT_EXPOSURE_GAIN, check_exposures
 from lightopt.design.postures._posture_grid import DEFAULT_OUTSIDE_PX, DEFAULT_POSTURE_STEP
-from lightopt.design.responses._evidence import DEFAULT_FALSE_ALARMS, false_alarms_problem
 from lightopt.design.search._exact_search import DEFAULT_LIMIT
 from lightopt.rendering import DEFAULT_PATCH_BUDGET
 from lightopt.scene import Scene

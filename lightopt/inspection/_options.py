@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from lightopt.defects import DEFAULT_FALSE_ALARMS, false_alarms_problem
 from lightopt.inspection.detection._registry import DETECTORS
 from lightopt.inspection.fusion._gradient_fusion import FUSIONS, Fusion
 
@@ -20,7 +21,7 @@ class InspectOptions:
 
     detector: str = "catalogue"
     fusion: Fusion | None = "paper"
-    false_alarms: float = 0.05
+    false_alarms: float = DEFAULT_FALSE_ALARMS
     min_images: int = 2
     register: bool = True
 
@@ -36,8 +37,8 @@ class InspectOptions:
             found.append(
                 f"option 'detector': {self.detector} uses the synthetic image; option 'fusion' must not be none"
             )
-        if not 1e-9 <= self.false_alarms <= 1.0:
-            found.append(f"option 'false_alarms': expected a number from 1e-9 to 1, found {self.false_alarms:g}")
+        if problem := false_alarms_problem(self.false_alarms):
+            found.append(problem)
         if self.min_images < 1:
             found.append(f"option 'min_images': expected 1 or more, found {self.min_images}")
         return found

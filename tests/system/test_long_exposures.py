@@ -32,13 +32,13 @@ def small(tmp_path):
 def test_a_long_exposure_is_planned_and_its_commands_make_its_images(small, monkeypatch):
     monkeypatch.chdir(small)
     plan = "optimize rig.yaml part.yaml -o plan --objective detectability --posture 0,0 --posture 0,82 --step 30"
-    words = [*plan.split(), "--exposures", "1,16", "--patches", "1000", "--no-images", "--quiet"]
+    words = [*plan.split(), "--exposures", "1,16", "--min-images", "1", "--patches", "1000", "--no-images", "--quiet"]
     assert run(words) == 0
     result = json.loads(Path("plan/result.json").read_text(encoding="utf-8"))
     shots = result["exposures"]["shots"]
     # what is lit at a slant is dark: 16 times as much light lifts its defects above the noise
     assert {shot["exposure"] for shot in shots if shot["planned"]} == {16.0}
-    assert result["exposures"]["share"] > result["exposures"]["share_without"] + 0.02
+    assert result["exposures"]["share"] > result["exposures"]["share_without"] + 0.05
     monkeypatch.chdir("plan")
     for command in result["commands"]:
         words = shlex.split(command)[1:]

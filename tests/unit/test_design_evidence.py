@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from lightopt.core.errors import InputError
-from lightopt.defects import BUILT_IN_CATALOGUE, expected_change, least_z
+from lightopt.defects import BUILT_IN_CATALOGUE, CATALOGUE_SHARE, chance_score, expected_change, least_z
 from lightopt.design import DetectionModel, planned_catalogue
 from lightopt.design.responses import _evidence as evidence
+from lightopt.inspection import threshold
+from lightopt.inspection.detection._registry import CATALOGUE
 from lightopt.optics import Sensor
 
 SENSOR = Sensor(bit_depth=8, read_noise_levels=0.8, electrons_per_level=60)
@@ -38,8 +40,18 @@ def test_an_image_counts_for_three_units_at_most_and_no_image_alone_for_enough()
 def test_fewer_false_alarms_need_more_evidence():
     assert least_z(1e5, 7, 0.05) == pytest.approx(5.51, abs=0.01)
     assert least_z(1e5, 7, 0.001) > least_z(1e5, 7, 0.05) > least_z(1e3, 7, 0.05)
-    with pytest.raises(InputError, match="option 'false_alarms': expected"):
+    with pytest.raises(InputError, match="option 'false_alarms': expected a number from 1e-9 to 1, found 0"):
         model(false_alarms=0.0)
+
+
+@pytest.mark.parametrize("tests", [1.0, 250.0, 4e5])
+def test_the_threshold_is_that_of_the_detector(tests):
+    """A Z that planning needs has the score that an inspection needs: the detector's own sum of logarithms."""
+    pixels, entries, false_alarms = 123_456, 7, 0.03
+    handicap = math.log10(tests * entries / (CATALOGUE_SHARE * pixels))
+    needed = threshold(false_alarms, pixels, CATALOGUE.tests)
+    z = least_z(tests, entries, false_alarms)
+    assert float(chance_score(np.array(z))) - handicap == pytest.approx(needed, abs=1e-9)
 
 
 def image(rng, patches):
@@ -69,7 +81,8 @@ def test_changes_are_those_of_the_statistic_with_noise_and_registration(seed):
     )
     scale, limit = 0.7, 251.0
     codes, bounds = np.zeros(varied.shape, np.int16), np.zeros((patches, 3), np.float32)
-    evidence._fill_changes(good, varied, column, row, owner, cell, scale, limit, 0.8, 60.0, codes, bounds)
+    place = column / np.float32(cell), row / np.float32(cell)
+    evidence._fill_changes(good, varied, *place, owner, cell, scale, limit, 0.8, 60.0, codes, bounds)
     level = np.minimum(scale * good, limit)
     for p in range(patches):
         square = 0.0

@@ -22,10 +22,11 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float64, Int64
 from lightopt.core.errors import InputError, counted
 from lightopt.core.run_context import Share
+from lightopt.defects import DEFAULT_FALSE_ALARMS
 from lightopt.design.objectives._objective import INSPECTABLE_SURFACE, Objective, area_text
 from lightopt.design.objectives._scores_by_units import combination_sums
 from lightopt.design.responses._defect_hypotheses import PlannedDefect
-from lightopt.design.responses._evidence import DEFAULT_FALSE_ALARMS, units_needed
+from lightopt.design.responses._evidence import units_needed
 from lightopt.design.responses._luminance_matrix import LevelThresholds, LuminanceMatrix, Visibility
 from lightopt.design.responses._packed_bits import PairWeights, unpack_flags
 
@@ -38,11 +39,15 @@ SCORE_IS = (
 
 def finding_text(min_images: int, false_alarms: float) -> str:
     """What a share of defects says, in words that follow its figure."""
-    alone = "one image may decide" if min_images == 1 else f"{min_images} images must show each"
     return (
         f"of the catalogue's defects, all kinds and places of the surface alike, are found at ≤ {false_alarms:g} false "
-        f"alarms per posture ({alone})"
+        f"alarms per posture ({deciding_text(min_images)})"
     )
+
+
+def deciding_text(min_images: int) -> str:
+    """How many images decide."""
+    return "one image may decide" if min_images == 1 else f"{min_images} images must show each"
 
 
 def min_images_problem(min_images: int) -> str | None:

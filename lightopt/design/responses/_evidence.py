@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import ndimage
@@ -29,11 +29,13 @@ from lightopt.core.transforms import Posture
 from lightopt.defects import (
     CONFIRMED,
     DARK,
+    DEFAULT_FALSE_ALARMS,
     FORESHORTENINGS,
     MOST_CHANGE,
     REGISTRATION_PX,
     SIZES,
     defect_hypotheses,
+    false_alarms_problem,
     foreshortening_classes,
     image_axes,
     least_z,
@@ -52,8 +54,6 @@ from lightopt.scene import Scene, pixel_footprint, project, view_from_part
 
 UNITS_OF_IMAGE = 3
 """Most units of evidence that an image counts for."""
-
-DEFAULT_FALSE_ALARMS = 0.05
 
 # evidence from which on an image counts for one, two and three units: as shares of T² where one image may decide, and
 # else of what it counts for at most
@@ -75,16 +75,6 @@ _GREATEST_OF_NEAR = 0.5
 _CODES_PER_DEVIATION = 16  # changes are stored as whole numbers of 16 bits: of walls that glint, many deviations
 _AT_ONCE = 1 << 12  # patches that are shaded at once
 _FOOTPRINT_STEPS = 32  # footprints within a 32nd of an octave share what pixels see of defects
-
-
-def false_alarms_problem(false_alarms: float) -> str | None:
-    """What is wrong with a number of false alarms; None where nothing is."""
-    if math.isfinite(false_alarms) and 1e-9 <= false_alarms <= 1.0:
-        return None
-    return (
-        "option 'false_alarms': expected the false alarms of a good part in a posture that are allowed, from 1e-9 to "
-        f"1, found {false_alarms:g}"
-    )
 
 
 def units_needed(min_images: int) -> int:
@@ -160,6 +150,11 @@ class _Stencils:
     share: Float32
     ratio: Float32
 
+    def in_cells(self, cell: float) -> _Stencils:
+        """The same with lengths in cells of so many pixels."""
+        along, right, down = (_in_cells(a, cell) for a in (self.along, self.right, self.down))
+        return replace(self, along=along, right=right, down=down)
+
 
 def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> _Stencils:
     right: list[Float64] = [np.zeros(0)]
@@ -211,7 +206,7 @@ def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> _Stencils:
 class _ImagePatches:
     """The p patches of a posture in its image.
 
-    column, row: Of their middles [px], shape (p,)
+    column, row: Of their middles [cells], shape (p,)
     owner: Patch that each cell of the image sees, −1 for none, shape (rows, columns)
     cell: Side of a cell [px]
     """
@@ -238,7 +233,7 @@ class PatchEvidence:
         cosines = np.einsum("ij,ij->i", surface.normals, surface.views)
         areas = table.patches.areas[table.inspectable(posture)] * cosines / footprint**2
         self._image = _locate(scene, table, posture, areas)
-        self._stencils = detection.stencils(footprint)
+        self._stencils = detection.stencils(footprint).in_cells(self._image.cell)
         self._limits = detection.limits(float(areas.sum()), footprint)
         # turns are counted from the part's axes, and what pixels see of them from the image's
         axes = scene.placement.rotation
@@ -303,17 +298,17 @@ class PatchEvidence:
         _add_evidence(
             codes,
             bounds,
-            image.column / np.float32(image.cell),
-            image.row / np.float32(image.cell),
+            image.column,
+            image.row,
             image.owner,
             self._class,
             self._angle,
             self._entry,
             self._turns,
             stencils.first,
-            stencils.along / np.float32(image.cell),
-            stencils.right / np.float32(image.cell),
-            stencils.down / np.float32(image.cell),
+            stencils.along,
+            stencils.right,
+            stencils.down,
             stencils.variant,
             stencils.share,
             stencils.ratio,
@@ -344,11 +339,15 @@ def _locate(scene: Scene, table: PatchTable, posture: Posture, areas: Float64) -
     owner = np.full(shape, none, np.int32)
     owner[y, x] = own[order]
     return _ImagePatches(
-        column=columns[own >= 0].astype(np.float32),
-        row=rows[own >= 0].astype(np.float32),
+        column=_in_cells(columns[own >= 0], cell),
+        row=_in_cells(rows[own >= 0], cell),
         owner=_filled(owner, none),
         cell=cell,
     )
+
+
+def _in_cells(lengths: Float32 | Float64, cell: float) -> Float32:
+    return (lengths.astype(np.float32) / np.float32(cell)).astype(np.float32)
 
 
 def _filled(owner: Int32, none: int) -> Int32:
@@ -363,11 +362,11 @@ def _filled(owner: Int32, none: int) -> Int32:
 
 
 @kernel
-def _owner_at(column: float, row: float, owner: Int32, cell: float) -> int:
-    x, y = math.floor(column / cell), math.floor(row / cell)
-    if x < 0 or y < 0 or y >= owner.shape[0] or x >= owner.shape[1]:
+def _owner_at(column: float, row: float, owner: Int32) -> int:
+    # the patch that a place in the image sees [cells], −1 for none
+    if column < 0.0 or row < 0.0 or column >= owner.shape[1] or row >= owner.shape[0]:
         return -1
-    return owner[y, x]
+    return owner[int(row), int(column)]
 
 
 @kernel
@@ -392,9 +391,8 @@ def _fill_changes(
         level = min(scale * good[p], limit)
         square = 0.0
         for across in range(2):
-            dx, dy = cell * (1 - across), cell * across
-            before = _owner_at(column[p] - dx, row[p] - dy, owner, cell)
-            after = _owner_at(column[p] + dx, row[p] + dy, owner, cell)
+            before = _owner_at(column[p] - (1 - across), row[p] - across, owner)
+            after = _owner_at(column[p] + (1 - across), row[p] + across, owner)
             low = level if before < 0 else min(scale * good[before], limit)
             high = level if after < 0 else min(scale * good[after], limit)
             steps = (before >= 0) + (after >= 0)
@@ -456,11 +454,9 @@ def _add_evidence(
             dx, dy = along[own * FORESHORTENINGS + classes[p]]
             if dx != 0.0 or dy != 0.0:
                 for side in (-2, -1, 1, 2):
-                    x, y = column[p] + side * dx, row[p] + side * dy
-                    if x >= 0 and y >= 0 and x < owner.shape[1] and y < owner.shape[0]:
-                        q = owner[int(y), int(x)]
-                        if q >= 0:
-                            energy = max(energy, found[q, own])
+                    q = _owner_at(column[p] + side * dx, row[p] + side * dy, owner)
+                    if q >= 0:
+                        energy = max(energy, found[q, own])
             bit = np.uint64(1) << np.uint64(h % 64)
             for unit in range(len(words)):
                 if energy >= limits[entry[h], unit]:
@@ -487,13 +483,8 @@ def _energy(
     n, end = pieces
     while n < end and energy < enough:
         here_right, here_down = right[n], down[n]
-        q = -1
-        if max(abs(here_right), abs(here_down)) < np.float32(0.5):
-            q = own
-        else:
-            x, y = column + here_right, row + here_down
-            if x >= 0 and y >= 0 and x < owner.shape[1] and y < owner.shape[0]:
-                q = owner[int(y), int(x)]
+        near = max(abs(here_right), abs(here_down)) < np.float32(0.5)
+        q = own if near else _owner_at(column + here_right, row + here_down, owner)
         change = np.float32(0.0)
         while n < end and right[n] == here_right and down[n] == here_down:
             if q >= 0:

@@ -116,18 +116,17 @@ def join_explained(
     within = np.bincount(near[mask], minlength=number + 1)
     group = np.arange(number + 1)
     described = np.ones(number + 1, np.bool_)
-    joined: dict[int, int] = {}
+    region_of = np.zeros(count + 1, np.intp)
     for label in np.unique(touching[0]).tolist():
         own = np.unique(group[touching[1, touching[0] == label]])
         if len(own) == 1:
-            joined[label] = int(own[0])
+            region_of[label] = own[0]
         if beyond[label] > _DESCRIBED * within[np.isin(group, own)].sum():
-            joined[label] = int(own[0])
+            region_of[label] = own[0]
             group[np.isin(group, own)] = own[0]
             described[own[0]] = False
-    result = np.where(mask, group[near], 0).astype(np.int32)
-    for label, region in joined.items():
-        result[labels == label] = group[region]
+    belongs = group[region_of[labels]]
+    result = np.where(belongs > 0, belongs, np.where(mask, group[near], 0)).astype(np.int32)
     owners: dict[int, tuple[ExplainedDefect, ...]] = {}
     for one in explained:
         region = int(group[near[one.rows[0], one.columns[0]]])

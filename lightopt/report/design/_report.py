@@ -11,6 +11,7 @@ from lightopt.design import (
     ObjectiveResult,
     SetResult,
     angles_of,
+    deciding_text,
     finding_text,
     near_meaning,
     planned_catalogue,
@@ -258,10 +259,9 @@ def _search(output: DesignOutput) -> list[tuple[str, str]]:
     if "false_alarms" in options:
         entries = build_catalogue(output.result.part)
         hypotheses = f"{len(planned_catalogue(entries).defects)} hypotheses"
-        alone = "one image may decide" if options["min_images"] == 1 else f"{options['min_images']} images must show it"
         found = (
             f"where the expected evidence of all images passes the threshold of {options['false_alarms']:g} false "
-            f"alarms per posture; {alone}"
+            f"alarms per posture; {deciding_text(options['min_images'])}"
         )
         facts += [
             ("defect catalogue", f"{', '.join(entry.name for entry in entries)}: {hypotheses}"),
