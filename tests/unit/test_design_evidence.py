@@ -11,6 +11,7 @@ from lightopt.core.errors import InputError
 from lightopt.defects import BUILT_IN_CATALOGUE, CATALOGUE_SHARE, chance_score, expected_change, least_z
 from lightopt.design import DetectionModel, planned_catalogue
 from lightopt.design.responses import _evidence as evidence
+from lightopt.design.responses._evidence_sums import ImagePatches, PlannedTurns, Stencils, add_evidence, greatest_within
 from lightopt.inspection import threshold
 from lightopt.inspection.detection._registry import CATALOGUE
 from lightopt.optics import Sensor
@@ -103,34 +104,51 @@ def test_changes_are_those_of_the_statistic_with_noise_and_registration(seed):
     assert np.count_nonzero(bounds[:, 2]) > 10
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(12))
 def test_evidence_is_the_sum_of_squares_over_the_pixels_of_a_defect(seed):
     """Each piece looked up plainly, with two entries: a round one, and one in four orientations."""
     rng = np.random.default_rng(seed)
     patches, variants = 70, 5
     owner, cell, column, row = image(rng, patches)
-    codes = rng.integers(-200, 200, (patches, variants)).astype(np.int16)
+    # a patch beyond the image's border sees none, and many change little
+    column[3] = -4.0
+    change = rng.integers(-200, 200, (patches, variants)) * (rng.random((patches, 1)) < 0.3)
+    codes = np.r_[change, np.zeros((1, variants))].astype(np.int16)
     bounds = np.c_[rng.uniform(-8.0, 0.0, patches), rng.uniform(0.0, 8.0, patches), rng.choice([0.0, 3.0], patches)]
-    classes = rng.integers(0, evidence.FORESHORTENINGS, patches).astype(np.int32)
+    bounds = np.r_[bounds, np.zeros((1, 3))].astype(np.float32)
+    classes = np.sort(rng.integers(0, 20, patches)).astype(np.int32)
     angle = rng.uniform(-math.pi, math.pi, patches)
-    entry, turns = np.array([0, 1, 1, 1, 1], np.int32), np.array([1, 4], np.int32)
+    entry, turns = np.array([0, 1, 1, 1, 1]), np.array([1, 4])
     groups = len(entry) * evidence.FORESHORTENINGS
     pieces = [
         sorted(set(map(tuple, np.c_[rng.integers(-3, 4, (4, 2)), rng.integers(0, variants, 4)].tolist())))
         for _ in range(groups)
     ]
-    first = np.cumsum([0, *map(len, pieces)]).astype(np.int32)
+    first = np.cumsum([0, *map(len, pieces)])
     right, down, variant = (np.array([piece[i] for own in pieces for piece in own]) for i in range(3))
     right = 2.0 * right
-    share = rng.random(len(variant)).astype(np.float32)
+    # the second entry's variants are the last three
+    variant = np.where(np.arange(len(variant)) < first[evidence.FORESHORTENINGS], variant % 2, 2 + variant % 3)
+    share = 0.25 * rng.random(len(variant)).astype(np.float32)
     ratio = rng.uniform(1.0, 3.0, groups).astype(np.float32)
     along = rng.uniform(-9.0, 9.0, (groups, 2)).astype(np.float32) * (rng.random((groups, 1)) < 0.5)
     limits = np.sort(rng.uniform(0.0, 300.0, (2, 3)), axis=1)
     words = np.zeros((3, patches, 1), np.uint64)
-    evidence._add_evidence(
-        codes, bounds.astype(np.float32), column / np.float32(cell), row / np.float32(cell), owner, classes, angle,
-        entry, turns, first, along / np.float32(cell), (right / cell).astype(np.float32),
-        (down / cell).astype(np.float32), variant.astype(np.int32), share, ratio, limits, words,
+    new = np.r_[True, (np.diff(right) != 0) | (np.diff(down) != 0)]
+    new[first[:-1]] = True
+    starts = np.flatnonzero(new)
+    in_pixels = np.add.reduceat(share, starts)
+    pixels = np.searchsorted(starts, first)
+    stencils = Stencils(
+        first=pixels.astype(np.int32), along=along.astype(np.float32), right=right[starts].astype(np.float32),
+        down=down[starts].astype(np.float32), piece=np.r_[starts, len(share)].astype(np.int32),
+        variant=variant.astype(np.int32), share=share, ratio=ratio,
+        square=np.add.reduceat(in_pixels.astype(float) ** 2, pixels[:-1]),
+    )  # fmt: skip
+    add_evidence(
+        codes, bounds, ImagePatches(column / np.float32(cell), row / np.float32(cell), owner, cell), classes, angle,
+        PlannedTurns(entry.astype(np.int32), turns.astype(np.int32), np.array([0, 2, variants], np.int32)),
+        stencils.in_cells(cell), limits, words,
     )  # fmt: skip
 
     def energy_at(p, h):
@@ -156,3 +174,13 @@ def test_evidence_is_the_sum_of_squares_over_the_pixels_of_a_defect(seed):
                 continue
             bits = [int(words[j, p, 0] >> np.uint64(h) & np.uint64(1)) for j in range(3)]
             assert bits == [int(energy >= limit) for limit in limits[entry[h]]]
+
+
+@pytest.mark.parametrize("radius", [0, 1, 2, 5, 30])
+def test_the_greatest_of_the_cells_around_each(radius):
+    cells = np.random.default_rng(radius).integers(0, 255, (17, 11)).astype(np.uint8)
+    found = greatest_within(cells, radius)
+    for y in range(17):
+        for x in range(11):
+            near = cells[max(0, y - radius) : y + radius + 1, max(0, x - radius) : x + radius + 1]
+            assert found[y, x] == near.max()

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import ndimage
@@ -45,6 +45,15 @@ from lightopt.defects import (
     tangent_references,
 )
 from lightopt.design.responses._defect_hypotheses import PlannedCatalogue
+from lightopt.design.responses._evidence_sums import (
+    CODES_PER_DEVIATION,
+    ImagePatches,
+    PlannedTurns,
+    Stencils,
+    add_evidence,
+    in_cells,
+    owner_at,
+)
 from lightopt.design.responses._packed_bits import Words
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight
@@ -72,8 +81,8 @@ _NARROW_PX, _OFF_PX = 5.0, (0.25, 0.25)
 # true one by about this much
 _GREATEST_OF_NEAR = 0.5
 
-_CODES_PER_DEVIATION = 16  # changes are stored as whole numbers of 16 bits: of walls that glint, many deviations
 _AT_ONCE = 1 << 12  # patches that are shaded at once
+_TILE_CELLS = 16.0  # patches are worked on in tiles of so many cells of the image
 _FOOTPRINT_STEPS = 32  # footprints within a 32nd of an octave share what pixels see of defects
 
 
@@ -97,13 +106,13 @@ class DetectionModel:
     full_scale: float
     false_alarms: float = DEFAULT_FALSE_ALARMS
     min_images: int = 1
-    _stencils: dict[int, _Stencils] = field(default_factory=dict[int, "_Stencils"], init=False, repr=False)
+    _stencils: dict[int, Stencils] = field(default_factory=dict[int, Stencils], init=False, repr=False)
 
     def __post_init__(self) -> None:
         if problem := false_alarms_problem(self.false_alarms):
             raise InputError(problem)
 
-    def stencils(self, footprint: float) -> _Stencils:
+    def stencils(self, footprint: float) -> Stencils:
         """What pixels of this footprint see of the defects."""
         step = round(_FOOTPRINT_STEPS * math.log2(footprint))
         if step not in self._stencils:
@@ -130,38 +139,14 @@ class DetectionModel:
         return found
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Stencils:
-    """What pixels see of each planned defect h in each class c of foreshortening.
-
-    first: Pieces of group g = h · classes + c are those from first[g] to first[g + 1], shape (groups + 1,)
-    along: Steps to the right and down between the segments of a long defect that are tested [px], 0 for one that is
-        tested whole, shape (groups, 2)
-    right, down: Of the piece's pixel from the defect's middle [px], shape (n,)
-    variant, share: Of the piece, and how much of its pixel it is, shape (n,)
-    ratio: Side of these pixels by that of the camera's, shape (groups,)
-    """
-
-    first: Int32
-    along: Float32
-    right: Float32
-    down: Float32
-    variant: Int32
-    share: Float32
-    ratio: Float32
-
-    def in_cells(self, cell: float) -> _Stencils:
-        """The same with lengths in cells of so many pixels."""
-        along, right, down = (_in_cells(a, cell) for a in (self.along, self.right, self.down))
-        return replace(self, along=along, right=right, down=down)
-
-
-def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> _Stencils:
-    right: list[Float64] = [np.zeros(0)]
-    down: list[Float64] = [np.zeros(0)]
-    variant: list[Int64] = [np.zeros(0, np.int64)]
-    share: list[Float64] = [np.zeros(0)]
+def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> Stencils:
+    right: list[Float64] = []
+    down: list[Float64] = []
+    variant: list[Int64] = []
+    share: list[Float64] = []
+    pieces: list[Int64] = []
     ratios: list[float] = []
+    squares: list[float] = []
     counts: list[int] = [0]
     along: list[Float64] = []
     before = 0
@@ -183,38 +168,32 @@ def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> _Stencils:
                     near = np.abs(axis @ np.linalg.solve(to_image, place)) <= 0.5 * _SCRATCH_WIDTHS * width
                     kept = near if near.any() else kept
                     sides *= math.sqrt(float((seen.weight**2).sum() / max((seen.weight[kept] ** 2).sum(), 1e-12)))
-                right.append(ratio * place[0, kept])
-                down.append(ratio * place[1, kept])
-                variant.append(before + seen.variant[kept].astype(np.int64))
-                share.append(seen.weight[kept])
+                pixels, number = np.unique(place[:, kept], axis=1, return_inverse=True)
+                total = np.bincount(number, seen.weight[kept])
+                # those that see most of the defect come first: soon there is enough
+                order = np.argsort(-total, kind="stable")
+                by_pixel = np.argsort(np.argsort(order)[number], kind="stable")
+                right.append(ratio * pixels[0, order])
+                down.append(ratio * pixels[1, order])
+                pieces.append(np.bincount(number)[order])
+                variant.append(before + seen.variant[kept][by_pixel].astype(np.int64))
+                share.append(seen.weight[kept][by_pixel])
                 ratios.append(sides)
-                counts.append(int(kept.sum()))
+                squares.append(max(1e-9, float((total**2).sum())))
+                counts.append(len(order))
                 along.append(ratio * step * to_image @ axis)
         before += len(own.slope)
-    return _Stencils(
+    return Stencils(
         first=np.cumsum(counts).astype(np.int32),
         along=np.stack(along).astype(np.float32),
         right=np.concatenate(right).astype(np.float32),
         down=np.concatenate(down).astype(np.float32),
+        piece=np.cumsum(np.concatenate([[0], *pieces])).astype(np.int32),
         variant=np.concatenate(variant).astype(np.int32),
         share=np.concatenate(share).astype(np.float32),
         ratio=np.array(ratios, np.float32),
+        square=np.array(squares),
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _ImagePatches:
-    """The p patches of a posture in its image.
-
-    column, row: Of their middles [cells], shape (p,)
-    owner: Patch that each cell of the image sees, −1 for none, shape (rows, columns)
-    cell: Side of a cell [px]
-    """
-
-    column: Float32
-    row: Float32
-    owner: Int32
-    cell: float
 
 
 class PatchEvidence:
@@ -223,17 +202,22 @@ class PatchEvidence:
     def __init__(
         self, scene: Scene, table: PatchTable, surface: SurfacePoints, posture: Posture, detection: DetectionModel
     ) -> None:
-        self._scene, self._surface, self._detection = scene, surface, detection
+        self._scene, self._detection = scene, detection
         camera = view_from_part(scene, posture).camera
         right, up = image_axes(surface.views, camera.right)
-        self._references = tangent_axis(surface.normals, right)
-        self._class = foreshortening_classes(surface.normals, surface.views, right, up).astype(np.int32)
+        classes = foreshortening_classes(surface.normals, surface.views, right, up).astype(np.int32)
         depth = (surface.points - camera.position) @ camera.forward
         footprint = pixel_footprint(camera, float(np.median(depth)) if len(depth) else 1.0)
         cosines = np.einsum("ij,ij->i", surface.normals, surface.views)
         areas = table.patches.areas[table.inspectable(posture)] * cosines / footprint**2
-        self._image = _locate(scene, table, posture, areas)
-        self._stencils = detection.stencils(footprint).in_cells(self._image.cell)
+        image = _locate(scene, table, posture, areas)
+        # what is seen alike, and lies side by side in the image, is worked on together
+        self._order = np.lexsort((image.column // _TILE_CELLS, image.row // _TILE_CELLS, classes))
+        self._image = image.in_order(self._order)
+        self._surface, self._class = surface.take(self._order), classes[self._order]
+        surface = self._surface
+        self._references = tangent_axis(surface.normals, right[self._order])
+        self._stencils = detection.stencils(footprint).in_cells(image.cell)
         self._limits = detection.limits(float(areas.sum()), footprint)
         # turns are counted from the part's axes, and what pixels see of them from the image's
         axes = scene.placement.rotation
@@ -242,8 +226,12 @@ class PatchEvidence:
         y = np.einsum("ij,ij->i", own, np.cross(surface.normals, self._references))
         self._angle = np.arctan2(y, x)
         entries = detection.catalogue.entries
-        self._entry = np.repeat(np.arange(len(entries)), [len(one.turns) for one in entries]).astype(np.int32)
-        self._turns = np.array([len(one.turns) for one in entries], np.int32)
+        turns = [len(one.turns) for one in entries]
+        self._planned = PlannedTurns(
+            entry=np.repeat(np.arange(len(entries)), turns).astype(np.int32),
+            turns=np.array(turns, np.int32),
+            variants=np.cumsum([0, *(len(one.slope) for one in entries)]).astype(np.int32),
+        )
         self._variants = surface_variants(
             slope=np.concatenate([one.slope for one in entries]),
             direction=np.concatenate([one.direction for one in entries]),
@@ -275,11 +263,14 @@ class PatchEvidence:
                 caster=blocker,
             )
             plain[here], good[here], varied[here] = shaded.plain, shaded.good, shaded.varied.T
-        return plain, [self._units(good, varied, exposure) for exposure in exposures]
+        levels = np.empty_like(plain)
+        levels[self._order] = plain
+        return levels, [self._units(good, varied, exposure) for exposure in exposures]
 
     def _units(self, good: Float64, varied: Float32, exposure: float) -> Words:
-        sensor, image, stencils = self._detection.sensor, self._image, self._stencils
-        codes, bounds = np.zeros(varied.shape, np.int16), np.zeros((len(good), 3), np.float32)
+        sensor, image = self._detection.sensor, self._image
+        codes = np.zeros((len(good) + 1, varied.shape[1]), np.int16)
+        bounds = np.zeros((len(good) + 1, 3), np.float32)
         _fill_changes(
             good,
             varied,
@@ -294,31 +285,14 @@ class PatchEvidence:
             codes,
             bounds,
         )
-        words = np.zeros((UNITS_OF_IMAGE, len(good), -(-len(self._entry) // 64)), np.uint64)
-        _add_evidence(
-            codes,
-            bounds,
-            image.column,
-            image.row,
-            image.owner,
-            self._class,
-            self._angle,
-            self._entry,
-            self._turns,
-            stencils.first,
-            stencils.along,
-            stencils.right,
-            stencils.down,
-            stencils.variant,
-            stencils.share,
-            stencils.ratio,
-            self._limits,
-            words,
-        )
-        return words
+        words = np.zeros((UNITS_OF_IMAGE, len(good), -(-len(self._planned.entry) // 64)), np.uint64)
+        add_evidence(codes, bounds, image, self._class, self._angle, self._planned, self._stencils, self._limits, words)
+        in_table = np.empty_like(words)
+        in_table[:, self._order] = words
+        return in_table
 
 
-def _locate(scene: Scene, table: PatchTable, posture: Posture, areas: Float64) -> _ImagePatches:
+def _locate(scene: Scene, table: PatchTable, posture: Posture, areas: Float64) -> ImagePatches:
     # `areas`: of the inspectable patches in the image [px²]
     camera = view_from_part(scene, posture).camera
     inspectable = table.inspectable(posture)
@@ -338,16 +312,12 @@ def _locate(scene: Scene, table: PatchTable, posture: Posture, areas: Float64) -
     none = -2
     owner = np.full(shape, none, np.int32)
     owner[y, x] = own[order]
-    return _ImagePatches(
-        column=_in_cells(columns[own >= 0], cell),
-        row=_in_cells(rows[own >= 0], cell),
+    return ImagePatches(
+        column=in_cells(columns[own >= 0], cell),
+        row=in_cells(rows[own >= 0], cell),
         owner=_filled(owner, none),
         cell=cell,
     )
-
-
-def _in_cells(lengths: Float32 | Float64, cell: float) -> Float32:
-    return (lengths.astype(np.float32) / np.float32(cell)).astype(np.float32)
 
 
 def _filled(owner: Int32, none: int) -> Int32:
@@ -359,14 +329,6 @@ def _filled(owner: Int32, none: int) -> Int32:
     ndimage.distance_transform_edt(owner == none, return_indices=True, distances=distance, indices=place)
     nearest: Int32 = owner[tuple(place)]
     return np.where(distance <= 2.0, nearest, np.int32(-1))
-
-
-@kernel
-def _owner_at(column: float, row: float, owner: Int32) -> int:
-    # the patch that a place in the image sees [cells], −1 for none
-    if column < 0.0 or row < 0.0 or column >= owner.shape[1] or row >= owner.shape[0]:
-        return -1
-    return owner[int(row), int(column)]
 
 
 @kernel
@@ -391,8 +353,8 @@ def _fill_changes(
         level = min(scale * good[p], limit)
         square = 0.0
         for across in range(2):
-            before = _owner_at(column[p] - (1 - across), row[p] - across, owner)
-            after = _owner_at(column[p] + (1 - across), row[p] + across, owner)
+            before = owner_at(column[p] - (1 - across), row[p] - across, owner)
+            after = owner_at(column[p] + (1 - across), row[p] + across, owner)
             low = level if before < 0 else min(scale * good[before], limit)
             high = level if after < 0 else min(scale * good[after], limit)
             steps = (before >= 0) + (after >= 0)
@@ -406,92 +368,4 @@ def _fill_changes(
         bounds[p, 2] = DARK if level < DARK * noise else 0.0
         for v in range(varied.shape[1]):
             change = (scale * varied[p, v] - level) / noise
-            codes[p, v] = round(max(-32_000.0, min(32_000.0, change * _CODES_PER_DEVIATION)))
-
-
-@kernel
-def _add_evidence(
-    codes: Int16,
-    bounds: Float32,
-    column: Float32,
-    row: Float32,
-    owner: Int32,
-    classes: Int32,
-    angle: Float64,
-    entry: Int32,
-    turns: Int32,
-    first: Int32,
-    along: Float32,
-    right: Float32,
-    down: Float32,
-    variant: Int32,
-    share: Float32,
-    ratio: Float32,
-    limits: Float64,
-    words: Words,
-) -> None:
-    # places in the image in cells. First the evidence of each defect in each turn as the image counts it, then the
-    # greatest along each defect: what its segments have is what the patches that they lie on have
-    found = np.zeros((len(codes), len(entry)), np.float32)
-    for p in range(len(codes)):
-        for h in range(len(entry)):
-            group = h * FORESHORTENINGS + classes[p]
-            # in units of a pixel
-            area = ratio[group] * ratio[group]
-            enough = np.float32(limits[entry[h], limits.shape[1] - 1]) / area
-            pieces = first[group], first[group + 1]
-            energy = _energy(codes, bounds, column[p], row[p], p, owner, pieces, right, down, variant, share, enough)
-            found[p, h] = energy * area
-    for p in range(len(codes)):
-        start = 0
-        for h in range(len(entry)):
-            if h > 0 and entry[h] != entry[h - 1]:
-                start = h
-            count = turns[entry[h]]
-            # the same turn as the image counts it
-            own = start + (h - start + round(angle[p] / math.pi * count)) % count
-            energy = found[p, own]
-            dx, dy = along[own * FORESHORTENINGS + classes[p]]
-            if dx != 0.0 or dy != 0.0:
-                for side in (-2, -1, 1, 2):
-                    q = _owner_at(column[p] + side * dx, row[p] + side * dy, owner)
-                    if q >= 0:
-                        energy = max(energy, found[q, own])
-            bit = np.uint64(1) << np.uint64(h % 64)
-            for unit in range(len(words)):
-                if energy >= limits[entry[h], unit]:
-                    words[unit, p, h // 64] |= bit
-
-
-@kernel
-def _energy(
-    codes: Int16,
-    bounds: Float32,
-    column: np.float32,
-    row: np.float32,
-    own: int,
-    owner: Int32,
-    pieces: tuple[np.int32, np.int32],
-    right: Float32,
-    down: Float32,
-    variant: Int32,
-    share: Float32,
-    enough: np.float32,
-) -> np.float32:
-    # Σ m² of a defect with its middle at patch `own`; the sum ends where it is enough
-    energy = np.float32(0.0)
-    n, end = pieces
-    while n < end and energy < enough:
-        here_right, here_down = right[n], down[n]
-        near = max(abs(here_right), abs(here_down)) < np.float32(0.5)
-        q = own if near else _owner_at(column + here_right, row + here_down, owner)
-        change = np.float32(0.0)
-        while n < end and right[n] == here_right and down[n] == here_down:
-            if q >= 0:
-                change += share[n] * np.float32(codes[q, variant[n]])
-            n += 1
-        if q >= 0:
-            change = max(min(change / np.float32(_CODES_PER_DEVIATION), bounds[q, 1]), bounds[q, 0])
-            if abs(change) > bounds[q, 2]:
-                energy += change * change
-    return energy
+            codes[p, v] = round(max(-32_000.0, min(32_000.0, change * CODES_PER_DEVIATION)))

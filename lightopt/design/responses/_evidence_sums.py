@@ -1,0 +1,278 @@
+"""Evidence of whole defects: sums over the pixels around each patch, left out where a bound says that they are small.
+
+The variants of an entry of the catalogue change a patch by so much at most. Where this is no more than M for all
+patches that a defect's pixels may see, its evidence is no more than M² · Σ (share of the pixel in the defect)². So what
+lies in shadow or far from a highlight is decided without a sum.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from lightopt.core.arrays import Float32, Float64, Index, Int16, Int32, UInt8
+from lightopt.core.kernels import kernel
+from lightopt.defects import FORESHORTENINGS
+from lightopt.design.responses._packed_bits import Words
+
+CODES_PER_DEVIATION = 16  # changes are stored as whole numbers of 16 bits: of walls that glint, many deviations
+
+_MANY = 255  # code of changes that are bounded by nothing
+_AT_ONCE = 256  # patches whose evidence is added up together
+_ROUNDING = 1.001  # bounds are this much greater than needed: sums are rounded
+
+
+class Stencils(NamedTuple):
+    """What pixels see of each planned defect h in each class c of foreshortening.
+
+    first: Pixels of group g = h · classes + c are those from first[g] to first[g + 1], shape (groups + 1,); those that
+        see most of the defect come first
+    along: Steps to the right and down between the segments of a long defect that are tested, 0 for one that is tested
+        whole, shape (groups, 2)
+    right, down: Of the pixel from the defect's middle, shape (n,)
+    piece: Pieces in pixel i are those from piece[i] to piece[i + 1], shape (n + 1,)
+    variant, share: Of the piece, and how much of its pixel it is, shape (m,)
+    ratio: Side of these pixels by that of the camera's, shape (groups,)
+    square: Σ (share of the pixel in the defect)², shape (groups,)
+    """
+
+    first: Int32
+    along: Float32
+    right: Float32
+    down: Float32
+    piece: Int32
+    variant: Int32
+    share: Float32
+    ratio: Float32
+    square: Float64
+
+    def in_cells(self, cell: float) -> "Stencils":
+        """The same with lengths in cells of so many of their unit."""
+        return self._replace(**{name: in_cells(getattr(self, name), cell) for name in ("along", "right", "down")})
+
+
+def in_cells(lengths: Float32 | Float64, cell: float) -> Float32:
+    """Lengths in cells of so many of their unit."""
+    return (lengths.astype(np.float32) / np.float32(cell)).astype(np.float32)
+
+
+class ImagePatches(NamedTuple):
+    """The p patches of a posture in its image.
+
+    column, row: Of their middles [cells], shape (p,)
+    owner: Patch that each cell of the image sees, −1 for none, shape (rows, columns)
+    cell: Side of a cell [px]
+    """
+
+    column: Float32
+    row: Float32
+    owner: Int32
+    cell: float
+
+    def in_order(self, order: Index) -> "ImagePatches":
+        """The same with the patches in another order."""
+        number = np.empty(len(order) + 1, np.int32)
+        number[order], number[-1] = np.arange(len(order)), -1
+        return self._replace(column=self.column[order], row=self.row[order], owner=number[self.owner])
+
+
+class PlannedTurns(NamedTuple):
+    """The hypotheses h, entry after entry.
+
+    entry: Of each, shape (h,)
+    turns: Of each entry, shape (entries,)
+    variants: Those of entry e are from variants[e] to variants[e + 1], shape (entries + 1,)
+    """
+
+    entry: Int32
+    turns: Int32
+    variants: Int32
+
+
+@kernel
+def owner_at(column: float, row: float, owner: Int32) -> int:
+    """The patch that a place in the image sees [cells], −1 for none."""
+    if column < 0.0 or row < 0.0 or column >= owner.shape[1] or row >= owner.shape[0]:
+        return -1
+    return owner[int(row), int(column)]
+
+
+def add_evidence(
+    codes: Int16,
+    bounds: Float32,
+    image: ImagePatches,
+    classes: Int32,
+    angle: Float64,
+    planned: PlannedTurns,
+    stencils: Stencils,
+    limits: Float64,
+    words: Words,
+) -> None:
+    """Set the flags of the units of evidence.
+
+    codes: Changes by the variants, and those of no patch, which are 0, shape (p + 1, t)
+    bounds: What the camera delivers of them, shape (p + 1, 3)
+    classes, angle: Of the patches: the foreshortening, and from the image's axes to those that turns are counted from
+        [rad], shape (p,); patches of a class follow each other where that is to be fast
+    stencils: In cells
+    limits: Evidence from which on an image counts for one unit and more, shape (entries, units)
+    words: Shape (units, p, words)
+    """
+    most = np.zeros((len(planned.turns), len(codes)), np.uint8)
+    _fill_most(codes, bounds, planned.variants, most)
+    reach = np.maximum(np.abs(stencils.right), np.abs(stencils.down))
+    pad = int(reach.max(initial=0.0)) + 1
+    # what sees no patch sees the last one, which changes nothing
+    padded = np.pad(
+        np.where(image.owner < 0, np.int32(len(codes) - 1), image.owner), pad, constant_values=len(codes) - 1
+    )
+    near = most[:, padded]
+    groups = np.cumsum([0, *planned.turns]) * FORESHORTENINGS
+    for e in range(len(most)):
+        begin, end = (stencils.first[groups[i]] for i in (e, e + 1))
+        near[e] = greatest_within(near[e], int(reach[begin:end].max(initial=0.0)) + 1)
+    found = np.zeros((len(planned.entry), len(codes)), np.float32)
+    _fill_found(
+        codes, bounds, image.column, image.row, padded, pad, classes, planned.entry, stencils, limits, most, near, found
+    )
+    _set_flags(
+        found, image.column, image.row, padded, pad, classes, angle, planned.turns, stencils.along, limits, words
+    )
+
+
+def greatest_within(cells: UInt8, radius: int) -> UInt8:
+    """The greatest of the cells at most so many rows and columns away, of each cell."""
+    for _ in range(2):
+        # of 1, 2, 4, … cells in a row, then of two such windows that together are as wide as wanted
+        side, width = len(cells), 1
+        most = np.pad(cells, ((radius, radius), (0, 0)))
+        while 2 * width <= 2 * radius + 1:
+            most = np.maximum(most[:-width], most[width:])
+            width *= 2
+        cells = np.ascontiguousarray(np.maximum(most[:side], most[-side:]).T)
+    return cells
+
+
+@kernel
+def _fill_most(codes: Int16, bounds: Float32, variants: Int32, most: UInt8) -> None:
+    # most change that the variants of each entry make of each patch, in codes; 0 where the camera delivers too little
+    # of it to count, and 255 for that much and more
+    for p in range(len(codes)):
+        for e in range(len(most)):
+            low = high = np.int16(0)
+            for v in range(variants[e], variants[e + 1]):
+                low, high = min(low, codes[p, v]), max(high, codes[p, v])
+            delivered = max(
+                min(high / np.float32(CODES_PER_DEVIATION), bounds[p, 1]),
+                -max(low / np.float32(CODES_PER_DEVIATION), bounds[p, 0]),
+            )
+            none = delivered < bounds[p, 2] or delivered == 0.0
+            most[e, p] = 0 if none else min(_MANY, max(np.int64(high), -np.int64(low)))
+
+
+@kernel
+def _cell(place: float, side: int, pad: int) -> np.uint64:
+    # row or column of an array of cells with a margin; indices without a sign need no test for those from the end
+    return np.uint64(max(0, min(side - 1, pad + int(np.floor(place)))))
+
+
+@kernel
+def _fill_found(
+    codes: Int16,
+    bounds: Float32,
+    columns: Float32,
+    rows: Float32,
+    owner: Int32,
+    pad: int,
+    classes: Int32,
+    entry: Int32,
+    stencils: Stencils,
+    limits: Float64,
+    most: UInt8,
+    near: UInt8,
+    found: Float32,
+) -> None:
+    # Evidence of each defect in each turn as the image counts it: up to what is enough, 0 where it is too little.
+    # Patches of a class see the same pixels of a defect: pixel after pixel is added for all of them that have not yet
+    # enough, without branches
+    first, _, right, down, piece, variant, share, ratio, square = stencils
+    height, width = owner.shape
+    active, energies = np.empty(_AT_ONCE, np.uint64), np.empty(_AT_ONCE, np.float32)
+    start = 0
+    while start < len(classes):
+        end = start + 1
+        while end < min(len(classes), start + _AT_ONCE) and classes[end] == classes[start]:
+            end += 1
+        for h in range(len(found)):
+            e, group = entry[h], h * FORESHORTENINGS + classes[start]
+            # in units of a pixel
+            area = ratio[group] * ratio[group]
+            enough = np.float32(limits[e, limits.shape[1] - 1]) / area
+            least = CODES_PER_DEVIATION**2 * limits[e, 0] / (_ROUNDING * area * square[group])
+            count = 0
+            for p in range(start, end):
+                change = np.int64(max(most[e, p], near[e, _cell(rows[p], height, pad), _cell(columns[p], width, pad)]))
+                energies[p - start], active[count] = 0.0, p
+                count += change * change >= least or change == _MANY
+            for i in range(first[group], first[group + 1]):
+                here_right, here_down = right[i], down[i]
+                own = max(abs(here_right), abs(here_down)) < np.float32(0.5)
+                left = np.uint64(0)
+                for k in range(np.uint64(count)):
+                    p = q = active[k]
+                    if not own:
+                        y, x = _cell(rows[p] + here_down, height, pad), _cell(columns[p] + here_right, width, pad)
+                        q = np.uint64(owner[y, x])
+                    change = np.float32(0.0)
+                    for n in range(np.uint64(piece[i]), np.uint64(piece[i + 1])):
+                        change += share[n] * np.float32(codes[q, np.uint64(variant[n])])
+                    change /= np.float32(CODES_PER_DEVIATION)
+                    change = max(min(change, bounds[q, np.uint64(1)]), bounds[q, np.uint64(0)])
+                    more = change * change if abs(change) > bounds[q, np.uint64(2)] else np.float32(0.0)
+                    energy = energies[p - np.uint64(start)] + more
+                    energies[p - np.uint64(start)] = energy
+                    active[left] = p
+                    left += np.uint64(energy < enough)
+                count = np.int64(left)
+                if count == 0:
+                    break
+            for p in range(start, end):
+                found[h, p] = energies[p - start] * area
+        start = end
+
+
+@kernel
+def _set_flags(
+    found: Float32,
+    columns: Float32,
+    rows: Float32,
+    owner: Int32,
+    pad: int,
+    classes: Int32,
+    angle: Float64,
+    turns: Int32,
+    along: Float32,
+    limits: Float64,
+    words: Words,
+) -> None:
+    # the greatest along each defect: what its segments have is what the patches that they lie on have
+    height, width = owner.shape
+    enough = limits.shape[1] - 1
+    for p in range(words.shape[1]):
+        start = 0
+        for e in range(len(turns)):
+            # the same turn as the image counts it
+            turn = int(np.rint(angle[p] / math.pi * turns[e])) % turns[e] if turns[e] > 1 else 0
+            for h in range(start, start + turns[e]):
+                own = start + turn
+                turn = turn + 1 if turn + 1 < turns[e] else 0
+                energy = found[own, p]
+                group = own * FORESHORTENINGS + classes[p]
+                dx, dy = along[group, 0], along[group, 1]
+                if (dx != 0.0 or dy != 0.0) and energy < limits[e, enough]:
+                    for side in (-2, -1, 1, 2):
+                        y, x = _cell(rows[p] + side * dy, height, pad), _cell(columns[p] + side * dx, width, pad)
+                        energy = max(energy, found[own, owner[y, x]])
+                for unit in range(len(words)):
+                    words[unit, p, h // 64] |= np.uint64(energy >= limits[e, unit]) << np.uint64(h % 64)
+            start += turns[e]
