@@ -81,9 +81,9 @@ def test_changes_are_those_of_the_statistic_with_noise_and_registration(seed):
         np.float32
     )
     scale, limit = 0.7, 251.0
-    codes, bounds = np.zeros(varied.shape, np.int16), np.zeros((patches, 3), np.float32)
+    codes, bounds = np.zeros((6, patches + 1), np.int16), np.zeros((patches + 1, 3), np.float32)
     place = column / np.float32(cell), row / np.float32(cell)
-    evidence._fill_changes(good, varied, *place, owner, cell, scale, limit, 0.8, 60.0, codes, bounds)
+    evidence._fill_changes(good, varied.T.copy(), *place, owner, cell, scale, limit, 0.8, 60.0, codes, bounds)
     level = np.minimum(scale * good, limit)
     for p in range(patches):
         square = 0.0
@@ -93,7 +93,7 @@ def test_changes_are_those_of_the_statistic_with_noise_and_registration(seed):
             square += ((high - low) / (max(1, sum(q >= 0 for q in near)) * cell)) ** 2
         deviation = math.sqrt(0.8**2 + level[p] / 60.0 + 1.0 / 12.0 + 0.1**2 * square)
         linear = (scale * varied[p].astype(float) - level[p]) / deviation
-        np.testing.assert_allclose(codes[p] / 16.0, np.clip(linear, -2000.0, 2000.0), atol=1.0 / 32.0 + 1e-6)
+        np.testing.assert_allclose(codes[:, p] / 16.0, np.clip(linear, -2000.0, 2000.0), atol=1.0 / 32.0 + 1e-6)
         # of a pixel that one variant fills it is the statistic's
         clipped = np.clip(linear, bounds[p, 0], bounds[p, 1])
         expected = expected_change(
@@ -113,7 +113,7 @@ def test_evidence_is_the_sum_of_squares_over_the_pixels_of_a_defect(seed):
     # a patch beyond the image's border sees none, and many change little
     column[3] = -4.0
     change = rng.integers(-200, 200, (patches, variants)) * (rng.random((patches, 1)) < 0.3)
-    codes = np.r_[change, np.zeros((1, variants))].astype(np.int16)
+    codes = np.r_[change, np.zeros((1, variants))].astype(np.int16).T.copy()
     bounds = np.c_[rng.uniform(-8.0, 0.0, patches), rng.uniform(0.0, 8.0, patches), rng.choice([0.0, 3.0], patches)]
     bounds = np.r_[bounds, np.zeros((1, 3))].astype(np.float32)
     classes = np.sort(rng.integers(0, 20, patches)).astype(np.int32)
@@ -158,7 +158,7 @@ def test_evidence_is_the_sum_of_squares_over_the_pixels_of_a_defect(seed):
             near = max(abs(right[n]), abs(down[n])) < 0.5 * cell
             q = p if near else owner_at(owner, cell, column[p] + right[n], row[p] + down[n])
             own = pixels.setdefault((right[n], down[n]), [q, 0.0])
-            own[1] += 0.0 if q < 0 else share[n] * codes[q, variant[n]] / 16.0
+            own[1] += 0.0 if q < 0 else share[n] * codes[variant[n], q] / 16.0
         changes = [(np.clip(m, *bounds[q, :2]), bounds[q, 2]) for q, m in pixels.values() if q >= 0]
         return float(ratio[group]) ** 2 * sum(m**2 for m, none in changes if abs(m) > none)
 

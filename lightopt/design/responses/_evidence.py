@@ -251,7 +251,7 @@ class PatchEvidence:
         count, variants = len(self._surface), len(self._variants.R_d)
         source = converged_panel(panel, centre=caster.centre, radius=caster.radius) if panel.points == "auto" else panel
         plain, good = np.empty(count, np.float32), np.empty(count)
-        varied = np.empty((count, variants), np.float32)
+        varied = np.empty((variants, count), np.float32)
         for start in range(0, count, _AT_ONCE):
             here = slice(start, start + _AT_ONCE)
             shaded = shade_variants(
@@ -262,14 +262,14 @@ class PatchEvidence:
                 reflectance=self._scene.reflectance,
                 caster=blocker,
             )
-            plain[here], good[here], varied[here] = shaded.plain, shaded.good, shaded.varied.T
+            plain[here], good[here], varied[:, here] = shaded.plain, shaded.good, shaded.varied
         levels = np.empty_like(plain)
         levels[self._order] = plain
         return levels, [self._units(good, varied, exposure) for exposure in exposures]
 
     def _units(self, good: Float64, varied: Float32, exposure: float) -> Words:
         sensor, image = self._detection.sensor, self._image
-        codes = np.zeros((len(good) + 1, varied.shape[1]), np.int16)
+        codes = np.zeros((len(varied), len(good) + 1), np.int16)
         bounds = np.zeros((len(good) + 1, 3), np.float32)
         _fill_changes(
             good,
@@ -349,6 +349,7 @@ def _fill_changes(
     # Changes by the variants, of each patch, as the camera would deliver them if it did not clip: mixed levels are
     # clipped, not those that are mixed. `bounds` are the least and the greatest change that it delivers, and the change
     # that is none: see expected_change. Levels are above black
+    levels, noises = np.empty(len(good)), np.empty(len(good))
     for p in range(len(good)):
         level = min(scale * good[p], limit)
         square = 0.0
@@ -366,6 +367,8 @@ def _fill_changes(
         bounds[p, 0] = max(-level / noise, -MOST_CHANGE)
         bounds[p, 1] = min((limit - level) / noise, MOST_CHANGE)
         bounds[p, 2] = DARK if level < DARK * noise else 0.0
-        for v in range(varied.shape[1]):
-            change = (scale * varied[p, v] - level) / noise
-            codes[p, v] = round(max(-32_000.0, min(32_000.0, change * CODES_PER_DEVIATION)))
+        levels[p], noises[p] = level, noise
+    for v in range(len(varied)):
+        for p in range(len(good)):
+            change = (scale * varied[v, p] - levels[p]) / noises[p]
+            codes[v, p] = np.int16(np.rint(max(-32_000.0, min(32_000.0, change * CODES_PER_DEVIATION))))

@@ -110,7 +110,7 @@ def add_evidence(
 ) -> None:
     """Set the flags of the units of evidence.
 
-    codes: Changes by the variants, and those of no patch, which are 0, shape (p + 1, t)
+    codes: Changes by the variants, and those of no patch, which are 0, shape (t, p + 1)
     bounds: What the camera delivers of them, shape (p + 1, 3)
     classes, angle: Of the patches: the foreshortening, and from the image's axes to those that turns are counted from
         [rad], shape (p,); patches of a class follow each other where that is to be fast
@@ -118,20 +118,20 @@ def add_evidence(
     limits: Evidence from which on an image counts for one unit and more, shape (entries, units)
     words: Shape (units, p, words)
     """
-    most = np.zeros((len(planned.turns), len(codes)), np.uint8)
+    patches = len(classes)
+    most = np.zeros((len(planned.turns), patches + 1), np.uint8)
     _fill_most(codes, bounds, planned.variants, most)
     reach = np.maximum(np.abs(stencils.right), np.abs(stencils.down))
     pad = int(reach.max(initial=0.0)) + 1
     # what sees no patch sees the last one, which changes nothing
-    padded = np.pad(
-        np.where(image.owner < 0, np.int32(len(codes) - 1), image.owner), pad, constant_values=len(codes) - 1
-    )
+    padded = np.full([side + 2 * pad for side in image.owner.shape], patches, np.int32)
+    padded[pad:-pad, pad:-pad] = np.where(image.owner < 0, patches, image.owner)
     near = most[:, padded]
     groups = np.cumsum([0, *planned.turns]) * FORESHORTENINGS
     for e in range(len(most)):
         begin, end = (stencils.first[groups[i]] for i in (e, e + 1))
         near[e] = greatest_within(near[e], int(reach[begin:end].max(initial=0.0)) + 1)
-    found = np.zeros((len(planned.entry), len(codes)), np.float32)
+    found = np.zeros((len(planned.entry), patches + 1), np.float32)
     _fill_found(
         codes, bounds, image.column, image.row, padded, pad, classes, planned.entry, stencils, limits, most, near, found
     )
@@ -145,7 +145,8 @@ def greatest_within(cells: UInt8, radius: int) -> UInt8:
     for _ in range(2):
         # of 1, 2, 4, … cells in a row, then of two such windows that together are as wide as wanted
         side, width = len(cells), 1
-        most = np.pad(cells, ((radius, radius), (0, 0)))
+        most = np.zeros((side + 2 * radius, cells.shape[1]), np.uint8)
+        most[radius : radius + side] = cells
         while 2 * width <= 2 * radius + 1:
             most = np.maximum(most[:-width], most[width:])
             width *= 2
@@ -157,17 +158,21 @@ def greatest_within(cells: UInt8, radius: int) -> UInt8:
 def _fill_most(codes: Int16, bounds: Float32, variants: Int32, most: UInt8) -> None:
     # most change that the variants of each entry make of each patch, in codes; 0 where the camera delivers too little
     # of it to count, and 255 for that much and more
-    for p in range(len(codes)):
-        for e in range(len(most)):
-            low = high = np.int16(0)
-            for v in range(variants[e], variants[e + 1]):
-                low, high = min(low, codes[p, v]), max(high, codes[p, v])
+    low, high = np.empty(codes.shape[1], np.int16), np.empty(codes.shape[1], np.int16)
+    for e in range(len(most)):
+        low[:] = high[:] = 0
+        for v in range(variants[e], variants[e + 1]):
+            for p in range(len(low)):
+                low[p] = min(low[p], codes[v, p])
+            for p in range(len(high)):
+                high[p] = max(high[p], codes[v, p])
+        for p in range(len(low)):
             delivered = max(
-                min(high / np.float32(CODES_PER_DEVIATION), bounds[p, 1]),
-                -max(low / np.float32(CODES_PER_DEVIATION), bounds[p, 0]),
+                min(high[p] / np.float32(CODES_PER_DEVIATION), bounds[p, 1]),
+                -max(low[p] / np.float32(CODES_PER_DEVIATION), bounds[p, 0]),
             )
             none = delivered < bounds[p, 2] or delivered == 0.0
-            most[e, p] = 0 if none else min(_MANY, max(np.int64(high), -np.int64(low)))
+            most[e, p] = 0 if none else min(_MANY, max(np.int64(high[p]), -np.int64(low[p])))
 
 
 @kernel
@@ -225,7 +230,7 @@ def _fill_found(
                         q = np.uint64(owner[y, x])
                     change = np.float32(0.0)
                     for n in range(np.uint64(piece[i]), np.uint64(piece[i + 1])):
-                        change += share[n] * np.float32(codes[q, np.uint64(variant[n])])
+                        change += share[n] * np.float32(codes[np.uint64(variant[n]), q])
                     change /= np.float32(CODES_PER_DEVIATION)
                     change = max(min(change, bounds[q, np.uint64(1)]), bounds[q, np.uint64(0)])
                     more = change * change if abs(change) > bounds[q, np.uint64(2)] else np.float32(0.0)
