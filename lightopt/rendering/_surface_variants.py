@@ -8,8 +8,10 @@ does not.
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.kernels import kernel
@@ -46,9 +48,12 @@ NEGLIGIBLE_LEVEL = 1e-3
 # Points whose terms are computed together, in loops without branches over numbers that lie side by side: the processor
 # takes several at once. Rows of so many numbers lie one after the other in flat arrays, since the compiler knows only
 # from constant distances that none overlaps another.
-_AT_ONCE = 256
+_AT_ONCE = 128
 # share of these near a variant's lobe from which on all their lobes are computed at once, and not one by one
 _LEAST_SHARE = 0.1
+
+
+Levels = NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -73,12 +78,12 @@ class VariantLevels:
     plain: Of the surface as it is, as :func:`lightopt.rendering.shade_points` or ``shade_converged`` has it, float32,
         shape (k,)
     good: The same for comparison with the variants, in penumbrae from the same cells of the panel; shape (k,)
-    varied: Of the variants, shape (t, k)
+    varied: Of the variants, shape (t, k); of the type that was wanted
     """
 
     plain: Float32
     good: Float64
-    varied: Float64
+    varied: Levels
 
 
 def surface_variants(
@@ -106,20 +111,22 @@ def shade_variants(
     *,
     reflectance: Reflectance,
     caster: RayCaster | None,
+    dtype: type[np.floating[Any]] = np.float64,
 ) -> VariantLevels:
     """The light of a panel on a surface and on its variants.
 
     surface: k points that the camera sees from the front, none of them another's neighbour; part frame
     references: Unit vectors in the tangent planes that directions count from, shape (k, 3)
     panel: Part frame: as point lights, or converged
+    dtype: Of the variants' levels
     """
 
     def shade(start: int, end: int) -> VariantLevels:
         end_if_stopped()
         some, own = surface.take(slice(start, end)), references[start:end]
         if isinstance(panel, ConvergedPanel):
-            return _converged_variants(some, own, panel, variants, reflectance, caster)
-        return _point_variants(some, own, panel, variants, reflectance, caster)
+            return _converged_variants(some, own, panel, variants, reflectance, caster, dtype)
+        return _point_variants(some, own, panel, variants, reflectance, caster, dtype)
 
     if isinstance(panel, ConvergedPanel):
         step = CONVERGED_AT_ONCE
@@ -147,6 +154,7 @@ def _point_variants(
     variants: SurfaceVariants,
     reflectance: Reflectance,
     caster: RayCaster | None,
+    dtype: type[np.floating[Any]],
 ) -> VariantLevels:
     assert light.points != "auto"
     grid = panel_grid(light, light.points)
@@ -160,7 +168,9 @@ def _point_variants(
     diffuse, specular = add_points(
         surface.points, surface.normals, surface.views, grid, clear, numbers, weight, 0.5 / reflectance.sigma**2
     )
-    varied = _point_kernel(
+    # large arrays that NumPy makes have large pages
+    varied = np.empty((len(variants.lean), len(surface)), dtype)
+    _point_kernel(
         surface.points,
         surface.normals,
         references,
@@ -176,6 +186,7 @@ def _point_variants(
             0.5 / variants.sigma**2,
             _most_exponents(variants.R_s, light.total_weight, MIN_COS_VIEW),
         ),
+        varied,
     )
     good = reflectance.R_d * diffuse + reflectance.R_s * specular
     return VariantLevels(plain=_float32(reflectance, diffuse, specular), good=good, varied=varied)
@@ -193,6 +204,7 @@ def _converged_variants(
     variants: SurfaceVariants,
     reflectance: Reflectance,
     caster: RayCaster | None,
+    dtype: type[np.floating[Any]],
 ) -> VariantLevels:
     targets = probe_targets(converged.light)
     if caster is None:
@@ -222,7 +234,7 @@ def _converged_variants(
         most=_most_exponents(R_s, 1.0, 1.0),
     )
     levels = panel_variants(surface, references, converged, clear, caster, numbers)
-    good, varied = levels[:, 0], np.ascontiguousarray(levels[:, 1:].T)
+    good, varied = levels[:, 0], np.ascontiguousarray(levels[:, 1:].T, dtype)
     return VariantLevels(plain=_float32(reflectance, diffuse, specular), good=good, varied=varied)
 
 
@@ -237,12 +249,13 @@ def _point_kernel(
     panel: PanelNumbers,
     weight: float,
     variants: VariantNumbers,
-) -> Float64:
+    varied: Levels,
+) -> None:
     # levels of the variants, shape (t, k)
     count, lights = len(points), len(grid)
-    varied = np.zeros((len(variants.lean), count))
-    frames, sums = np.zeros(18 * _AT_ONCE), np.zeros(4 * _AT_ONCE)
-    rays, boxes, lit = np.zeros((lights, 8 * _AT_ONCE)), np.zeros((lights, 6)), np.zeros(lights, np.bool_)
+    lean, R_d, R_s, inverse, most = variants  # taken from a tuple, an array's references are counted
+    frames, sums, towards = np.zeros(18 * _AT_ONCE), np.zeros(4 * _AT_ONCE), np.zeros(3 * _AT_ONCE)
+    rays, boxes, lit = np.zeros((lights, 8 * _AT_ONCE)), np.zeros((lights + 1, 2, 3)), np.zeros(lights, np.bool_)
     for first in range(0, count, _AT_ONCE):
         number = min(_AT_ONCE, count - first)
         some = False
@@ -251,12 +264,39 @@ def _point_kernel(
             some |= lit[k]
         if some:
             _fill_frames(points, normals, references, views, first, number, frames)
+            towards[:], boxes[lights, 0], boxes[lights, 1] = 0.0, np.inf, -np.inf
             for k in range(lights):
                 if lit[k]:
-                    _fill_rays(frames, vector_at(grid, k), panel, weight, clear, k, first, number, rays, boxes)
+                    _fill_rays(frames, vector_at(grid, k), panel, weight, clear, k, first, number, rays, boxes, towards)
             for t in range(len(varied)):
-                _fill_variant(rays, boxes, lit, frames, variants, t, first, number, sums, varied)
-    return varied
+                normal, least_chord = vector_at(lean, t), most[t] / inverse[t]
+                # light is linear in the normal where all that arrives is above the horizon
+                above, shiny = _extreme(normal, boxes, lights, 0) > 0.0, False
+                for k in range(lights):
+                    shiny |= lit[k] and 2.0 - 2.0 * _extreme(normal, boxes, k, 1) <= least_chord + 1e-9
+                if above and not shiny:
+                    _fill_products(normal, R_d[t], towards, t, first, number, varied)
+                else:
+                    own = normal, R_d[t], R_s[t], inverse[t], least_chord
+                    _fill_variant(rays, boxes, lit, frames, own, t, first, number, sums, varied)
+        else:
+            varied[:, first : first + number] = 0.0
+
+
+@kernel
+def _extreme(normal: Vector, boxes: Float64, k: int, most: int) -> float:
+    # bound of the product of a normal with the vectors in a box: the least, or the greatest
+    x = normal.x * boxes[k, most if normal.x > 0.0 else 1 - most, 0]
+    y = normal.y * boxes[k, most if normal.y > 0.0 else 1 - most, 1]
+    return x + y + normal.z * boxes[k, most if normal.z > 0.0 else 1 - most, 2]
+
+
+@kernel
+def _fill_products(
+    normal: Vector, R_d: float, towards: Float64, t: int, first: int, number: int, varied: Levels
+) -> None:
+    for j in range(number):
+        varied[t, first + j] = R_d * dot(normal, _vector(towards, 0, j))
 
 
 @kernel
@@ -300,9 +340,11 @@ def _fill_rays(
     number: int,
     rays: Float64,
     boxes: Float64,
+    towards: Float64,
 ) -> None:
     # towards point light k, in the frames of the points: three rows each of directions and of half vectors, then the
-    # light that arrives; and the least and the greatest of each component of the half vectors
+    # light that arrives, and its sum times the directions; and the least and the greatest of each component of the
+    # half vectors, and of the directions to all lights, of the points that it arrives at
     for j in range(number):
         light = minus(q, _vector(frames, 0, j))
         r2 = dot(light, light)
@@ -317,11 +359,18 @@ def _fill_rays(
     for j in range(number):
         arriving = attenuated(weight, panel, rays[k, 6 * _AT_ONCE + j], rays[k, 7 * _AT_ONCE + j])
         rays[k, 6 * _AT_ONCE + j] = arriving if clear[k, first + j] else 0.0
-    for axis in range(3):
+    for row in range(6):
         low, high = np.inf, -np.inf
         for j in range(number):
-            low, high = min(low, rays[k, (3 + axis) * _AT_ONCE + j]), max(high, rays[k, (3 + axis) * _AT_ONCE + j])
-        boxes[k, axis], boxes[k, 3 + axis] = low, high
+            arrives, component = rays[k, 6 * _AT_ONCE + j] > 0.0, rays[k, row * _AT_ONCE + j]
+            low, high = min(low, component if arrives else np.inf), max(high, component if arrives else -np.inf)
+        boxes[k, 0, row % 3], boxes[k, 1, row % 3] = low, high
+        if row < 3:
+            boxes[len(rays), 0, row] = min(boxes[len(rays), 0, row], low)
+            boxes[len(rays), 1, row] = max(boxes[len(rays), 1, row], high)
+    for axis in range(3):
+        for j in range(number):
+            towards[axis * _AT_ONCE + j] += rays[k, 6 * _AT_ONCE + j] * rays[k, axis * _AT_ONCE + j]
 
 
 @kernel
@@ -330,35 +379,29 @@ def _fill_variant(
     boxes: Float64,
     lit: Bool,
     frames: Float64,
-    variants: VariantNumbers,
+    variant: tuple[Vector, float, float, float, float],
     t: int,
     first: int,
     number: int,
     sums: Float64,
-    varied: Float64,
+    varied: Levels,
 ) -> None:
-    # level of variant t. Rows of `sums`: diffuse and specular light, N·V, and |N − H|², infinite where there is no lobe
-    normal = vector_at(variants.lean, t)
-    inverse = variants.inverse[t]
-    least_chord = variants.most[t] / inverse
+    # level of variant t, by its normal, R_d, R_s, 1/(2σ²) and the least |N − H|² without a lobe. Rows of
+    # `sums`: diffuse and specular light, N·V, and |N − H|², infinite where there is no lobe
+    normal, R_d, R_s, inverse, least_chord = variant
     for j in range(number):
         sums[j] = sums[_AT_ONCE + j] = 0.0
         sums[2 * _AT_ONCE + j] = dot(normal, _vector(frames, 15, j))
     for k in range(len(rays)):
         if not lit[k]:
             continue
-        # N·H of these points is not more than this
-        most = 0.0
-        for axis in range(3):
-            most += max(normal[axis] * boxes[k, axis], normal[axis] * boxes[k, 3 + axis])
-        if 2.0 - 2.0 * most > least_chord + 1e-9:
-            for j in range(number):
-                sums[j] += rays[k, 6 * _AT_ONCE + j] * lambert(dot(normal, _ray_vector(rays, k, 0, j)))
+        for j in range(number):
+            sums[j] += rays[k, 6 * _AT_ONCE + j] * lambert(dot(normal, _ray_vector(rays, k, 0, j)))
+        if 2.0 - 2.0 * _extreme(normal, boxes, k, 1) > least_chord + 1e-9:
             continue
         some = 0
         for j in range(number):
             n_dot_l, arriving = dot(normal, _ray_vector(rays, k, 0, j)), rays[k, 6 * _AT_ONCE + j]
-            sums[j] += arriving * lambert(n_dot_l)
             # |N − H|² of unit vectors; in float64 it is off by 1e-16 where it is 1e-6 and more that matter
             chord = max(0.0, 2.0 - 2.0 * dot(normal, _ray_vector(rays, k, 3, j)))
             near = (arriving > 0.0) & (n_dot_l > 0.0) & (sums[2 * _AT_ONCE + j] > 0.0) & (chord < least_chord)
@@ -375,7 +418,6 @@ def _fill_variant(
                 chord = sums[3 * _AT_ONCE + j]
                 if chord < np.inf and not (all_at_once and chord < NARROW_CHORD_SQUARED):
                     sums[_AT_ONCE + j] += rays[k, 6 * _AT_ONCE + j] * specular_lobe(chord, inverse)
-    R_d, R_s = variants.R_d[t], variants.R_s[t]
     for j in range(number):
         specular = R_s * sums[_AT_ONCE + j] / specular_cosine(sums[2 * _AT_ONCE + j])
         varied[t, first + j] = R_d * sums[j] + specular

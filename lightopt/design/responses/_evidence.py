@@ -81,7 +81,6 @@ _NARROW_PX, _OFF_PX = 5.0, (0.25, 0.25)
 # true one by about this much
 _GREATEST_OF_NEAR = 0.5
 
-_AT_ONCE = 1 << 12  # patches that are shaded at once
 _TILE_CELLS = 16.0  # patches are worked on in tiles of so many cells of the image
 _FOOTPRINT_STEPS = 32  # footprints within a 32nd of an octave share what pixels see of defects
 
@@ -248,24 +247,20 @@ class PatchEvidence:
         panel: Part frame.
         Returns levels at exposure 1 [grey level], shape (p,), and per exposure flags of shape (units, p, words).
         """
-        count, variants = len(self._surface), len(self._variants.R_d)
         source = converged_panel(panel, centre=caster.centre, radius=caster.radius) if panel.points == "auto" else panel
-        plain, good = np.empty(count, np.float32), np.empty(count)
-        varied = np.empty((variants, count), np.float32)
-        for start in range(0, count, _AT_ONCE):
-            here = slice(start, start + _AT_ONCE)
-            shaded = shade_variants(
-                self._surface.take(here),
-                self._references[here],
-                source,
-                self._variants,
-                reflectance=self._scene.reflectance,
-                caster=blocker,
-            )
-            plain[here], good[here], varied[:, here] = shaded.plain, shaded.good, shaded.varied
-        levels = np.empty_like(plain)
-        levels[self._order] = plain
-        return levels, [self._units(good, varied, exposure) for exposure in exposures]
+        shaded = shade_variants(
+            self._surface,
+            self._references,
+            source,
+            self._variants,
+            reflectance=self._scene.reflectance,
+            caster=blocker,
+            dtype=np.float32,
+        )
+        levels = np.empty_like(shaded.plain)
+        levels[self._order] = shaded.plain
+        varied = shaded.varied.astype(np.float32, copy=False)
+        return levels, [self._units(shaded.good, varied, exposure) for exposure in exposures]
 
     def _units(self, good: Float64, varied: Float32, exposure: float) -> Words:
         sensor, image = self._detection.sensor, self._image
