@@ -45,6 +45,7 @@ from lightopt.defects._whole_defects import (
     PLANNING_GRID as PLANNING_GRID,
     SIZES as SIZES,
     DefectHypotheses as DefectHypotheses,
+    PixelMixture as PixelMixture,
     defect_hypotheses as defect_hypotheses,
     search_grid as search_grid,
 )

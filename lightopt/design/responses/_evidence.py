@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import ndimage
@@ -34,6 +34,8 @@ from lightopt.defects import (
     MOST_CHANGE,
     REGISTRATION_PX,
     SIZES,
+    DefectHypotheses,
+    PixelMixture,
     defect_hypotheses,
     false_alarms_problem,
     foreshortening_classes,
@@ -70,8 +72,9 @@ _ALONE = (1.0 / 6.0, 1.0 / 2.0, 1.0)
 _CONFIRMED = (0.28, 0.61, 0.92)
 
 # a defect's width is divided into so many pixels where the camera's are smaller, a scratch's into fewer; of its segment
-# a piece little longer than wide stands for the whole
+# a piece little longer than wide stands for the whole, in so many places within its pixel
 _PIXELS_ACROSS, _PIXELS_ACROSS_SCRATCH, _SCRATCH_WIDTHS = 4.0, 2.2, 1.4
+_PLACES_ALONG, _PLACES_ACROSS = 2, 3
 
 # Defects lie anywhere in their pixels: middles of narrow ones, of fewer pixels than this, are taken half way between
 # the two places that differ most
@@ -129,13 +132,22 @@ class DetectionModel:
             grid = search_grid(own, footprint)
             places = pixels / (grid.ratio * grid.step) ** 2
             z = least_z(places * len(own.turns) * len(grid.halves) * len(SIZES), len(entries), self.false_alarms)
-            z -= _GREATEST_OF_NEAR
+            z -= _GREATEST_OF_NEAR + _greatest_of_segments(planned)
             if self.min_images == 1:
                 found[e] = np.array(_ALONE) * z * z
             else:
                 most = (z * z - CONFIRMED**2) / (self.min_images - 1)
                 found[e] = np.array(_CONFIRMED) * max(most, CONFIRMED**2)
         return found
+
+
+def _greatest_of_segments(own: DefectHypotheses) -> float:
+    # Segments of a scratch have noise of their own, and the greatest Z finds it: so much more than the others' mean it
+    # is expected to have (Blom 1958, of n normal deviates)
+    from scipy import special
+
+    segments = own.entry.shape.length / own.shapes[1].length if own.entry.shape.kind == "scratch" else 1.0
+    return float(special.ndtri((segments - 0.375) / (segments + 0.25))) if segments > 1.0 else 0.0
 
 
 def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> Stencils:
@@ -160,23 +172,22 @@ def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> Stencils:
             axis = np.array([math.cos(own.turns[turn]), math.sin(own.turns[turn])])
             for one in range(FORESHORTENINGS):
                 to_image = plane_to_image(one, ratio * footprint)
-                seen = own.seen_by_pixels(1, turn, to_image, off_px=off)
-                place = np.stack([seen.column, seen.row]).astype(np.float64)
-                kept, sides = np.ones(len(seen.weight), np.bool_), ratio
+                sides = ratio
                 if long:
-                    near = np.abs(axis @ np.linalg.solve(to_image, place)) <= 0.5 * _SCRATCH_WIDTHS * width
-                    kept = near if near.any() else kept
-                    sides *= math.sqrt(float((seen.weight**2).sum() / max((seen.weight[kept] ** 2).sum(), 1e-12)))
-                pixels, number = np.unique(place[:, kept], axis=1, return_inverse=True)
-                total = np.bincount(number, seen.weight[kept])
+                    seen, stands_for = _scratch_piece(own, turn, to_image)
+                    sides *= math.sqrt(stands_for)
+                else:
+                    seen = own.seen_by_pixels(1, turn, to_image, off_px=off)
+                pixels, number = np.unique([seen.column, seen.row], axis=1, return_inverse=True)
+                total = np.bincount(number, seen.weight)
                 # those that see most of the defect come first: soon there is enough
                 order = np.argsort(-total, kind="stable")
                 by_pixel = np.argsort(np.argsort(order)[number], kind="stable")
                 right.append(ratio * pixels[0, order])
                 down.append(ratio * pixels[1, order])
                 pieces.append(np.bincount(number)[order])
-                variant.append(before + seen.variant[kept][by_pixel].astype(np.int64))
-                share.append(seen.weight[kept][by_pixel])
+                variant.append(before + seen.variant[by_pixel].astype(np.int64))
+                share.append(seen.weight[by_pixel])
                 ratios.append(sides)
                 squares.append(max(1e-9, float((total**2).sum())))
                 counts.append(len(order))
@@ -193,6 +204,40 @@ def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> Stencils:
         ratio=np.array(ratios, np.float32),
         square=np.array(squares),
     )
+
+
+def _scratch_piece(own: DefectHypotheses, turn: int, to_image: Float64) -> tuple[PixelMixture, float]:
+    # A short piece of a segment, where it changes most, and the whole's evidence as a multiple of the piece's. Walls of
+    # a narrow scratch lean to opposite sides, so that evidence depends on where it lies within its pixels: across it
+    # lies anywhere, and along it some segment lies best. The change is taken as linear in the slope
+    axis = np.array([math.cos(own.turns[turn]), math.sin(own.turns[turn])])
+    along = to_image @ axis
+    along /= np.hypot(*along)
+    across = np.array([-along[1], along[0]])
+    lean = np.tan(own.slope) * np.stack([np.cos(own.direction), np.sin(own.direction)])
+    most, piece, whole = -1.0, own.seen_by_pixels(1, turn, to_image), 0.0
+    for i in range(_PLACES_ACROSS):
+        best = 0.0
+        for k in range(_PLACES_ALONG):
+            off = across * (i / _PLACES_ACROSS) + along * (k / _PLACES_ALONG)
+            off -= np.rint(off)
+            seen = own.seen_by_pixels(1, turn, to_image, off_px=(float(off[0]), float(off[1])))
+            middle = axis @ np.linalg.solve(to_image, np.stack([seen.column, seen.row]) - off[:, None])
+            near = np.abs(middle) <= 0.5 * _SCRATCH_WIDTHS * own.shapes[1].width
+            best = max(best, _evidence_of(seen, lean))
+            short = replace(seen, **{name: values[near] for name, values in vars(seen).items()})
+            if (own_evidence := _evidence_of(short, lean)) > most:
+                most, piece = own_evidence, short
+        whole += best / _PLACES_ACROSS
+    return piece, whole / most if most > 0.0 else 1.0
+
+
+def _evidence_of(seen: PixelMixture, lean: Float64) -> float:
+    # Σ m² where changes are as the lean of the surface, over all directions of light
+    _, first = np.unique(seen.row * (1 << 16) + seen.column, return_index=True)
+    if not len(first):
+        return 0.0
+    return float((np.add.reduceat(seen.weight * lean[:, seen.variant], np.sort(first), axis=1) ** 2).sum())
 
 
 class PatchEvidence:
