@@ -27,11 +27,11 @@ from benchmarks._case import one_posture_files
 from lightopt import load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.transforms import Posture
+from lightopt.defects import SCALES_PX
 from lightopt.estimate.registration import Placement, place_part
 from lightopt.images import ImageSet, read_exr, read_image_set
 from lightopt.inspection import (
     FUSIONS,
-    SCALES_PX,
     TEMPLATES,
     Deviations,
     PostureView,

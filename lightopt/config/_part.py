@@ -153,6 +153,17 @@ class ReflectanceConfig(fields.Frozen):
     )
 
 
+class SurfaceConfig(fields.Frozen):
+    """Waviness of good parts (orange peel): by how much their surface departs from the mesh."""
+
+    waviness_deg: Annotated[float, Field(gt=0, le=5), fields.expecting("a number above 0, up to 5 (degrees)")] = Field(
+        description="Root mean square slope of the surface against the mesh [deg]."
+    )
+    waviness_mm: Annotated[float, Field(ge=0.01, le=100), fields.expecting("a number from 0.01 to 100 (mm)")] = Field(
+        description="Correlation length of its height [mm]: about a sixth of the distance of its waves."
+    )
+
+
 class PartConfig(fields.FileConfig):
     """A part to inspect: its shape, how it lies, the postures it is seen in, and its surface."""
 
@@ -167,6 +178,9 @@ class PartConfig(fields.FileConfig):
         description="Postures in which the part is inspected; (0, 0) only if absent.",
     )
     reflectance: ReflectanceConfig = Field(description="Reflection of the part's surface.")
+    surface: SurfaceConfig | None = Field(
+        default=None, description="Waviness of good parts: renders show it, and it is noise otherwise. None if absent."
+    )
     defects: Annotated[tuple[DefectConfig, ...], Field(strict=False, max_length=500)] = Field(
         default=(), description="Defects that are on this part; renders show them. None if absent."
     )

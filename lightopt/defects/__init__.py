@@ -35,12 +35,14 @@ from lightopt.defects._statistic import (
     DEFAULT_FALSE_ALARMS as DEFAULT_FALSE_ALARMS,
     MOST_CHANGE as MOST_CHANGE,
     REGISTRATION_PX as REGISTRATION_PX,
+    SCALES_PX as SCALES_PX,
     chance_score as chance_score,
     expected_change as expected_change,
     false_alarms_problem as false_alarms_problem,
     least_z as least_z,
     rest_of_images as rest_of_images,
 )
+from lightopt.defects._waviness import Waviness as Waviness, clipped_variance as clipped_variance
 from lightopt.defects._whole_defects import (
     PLANNING_GRID as PLANNING_GRID,
     SIZES as SIZES,

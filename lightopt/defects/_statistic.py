@@ -30,6 +30,9 @@ CONFIRMED: Final = 3.0
 REGISTRATION_PX: Final = 0.1
 """The part is known to lie within about this much of where the model has it: steep edges are off by so much."""
 
+SCALES_PX: Final = (1.0, 2.0, 3.5)
+"""Widths of the Gaussians that deviations are added up with: small and large defects have one that suits them."""
+
 CATALOGUE_SHARE: Final = 0.5
 """Share of the false alarms that the catalogue's defects may cause; what no hypothesis describes has the others."""
 

@@ -61,11 +61,7 @@ from lightopt.inspection.detection._deviation import Deviations as Deviations, d
 from lightopt.inspection.detection._matched_filter import TEMPLATES as TEMPLATES, score_templates as score_templates
 from lightopt.inspection.detection._regions import find_regions as find_regions, split_regions as split_regions
 from lightopt.inspection.detection._registry import DETECTORS as DETECTORS
-from lightopt.inspection.detection._residual_score import (
-    SCALES_PX as SCALES_PX,
-    score_deviations as score_deviations,
-    threshold as threshold,
-)
+from lightopt.inspection.detection._residual_score import score_deviations as score_deviations, threshold as threshold
 from lightopt.inspection.evaluation._evaluation import (
     SetEvaluation as SetEvaluation,
     area_under_roc as area_under_roc,

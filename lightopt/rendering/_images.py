@@ -259,7 +259,8 @@ class _PostureJob:
         left, _, right, _ = self.window
         rows = _centres(top * n - self.halo, bottom * n + self.halo) / n
         columns = _centres(left * n, right * n) / n
-        hits, surface = self._trace(columns, rows)
+        hits, smooth = self._trace(columns, rows)
+        surface = self._wavy(smooth)
         marked = self._in_defects(surface)
         grid = (len(rows), len(columns))
         own = slice(self.halo, grid[0] - self.halo)
@@ -267,7 +268,7 @@ class _PostureJob:
         places = None
         if n == 1:
             places = _places(hits.ray, grid[1], own.start, own.stop, top, left)
-            self._store_geometry(hits, surface, marked, places)
+            self._store_geometry(hits, smooth, marked, places)
         else:
             centre_hits, centres = self._trace(_centres(left, right), _centres(top, bottom))
             centre_places = _places(centre_hits.ray, right - left, 0, bottom - top, top, left)
@@ -296,6 +297,14 @@ class _PostureJob:
         order, *at = _tiles(columns, rows)
         hits, surface = trace_samples(self.caster, self.scene.mesh, self.view.camera, *at, neighbours=True)
         return replace(hits, ray=order[hits.ray]), surface
+
+    def _wavy(self, surface: SurfacePoints) -> SurfacePoints:
+        waviness, place = self.scene.waviness, self.scene.placement
+        if waviness is None or waviness.seed is None:
+            return surface
+        points = (surface.points - place.translation) @ place.rotation
+        normals = waviness.normals(points, surface.normals @ place.rotation) @ place.rotation.T
+        return replace(surface, normals=normals)
 
     def _in_defects(self, surface: SurfacePoints) -> tuple[DefectSamples, ...]:
         return defect_samples(self.scene.defects, surface, self.scene.reflectance)

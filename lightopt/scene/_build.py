@@ -12,6 +12,7 @@ from lightopt.config import CameraConfig, PartConfig, RigConfig, load_part, load
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture, rotation_x, rotation_y, rotation_z
 from lightopt.core.units import MM_PER_UNIT
+from lightopt.defects import Waviness
 from lightopt.geometry import UNITLESS_SUFFIXES, TriangleMesh, load_mesh, points_inside, transformed
 from lightopt.lights import PanelLight, place_light
 from lightopt.optics import Reflectance, Sensor
@@ -49,7 +50,7 @@ def build_scene(
     rig, part: Configurations, or the paths of their YAML files
     lights: Names of the lights to keep, instead of all
     points: Point lights per panel, instead of the rig's
-    defects: Whether the part has the defects that its file names, or is a good one
+    defects: Whether the part has the defects and the waviness that its file names, or is good and smooth
     Raises InputError: A posture outside the stage's range, an unknown light, a mesh that cannot be loaded, a part
         wholly outside the view or a camera inside the part (with what another unit of the mesh file would make of it,
         where that explains it), a lens that folds the image over, a defect that is not on the part
@@ -74,7 +75,13 @@ def build_scene(
         placement=placement,
     )
     warnings += _check_view(scene, rig, part)
-    return replace(scene, warnings=warnings, defects=place_defects(scene, rig, part) if defects else ())
+    waviness = None
+    if part.surface is not None:
+        waviness = Waviness(
+            slope=math.radians(part.surface.waviness_deg), length=part.surface.waviness_mm, seed=0 if defects else None
+        )
+    placed_defects = place_defects(scene, rig, part) if defects else ()
+    return replace(scene, warnings=warnings, defects=placed_defects, waviness=waviness)
 
 
 def build_camera(rig: RigConfig) -> PinholeCamera:

@@ -6,7 +6,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture
-from lightopt.defects import PlacedDefect
+from lightopt.defects import PlacedDefect, Waviness
 from lightopt.geometry import TriangleMesh, transformed
 from lightopt.lights import PanelLight
 from lightopt.optics import Reflectance, Sensor
@@ -41,6 +41,7 @@ class Scene:
     pivot: Point that postures turn about, world frame [mm], shape (3,)
     placement: From the mesh file's coordinates, in mm, to those of the mesh
     defects: On the part, frame of the mesh; images show them, the mesh does not
+    waviness: Of good parts; None for smooth ones
     """
 
     camera: PinholeCamera
@@ -53,6 +54,7 @@ class Scene:
     warnings: tuple[str, ...] = ()
     placement: Placement = field(default_factory=Placement)
     defects: tuple[PlacedDefect, ...] = ()
+    waviness: Waviness | None = None
 
 
 def move_part(scene: Scene, rotation: Float64, translation: Float64) -> Scene:

@@ -11,9 +11,9 @@ from scipy import special, stats
 
 from lightopt.config import InspectionConfig
 from lightopt.core.transforms import Posture
+from lightopt.defects import SCALES_PX
 from lightopt.estimate.registration import Placement
 from lightopt.inspection import (
-    SCALES_PX,
     Deviations,
     InspectionResult,
     SurfaceCoverage,

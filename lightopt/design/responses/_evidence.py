@@ -33,9 +33,11 @@ from lightopt.defects import (
     FORESHORTENINGS,
     MOST_CHANGE,
     REGISTRATION_PX,
+    SCALES_PX,
     SIZES,
     DefectHypotheses,
     PixelMixture,
+    clipped_variance,
     defect_hypotheses,
     false_alarms_problem,
     foreshortening_classes,
@@ -276,11 +278,17 @@ class PatchEvidence:
             turns=np.array(turns, np.int32),
             variants=np.cumsum([0, *(len(one.slope) for one in entries)]).astype(np.int32),
         )
+        # the waviness of good parts is noise: by so much levels change with it
+        slopes, directions, self._correlated = np.zeros(0), np.zeros(0), 0.0
+        if scene.waviness is not None:
+            slopes, directions = scene.waviness.leans
+            self._correlated = scene.waviness.correlated_pixels(footprint, SCALES_PX)
+        unchanged = np.ones(len(slopes))
         self._variants = surface_variants(
-            slope=np.concatenate([one.slope for one in entries]),
-            direction=np.concatenate([one.direction for one in entries]),
-            R_d_factor=np.concatenate([one.R_d_factor for one in entries]),
-            sigma_factor=np.concatenate([one.sigma_factor for one in entries]),
+            slope=np.concatenate([*(one.slope for one in entries), slopes]),
+            direction=np.concatenate([*(one.direction for one in entries), directions]),
+            R_d_factor=np.concatenate([*(one.R_d_factor for one in entries), unchanged]),
+            sigma_factor=np.concatenate([*(one.sigma_factor for one in entries), unchanged]),
             reflectance=scene.reflectance,
         )
 
@@ -309,11 +317,15 @@ class PatchEvidence:
 
     def _units(self, good: Float64, varied: Float32, exposure: float) -> Words:
         sensor, image = self._detection.sensor, self._image
-        codes = np.zeros((len(varied), len(good) + 1), np.int16)
+        defects = len(varied) - (2 if self._correlated else 0)
+        varied, leant = varied[:defects], varied[defects:]
+        codes = np.zeros((defects, len(good) + 1), np.int16)
         bounds = np.zeros((len(good) + 1, 3), np.float32)
         _fill_changes(
             good,
             varied,
+            leant,
+            self._correlated,
             image.column,
             image.row,
             image.owner,
@@ -375,6 +387,8 @@ def _filled(owner: Int32, none: int) -> Int32:
 def _fill_changes(
     good: Float64,
     varied: Float32,
+    leant: Float32,
+    correlated: float,
     column: Float32,
     row: Float32,
     owner: Int32,
@@ -401,8 +415,12 @@ def _fill_changes(
             steps = (before >= 0) + (after >= 0)
             slope = (high - low) / (max(steps, 1) * cell)
             square += slope * slope
+        wavy = 0.0
+        if len(leant):
+            spread = scale * math.hypot(leant[0, p] - good[p], leant[1, p] - good[p])
+            wavy = correlated * clipped_variance(scale * good[p], spread, limit)
         noise = math.sqrt(
-            read_noise * read_noise + level / electrons + 1.0 / 12.0 + REGISTRATION_PX * REGISTRATION_PX * square
+            read_noise * read_noise + level / electrons + 1.0 / 12.0 + REGISTRATION_PX * REGISTRATION_PX * square + wavy
         )
         bounds[p, 0] = max(-level / noise, -MOST_CHANGE)
         bounds[p, 1] = min((limit - level) / noise, MOST_CHANGE)

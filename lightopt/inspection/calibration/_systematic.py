@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lightopt.core.arrays import Bool, Float32, Int32
+from lightopt.defects import SCALES_PX
 from lightopt.inspection.detection._deviation import Deviations
-from lightopt.inspection.detection._residual_score import SCALES_PX, smoothed_deviations
+from lightopt.inspection.detection._residual_score import smoothed_deviations
 
 LEAST_SHARE = 0.5  # at least this share of the good sets must show a pixel, else nothing is learned of it
 

@@ -9,14 +9,14 @@ import numpy as np
 from scipy import ndimage
 
 from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
-from lightopt.defects import SHAPE_KINDS
+from lightopt.defects import SCALES_PX, SHAPE_KINDS
 from lightopt.estimate.registration import Placement
 from lightopt.inspection._image_blocks import gaussian_taps
 from lightopt.inspection.detection._catalogue_score import ExplainedDefect
 from lightopt.inspection.detection._defects import Detection, Kind
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._named_defects import NamedDefect, name_defect
-from lightopt.inspection.detection._residual_score import SCALES_PX, smoothed_deviations
+from lightopt.inspection.detection._residual_score import smoothed_deviations
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.inspection.prediction._registered_set import world_to_mesh_file
 from lightopt.scene import Scene

@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 
 from lightopt.core.arrays import Float32
-from lightopt.defects import CATALOGUE_SHARE
+from lightopt.defects import CATALOGUE_SHARE, SCALES_PX
 from lightopt.inspection.detection._catalogue_score import ExplainedDefect, explain_deviations
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._matched_filter import TEMPLATES, score_templates
-from lightopt.inspection.detection._residual_score import SCALES_PX, score_deviations
+from lightopt.inspection.detection._residual_score import score_deviations
 from lightopt.inspection.fusion._synthetic_image import SyntheticImage
 from lightopt.inspection.prediction._template_bank import TemplateBank
 

@@ -8,6 +8,7 @@ from scipy import special
 
 from lightopt.core.arrays import Bool, Float32, Float64, Index
 from lightopt.core.kernels import kernel
+from lightopt.defects import SCALES_PX
 from lightopt.inspection._image_blocks import (
     TILE_COLUMNS,
     filter_tile,
@@ -17,9 +18,6 @@ from lightopt.inspection._image_blocks import (
     mask_window,
 )
 from lightopt.inspection.detection._deviation import Deviations
-
-SCALES_PX = (1.0, 2.0, 3.5)
-"""Widths of the Gaussians that deviations are added up with: small and large defects have one that suits them."""
 
 LEAST_SHARE = 0.5  # a sum counts where at least this share of the variance that it would have is of usable pixels
 

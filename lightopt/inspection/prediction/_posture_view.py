@@ -16,6 +16,7 @@ from lightopt.core.errors import InputError, counted
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
+from lightopt.defects import clipped_variance
 from lightopt.estimate.registration import DARK_SPREAD, GAIN_SPREAD, LEVEL_CAP, Observation, refuse_mismatch
 from lightopt.inspection._image_blocks import in_image_blocks
 from lightopt.inspection.prediction._predict import Prediction
@@ -56,7 +57,7 @@ class PostureView:
     level: measured, black level and the lights' gains taken out, shape (lights, H, W). Of several exposures of a
         light each pixel has the longest that is saturated neither in the image nor in the prediction.
     predicted: of the good part, same shape.
-    deviation: standard deviation of the sensor's noise at the predicted level, same shape.
+    deviation: standard deviation of a good part's level, by the sensor's noise and the part's waviness, same shape.
     rounding: by how much rounding may shift the mean of levels, where noise does not even it out, same shape.
     limit: level from which a pixel is saturated, same shape; where it is, not above `level`: a lower bound is never
         darker than the good part.
@@ -121,6 +122,8 @@ def posture_view(
         own = {name: array[number, rows] for name, array in arrays.items()}
         own["predicted"][:] = images[light][rows]
         _merge_exposures(scene, [o for o in observations if o.light == light], photometry, rows, own)
+        if (wavy := prediction.waviness) is not None:
+            _add_waviness(own["predicted"], wavy.spread[light][rows], own["limit"], wavy.correlated, own["deviation"])
 
     in_image_blocks(merge, len(lights), len(clean), threads)
     posture = observations[0].posture
@@ -202,6 +205,14 @@ def _merge_exposure(
             saturated[y, x] = full[y, x]
             if full[y, x]:
                 limit[y, x] = min(limit[y, x], level[y, x])
+
+
+@kernel
+def _add_waviness(predicted: Float32, spread: Float32, limit: Float32, correlated: float, deviation: Float32) -> None:
+    for y in range(len(predicted)):
+        for x in range(predicted.shape[1]):
+            own = clipped_variance(predicted[y, x], spread[y, x], limit[y, x])
+            deviation[y, x] = math.sqrt(deviation[y, x] * deviation[y, x] + correlated * own)
 
 
 def some_pixels(mask: Bool) -> Index:

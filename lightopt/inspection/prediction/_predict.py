@@ -7,14 +7,38 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float32, Float64, Index
 from lightopt.core.transforms import Posture
+from lightopt.defects import SCALES_PX, tangent_references
 from lightopt.geometry import RayCaster
-from lightopt.rendering import PostureImages, build_patches, mask_pixels, patch_positions, render_posture
-from lightopt.scene import Scene
+from lightopt.lights import PanelLight
+from lightopt.rendering import (
+    PostureImages,
+    build_patches,
+    converged_panel,
+    mask_pixels,
+    patch_positions,
+    render_posture,
+    shade_variants,
+    surface_variants,
+    trace_pixels,
+)
+from lightopt.scene import Scene, pixel_footprint
 
 TRACE = 1e-6  # least R_d that is rendered: far below what a camera detects
 
 # about so many patches that the camera sees stand for the surface, whatever the resolution of the images
 PATCHES = 50_000
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WavyLevels:
+    """By how much the waviness of good parts changes the images of a posture.
+
+    spread: Standard deviation of the level before the camera clips, by light [grey level at exposure 1], each (H, W)
+    correlated: How many times the variance of a pixel it adds to sums over neighbouring pixels, which it changes alike
+    """
+
+    spread: dict[str, Float32]
+    correlated: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,12 +49,14 @@ class Prediction:
     clean: pixels off silhouettes, creases, back faces and grazing views, shape (H, W).
     grazing: pixels that see the part at more than :data:`lightopt.rendering.GRAZING_DEG` to its normal, shape (H, W).
     area: of the surface that each pixel sees [mm²], shape (H, W); 0 off the part.
+    waviness: of good parts; None for smooth ones.
     """
 
     images: PostureImages
     clean: Bool
     grazing: Bool
     area: Float32
+    waviness: WavyLevels | None = None
 
 
 def predict(
@@ -43,7 +69,41 @@ def predict(
     lit = replace(scene, lights=chosen, reflectance=reflectance)
     images = render_posture(lit, posture, caster=caster, layers=True, threads=threads)
     masks = mask_pixels(scene, posture, caster, threads=threads)
-    return Prediction(images=images, clean=masks.clean & images.geometry.hit, grazing=masks.grazing, area=masks.area)
+    return Prediction(
+        images=images,
+        clean=masks.clean & images.geometry.hit,
+        grazing=masks.grazing,
+        area=masks.area,
+        waviness=None if scene.waviness is None else _wavy_levels(lit, posture, caster, threads),
+    )
+
+
+def _wavy_levels(scene: Scene, posture: Posture, caster: RayCaster, threads: int | None) -> WavyLevels:
+    assert scene.waviness is not None
+    pixels = trace_pixels(scene, posture, caster, threads=threads)
+    surface, camera = pixels.surface, pixels.view.camera
+    axes = scene.placement.rotation
+    references = tangent_references(surface.normals, x_axis=axes[:, 0], y_axis=axes[:, 1])
+    slope, direction = scene.waviness.leans
+    variants = surface_variants(
+        slope=slope, direction=direction, R_d_factor=np.ones(2), sigma_factor=np.ones(2), reflectance=scene.reflectance
+    )
+
+    def spread(panel: PanelLight) -> Float32:
+        source = converged_panel(panel, centre=caster.centre, radius=caster.radius) if panel.points == "auto" else panel
+        shaded = shade_variants(
+            surface, references, source, variants, reflectance=scene.reflectance, caster=caster, dtype=np.float32
+        )
+        image = np.zeros(pixels.shape, np.float32)
+        image[pixels.row, pixels.column] = np.hypot(*(one - shaded.good for one in shaded.varied))
+        return image
+
+    depth = (surface.points - camera.position) @ camera.forward
+    footprint = pixel_footprint(camera, float(np.median(depth)) if len(depth) else 1.0)
+    return WavyLevels(
+        spread={panel.name: spread(panel) for panel in pixels.view.lights},
+        correlated=scene.waviness.correlated_pixels(footprint, SCALES_PX),
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -64,6 +65,9 @@ class BenchCamera:
                     scene = build_scene(rig, part, postures=())
                 except InputError as error:
                     raise ValueError(str(error)) from error
+                if scene.waviness is not None:
+                    # each part has a surface of its own
+                    scene = replace(scene, waviness=replace(scene.waviness, seed=self._setup.truth.seed))
                 self._optics = BenchOptics(scene, self._setup.truth)
             return self._optics
 

@@ -17,7 +17,7 @@ EXPOSURE_RANGE_US = (10.0, 10e6)
 class BenchTruth:
     """Where the bench differs from the files: the ground truth of tests.
 
-    seed: Seed of the noise.
+    seed: Seed of the noise, and of the waviness of the surface.
     gains: Factor on the brightness of a light, by its name; 1 where none is given.
     part_offset_mm: How far from its place the part lies, world frame at posture (0, 0) [mm].
     dark_level: Added to the sensor's black level [sensor level].

@@ -1,0 +1,111 @@
+"""Waviness of good surfaces (orange peel): slopes that images show, and the noise that they are to an inspection.
+
+The height over the CAD model is a normal random field with the covariance A²·exp(−d²/(2ℓ²)) at a distance d. Its slope
+along each axis of the surface has the standard deviation A/ℓ.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from lightopt.core.arrays import Float64
+from lightopt.core.kernels import kernel
+
+_WAVES = 96  # plane waves in space that the field is the sum of
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Waviness:
+    """Random slopes of a good surface.
+
+    slope: Root mean square [rad]
+    length: Correlation length ℓ of the height [mm]
+    seed: Of the surface that images show; None for the smooth one
+    """
+
+    slope: float
+    length: float
+    seed: int | None = None
+
+    @cached_property
+    def _waves(self) -> tuple[Float64, Float64, float]:
+        rng = np.random.default_rng(self.seed)
+        vectors = rng.standard_normal((_WAVES, 3)) / self.length
+        phases = rng.uniform(0.0, 2.0 * math.pi, _WAVES)
+        return vectors, phases, self.slope * self.length / math.sqrt(_WAVES)
+
+    @property
+    def leans(self) -> tuple[Float64, Float64]:
+        """Slope and direction of two variants of the surface [rad], each of shape (2,).
+
+        The squares of what they change add up to the variance of a level, which is linear in so small a slope.
+        """
+        return np.full(2, self.slope / math.sqrt(2.0)), np.array([0.0, 0.5 * math.pi])
+
+    def normals(self, points: Float64, normals: Float64) -> Float64:
+        """Unit normals of the wavy surface where those of the smooth one are known, shape (n, 3).
+
+        points: In coordinates that move with the part [mm], shape (n, 3)
+        normals: In the same frame, shape (n, 3)
+        """
+        if self.seed is None:
+            return normals
+        result = np.empty_like(normals)
+        _lean(points, normals, *self._waves, result)
+        return result
+
+    def correlated_pixels(self, footprint: float, scales: Sequence[float]) -> float:
+        """How many times the variance of a pixel the waviness adds to a sum over pixels, of variance 1 in white noise.
+
+        The sum is over a Gaussian of the width s [px] that is worst. With the covariance of the slope and q = ℓ²/(2s²),
+        ℓ in pixels, it is 2πℓ²·q/(1 + q)²; at least 1.
+
+        footprint: Side of a pixel on the surface [mm]
+        scales: Widths s
+        """
+        square = (self.length / footprint) ** 2
+        ratios = [square / (2.0 * scale * scale) for scale in scales]
+        return max(1.0, *(2.0 * math.pi * square * q / (1.0 + q) ** 2 for q in ratios))
+
+
+@kernel
+def _lean(
+    points: Float64, normals: Float64, vectors: Float64, phases: Float64, amplitude: float, result: Float64
+) -> None:
+    # n − ∇h, of unit length, with the gradient in the tangent plane
+    for i in range(len(points)):
+        x = y = z = 0.0
+        for w in range(len(vectors)):
+            a, b, c = vectors[w]
+            sine = math.sin(a * points[i, 0] + b * points[i, 1] + c * points[i, 2] + phases[w])
+            x -= sine * a
+            y -= sine * b
+            z -= sine * c
+        along = x * normals[i, 0] + y * normals[i, 1] + z * normals[i, 2]
+        for k, part in enumerate((x, y, z)):
+            result[i, k] = normals[i, k] - amplitude * (part - along * normals[i, k])
+        length = math.sqrt(result[i, 0] ** 2 + result[i, 1] ** 2 + result[i, 2] ** 2)
+        for k in range(3):
+            result[i, k] /= length
+
+
+@kernel
+def clipped_variance(level: float, spread: float, limit: float) -> float:
+    """Mean square deviation of min(X, limit) from min(level, limit), X normal about `level` with a `spread`."""
+    if spread <= 0.0:
+        return 0.0
+    a = (limit - level) / spread
+    if a > 8.0:
+        return spread * spread
+    if a < -8.0:
+        return 0.0
+    below = 0.5 * math.erfc(-a * math.sqrt(0.5))
+    density = math.exp(-0.5 * a * a) / math.sqrt(2.0 * math.pi)
+    if a >= 0.0:
+        return spread * spread * (below - a * density + a * a * (1.0 - below))
+    return spread * spread * ((1.0 + a * a) * below + a * density)
