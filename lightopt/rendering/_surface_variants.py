@@ -90,10 +90,9 @@ def surface_variants(
     *, slope: Float64, direction: Float64, R_d_factor: Float64, sigma_factor: Float64, reflectance: Reflectance
 ) -> SurfaceVariants:
     """Variants of a reflectance by slope and direction of the lean [rad] and factors, each of shape (t,)."""
-    changed = [
-        reflectance.changed(R_d_factor=float(d), sigma_factor=float(s))
-        for d, s in zip(R_d_factor, sigma_factor, strict=True)
-    ]
+    factors = list(zip(R_d_factor.tolist(), sigma_factor.tolist(), strict=True))
+    some = {(d, s): reflectance.changed(R_d_factor=d, sigma_factor=s) for d, s in set(factors)}
+    changed = [some[pair] for pair in factors]
     lean = [np.cos(slope), np.sin(slope) * np.cos(direction), np.sin(slope) * np.sin(direction)]
     return SurfaceVariants(
         lean=np.stack(lean, axis=1),

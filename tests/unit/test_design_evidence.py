@@ -12,6 +12,7 @@ from lightopt.defects import BUILT_IN_CATALOGUE, CATALOGUE_SHARE, chance_score, 
 from lightopt.design import DetectionModel, planned_catalogue
 from lightopt.design.responses import _evidence as evidence
 from lightopt.design.responses._evidence_sums import ImagePatches, PlannedTurns, Stencils, add_evidence, greatest_within
+from lightopt.design.responses._packed_bits import narrow_words, pack_flags, widen_octets
 from lightopt.inspection import threshold
 from lightopt.inspection.detection._registry import CATALOGUE
 from lightopt.optics import Sensor
@@ -184,3 +185,13 @@ def test_the_greatest_of_the_cells_around_each(radius):
         for x in range(11):
             near = cells[max(0, y - radius) : y + radius + 1, max(0, x - radius) : x + radius + 1]
             assert found[y, x] == near.max()
+
+
+@pytest.mark.parametrize("hypotheses", [0, 1, 8, 9, 64, 65, 100])
+def test_words_are_kept_in_as_many_octets_as_they_need(hypotheses):
+    words = pack_flags(np.random.default_rng(hypotheses).random((6, hypotheses)) < 0.7)
+    whole = np.zeros((2, 3, 2), np.uint64)
+    whole[..., : words.shape[1]] = words.reshape(2, 3, -1)
+    octets = narrow_words(whole)
+    assert octets.shape == (2, 3, -(-hypotheses // 8))
+    assert (widen_octets(octets, 2) == whole).all()

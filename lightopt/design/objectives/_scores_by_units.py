@@ -34,6 +34,8 @@ CHUNK_PATCHES = 1 << 12  # patches of one task of a thread: some 0.01 s
 # combinations, where trying them all takes about as long
 MOST_NODES = 1 << 18
 
+_TRIES_PER_NODE = 4  # of the last light's changes hardly more than a fourth goes with a product of the others
+
 LEAST_NODES = 1 << 10  # however few combinations there are
 
 # words that a task of plain additions reads, at most: some 0.1 s of a thread, so that Ctrl-C is heard
@@ -42,8 +44,8 @@ TASK_WORDS = 100_000_000
 PositionCounts = UInt64
 """Units of every position of a light, shape (positions, k, p, words)."""
 
-# of all lights in turn: places, hypotheses, signs (rise or fall), levels; and where those of each light end
-_Changes = tuple[Int64, Words, Int64, Int64, Int64]
+# of all lights in turn, level after level: places, hypotheses, signs (rise or fall); and where those of each level end
+_Changes = tuple[Int64, Words, Int64, Int64]
 
 # place in the table, hypotheses, sign, number of lights, sum of their levels
 _Products = tuple[Int64, Words, Int64, Int64, Int64]
@@ -259,8 +261,12 @@ def _scatter(
     sign, order, total = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.int64)
     products = at, hypotheses, sign, order, total
     size = 2 * rows.shape[2] * rows.shape[3]
-    places, signs, levels = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.int64)
-    changes = places, np.empty(size, np.uint64), signs, levels, np.empty(len(strides) + 1, np.int64)
+    places, changed = np.empty(size, np.int64), np.empty(size, np.uint64)
+    signs, ends = np.empty(size, np.int64), np.zeros(len(strides) * rows.shape[2] + 1, np.int64)
+    changes = places, changed, signs, ends
+    common, which = np.empty(size + 1, np.uint64), np.empty(size + 1, np.uint64)
+    levels = rows.shape[2] if len(strides) else 0
+    last = max(0, len(strides) - 1) * levels
     for p in range(rows.shape[0]):
         starts = 0
         for w in range(rows.shape[1]):
@@ -275,18 +281,34 @@ def _scatter(
                     if shown[j, p, w] == zero:
                         continue
                     at[0], hypotheses[0], sign[0], order[0], total[0] = 0, shown[j, p, w], 1, 0, 0
-                    number = _products(changes, matters[j], products)
+                    number = _products(changes, matters[j], products, common, which)
                     if number < 0:
                         left[p] = True
                         break
                     if attempt < passes - 1:
                         continue
                     for node in range(number):
+                        word, place, here = hypotheses[node], at[node], sign[node] * weights[p]
                         for v in range(len(differences)):
-                            c = coefficients[v, j, order[node], total[node]] * sign[node]
+                            c = coefficients[v, j, order[node], total[node]]
                             if c != 0:
-                                weight = weights[p] * word_weight(hypotheses[node], w, masks, factors)
-                                differences[v, at[node]] += c * weight
+                                differences[v, place] += c * here * word_weight(word, w, masks, factors)
+                        # products with the last light's changes are not held
+                        for level in range(levels):
+                            units = total[node] + level + 1
+                            for v in range(len(differences)):
+                                c = coefficients[v, j, order[node] + 1, units] * here
+                                if c == 0:
+                                    continue
+                                count = np.uint64(0)
+                                for k in range(np.uint64(ends[last + level]), np.uint64(ends[last + level + 1])):
+                                    both = word & changed[k]
+                                    common[count], which[count] = both, k
+                                    count += np.uint64(both != zero)
+                                for i in range(count):
+                                    k = which[i]
+                                    weight = signs[k] * word_weight(common[i], w, masks, factors)
+                                    differences[v, place + places[k]] += c * weight
                 if left[p]:
                     break
             if left[p]:
@@ -295,10 +317,10 @@ def _scatter(
 
 @kernel
 def _changes(row: Words, strides: Int64, first: Int64, changes: _Changes) -> None:
-    # where the flags of each light rise and fall along its candidates
+    # where the flags of each light rise and fall along its candidates, level after level
     zero = np.uint64(0)
-    places, changed, signs, levels, ends = changes
-    ends[0] = number = 0
+    places, changed, signs, ends = changes
+    number = 0
     for light in range(len(strides)):
         for level in range(len(row)):
             before = zero
@@ -309,36 +331,44 @@ def _changes(row: Words, strides: Int64, first: Int64, changes: _Changes) -> Non
                     rise, fall = word & ~before, before & ~word
                     if rise != zero:
                         places[number], changed[number], signs[number] = place, rise, 1
-                        levels[number] = level + 1
                         number += 1
                     if fall != zero:
                         places[number], changed[number], signs[number] = place, fall, -1
-                        levels[number] = level + 1
                         number += 1
                     before = word
-        ends[light + 1] = number
+            ends[light * len(row) + level + 1] = number
 
 
 @kernel
-def _products(changes: _Changes, matters: Bool, products: _Products) -> int:
-    # products of changes of one light each that may count, the first of them given; −1 where there are too many
-    places, changed, signs, levels, ends = changes
+def _products(changes: _Changes, matters: Bool, products: _Products, common: Words, which: UInt64) -> int:
+    # products of changes of one light each, of all lights but the last, that may count, the first of them given; −1
+    # where there are too many, with those of the last light. `common` and `which` are for what a product and a light's
+    # changes have in common: without a branch for each, since hardly any is foreseen
+    places, changed, signs, ends = changes
     at, hypotheses, sign, order, total = products
-    lights = len(ends) - 1
+    lights, levels = matters.shape[0] - 1, (len(ends) - 1) // max(1, matters.shape[0] - 1)
     size = 1
-    for light in range(lights):
+    for light in range(lights - 1):
         more = size
         rest = matters[lights - light - 1]
         for node in range(size):
-            for k in range(ends[light], ends[light + 1]):
-                both = hypotheses[node] & changed[k]
-                if both == np.uint64(0) or not rest[order[node] + 1, total[node] + levels[k]]:
+            word, place, own, others, so_far = hypotheses[node], at[node], sign[node], order[node] + 1, total[node]
+            for level in range(levels):
+                if not rest[others, so_far + level + 1]:
                     continue
-                if more == len(at):
+                count, here = np.uint64(0), light * levels + level
+                for k in range(np.uint64(ends[here]), np.uint64(ends[here + 1])):
+                    both = word & changed[k]
+                    common[count], which[count] = both, k
+                    count += np.uint64(both != np.uint64(0))
+                if more + count > len(at):
                     return -1
-                at[more], hypotheses[more] = at[node] + places[k], both
-                sign[more], order[more] = sign[node] * signs[k], order[node] + 1
-                total[more] = total[node] + levels[k]
-                more += 1
+                for i in range(count):
+                    k = which[i]
+                    at[more], hypotheses[more] = place + places[k], common[i]
+                    sign[more], order[more], total[more] = own * signs[k], others, so_far + level + 1
+                    more += 1
         size = more
+    if lights > 0 and size * (1 + ends[lights * levels] - ends[(lights - 1) * levels]) > _TRIES_PER_NODE * len(at):
+        return -1
     return size

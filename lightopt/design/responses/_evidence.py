@@ -87,6 +87,7 @@ _NARROW_PX, _OFF_PX = 5.0, (0.25, 0.25)
 _GREATEST_OF_NEAR = 0.5
 
 _TILE_CELLS = 16.0  # patches are worked on in tiles of so many cells of the image
+_NEAR_CELLS = 2  # cells without a patch see the nearest one up to so many cells away
 _FOOTPRINT_STEPS = 32  # footprints within a 32nd of an octave share what pixels see of defects
 
 
@@ -258,7 +259,8 @@ class PatchEvidence:
         areas = table.patches.areas[table.inspectable(posture)] * cosines / footprint**2
         image = _locate(scene, table, posture, areas)
         # what is seen alike, and lies side by side in the image, is worked on together
-        self._order = np.lexsort((image.column // _TILE_CELLS, image.row // _TILE_CELLS, classes))
+        tiles = [np.floor(a / _TILE_CELLS).astype(np.int64) for a in (image.row, image.column)]
+        self._order = np.argsort((classes * np.int64(1 << 20) + tiles[0]) * (1 << 20) + tiles[1], kind="stable")
         self._image = image.in_order(self._order)
         self._surface, self._class = surface.take(self._order), classes[self._order]
         surface = self._surface
@@ -376,11 +378,18 @@ def _filled(owner: Int32, none: int) -> Int32:
     # cells between patches see the nearest one, if it is next to them
     if not (owner != none).any():
         return np.full_like(owner, -1)
-    distance: Float64 = np.empty(owner.shape)
-    place: Int32 = np.empty((2, *owner.shape), np.int32)
-    ndimage.distance_transform_edt(owner == none, return_indices=True, distances=distance, indices=place)
-    nearest: Int32 = owner[tuple(place)]
-    return np.where(distance <= 2.0, nearest, np.int32(-1))
+    near = np.full_like(owner, -1)
+    # distances are sought where there may be some that are short
+    window = tuple(
+        slice(max(0, int(some[0]) - _NEAR_CELLS), int(some[-1]) + _NEAR_CELLS + 1)
+        for some in map(np.flatnonzero, ((owner != none).any(axis=1), (owner != none).any(axis=0)))
+    )
+    some = owner[window]
+    distance: Float64 = np.empty(some.shape)
+    place: Int32 = np.empty((2, *some.shape), np.int32)
+    ndimage.distance_transform_edt(some == none, return_indices=True, distances=distance, indices=place)
+    near[window] = np.where(distance <= _NEAR_CELLS, some[tuple(place)], np.int32(-1))
+    return near
 
 
 @kernel

@@ -16,14 +16,22 @@ from typing import Any
 
 import numpy as np
 
-from lightopt.core.arrays import Float32, Index
+from lightopt.core.arrays import Float32, Index, UInt8
 from lightopt.core.errors import InputError, counted
 from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import Task, available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.design.responses._evidence import UNITS_OF_IMAGE, DetectionModel, PatchEvidence, units_needed
 from lightopt.design.responses._luminance_matrix import Levels, LuminanceMatrix, Visibility, area_units
-from lightopt.design.responses._packed_bits import Counts, PairWeights, Words, sum_of_images, weight_planes
+from lightopt.design.responses._packed_bits import (
+    Counts,
+    PairWeights,
+    Words,
+    narrow_words,
+    sum_of_images,
+    weight_planes,
+    widen_octets,
+)
 from lightopt.geometry import RayCaster, face_normals
 from lightopt.lights import PanelLight
 from lightopt.optics import expose
@@ -58,7 +66,7 @@ class FlagCache:
     def __init__(self, most_bytes: int) -> None:
         self._most_bytes, self._bytes = most_bytes, 0
         self._lock = Lock()
-        self._words: dict[tuple[Posture, tuple[float, ...], int], tuple[PanelLight, Words]] = {}
+        self._words: dict[tuple[Posture, tuple[float, ...], int], tuple[PanelLight, UInt8, int]] = {}
 
     def clear(self) -> None:
         """Forget everything."""
@@ -68,15 +76,16 @@ class FlagCache:
     def find(self, posture: Posture, exposures: tuple[float, ...], panel: PanelLight) -> Words | None:
         """Flags of shape (units, p, words), where they are held."""
         found = self._words.get((posture, exposures, id(panel)))
-        return None if found is None else found[1]
+        return None if found is None else widen_octets(*found[1:])
 
     def keep(self, posture: Posture, exposures: tuple[float, ...], panel: PanelLight, flags: Words) -> None:
         """Hold flags of shape (units, p, words), if there is room left."""
+        octets = narrow_words(flags)
         with self._lock:
-            if self._bytes + flags.nbytes <= self._most_bytes:
-                self._bytes += flags.nbytes
+            if self._bytes + octets.nbytes <= self._most_bytes:
+                self._bytes += octets.nbytes
                 # with the panel, since a number belongs to an object as long as that is there
-                self._words[posture, exposures, id(panel)] = panel, flags.copy()
+                self._words[posture, exposures, id(panel)] = panel, octets, flags.shape[-1]
 
 
 class ImageCache:

@@ -39,6 +39,20 @@ def unpack_flags(words: Words, count: int) -> UInt8:
     return np.unpackbits(octets, axis=-1, bitorder="little")[..., :count]
 
 
+def narrow_words(words: Words) -> UInt8:
+    """Words as octets, without the last ones that are 0 in all of them: shape (…, w) to shape (…, n ≤ 8 w)."""
+    octets = np.ascontiguousarray(words).astype("<u8", copy=False).view(np.uint8)
+    used = np.flatnonzero(octets.reshape(-1, octets.shape[-1]).any(axis=0))
+    return octets[..., : used.max(initial=-1) + 1].copy()
+
+
+def widen_octets(octets: UInt8, width: int) -> Words:
+    """The words of :func:`narrow_words`, so many of them in a row."""
+    whole = np.zeros((*octets.shape[:-1], 8 * width), np.uint8)
+    whole[..., : octets.shape[-1]] = octets
+    return whole.view("<u8").astype(np.uint64, copy=False)
+
+
 def add_units(total: Counts, more: Counts) -> None:
     """Add a count, or the units of an image, to a count, in place; shapes (k, …) and (m, …), `total` is contiguous.
 
