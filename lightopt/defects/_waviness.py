@@ -35,7 +35,8 @@ class Waviness:
     @cached_property
     def _waves(self) -> tuple[Float64, Float64, float]:
         rng = np.random.default_rng(self.seed)
-        vectors = rng.standard_normal((_WAVES, 3)) / self.length
+        vectors = rng.standard_normal((_WAVES, 3))
+        vectors *= math.sqrt(3.0 * _WAVES / np.sum(vectors**2)) / self.length
         phases = rng.uniform(0.0, 2.0 * math.pi, _WAVES)
         return vectors, phases, self.slope * self.length / math.sqrt(_WAVES)
 

@@ -92,6 +92,10 @@ class DefectHypotheses:
     R_d_factor: Float64
     sigma_factor: Float64
 
+    def scales_px(self, footprint: float) -> tuple[float, ...]:
+        """Widths of Gaussians that add up as many pixels as the shapes; `footprint` is the side of a pixel [mm]."""
+        return tuple(0.25 * math.sqrt(one.length * one.width) / footprint for one in self.shapes)
+
     def seen_by_pixels(
         self, size: int, turn: int, to_image: Float64, *, off_px: tuple[float, float] = (0.0, 0.0)
     ) -> PixelMixture:

@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from lightopt.core.errors import InputError
-from lightopt.defects import BUILT_IN_CATALOGUE, CATALOGUE_SHARE, chance_score, expected_change, least_z
+from lightopt.defects import (
+    BUILT_IN_CATALOGUE,
+    CATALOGUE_SHARE,
+    FORESHORTENINGS,
+    chance_score,
+    clipped_variance,
+    expected_change,
+    least_z,
+    plane_to_image,
+)
 from lightopt.design import DetectionModel, planned_catalogue
 from lightopt.design.responses import _evidence as evidence
 from lightopt.design.responses._evidence_sums import ImagePatches, PlannedTurns, Stencils, add_evidence, greatest_within
@@ -73,7 +82,8 @@ def owner_at(owner, cell, column, row):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_changes_are_those_of_the_statistic_with_noise_and_registration(seed):
+@pytest.mark.parametrize("correlated", [(), (3.0,), (3.0, 40.0)], ids=["smooth", "wavy", "wavy, by entry"])
+def test_changes_are_those_of_the_statistic_with_noise_and_registration(seed, correlated):
     rng = np.random.default_rng(seed)
     patches = 70
     owner, cell, column, row = image(rng, patches)
@@ -82,9 +92,16 @@ def test_changes_are_those_of_the_statistic_with_noise_and_registration(seed):
         np.float32
     )
     scale, limit = 0.7, 251.0
-    codes, bounds = np.zeros((6, patches + 1), np.int16), np.zeros((patches + 1, 3), np.float32)
+    leant = (good + rng.normal(0.0, 2.0, (2 if correlated else 0, patches))).astype(np.float32)
+    # with bounds for each entry, the last four variants are the second one's
+    first = np.array([0, 2, 6] if len(correlated) > 1 else [0, 6], np.int32)
+    codes, all_bounds = np.zeros((6, patches + 1), np.int16), np.zeros((len(first) - 1, patches + 1, 3), np.float32)
     place = column / np.float32(cell), row / np.float32(cell)
-    evidence._fill_changes(good, varied.T.copy(), *place, owner, cell, scale, limit, 0.8, 60.0, codes, bounds)
+    evidence._fill_changes(
+        good, varied.T.copy(), leant, np.array(correlated or (0.0,)), first, *place, owner, cell, scale, limit, 0.8,
+        60.0, codes, all_bounds,
+    )  # fmt: skip
+    bounds = all_bounds[-1]
     level = np.minimum(scale * good, limit)
     for p in range(patches):
         square = 0.0
@@ -92,9 +109,15 @@ def test_changes_are_those_of_the_statistic_with_noise_and_registration(seed):
             near = [owner_at(owner, cell, column[p] + s * dx, row[p] + s * dy) for s in (-1, 1)]
             low, high = (level[p] if q < 0 else level[q] for q in near)
             square += ((high - low) / (max(1, sum(q >= 0 for q in near)) * cell)) ** 2
-        deviation = math.sqrt(0.8**2 + level[p] / 60.0 + 1.0 / 12.0 + 0.1**2 * square)
+        variance = 0.8**2 + level[p] / 60.0 + 1.0 / 12.0 + 0.1**2 * square
+        if correlated:
+            spread = scale * math.hypot(*(leant[:, p] - good[p]))
+            variance += correlated[-1] * clipped_variance(scale * good[p], spread, limit)
+        deviation = math.sqrt(variance)
         linear = (scale * varied[p].astype(float) - level[p]) / deviation
-        np.testing.assert_allclose(codes[:, p] / 16.0, np.clip(linear, -2000.0, 2000.0), atol=1.0 / 32.0 + 1e-6)
+        own = slice(first[-2], 6)
+        close = np.clip(linear, -2000.0, 2000.0)[own]
+        np.testing.assert_allclose(codes[own, p] / 16.0, close, atol=1.0 / 32.0 + 1e-6)
         # of a pixel that one variant fills it is the statistic's
         clipped = np.clip(linear, bounds[p, 0], bounds[p, 1])
         expected = expected_change(
@@ -117,6 +140,7 @@ def test_evidence_is_the_sum_of_squares_over_the_pixels_of_a_defect(seed):
     codes = np.r_[change, np.zeros((1, variants))].astype(np.int16).T.copy()
     bounds = np.c_[rng.uniform(-8.0, 0.0, patches), rng.uniform(0.0, 8.0, patches), rng.choice([0.0, 3.0], patches)]
     bounds = np.r_[bounds, np.zeros((1, 3))].astype(np.float32)
+    by_entry = np.stack([bounds, 0.5 * bounds]) if seed % 2 else bounds[None]
     classes = np.sort(rng.integers(0, 20, patches)).astype(np.int32)
     angle = rng.uniform(-math.pi, math.pi, patches)
     entry, turns = np.array([0, 1, 1, 1, 1]), np.array([1, 4])
@@ -147,7 +171,7 @@ def test_evidence_is_the_sum_of_squares_over_the_pixels_of_a_defect(seed):
         square=np.add.reduceat(in_pixels.astype(float) ** 2, pixels[:-1]),
     )  # fmt: skip
     add_evidence(
-        codes, bounds, ImagePatches(column / np.float32(cell), row / np.float32(cell), owner, cell), classes, angle,
+        codes, by_entry, ImagePatches(column / np.float32(cell), row / np.float32(cell), owner, cell), classes, angle,
         PlannedTurns(entry.astype(np.int32), turns.astype(np.int32), np.array([0, 2, variants], np.int32)),
         stencils.in_cells(cell), limits, words,
     )  # fmt: skip
@@ -160,7 +184,8 @@ def test_evidence_is_the_sum_of_squares_over_the_pixels_of_a_defect(seed):
             q = p if near else owner_at(owner, cell, column[p] + right[n], row[p] + down[n])
             own = pixels.setdefault((right[n], down[n]), [q, 0.0])
             own[1] += 0.0 if q < 0 else share[n] * codes[variant[n], q] / 16.0
-        changes = [(np.clip(m, *bounds[q, :2]), bounds[q, 2]) for q, m in pixels.values() if q >= 0]
+        own_bounds = by_entry[min(entry[h], len(by_entry) - 1)]
+        changes = [(np.clip(m, *own_bounds[q, :2]), own_bounds[q, 2]) for q, m in pixels.values() if q >= 0]
         return float(ratio[group]) ** 2 * sum(m**2 for m, none in changes if abs(m) > none)
 
     for p in range(patches):
@@ -195,3 +220,33 @@ def test_words_are_kept_in_as_many_octets_as_they_need(hypotheses):
     octets = narrow_words(whole)
     assert octets.shape == (2, 3, -(-hypotheses // 8))
     assert (widen_octets(octets, 2) == whole).all()
+
+
+@pytest.mark.parametrize("footprint", [0.33, 0.12])
+def test_a_piece_of_a_scratch_has_the_evidence_of_its_segments_wherever_they_lie(footprint):
+    """In each turn, over directions of light and places within a pixel, where a level is linear in the slope."""
+    catalogue = planned_catalogue([one for one in BUILT_IN_CATALOGUE if one.name == "scratch"])
+    (own,) = catalogue.entries
+    stencils = evidence._make_stencils(catalogue, footprint)
+    steps = max(1.0, own.shapes[1].width / (2.2 * footprint))
+    lean = own.slope * np.stack([np.cos(own.direction), np.sin(own.direction)])
+    quarters = (-0.375, -0.125, 0.125, 0.375)
+    for seen_from in (0, 12):
+        to_image = plane_to_image(seen_from, steps * footprint)
+        for turn in range(len(own.turns)):
+            group = turn * FORESHORTENINGS + seen_from
+            planned = 0.0
+            for pixel in range(stencils.first[group], stencils.first[group + 1]):
+                pieces = slice(stencils.piece[pixel], stencils.piece[pixel + 1])
+                planned += np.sum((lean[:, stencils.variant[pieces]] @ stencils.share[pieces]) ** 2)
+            planned *= float(stencils.ratio[group]) ** 2
+            everywhere = []
+            for off in ((x, y) for x in quarters for y in quarters):
+                seen = own.seen_by_pixels(1, turn, to_image, off_px=off)
+                pixels = {}
+                for row, column, variant, weight in zip(seen.row, seen.column, seen.variant, seen.weight, strict=True):
+                    pixels.setdefault((row, column), np.zeros(2))
+                    pixels[row, column] += weight * lean[:, variant]
+                everywhere.append(steps**2 * sum(np.sum(change**2) for change in pixels.values()))
+            # the best along the scratch is a little more than the mean
+            assert 0.7 < planned / np.mean(everywhere) < 1.5

@@ -33,7 +33,6 @@ from lightopt.defects import (
     FORESHORTENINGS,
     MOST_CHANGE,
     REGISTRATION_PX,
-    SCALES_PX,
     SIZES,
     DefectHypotheses,
     PixelMixture,
@@ -76,7 +75,7 @@ _CONFIRMED = (0.28, 0.61, 0.92)
 # a defect's width is divided into so many pixels where the camera's are smaller, a scratch's into fewer; of its segment
 # a piece little longer than wide stands for the whole, in so many places within its pixel
 _PIXELS_ACROSS, _PIXELS_ACROSS_SCRATCH, _SCRATCH_WIDTHS = 4.0, 2.2, 1.4
-_PLACES_ALONG, _PLACES_ACROSS = 2, 3
+_PLACES_ALONG, _PLACES_ACROSS = 2, 4
 
 # Defects lie anywhere in their pixels: middles of narrow ones, of fewer pixels than this, are taken half way between
 # the two places that differ most
@@ -222,7 +221,7 @@ def _scratch_piece(own: DefectHypotheses, turn: int, to_image: Float64) -> tuple
     for i in range(_PLACES_ACROSS):
         best = 0.0
         for k in range(_PLACES_ALONG):
-            off = across * (i / _PLACES_ACROSS) + along * (k / _PLACES_ALONG)
+            off = across * ((i + 0.5) / _PLACES_ACROSS) + along * (k / _PLACES_ALONG)
             off -= np.rint(off)
             seen = own.seen_by_pixels(1, turn, to_image, off_px=(float(off[0]), float(off[1])))
             middle = axis @ np.linalg.solve(to_image, np.stack([seen.column, seen.row]) - off[:, None])
@@ -281,10 +280,12 @@ class PatchEvidence:
             variants=np.cumsum([0, *(len(one.slope) for one in entries)]).astype(np.int32),
         )
         # the waviness of good parts is noise: by so much levels change with it
-        slopes, directions, self._correlated = np.zeros(0), np.zeros(0), 0.0
+        slopes, directions, self._correlated = np.zeros(0), np.zeros(0), np.zeros(1)
         if scene.waviness is not None:
             slopes, directions = scene.waviness.leans
-            self._correlated = scene.waviness.correlated_pixels(footprint, SCALES_PX)
+            self._correlated = np.array(
+                [scene.waviness.correlated_pixels(footprint, one.scales_px(footprint)) for one in entries]
+            )
         unchanged = np.ones(len(slopes))
         self._variants = surface_variants(
             slope=np.concatenate([*(one.slope for one in entries), slopes]),
@@ -319,15 +320,16 @@ class PatchEvidence:
 
     def _units(self, good: Float64, varied: Float32, exposure: float) -> Words:
         sensor, image = self._detection.sensor, self._image
-        defects = len(varied) - (2 if self._correlated else 0)
-        varied, leant = varied[:defects], varied[defects:]
-        codes = np.zeros((defects, len(good) + 1), np.int16)
-        bounds = np.zeros((len(good) + 1, 3), np.float32)
+        variants = self._planned.variants
+        varied, leant = varied[: variants[-1]], varied[variants[-1] :]
+        codes = np.zeros((len(varied), len(good) + 1), np.int16)
+        bounds = np.zeros((len(self._correlated), len(good) + 1, 3), np.float32)
         _fill_changes(
             good,
             varied,
             leant,
             self._correlated,
+            variants if len(bounds) > 1 else variants[[0, -1]],
             image.column,
             image.row,
             image.owner,
@@ -397,7 +399,8 @@ def _fill_changes(
     good: Float64,
     varied: Float32,
     leant: Float32,
-    correlated: float,
+    correlated: Float64,
+    first: Int32,
     column: Float32,
     row: Float32,
     owner: Int32,
@@ -411,8 +414,9 @@ def _fill_changes(
 ) -> None:
     # Changes by the variants, of each patch, as the camera would deliver them if it did not clip: mixed levels are
     # clipped, not those that are mixed. `bounds` are the least and the greatest change that it delivers, and the change
-    # that is none: see expected_change. Levels are above black
-    levels, noises = np.empty(len(good)), np.empty(len(good))
+    # that is none: see expected_change. Levels are above black. The waviness of good parts is noise by what `leant`
+    # variants change, `correlated` times in each set of bounds, which is of the variants from `first`
+    levels, variances, wavy = np.empty(len(good)), np.empty(len(good)), np.zeros(len(good))
     for p in range(len(good)):
         level = min(scale * good[p], limit)
         square = 0.0
@@ -424,18 +428,22 @@ def _fill_changes(
             steps = (before >= 0) + (after >= 0)
             slope = (high - low) / (max(steps, 1) * cell)
             square += slope * slope
-        wavy = 0.0
+        levels[p] = level
+        variances[p] = (
+            read_noise * read_noise + level / electrons + 1.0 / 12.0 + REGISTRATION_PX * REGISTRATION_PX * square
+        )
         if len(leant):
             spread = scale * math.hypot(leant[0, p] - good[p], leant[1, p] - good[p])
-            wavy = correlated * clipped_variance(scale * good[p], spread, limit)
-        noise = math.sqrt(
-            read_noise * read_noise + level / electrons + 1.0 / 12.0 + REGISTRATION_PX * REGISTRATION_PX * square + wavy
-        )
-        bounds[p, 0] = max(-level / noise, -MOST_CHANGE)
-        bounds[p, 1] = min((limit - level) / noise, MOST_CHANGE)
-        bounds[p, 2] = DARK if level < DARK * noise else 0.0
-        levels[p], noises[p] = level, noise
-    for v in range(len(varied)):
+            wavy[p] = clipped_variance(scale * good[p], spread, limit)
+    noises = np.empty(len(good))
+    for e in range(len(bounds)):
         for p in range(len(good)):
-            change = (scale * varied[v, p] - levels[p]) / noises[p]
-            codes[v, p] = np.int16(np.rint(max(-32_000.0, min(32_000.0, change * CODES_PER_DEVIATION))))
+            level, noise = levels[p], math.sqrt(variances[p] + correlated[e] * wavy[p])
+            bounds[e, p, 0] = max(-level / noise, -MOST_CHANGE)
+            bounds[e, p, 1] = min((limit - level) / noise, MOST_CHANGE)
+            bounds[e, p, 2] = DARK if level < DARK * noise else 0.0
+            noises[p] = noise
+        for v in range(first[e], first[e + 1]):
+            for p in range(len(good)):
+                change = (scale * varied[v, p] - levels[p]) / noises[p]
+                codes[v, p] = np.int16(np.rint(max(-32_000.0, min(32_000.0, change * CODES_PER_DEVIATION))))

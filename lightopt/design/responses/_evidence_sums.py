@@ -111,7 +111,7 @@ def add_evidence(
     """Set the flags of the units of evidence.
 
     codes: Changes by the variants, and those of no patch, which are 0, shape (t, p + 1)
-    bounds: What the camera delivers of them, shape (p + 1, 3)
+    bounds: What the camera delivers of them, of each entry or alike for all, shape (entries or 1, p + 1, 3)
     classes, angle: Of the patches: the foreshortening, and from the image's axes to those that turns are counted from
         [rad], shape (p,); patches of a class follow each other where that is to be fast
     stencils: In cells
@@ -161,6 +161,7 @@ def _fill_most(codes: Int16, bounds: Float32, variants: Int32, most: UInt8) -> N
     low, high = np.empty(codes.shape[1], np.int16), np.empty(codes.shape[1], np.int16)
     for e in range(len(most)):
         low[:] = high[:] = 0
+        own = bounds[min(e, len(bounds) - 1)]
         for v in range(variants[e], variants[e + 1]):
             for p in range(len(low)):
                 low[p] = min(low[p], codes[v, p])
@@ -168,10 +169,10 @@ def _fill_most(codes: Int16, bounds: Float32, variants: Int32, most: UInt8) -> N
                 high[p] = max(high[p], codes[v, p])
         for p in range(len(low)):
             delivered = max(
-                min(high[p] / np.float32(CODES_PER_DEVIATION), bounds[p, 1]),
-                -max(low[p] / np.float32(CODES_PER_DEVIATION), bounds[p, 0]),
+                min(high[p] / np.float32(CODES_PER_DEVIATION), own[p, 1]),
+                -max(low[p] / np.float32(CODES_PER_DEVIATION), own[p, 0]),
             )
-            none = delivered < bounds[p, 2] or delivered == 0.0
+            none = delivered < own[p, 2] or delivered == 0.0
             most[e, p] = 0 if none else min(_MANY, max(np.int64(high[p]), -np.int64(low[p])))
 
 
@@ -210,6 +211,7 @@ def _fill_found(
             end += 1
         for h in range(len(found)):
             e, group = entry[h], h * FORESHORTENINGS + classes[start]
+            delivered = bounds[min(e, len(bounds) - 1)]
             # in units of a pixel
             area = ratio[group] * ratio[group]
             enough = np.float32(limits[e, limits.shape[1] - 1]) / area
@@ -232,8 +234,8 @@ def _fill_found(
                     for n in range(np.uint64(piece[i]), np.uint64(piece[i + 1])):
                         change += share[n] * np.float32(codes[np.uint64(variant[n]), q])
                     change /= np.float32(CODES_PER_DEVIATION)
-                    change = max(min(change, bounds[q, np.uint64(1)]), bounds[q, np.uint64(0)])
-                    more = change * change if abs(change) > bounds[q, np.uint64(2)] else np.float32(0.0)
+                    change = max(min(change, delivered[q, np.uint64(1)]), delivered[q, np.uint64(0)])
+                    more = change * change if abs(change) > delivered[q, np.uint64(2)] else np.float32(0.0)
                     energy = energies[p - np.uint64(start)] + more
                     energies[p - np.uint64(start)] = energy
                     active[left] = p

@@ -180,6 +180,8 @@ def explain_deviations(
 
 def reduced_deviations(templates: EntryTemplates, z: Float32, threads: int | None = None) -> Float32:
     """Sums of deviations over the larger pixels of an entry, of variance 1, shape (h, w, lights)."""
+    if templates.attenuation is not None:
+        z = z * templates.attenuation
     result = np.zeros(templates.count.shape, np.float32)
     top, left = templates.corner
 

@@ -16,7 +16,7 @@ from lightopt.core.errors import InputError, counted
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
-from lightopt.defects import clipped_variance
+from lightopt.defects import SCALES_PX, clipped_variance
 from lightopt.estimate.registration import DARK_SPREAD, GAIN_SPREAD, LEVEL_CAP, Observation, refuse_mismatch
 from lightopt.inspection._image_blocks import in_image_blocks
 from lightopt.inspection.prediction._predict import Prediction
@@ -62,6 +62,8 @@ class PostureView:
     limit: level from which a pixel is saturated, same shape; where it is, not above `level`: a lower bound is never
         darker than the good part.
     saturated: where `level` is only a lower bound, same shape.
+    wavy: variance by which `deviation` is greater for the waviness of good parts, were that independent from pixel to
+        pixel, same shape; None for smooth ones.
     prediction: the images that `predicted` is from, and the pixels that can be judged.
     """
 
@@ -75,6 +77,7 @@ class PostureView:
     saturated: Bool
     prediction: Prediction
     photometry: Photometry
+    wavy: Float32 | None = None
 
     @cached_property
     def specular(self) -> Float32:
@@ -117,19 +120,27 @@ def posture_view(
         name: np.empty(shape, np.bool_ if name == "saturated" else np.float32) for name in _ARRAYS
     }
 
+    waviness, wavy, correlated = prediction.waviness, None, 1.0
+    if waviness is not None:
+        wavy = np.empty(shape, np.float32)
+        correlated = waviness.waviness.correlated_pixels(waviness.footprint, SCALES_PX)
+
     def merge(number: int, rows: slice) -> None:
         light = lights[number]
         own = {name: array[number, rows] for name, array in arrays.items()}
         own["predicted"][:] = images[light][rows]
         _merge_exposures(scene, [o for o in observations if o.light == light], photometry, rows, own)
-        if (wavy := prediction.waviness) is not None:
-            _add_waviness(own["predicted"], wavy.spread[light][rows], own["limit"], wavy.correlated, own["deviation"])
+        if waviness is not None and wavy is not None:
+            spread = waviness.spread[light][rows]
+            _add_waviness(own["predicted"], spread, own["limit"], correlated, own["deviation"], wavy[number, rows])
 
     in_image_blocks(merge, len(lights), len(clean), threads)
     posture = observations[0].posture
     level, predicted, limit, deviation = (arrays[k] for k in ("level", "predicted", "limit", "deviation"))
     refuse_mismatch(level, predicted, limit, deviation, some_pixels(clean), f"{where}, posture {posture}")
-    return PostureView(posture=posture, lights=lights, prediction=prediction, photometry=photometry, **arrays)
+    return PostureView(
+        posture=posture, lights=lights, prediction=prediction, photometry=photometry, wavy=wavy, **arrays
+    )
 
 
 def _merge_exposures(
@@ -208,11 +219,13 @@ def _merge_exposure(
 
 
 @kernel
-def _add_waviness(predicted: Float32, spread: Float32, limit: Float32, correlated: float, deviation: Float32) -> None:
+def _add_waviness(
+    predicted: Float32, spread: Float32, limit: Float32, correlated: float, deviation: Float32, wavy: Float32
+) -> None:
     for y in range(len(predicted)):
         for x in range(predicted.shape[1]):
-            own = clipped_variance(predicted[y, x], spread[y, x], limit[y, x])
-            deviation[y, x] = math.sqrt(deviation[y, x] * deviation[y, x] + correlated * own)
+            wavy[y, x] = clipped_variance(predicted[y, x], spread[y, x], limit[y, x])
+            deviation[y, x] = math.sqrt(deviation[y, x] * deviation[y, x] + correlated * wavy[y, x])
 
 
 def some_pixels(mask: Bool) -> Index:

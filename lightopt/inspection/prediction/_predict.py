@@ -7,7 +7,7 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float32, Float64, Index
 from lightopt.core.transforms import Posture
-from lightopt.defects import SCALES_PX, tangent_references
+from lightopt.defects import Waviness, tangent_references
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight
 from lightopt.rendering import (
@@ -34,11 +34,13 @@ class WavyLevels:
     """By how much the waviness of good parts changes the images of a posture.
 
     spread: Standard deviation of the level before the camera clips, by light [grey level at exposure 1], each (H, W)
-    correlated: How many times the variance of a pixel it adds to sums over neighbouring pixels, which it changes alike
+    waviness: Of the surface
+    footprint: Side of a pixel [mm]
     """
 
     spread: dict[str, Float32]
-    correlated: float
+    waviness: Waviness
+    footprint: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,8 +103,7 @@ def _wavy_levels(scene: Scene, posture: Posture, caster: RayCaster, threads: int
     depth = (surface.points - camera.position) @ camera.forward
     footprint = pixel_footprint(camera, float(np.median(depth)) if len(depth) else 1.0)
     return WavyLevels(
-        spread={panel.name: spread(panel) for panel in pixels.view.lights},
-        correlated=scene.waviness.correlated_pixels(footprint, SCALES_PX),
+        spread={panel.name: spread(panel) for panel in pixels.view.lights}, waviness=scene.waviness, footprint=footprint
     )
 
 

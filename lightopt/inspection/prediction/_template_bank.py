@@ -19,6 +19,7 @@ from lightopt.defects import (
     FORESHORTENINGS,
     MOST_CHANGE,
     REGISTRATION_PX,
+    SCALES_PX,
     CatalogueEntry,
     DefectHypotheses,
     defect_hypotheses,
@@ -76,6 +77,8 @@ class EntryTemplates:
     """The expected changes of an entry of the catalogue, in images of h × w larger pixels, an empty border included.
 
     deviation: Of the good part's levels: unit of the changes, shape (lights, H, W)
+    attenuation: What measured deviations are multiplied by for that unit, shape (lights, H, W): waviness changes the
+        pixels of a wide defect alike. None where it is 1
     ratio: Side of these pixels [px]
     width_px: Width of the middle size [pixels of these images]
     corner: Row and column of the first one's corner [px]
@@ -92,6 +95,7 @@ class EntryTemplates:
 
     hypotheses: DefectHypotheses
     deviation: Float32
+    attenuation: Float32 | None
     ratio: int
     width_px: float
     corner: tuple[int, int]
@@ -188,6 +192,7 @@ def _templates(
     grid = search_grid(own, surface.footprint)
     ratio, halves = grid.ratio, grid.halves
     footprint = ratio * surface.footprint
+    deviation, attenuation = _with_waviness(own, view, deviation)
     border = 2 + math.ceil(0.5 * max(shape.length for shape in own.shapes) / footprint)
     rows, columns = mask_window(view.clean)
     count = np.stack(
@@ -249,6 +254,7 @@ def _templates(
     return EntryTemplates(
         hypotheses=own,
         deviation=deviation,
+        attenuation=attenuation,
         ratio=ratio,
         width_px=own.shapes[1].width / footprint,
         corner=corner,
@@ -262,6 +268,19 @@ def _templates(
         halves=halves,
         inverse=inverse,
     )
+
+
+def _with_waviness(own: DefectHypotheses, view: PostureView, deviation: Float32) -> tuple[Float32, Float32 | None]:
+    # the deviation in sums over the pixels of an entry's defects, and that of other sums as a share of it
+    known = view.prediction.waviness
+    if known is None or view.wavy is None:
+        return deviation, None
+    of_entry, included = (
+        known.waviness.correlated_pixels(known.footprint, scales)
+        for scales in (own.scales_px(known.footprint), SCALES_PX)
+    )
+    wider = np.sqrt(deviation**2 + np.float32(of_entry - included) * view.wavy).astype(np.float32)
+    return wider, (deviation / wider).astype(np.float32)
 
 
 def _block_sums(mask: Bool, ratio: int, border: int) -> UInt8:
