@@ -88,11 +88,16 @@ def resized(camera: PinholeCamera, width: int) -> PinholeCamera:
 
 
 def one_posture_files(folder: Path, name: str, *, width: int, pixel_um: str) -> tuple[Path, str]:
-    """The sample rig's file with a smaller camera, and the text of a part's file with one posture."""
+    """The sample rig's file with a smaller camera, and the text of a part's file with one posture.
+
+    name: Of a sample part, or the path of another part's file.
+    """
     rig = RIG.read_text(encoding="utf-8").replace("[1600, 1200]", f"[{width}, {width * 3 // 4}]")
     (folder / "rig.yaml").write_text(rig.replace("pixel_size_um: 4.4", f"pixel_size_um: {pixel_um}"), encoding="utf-8")
-    part = (CONFIGS / "parts" / f"{name}.yaml").read_text(encoding="utf-8")
-    part = re.sub(r"file: \S+", f"file: '{(CONFIGS / 'parts' / f'{name}.step').as_posix()}'", part)
+    file = Path(name).resolve() if name.endswith(".yaml") else CONFIGS / "parts" / f"{name}.yaml"
+    part = re.sub(
+        r"file: ([^\s,}]+)", lambda m: f"file: '{(file.parent / m[1]).as_posix()}'", file.read_text(encoding="utf-8")
+    )
     one = "postures: [{elevation_deg: 0, rotation_deg: 0}]\n\nreflectance:"
     return folder / "rig.yaml", re.sub(r"postures:.*?\nreflectance:", one, part, flags=re.DOTALL)
 

@@ -1,12 +1,15 @@
 """Does the loop close: lights planned for defects, defects captured under them, and what ``inspect`` finds of them.
 
-``python -m benchmarks.loop [--finish polished] [--seeds N] [--plot PNG]``. For each part the lights are placed once by
-``optimize --objective detectability`` and once by ``--objective paper``. Random defects of the built-in catalogue are
-placed on the part, the same ones for both rigs, the simulated rig captures it 0.4 and 0.3 mm off its place with noise
-of its own for each seed, and the inspection with the part's catalogue is held against the defects that the part's file
-names.
+``python -m benchmarks.loop [--finish polished] [--waviness 0.1] [--lobe 1.05] [--seeds N] [--plot PNG]``. For each part
+the lights are placed once by ``optimize --objective detectability`` and once by ``--objective paper``. Random defects
+of the built-in catalogue are placed on the part, the same ones for both rigs, the simulated rig captures it 0.4 and 0.3
+mm off its place with noise of its own for each seed, and the inspection with the part's catalogue is held against the
+defects that the part's file names.
 
 Two shares are set beside what was found, kind by kind:
+
+With ``--waviness`` the part's file has so much, and each captured part has a surface of its own. With ``--lobe`` the
+parts have a lobe so much wider than their file says, and the inspection is calibrated on good parts.
 
 *planned*: of all inspectable places, those where ``optimize`` predicts a defect of the kind to be found.
 *at these places*: the same of the places where the defects lie, in their orientations.
@@ -31,11 +34,20 @@ from benchmarks.inspection import FIRST, replace_block
 from lightopt import build_scene, load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Bool
-from lightopt.defects import BUILT_IN_CATALOGUE, PlacedDefect, tangent_references
+from lightopt.defects import BUILT_IN_CATALOGUE, DEFAULT_FALSE_ALARMS, PlacedDefect, tangent_references
 from lightopt.design import DetectionModel, ImageEvaluator, planned_catalogue, unpack_flags, without_edges
 from lightopt.design._problem import images_that_decide
 from lightopt.images import ImageSet, read_image_set
-from lightopt.inspection import InspectOptions, PredictionCache, SetEvaluation, evaluate_set, inspect_set
+from lightopt.inspection import (
+    Calibration,
+    InspectOptions,
+    PredictionCache,
+    SetEvaluation,
+    calibrate,
+    evaluate_set,
+    inspect_set,
+    sets_needed,
+)
 from lightopt.rendering import build_patches, cast_rays_at
 from lightopt.report import chart, figure_image, fixed_style
 from lightopt.rig.capture import CaptureOptions, CapturePlan, Devices, capture, connect_devices, start_bench, wiring_of
@@ -88,24 +100,35 @@ def run_command(*words: object) -> None:
         raise SystemExit(f"lightopt {words[0]} left with {status}")
 
 
-def files(folder: Path, name: str, width: int, finish: str) -> tuple[Path, Path]:
+def files(folder: Path, name: str, options: argparse.Namespace) -> tuple[Path, Path]:
     """The sample rig with a camera of a width, and the part in its first posture with a finish."""
-    rig, part = one_posture_files(folder, name, width=width, pixel_um=f"{4.4 * 1600 / width:g}")
+    width, finish = options.width, options.finish
+    rig, part = one_posture_files(folder, str(name), width=width, pixel_um=f"{4.4 * 1600 / width:g}")
     for key, value in FINISHES[finish].items():
         part = re.sub(rf"( {key}:) [0-9.]+", rf"\1 {value:g}", part)
-    (folder / f"{name}.yaml").write_text(part, encoding="utf-8")
-    return rig, folder / f"{name}.yaml"
+    if options.waviness:
+        part += f"\nsurface: {{waviness_deg: {options.waviness:g}, waviness_mm: {options.waviness_mm:g}}}\n"
+    path = folder / f"{Path(name).stem}.yaml"
+    path.write_text(part, encoding="utf-8")
+    return rig, path
+
+
+def as_made(path: Path, lobe: float) -> PartConfig:
+    """The part with a lobe so many times as wide as its file says."""
+    part = load_part(path)
+    wider = part.reflectance.model_copy(update={"sigma_rad": lobe * part.reflectance.sigma_rad})
+    return part.model_copy(update={"reflectance": wider})
 
 
 class Prediction:
     """What the planner says of a rig: which defects the inspection finds at which patches."""
 
-    def __init__(self, rig: RigConfig, part: PartConfig, patches: int, min_images: int) -> None:
+    def __init__(self, rig: RigConfig, part: PartConfig, min_images: int, options: argparse.Namespace) -> None:
         scene = build_scene(rig, part, defects=False)
         caster = cast_rays_at(scene)
         posture = scene.postures[0]
         catalogue = planned_catalogue(BUILT_IN_CATALOGUE)
-        self.table = without_edges(build_patches(scene, caster=caster, budget=patches), scene, caster)
+        self.table = without_edges(build_patches(scene, caster=caster, budget=options.patches), scene, caster)
         evaluator = ImageEvaluator(
             scene=scene,
             table=self.table,
@@ -114,6 +137,7 @@ class Prediction:
                 catalogue=catalogue,
                 sensor=scene.sensor,
                 full_scale=scene.reflectance.full_scale,
+                false_alarms=options.false_alarms,
                 min_images=images_that_decide(rig, part, min_images, longest=1.0),
             ),
         )
@@ -155,7 +179,8 @@ def take(rig: RigConfig, part: PartConfig, folder: Path, seed: int) -> ImageSet:
 
 def close_loop(folder: Path, name: str, options: argparse.Namespace) -> Iterator[Tally]:
     """Plan, place, capture and inspect one part under the rigs of both objectives."""
-    rig_file, part_file = files(folder, name, options.width, options.finish)
+    rig_file, part_file = files(folder, name, options)
+    name = part_file.stem
     placed: list[Path] = []
     for seed in range(1, options.seeds + 1):
         placed.append(folder / f"{name}-{seed}.yaml")
@@ -166,20 +191,37 @@ def close_loop(folder: Path, name: str, options: argparse.Namespace) -> Iterator
         best = folder / f"{name}-{objective}"
         run_command(
             "optimize", rig_file, part_file, "-o", best, "--objective", objective, "--posture", "0,0",
-            "--step", options.step, "--patches", options.patches, "--no-images", "--no-report", "-q",
+            "--step", options.step, "--patches", options.patches, "--false-alarms", options.false_alarms,
+            "--no-images", "--no-report", "-q",
         )  # fmt: skip
         rig = load_rig(best / "rig.optimized.yaml")
         angles = ", ".join(f"{light.elevation_deg:g}°" for light in rig.lights)
         print(f"{name}, {objective}: {angles}", flush=True)
         nominal = load_part(part_file)
-        counts = {k: _Counts(Prediction(rig, nominal, options.patches, k)) for k in MIN_IMAGES}
+        counts = {k: _Counts(Prediction(rig, nominal, k, options)) for k in MIN_IMAGES}
+        inspections = {
+            k: InspectOptions(fusion=None, min_images=k, false_alarms=options.false_alarms) for k in MIN_IMAGES
+        }
+        calibrations: dict[int, Calibration] = {}
+        if options.lobe != 1.0:
+            good = [
+                take(rig, as_made(part_file, options.lobe), folder / f"{name}-{objective}-good-{seed}", 1000 + seed)
+                for seed in range(sets_needed(options.false_alarms))
+            ]
+            calibrations = {k: calibrate(rig, nominal, good, options=one) for k, one in inspections.items()}
         cache = PredictionCache()
         for seed, path in enumerate(placed, 1):
             part = load_part(path)
-            image_set = take(rig, part, folder / f"{name}-{objective}-{seed}", seed)
+            image_set = take(rig, as_made(path, options.lobe), folder / f"{name}-{objective}-{seed}", seed)
             for min_images, own in counts.items():
-                inspection = InspectOptions(detector="catalogue", fusion=None, min_images=min_images)
-                result = inspect_set(rig, part, image_set, options=inspection, cache=cache)
+                result = inspect_set(
+                    rig,
+                    part,
+                    image_set,
+                    options=inspections[min_images],
+                    cache=cache,
+                    calibration=calibrations.get(min_images),
+                )
                 known = place_defects(result.nominal, rig, part)
                 own.add(known, evaluate_set(image_set, result, known=known))
             print(f"{name}, {objective}, seed {seed}: done", flush=True)
@@ -293,9 +335,13 @@ def plot(tallies: list[Tally], path: Path) -> None:
 def main(arguments: list[str] | None = None) -> None:
     """Close the loop, print the tables, write all tallies."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.loop", description=__doc__)
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--parts", nargs="+", default=list(PARTS), help="samples, or files of other parts")
     parser.add_argument("--objectives", nargs="+", choices=OBJECTIVES, default=list(OBJECTIVES))
     parser.add_argument("--finish", choices=FINISHES, default="as-filed", help="of the surface")
+    parser.add_argument("--waviness", type=float, default=0.0, help="of the parts: root mean square slope [°]")
+    parser.add_argument("--waviness-mm", type=float, default=1.5, help="and its correlation length [mm]")
+    parser.add_argument("--lobe", type=float, default=1.0, help="of the parts: its width, as a multiple of the file's")
+    parser.add_argument("--false-alarms", type=float, default=DEFAULT_FALSE_ALARMS, help="per posture of a good part")
     parser.add_argument("--seeds", type=int, default=34, help="sets of defects per part")
     parser.add_argument("--count", type=int, default=42, help="defects per set")
     parser.add_argument("--width", type=int, default=800, help="of the images [px]")
