@@ -6,10 +6,10 @@ of the built-in catalogue are placed on the part, the same ones for both rigs, t
 mm off its place with noise of its own for each seed, and the inspection with the part's catalogue is held against the
 defects that the part's file names.
 
-Two shares are set beside what was found, kind by kind:
-
 With ``--waviness`` the part's file has so much, and each captured part has a surface of its own. With ``--lobe`` the
 parts have a lobe so much wider than their file says, and the inspection is calibrated on good parts.
+
+Two shares are set beside what was found, kind by kind:
 
 *planned*: of all inspectable places, those where ``optimize`` predicts a defect of the kind to be found.
 *at these places*: the same of the places where the defects lie, in their orientations.
