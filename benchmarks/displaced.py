@@ -491,10 +491,11 @@ def bounds_table(differences: Sequence[Difference]) -> str:
                 continue
             relative, parallax = [d.relative for d in own], np.abs([d.parallax for d in own])
             shifts = [d.shift / d.parallax for d in own if d.kind in WIDE] or [math.nan]
+            shift = ", ".join(f"{x:.2f}" for x in np.percentile(shifts, [5.0, 50.0, 95.0]))
             lines.append(
                 f"| {factor:g} | {title} | {len(own)} | {np.median(relative):.3f}, {np.percentile(relative, 95.0):.2f} "
                 f"| {sum(d.relative > d.linear_bound for d in own)} | {np.median(parallax):.2f}, {parallax.max():.2f} "
-                f"| {', '.join(f'{x:.2f}' for x in np.percentile(shifts, [5.0, 50.0, 95.0]))} | {max(d.reach for d in own):.3f} "
+                f"| {shift} | {max(d.reach for d in own):.3f} "
                 f"| {max(d.reach_bound for d in own):.3f} | {sum(d.reach > d.reach_bound for d in own)} |"
             )
     return "\n".join(lines)
