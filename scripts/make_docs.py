@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from frames_drawing import frames_drawing
 from PIL import Image
+from statistic_picture import statistic_picture
 
 from lightopt import build_scene, render
 from lightopt.images import read_exr, read_image_set
@@ -224,6 +225,7 @@ def main() -> None:
         report_picture(PICTURES / "report.png", out)
         plan_pictures(PICTURES / "blind-spots.png", PICTURES / "plan.png", out)
         inspection_picture(PICTURES / "inspection.png", out)
+        statistic_picture(PICTURES / "statistic.png")
     findings = lightopt("check", "configs/rigs/four-panel.yaml", "configs/parts/cover-knob.yaml")
     replace_block(DOCS / "tutorial" / "getting-started.md", "check", f"```text\n{findings.rstrip()}\n```")
     if not quick:
