@@ -331,7 +331,7 @@ def test_the_benchmark_of_inspections_fills_its_tables(capsys: pytest.CaptureFix
     lines = capsys.readouterr().out.splitlines()
     ways = [line.split(" | ") for line in lines if line.startswith(("| residual", "| template"))]
     assert len(ways) == 2 + 4 + len(inspection.FUSIONS) + 5
-    default = next(way for way in ways if inspection.DEFAULT in way[0])
+    default = next(way for way in ways if inspection.TWO_AGREE in way[0])
     assert float(default[1]) > 0.85
     assert default[3].startswith("0, good part 0")
     assert inspection.TOY.defects == 12

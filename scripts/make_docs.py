@@ -162,7 +162,7 @@ def report_picture(target: Path, folder: Path) -> None:
 
 
 def plan_pictures(blind: Path, page: Path, folder: Path) -> None:
-    """Why defects stay invisible, in the first posture of a plan; and the top of the plan's report."""
+    """Why defects are not found, in the first posture of a plan; and the top of the plan's report."""
     from browsers import opened
 
     out = folder / "planned"

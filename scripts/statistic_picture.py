@@ -74,7 +74,10 @@ def statistic_picture(target: Path, *, patches: int = 20_000) -> None:
         figure, panels = chart(
             title="How far defects stand out on the cover knob",
             x_label="expected Z [standard deviations]",
-            labels=["share of the surface with this Z or more [%], all images", "the same, all images but the best one"],
+            labels=[
+                "share of the surface with this Z or more [%], all images",
+                "the same, all images but the best one",
+            ],
             log_x=True,
         )
         for panel, shown in zip(panels, (evidence.sum(axis=0), evidence[:-1].sum(axis=0)), strict=True):
