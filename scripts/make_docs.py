@@ -13,6 +13,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from displaced_picture import displaced_picture
 from frames_drawing import frames_drawing
 from PIL import Image
 from statistic_picture import statistic_picture
@@ -226,6 +227,7 @@ def main() -> None:
         plan_pictures(PICTURES / "blind-spots.png", PICTURES / "plan.png", out)
         inspection_picture(PICTURES / "inspection.png", out)
         statistic_picture(PICTURES / "statistic.png")
+        displaced_picture(PICTURES / "displaced.png")
     findings = lightopt("check", "configs/rigs/four-panel.yaml", "configs/parts/cover-knob.yaml")
     replace_block(DOCS / "tutorial" / "getting-started.md", "check", f"```text\n{findings.rstrip()}\n```")
     if not quick:
