@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import itertools
 import math
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -22,9 +23,10 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
+from scipy import ndimage
 
 from benchmarks.inspection import FIRST, replace_block
-from benchmarks.loop import OFF_MM, PARTS, files, interval, run_command
+from benchmarks.loop import OFF_MM, PARTS, files, run_command
 from lightopt import build_scene, load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Bool, Float32, Float64, Index
@@ -55,13 +57,13 @@ RING_PX = 6.0
 """Pixels so near to an outline count as just outside."""
 SEEN = 0.1
 """A difference of so many standard deviations of the noise is one."""
+SLACK_MM = 0.01
+"""Of bounds for a plane surface, on curved ones."""
+HIDING = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0, math.inf)
+"""Bounds of the groups by :attr:`Difference.hiding`."""
 
-# Relative difference by parallax on a wall that leans along the view, in units of tan(slope)·tan(view angle):
-# the rms of G·g′ over that of g, for a wall's relative slope g(ρ) and height G(ρ), both in docs/how-to/defects.md
-PARALLAX = {"dent": 1.33, "bump": 1.33, "blister": 1.33, "pit": 1.97, "scratch": 1.97}
-
-WIDE = ("dent", "bump", "blister")
-"""Kinds that are many pixels wide, so that a shift of their image can be measured."""
+WIDE, LEAST_PARALLAX_PX = ("dent", "bump", "blister"), 0.05
+"""Kinds that are many pixels wide, so that a shift of their image can be measured, and from which parallax on."""
 
 
 def relative_height(shape: DefectShape, rho: Float64) -> Float64:
@@ -87,8 +89,12 @@ def heights(defects: Sequence[PlacedDefect], points: Float64, normals: Float64) 
     return total
 
 
+def _is_hill(kind: str) -> bool:
+    return kind in ("bump", "blister")
+
+
 def _sign(shape: DefectShape) -> float:
-    return 1.0 if shape.kind in ("bump", "blister") else -1.0
+    return 1.0 if _is_hill(shape.kind) else -1.0
 
 
 def refined(mesh: TriangleMesh, defects: Sequence[PlacedDefect], pixel: float) -> TriangleMesh:
@@ -163,9 +169,8 @@ class Difference:
     correlation: Of the two changes m
     slope: Steepest of the walls [°]
     light_deg, view_deg: Least elevation of a light and of the camera above the undisturbed surface [°]
-    reach: How far from its outline a pixel differs, less the size of a pixel there [mm]
+    reach: How far from its outline pixels differ, joined to the footprint, less the size of a pixel there [mm]
     reach_bound: From :func:`reach_bound` [mm]
-    linear_bound: Of the difference over the signal, for shading that is linear in the slope
     shift: Of the displaced image against the model, along the image of the normal, by least squares [px]
     parallax: Of the deepest or highest place, likewise [px]
     found_model, found_displaced: Whether ``inspect`` finds it, one for each of :data:`MIN_IMAGES`; None if not judged
@@ -186,7 +191,6 @@ class Difference:
     view_deg: float
     reach: float
     reach_bound: float
-    linear_bound: float
     shift: float
     parallax: float
     part: str = ""
@@ -201,9 +205,14 @@ class Difference:
         return self.inside_rms / self.signal
 
     @property
-    def unshaded(self) -> bool:
-        """Whether all lights and the camera stand higher above the surface than its walls are steep."""
-        return self.slope < min(self.light_deg, self.view_deg)
+    def hiding(self) -> float:
+        """Slope of the walls over that of the camera's view; from 1 on, walls hide surface."""
+        return math.tan(math.radians(self.slope)) / math.tan(math.radians(max(self.view_deg, 0.1)))
+
+    @property
+    def above_bound(self) -> bool:
+        """Whether it reaches further than its bound, by more than the bound is good to."""
+        return self.reach > self.reach_bound + SLACK_MM
 
 
 def reach_bound(shape: DefectShape, elevation: float) -> float:
@@ -214,7 +223,7 @@ def reach_bound(shape: DefectShape, elevation: float) -> float:
 
     elevation: Of the light or the camera above the undisturbed surface [rad]
     """
-    if _sign(shape) < 0.0:
+    if not _is_hill(shape.kind):
         return 0.0
     rho = np.linspace(0.0, 1.0, 201)
     beyond = math.tan(shape.slope) / math.tan(elevation) * relative_height(shape, rho) - (1.0 - rho)
@@ -277,7 +286,7 @@ class Comparison:
                 continue
             lights, camera = self._elevations(mine[footprint], shape.slope), _elevation(view[footprint])
             around = (*self._elevations(mine[used], shape.slope), _elevation(view[used]))
-            differs = (np.abs(off) > SEEN).any(axis=0) & (footprint | ring)
+            differs = self._joined(mine, footprint, ring & (np.abs(off) > SEEN).any(axis=0))
             along = self._image_of_normal(defect)
             down, right = (a[:, self.row[mine], self.column[mine]] / noise for a in gradients)
             slide = ((down * along[0] + right * along[1]) / np.linalg.norm(along))[:, footprint]
@@ -298,13 +307,20 @@ class Comparison:
                 view_deg=math.degrees(camera),
                 reach=max(0.0, float(reach.max())),
                 reach_bound=max(reach_bound(shape, max(e, 0.02)) for e in around),
-                linear_bound=PARALLAX[shape.kind] * math.tan(shape.slope) / max(math.tan(camera), 0.01),
                 shift=-float((off[:, footprint] * slide).sum() / max(float((slide**2).sum()), 1e-12)),
                 parallax=_sign(shape) * shape.depth * float(np.linalg.norm(along)),
             )
 
     def _clipped(self, level: Float32) -> Float64:
         return np.clip(self.scale * level.astype(np.float64), 0.0, self.limit)
+
+    def _joined(self, pixels: Index, footprint: Bool, others: Bool) -> Bool:
+        # the footprint and those of the other pixels that are joined to it: elsewhere the part's own shadows change
+        image = np.zeros(self.good.shape[1:], np.bool_)
+        row, column = self.row[pixels], self.column[pixels]
+        image[row, column] = footprint | others
+        label = np.asarray(ndimage.label(image, np.ones((3, 3)))[0])[row, column]  # pyright: ignore[reportIndexIssue]
+        return (label > 0) & np.isin(label, label[footprint])
 
     def _image_of_normal(self, defect: PlacedDefect) -> Float64:
         # how many pixels down and to the right a millimetre of height is
@@ -336,9 +352,10 @@ def levels(images: PostureImages) -> Float32:
     return np.stack([image.level for image in images.lights])
 
 
-def rendered(scene: Scene, supersample: int) -> PostureImages:
-    """Images of a scene in the first posture."""
-    return render_posture(scene, FIRST, caster=cast_rays_at(scene), supersample=supersample)
+def rendered(scene: Scene, *supersample: int) -> tuple[PostureImages, ...]:
+    """Images of a scene in the first posture, one for each number of rays along a side of a pixel."""
+    caster = cast_rays_at(scene)
+    return tuple(render_posture(scene, FIRST, caster=caster, supersample=n) for n in supersample)
 
 
 def image_set(folder: Path, rig: RigConfig, part: PartConfig, scene: Scene, level: Float32, seed: int) -> ImageSet:
@@ -364,8 +381,6 @@ class Inspector:
     def __init__(self, rig: RigConfig, part: PartConfig) -> None:
         self.rig, self.part = rig, part
         self.cache = PredictionCache()
-        self.false_alarms = 0
-        self.postures = 0
 
     def found(self, images: ImageSet, defects: PartConfig) -> list[dict[str, bool]]:
         """Of each name whether it was found, for each of :data:`MIN_IMAGES`."""
@@ -375,8 +390,6 @@ class Inspector:
             result = inspect_set(self.rig, self.part, images, options=options, cache=self.cache)
             known = [d for d in place_defects(result.nominal, self.rig, defects) if d.shape.kind in SHAPE_KINDS]
             evaluation = evaluate_set(images, result, known=known)
-            self.false_alarms += evaluation.false_alarms
-            self.postures += 1
             answers.append({defect.name: defect.found for defect in evaluation.defects})
         return answers
 
@@ -402,18 +415,19 @@ def compare_part(folder: Path, name: str, options: argparse.Namespace) -> Iterat
         defects = tuple(d for d in scene.defects if d.shape.kind in SHAPE_KINDS)
         scene = replace(scene, defects=())
         fine = refined(scene.mesh, defects, pixel_footprint(scene.camera, rig.camera.distance_mm))
-        good, control = (rendered(s, options.supersample) for s in (scene, replace(scene, mesh=fine)))
+        (good,), (control,) = (rendered(s, options.supersample) for s in (scene, replace(scene, mesh=fine)))
         comparison = Comparison(scene, defects, good, levels(control))
         for factor in options.factors:
-            walls = [steeper(defect, factor) for defect in defects]
-            model = levels(rendered(replace(scene, defects=tuple(walls)), options.supersample))
-            moved = levels(rendered(replace(scene, mesh=displaced(fine, walls)), options.supersample))
+            walls = tuple(steeper(defect, factor) for defect in defects)
+            variants = replace(scene, defects=walls), replace(scene, mesh=displaced(fine, walls))
+            # the inspection predicts the middles of pixels, and the virtual bench captures these
+            pixels, middles = zip(*(rendered(variant, options.supersample, 1) for variant in variants), strict=True)
             comparison.defects = walls
             found: list[list[dict[str, bool]]] = []
-            for kind, level in (("model", model), ("displaced", moved)):
+            for kind, images in zip(("model", "displaced"), middles, strict=True):
                 out = folder / f"{name}-{seed}-{factor:g}-{kind}"
-                found.append(inspector.found(image_set(out, rig, nominal, scene, level, seed), part))
-            for one in comparison.differences(model, moved):
+                found.append(inspector.found(image_set(out, rig, nominal, scene, levels(images), seed), part))
+            for one in comparison.differences(*map(levels, pixels)):
                 yield replace(
                     one,
                     part=name,
@@ -426,7 +440,7 @@ def compare_part(folder: Path, name: str, options: argparse.Namespace) -> Iterat
 
 
 def table(differences: Sequence[Difference]) -> str:
-    """The images, a line per slope and kind; then what is found."""
+    """The images, a line per slope and kind, and what is found in them."""
     heads = (
         *("slope ×", "kind", "slope", "defects", "change [σ]", "difference: rms, max [σ]"),
         *("just outside: rms, max [σ]", "energy ratio: median, 5 to 95 %", "correlation: median, 5 %"),
@@ -451,54 +465,77 @@ def table(differences: Sequence[Difference]) -> str:
                 f"| {middle:.3f}, {low:.2f} to {high:.2f} "
                 f"| {np.median(correlation):.4f}, {np.percentile(correlation, 5.0):.3f} |"
             )
-    heads = "slope ×", "kind", "images", "found, model", "found, displaced", "both", "only model", "only displaced"
+    heads = (
+        *("slope ×", "kind", "1 image: model, displaced", "only model, only displaced"),
+        *("2 images: model, displaced", "only model, only displaced"),
+    )
     lines += ["", *_head(heads)]
     for factor, kind, own in groups:
-        for which, images in enumerate(MIN_IMAGES):
-            pairs = [(d.found_model[which], d.found_displaced[which]) for d in own]
-            pairs = [(a, b) for a, b in pairs if a is not None and b is not None]
-            if pairs:
-                shares = " | ".join(_share(found) for found in zip(*pairs, strict=True))
-                lines.append(
-                    f"| {factor:g} | {kind} | {images} | {shares} "
-                    f"| {sum(a and b for a, b in pairs)} | {sum(a and not b for a, b in pairs)} "
-                    f"| {sum(b and not a for a, b in pairs)} |"
-                )
+        if own:
+            cells = [_found(own, which) for which in range(len(MIN_IMAGES))]
+            lines.append(f"| {factor:g} | {kind} | {' | '.join(cells)} |")
     return "\n".join(lines)
+
+
+def _found(own: Sequence[Difference], which: int) -> str:
+    pairs = [(d.found_model[which], d.found_displaced[which]) for d in own]
+    pairs = [(a, b) for a, b in pairs if a is not None and b is not None]
+    model, moved = (sum(map(bool, found)) for found in zip(*pairs, strict=True))
+    only_model, only_moved = sum(a and not b for a, b in pairs), sum(b and not a for a, b in pairs)
+    return f"{model}, {moved} of {len(pairs)} | {only_model}, {only_moved}"
 
 
 def _head(names: Sequence[str]) -> list[str]:
     return [f"| {' | '.join(names)} |", "|---" * len(names) + "|"]
 
 
-def _share(found: Sequence[bool | None]) -> str:
-    low, high = interval(sum(map(bool, found)), len(found))
-    return f"{sum(map(bool, found))} of {len(found)} ({100 * low:.0f} to {100 * high:.0f} %)"
-
-
-def bounds_table(differences: Sequence[Difference]) -> str:
-    """The formulas, a line per slope and group of places."""
+def hiding_table(differences: Sequence[Difference]) -> str:
+    """A line per group of the ratio of walls to view, all slopes and kinds together."""
     heads = (
-        *("slope ×", "walls against rays", "defects", "difference / change: median, 95 %", "above its bound"),
-        *("parallax [px]: median, max", "shift / parallax: 5, 50, 95 %", "reach [mm]", "its bound [mm]"),
-        "above its bound",
+        *("tan slope / tan view elevation", "defects", "difference / change: median, 95 %"),
+        *("difference / change / ratio: 95 %", "energy ratio: median, 5 to 95 %", "correlation: median, 5 %"),
+        *("2 images: model, displaced", "only model, only displaced"),
     )
     lines = _head(heads)
-    for factor in sorted({d.factor for d in differences}):
-        for title, unshaded in (("less steep", True), ("steeper than some", False)):
-            own = [d for d in differences if d.factor == factor and d.unshaded is unshaded]
-            if not own:
-                continue
-            relative, parallax = [d.relative for d in own], np.abs([d.parallax for d in own])
-            shifts = [d.shift / d.parallax for d in own if d.kind in WIDE] or [math.nan]
-            shift = ", ".join(f"{x:.2f}" for x in np.percentile(shifts, [5.0, 50.0, 95.0]))
-            lines.append(
-                f"| {factor:g} | {title} | {len(own)} | {np.median(relative):.3f}, {np.percentile(relative, 95.0):.2f} "
-                f"| {sum(d.relative > d.linear_bound for d in own)} | {np.median(parallax):.2f}, {parallax.max():.2f} "
-                f"| {shift} | {max(d.reach for d in own):.3f} "
-                f"| {max(d.reach_bound for d in own):.3f} | {sum(d.reach > d.reach_bound for d in own)} |"
-            )
+    for low, high in itertools.pairwise(HIDING):
+        own = [d for d in differences if low <= d.hiding < high]
+        if not own:
+            continue
+        relative = [d.relative for d in own]
+        by_ratio = np.percentile([d.relative / d.hiding for d in own], 95.0)
+        energy = np.percentile([d.energy for d in own], [5.0, 50.0, 95.0])
+        correlation = [d.correlation for d in own]
+        lines.append(
+            f"| {f'{low:g} to {high:g}' if math.isfinite(high) else f'{low:g} and more'} | {len(own)} "
+            f"| {np.median(relative):.2f}, {np.percentile(relative, 95.0):.2f} | {by_ratio:.1f} "
+            f"| {energy[1]:.3f}, {energy[0]:.2f} to {energy[2]:.2f} "
+            f"| {np.median(correlation):.3f}, {np.percentile(correlation, 5.0):.2f} | {_found(own, 1)} |"
+        )
     return "\n".join(lines)
+
+
+def bounds_text(differences: Sequence[Difference]) -> str:
+    """How the formulas of parallax and of shadows hold."""
+    wide = [d for d in differences if d.kind in WIDE and abs(d.parallax) > LEAST_PARALLAX_PX]
+    shifts = np.percentile([d.shift / d.parallax for d in wide] or [math.nan], [5.0, 50.0, 95.0])
+    within = sum(0.0 <= d.shift / d.parallax <= 1.0 for d in wide)
+    hills = [d for d in differences if _is_hill(d.kind)]
+    shaded = [d for d in hills if d.reach_bound > 0.0]
+    changed = [d for d in differences if d.reach > SLACK_MM]
+    shift = (
+        f"shift over parallax, {len(wide)} {', '.join(WIDE)} of more than {LEAST_PARALLAX_PX:g} px: "
+        f"median {shifts[1]:.2f}, 5 to 95 % {shifts[0]:.2f} to {shifts[2]:.2f}; from 0 to 1: {within}"
+    )
+    reach = (
+        f"beyond the outline: bound above 0 for {len(shaded)} of {len(hills)} hills; {len(changed)} defects of "
+        f"{len(differences)} reach further than {SLACK_MM:g} mm, up to {max(d.reach for d in differences):.2f} mm; "
+        f"{sum(d.above_bound for d in differences)} further than their bound"
+    )
+    floor = (
+        f"floor: at most {max(d.floor_max for d in differences):.2g} standard deviations, more than {SEEN:g} for "
+        f"{sum(d.floor_max > SEEN for d in differences)} of {len(differences)} defects"
+    )
+    return f"- {shift}\n- {reach}\n- {floor}"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -524,12 +561,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
         writer.writerow(field.name for field in fields(Difference))
         writer.writerows(vars(one).values() for one in differences)
     print(options.out / "displaced.csv")
-    tables = {"displaced": table(differences), "displaced-bounds": bounds_table(differences)}
+    tables = {
+        "displaced": table(differences),
+        "displaced-hiding": hiding_table(differences),
+        "displaced-bounds": bounds_text(differences),
+    }
     for block, text in tables.items():
         print(f"\n{text}")
         if options.page:
             replace_block(block, text)
-    print(f"floor: {max(d.floor_max for d in differences):.2g} of the noise")
 
 
 if __name__ == "__main__":

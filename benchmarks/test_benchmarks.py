@@ -451,8 +451,8 @@ def test_the_benchmark_of_displaced_defects_compares_images_and_what_is_found(
     assert all(0.9 < float(row["energy"]) < 1.1 and float(row["correlation"]) > 0.95 for row in own["1.0"])
     off = [np.median([float(row["inside_rms"]) for row in some]) for some in own.values()]
     assert off[1] > 4.0 * off[0]
-    assert all(float(row["reach"]) <= float(row["reach_bound"]) for row in rows)
-    assert "| 4 | blister | 2 |" in capsys.readouterr().out
+    assert all(float(row["reach"]) <= float(row["reach_bound"]) + displaced.SLACK_MM for row in rows)
+    assert "| 4 | blister | 2, 2 of 2 | 0, 0 |" in capsys.readouterr().out
 
 
 @pytest.mark.nightly
