@@ -110,7 +110,7 @@ bench: $(BENCH)/.peers  ## speed against the raw ray caster and peers; prints ra
 	$(BENCH)/bin/python -m benchmarks.run $(BENCHMARKS)
 
 docs: $(BIN)/.installed  ## make the pictures and figures of docs/ anew
-	PYTHONPATH=tests $(BIN)/python scripts/make_docs.py
+	PYTHONPATH=tests:. $(BIN)/python scripts/make_docs.py
 
 SITE ?= .venv-docs
 $(SITE)/.installed: requirements/docs.lock

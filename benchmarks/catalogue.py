@@ -1,4 +1,4 @@
-"""What the catalogue's detector finds more than the default, and how well it names that.
+"""What the catalogue's detector finds more than the residual detector, and how well it names that.
 
 ``python -m benchmarks.catalogue [--sets N]``. Random defects of the built-in catalogue are rendered as they are, at
 half and at a quarter of their effect, from a mesh four times as fine as the inspection's, 0.5 mm and 0.5° off their

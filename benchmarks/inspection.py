@@ -71,7 +71,7 @@ LIT = 3.0
 LIES = Placement(x=0.4, y=-0.3, turn=math.radians(0.5))
 """Where the part is rendered."""
 
-DEFAULT = "residual, second largest (default)"
+TWO_AGREE = "residual, second largest"
 
 
 @dataclass(frozen=True)
@@ -208,7 +208,7 @@ def look(rig: RigConfig, part: PartConfig, image_set: ImageSet, *, told: bool = 
 
 def ways(view: PostureView, found: Deviations) -> Iterator[tuple[str, NDArray[np.float32], int]]:
     """Each way to look at a posture: its name, its scores, and how many tests those are the greatest of."""
-    yield DEFAULT, score_deviations(found, min_images=2), len(SCALES_PX)
+    yield TWO_AGREE, score_deviations(found, min_images=2), len(SCALES_PX)
     yield "residual, largest", score_deviations(found, min_images=1), len(SCALES_PX)
     for i, light in enumerate(view.lights):
         one = slice(i, i + 1)
@@ -358,8 +358,8 @@ def ways_table(tallies: dict[tuple[str, str], Tally], parts: Sequence[str]) -> s
 
 
 def defects_table(tallies: dict[tuple[str, str], Tally], parts: Sequence[str]) -> str:
-    """What the default finds, by defect, and the sizes found 90 % of the time."""
-    mine = [tallies[part, DEFAULT] for part in parts]
+    """What the residual detector finds where two images agree, by defect, and the sizes found 90 % of the time."""
+    mine = [tallies[part, TWO_AGREE] for part in parts]
     lines = ["| defect | found |", "|---|---|"]
     for name in dict.fromkeys(name for t in mine for name in t.by_name):
         hits = [hit for t in mine for _, hit in t.by_name.get(name, [])]

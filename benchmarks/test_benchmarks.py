@@ -2,22 +2,33 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks import auto, bare, command, peers
+from benchmarks import auto, bare, command, displaced, peers
 from benchmarks._case import TOY, case_scene, chrome, resized
 from benchmarks._peer_process import MITSUBA, PeerError, PeerProcess
 from benchmarks._reference import equally_spaced, gauss_legendre, sum_of_points
 from benchmarks._report import Table, ratios, rounds
 from benchmarks.run import main
+from lightopt.defects import (
+    BUILT_IN_CATALOGUE,
+    SHAPE_KINDS,
+    CatalogueEntry,
+    PlacedDefect,
+    radial_place,
+    surface_coordinates,
+)
+from lightopt.geometry import RayCaster, TriangleMesh, face_areas, face_normals
 from lightopt.rendering import cast_rays_at, render_posture, trace_samples
 from lightopt.scene import Scene
 
@@ -320,7 +331,7 @@ def test_the_benchmark_of_inspections_fills_its_tables(capsys: pytest.CaptureFix
     lines = capsys.readouterr().out.splitlines()
     ways = [line.split(" | ") for line in lines if line.startswith(("| residual", "| template"))]
     assert len(ways) == 2 + 4 + len(inspection.FUSIONS) + 5
-    default = next(way for way in ways if inspection.DEFAULT in way[0])
+    default = next(way for way in ways if inspection.TWO_AGREE in way[0])
     assert float(default[1]) > 0.85
     assert default[3].startswith("0, good part 0")
     assert inspection.TOY.defects == 12
@@ -340,6 +351,108 @@ def test_the_benchmark_of_the_catalogue_compares_both_detectors(capsys: pytest.C
     found = {(*row[1:4],): int(row[4 + len(catalogue.KINDS)].split(" of ")[0]) for row in rows}
     for images in ("1", "2"):
         assert found["1", images, "catalogue"] >= found["1", images, "residual"]
+
+
+def disturbed_plane(entry: CatalogueEntry) -> tuple[PlacedDefect, TriangleMesh]:
+    """A defect in a square of 8 mm, and the square refined under it."""
+    corners = np.array([[-4.0, -4.0, 0.0], [4.0, -4.0, 0.0], [4.0, 4.0, 0.0], [-4.0, 4.0, 0.0]])
+    square = TriangleMesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.tile([0.0, 0.0, 1.0], (4, 1)))
+    turn = math.radians(25.0)
+    defect = PlacedDefect(
+        name=entry.name,
+        shape=entry.shape,
+        position=np.array([0.3, -0.2, 0.0]),
+        normal=np.array([0.0, 0.0, 1.0]),
+        along=np.array([math.cos(turn), math.sin(turn), 0.0]),
+    )
+    return defect, displaced.refined(square, [defect], 0.1)
+
+
+SHAPES = [entry for entry in BUILT_IN_CATALOGUE if entry.shape.kind in SHAPE_KINDS]
+
+
+@pytest.mark.parametrize("entry", SHAPES, ids=lambda entry: entry.name)
+def test_a_displaced_mesh_has_the_depth_and_the_normals_of_the_model(entry: CatalogueEntry) -> None:
+    """The facets are those of the heights, the vertices' normals those of the model's gradient."""
+    defect, fine = disturbed_plane(entry)
+    moved = displaced.displaced(fine, [defect])
+    assert moved.normals is not None
+    deepest = moved.vertices[np.abs(moved.vertices[:, 2]).argmax(), 2]
+    upwards = entry.shape.kind in ("bump", "blister")
+    assert deepest == pytest.approx(entry.shape.depth if upwards else -entry.shape.depth, rel=0.01)
+    facets, model = face_normals(moved), moved.normals[moved.faces].mean(axis=1)
+    assert moved.normals[:, 2].min() == pytest.approx(math.cos(entry.shape.slope), abs=1e-3)
+    off = np.linalg.norm(facets - model, axis=1)
+    assert off.max() < 0.15 * math.tan(entry.shape.slope)
+
+
+@pytest.mark.parametrize("entry", SHAPES, ids=lambda entry: entry.name)
+def test_a_refined_mesh_is_the_same_surface(entry: CatalogueEntry) -> None:
+    defect, fine = disturbed_plane(entry)
+    assert face_areas(fine).sum() == pytest.approx(64.0)
+    assert np.abs(fine.vertices[:, 2]).max() == 0.0
+    corners = fine.vertices[fine.faces]
+    sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).max(axis=1)
+    x, y, _ = surface_coordinates(defect, corners.mean(axis=1), np.tile(defect.normal, (len(corners), 1)))
+    inside = radial_place(entry.shape, x, y) < 1.0
+    assert sides[inside].max() <= min(0.1 / 3, entry.shape.width / 30)
+
+
+def test_refined_normals_are_those_that_shading_interpolates() -> None:
+    entry = SHAPES[1]
+    defect, _ = disturbed_plane(entry)
+    corners = np.array([[-4.0, -4.0, 0.0], [4.0, -4.0, 0.0], [0.0, 5.0, 0.0]])
+    leaning = np.array([[-0.2, -0.2, 1.0], [0.2, -0.2, 1.0], [0.0, 0.2, 1.0]])
+    leaning /= np.linalg.norm(leaning, axis=1)[:, None]
+    fine = displaced.refined(TriangleMesh(corners, np.array([[0, 1, 2]], np.int32), leaning), [defect], 0.1)
+    assert fine.normals is not None
+    weights = np.linalg.solve(
+        np.vstack([corners[:, :2].T, np.ones(3)]), np.vstack([fine.vertices[:, :2].T, np.ones(len(fine.vertices))])
+    )
+    expected = weights.T @ leaning
+    expected /= np.linalg.norm(expected, axis=1)[:, None]
+    np.testing.assert_allclose(fine.normals, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("light_deg", [25.0, 10.0])
+def test_the_reach_of_a_shadow_is_that_of_rays(light_deg: float) -> None:
+    """Rays along the ground towards a light find the last place in the shadow of a blister with walls of 22°."""
+    entry = next(entry for entry in SHAPES if entry.shape.kind == "blister")
+    shape = replace(entry.shape, slope=math.radians(22.0))
+    defect, fine = disturbed_plane(replace(entry, shape=shape))
+    moved = displaced.displaced(fine, [defect])
+    x = np.linspace(0.5 * shape.width, 3.0, 400)
+    ground = np.stack([defect.position[0] + x, np.full(len(x), defect.position[1]), np.zeros(len(x))], axis=1)
+    elevation = math.radians(light_deg)
+    light = defect.position + 1e3 * np.array([-math.cos(elevation), 0.0, math.sin(elevation)])
+    dark = RayCaster(moved.vertices, moved.faces).occluded(
+        ground,
+        np.tile([0.0, 0.0, 1.0], (len(x), 1)),
+        light[None],
+        point_index=np.arange(len(x), dtype=np.int32),
+        target_index=np.zeros(len(x), np.int32),
+    )
+    reach = x[dark].max(initial=0.5 * shape.width) - 0.5 * shape.width
+    assert reach == pytest.approx(displaced.reach_bound(shape, elevation), abs=0.01)
+    assert (reach > 0.0) == (light_deg < 22.0)
+
+
+@pytest.mark.nightly
+def test_the_benchmark_of_displaced_defects_compares_images_and_what_is_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    size = ["--parts", "cover-knob", "--seeds", "1", "--count", "14", "--width", "400", "--supersample", "2"]
+    displaced.main([*size, "--toy", "--factors", "1", "4", "--out", str(tmp_path)])
+    with (tmp_path / "displaced.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 * 2 * len(SHAPE_KINDS)
+    assert all(float(row["floor_max"]) < 0.05 for row in rows)
+    own = {factor: [row for row in rows if row["factor"] == factor] for factor in ("1.0", "4.0")}
+    assert all(0.9 < float(row["energy"]) < 1.1 and float(row["correlation"]) > 0.95 for row in own["1.0"])
+    off = [np.median([float(row["inside_rms"]) for row in some]) for some in own.values()]
+    assert off[1] > 4.0 * off[0]
+    assert all(float(row["reach"]) <= float(row["reach_bound"]) + displaced.SLACK_MM for row in rows)
+    assert "| 4 | blister | 2, 2 of 2 | 0, 0 |" in capsys.readouterr().out
 
 
 @pytest.mark.nightly

@@ -13,8 +13,10 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from displaced_picture import displaced_picture
 from frames_drawing import frames_drawing
 from PIL import Image
+from statistic_picture import statistic_picture
 
 from lightopt import build_scene, render
 from lightopt.images import read_exr, read_image_set
@@ -161,7 +163,7 @@ def report_picture(target: Path, folder: Path) -> None:
 
 
 def plan_pictures(blind: Path, page: Path, folder: Path) -> None:
-    """Why defects stay invisible, in the first posture of a plan; and the top of the plan's report."""
+    """Why defects are not found, in the first posture of a plan; and the top of the plan's report."""
     from browsers import opened
 
     out = folder / "planned"
@@ -224,6 +226,8 @@ def main() -> None:
         report_picture(PICTURES / "report.png", out)
         plan_pictures(PICTURES / "blind-spots.png", PICTURES / "plan.png", out)
         inspection_picture(PICTURES / "inspection.png", out)
+        statistic_picture(PICTURES / "statistic.png")
+        displaced_picture(PICTURES / "displaced.png")
     findings = lightopt("check", "configs/rigs/four-panel.yaml", "configs/parts/cover-knob.yaml")
     replace_block(DOCS / "tutorial" / "getting-started.md", "check", f"```text\n{findings.rstrip()}\n```")
     if not quick:

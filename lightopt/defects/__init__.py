@@ -1,7 +1,7 @@
 """Defects of a surface as geometry: profiles, where they lie, and what they do to normals and coefficients.
 
 Knows points, normals and lengths; no mesh, no camera and no light. Defects are microns deep, so they turn normals and
-move nothing: neither points nor silhouettes nor shadows.
+move nothing: neither points nor silhouettes nor shadows. ``benchmarks/displaced.py`` has what that costs.
 """
 
 from lightopt.defects._catalogue import BUILT_IN_CATALOGUE as BUILT_IN_CATALOGUE, CatalogueEntry as CatalogueEntry
