@@ -9,25 +9,33 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, counted
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
-from lightopt.estimate.registration import DARK_SPREAD
+from lightopt.estimate.registration import DARK_SPREAD, refuse_mismatch
 from lightopt.images import ImageSet
 from lightopt.inspection._files import InspectionFolder
 from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._results import InspectedPosture, InspectionResult, Verdict, judge
 from lightopt.inspection.calibration._calibration import CalibratedPosture, Calibration
-from lightopt.inspection.calibration._systematic import subtract_systematic
+from lightopt.inspection.calibration._systematic import (
+    divide_spread,
+    learned_view,
+    subtract_mean,
+    subtract_systematic,
+)
+from lightopt.inspection.detection._comparison import compare
 from lightopt.inspection.detection._coverage import measure_coverage, surface_coverage
 from lightopt.inspection.detection._defects import merge_detections
-from lightopt.inspection.detection._deviation import deviations
+from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._named_defects import join_explained
 from lightopt.inspection.detection._regions import find_regions, measure_regions, split_regions
 from lightopt.inspection.detection._registry import DETECTORS, RESIDUAL
 from lightopt.inspection.detection._residual_score import threshold
+from lightopt.inspection.detection._texture import texture_threshold, whiten_texture
 from lightopt.inspection.evaluation._evaluation import SetEvaluation, evaluate_set
 from lightopt.inspection.evaluation._ground_truth import TruthSource
 from lightopt.inspection.fusion._synthetic_image import synthetic_image
-from lightopt.inspection.prediction._posture_view import PostureView
+from lightopt.inspection.prediction._posture_view import PostureView, some_pixels
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
+from lightopt.inspection.prediction._reference import REFERENCES
 from lightopt.inspection.prediction._registered_set import RegisteredSet, nominal_pixels, register_set
 from lightopt.inspection.prediction._template_bank import TemplateBank
 from lightopt.scene import build_catalogue, part_postures, place_defects
@@ -127,6 +135,11 @@ def inspect_batch(
 def _require_valid(rig: RigConfig, part: PartConfig, options: InspectOptions, calibration: Calibration | None) -> None:
     if problems := options.problems():
         raise InputError(*problems)
+    if calibration is None and options.reference == "good-parts":
+        raise InputError(
+            "option 'reference': good-parts needs a calibration that was made from good parts; make one with lightopt "
+            "inspect RIG PART IMAGES --calibrate --reference good-parts, and give it by --calibration"
+        )
     if calibration is not None:
         calibration.require_match(rig, part, options)
 
@@ -141,10 +154,12 @@ def find_defects(
     run: RunContext,
 ) -> InspectionResult:
     """As :func:`inspect_set`, with options and calibration that are checked; warnings are in the result only."""
-    registered = register_set(rig, part, image_set, register=options.register, cache=cache, run=run)
+    registered = register_set(
+        rig, part, image_set, register=options.register, reference=options.reference, cache=cache, run=run
+    )
     where = str(image_set.folder)
     postures: list[InspectedPosture] = []
-    catalogue = build_catalogue(part) if DETECTORS[options.detector].uses_catalogue else ()
+    catalogue = build_catalogue(part) if DETECTORS[options.scored_by].uses_catalogue else ()
     for view, exposures in registered.views:
         calibrated = None if calibration is None else calibration.of(view.posture, exposures, where=where)
         bank: TemplateBank = ()
@@ -182,19 +197,18 @@ def _inspect_posture(
     where: str,
     threads: int | None,
 ) -> InspectedPosture:
-    found = deviations(view, threads=threads)
-    if calibrated is not None and calibrated.systematic is not None:
-        nominal = nominal_pixels(view, registered.nominal, registered.placement)
-        found = subtract_systematic(found, calibrated.systematic, nominal)
     make_synthetic = None
     if options.fusion is not None:
         make = functools.partial(synthetic_image, view, options.fusion, threads=threads)
         make_synthetic = functools.cache(make)
-    detector = DETECTORS[options.detector]
+    view, found = _compare(view, options, registered, calibrated, where, threads)
+    detector = DETECTORS[options.scored_by]
     scores = detector.score(found, options.min_images, make_synthetic, bank, threads)
     pixels = int(view.clean.sum())
     if calibrated is None:
         high = threshold(options.false_alarms, pixels, detector.tests)
+        if options.reference == "self":
+            high = texture_threshold(scores.score, found.usable.any(axis=0), high, options.false_alarms)
     else:
         high = calibrated.threshold(options.false_alarms)
     explained = [one for one in scores.explained if one.score >= high]
@@ -202,8 +216,10 @@ def _inspect_posture(
     if count + len(explained) > MOST_REGIONS:
         raise InputError(
             f"{where}, posture {view.posture}: {counted(count, 'region')} that differ from a good part, expected at "
-            f"most {MOST_REGIONS:,}: the model does not describe the part; check the sensor's noise in the rig file "
-            "and that the images have it, give a STEP file, and fit the reflectance (lightopt fit-specular)"
+            f"most {MOST_REGIONS:,}: the {REFERENCES[options.reference].basis} does not describe the part; check the "
+            "sensor's noise in the rig file and that the images have it; for a model, give a STEP file and fit the "
+            "reflectance (lightopt fit-specular); for a part without an exact model, compare with good parts "
+            "(--reference good-parts)"
         )
     labels, count = split_regions(labels, count, scores.unexplained, found, high)
     labels, count, owners = join_explained(labels, count, explained)
@@ -234,6 +250,29 @@ def _inspect_posture(
             threads=threads,
         ),
     )
+
+
+def _compare(
+    view: PostureView,
+    options: InspectOptions,
+    registered: RegisteredSet,
+    calibrated: CalibratedPosture | None,
+    where: str,
+    threads: int | None,
+) -> tuple[PostureView, Deviations]:
+    # a view with the levels of the reference, and the deviations from them
+    view, found = compare(view, options.reference, registered.neighbourhood_px, threads=threads)
+    if calibrated is None or calibrated.systematic is None:
+        return view, found
+    nominal = nominal_pixels(view, registered.nominal, registered.placement)
+    if options.reference != "good-parts":
+        return view, subtract_systematic(found, calibrated.systematic, nominal)
+    learned = learned_view(view, found, calibrated.systematic, nominal)
+    pixels = some_pixels(learned.clean)
+    place = f"{where}, posture {view.posture}"
+    refuse_mismatch(learned.level, learned.predicted, learned.limit, learned.deviation, pixels, place)
+    found = whiten_texture(subtract_mean(found, calibrated.systematic, nominal), threads=threads)
+    return learned, divide_spread(found, calibrated.systematic, nominal)
 
 
 def inspection_warnings(
