@@ -11,12 +11,14 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import pickle
 import tempfile
-import warnings
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,23 +26,30 @@ from scipy import ndimage
 
 from benchmarks._case import RIG
 from benchmarks.inspection import FIRST, replace_block
+from benchmarks.loop import run_command
 from lightopt import load_part, load_rig
+from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError
+from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import rotation_z
-from lightopt.estimate.registration import Placement, place_part
+from lightopt.estimate.registration import Placement, place_part, refuse_mismatch
 from lightopt.images import ImageSet, read_image_set, write_png
 from lightopt.inspection import (
-    Calibration,
-    InspectionResult,
+    REFERENCES,
     InspectOptions,
+    PostureView,
     PredictionCache,
-    calibrate,
-    inspect_set,
+    RegisteredSet,
+    calibrate_registered,
+    inspect_registered,
     region_hits,
+    register_set,
     sets_needed,
 )
+from lightopt.inspection.prediction._posture_view import some_pixels
+from lightopt.inspection.prediction._reference import ReferenceName
 from lightopt.optics import expose, image_rng
-from lightopt.rendering import PostureImages, cast_rays_at, render_posture
+from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.scene import build_scene
 
 Float = NDArray[np.float64]
@@ -55,16 +64,24 @@ STEP_MM = 0.2
 SHIFT_MM, TURN_RAD = 0.25, math.radians(0.15)
 """A part lies up to so far off its place."""
 
-CATALOGUE = """\
-defect_catalogue:
-  - {name: scratch, kind: scratch, size_mm: [6, 0.5], slope_deg: 6}
-  - {name: dent, kind: dent, size_mm: 2, slope_deg: 5}
-  - {name: bump, kind: bump, size_mm: 1.5, slope_deg: 5}
-  - {name: pit, kind: pit, size_mm: 0.8, slope_deg: 15}
-  - {name: blister, kind: blister, size_mm: 1.5, slope_deg: 6}
-  - {name: stain, kind: stain, size_mm: [2, 1.5], R_d_factor: 0.85}
-"""
+EFFECTS = (0.3, 0.1)
 DEFECTS = 6
+
+
+def catalogue(effect: float) -> str:
+    """Defects to place: slopes, and the light that a stain takes away, times an effect."""
+    lines = ["defect_catalogue:"]
+    shapes = {
+        "scratch": ("[6, 0.5]", 6),
+        "dent": ("2", 5),
+        "bump": ("1.5", 5),
+        "pit": ("0.8", 15),
+        "blister": ("1.5", 6),
+    }
+    for kind, (size, slope) in shapes.items():
+        lines.append(f"  - {{name: {kind}, kind: {kind}, size_mm: {size}, slope_deg: {effect * slope:g}}}")
+    lines.append(f"  - {{name: stain, kind: stain, size_mm: [2, 1.5], R_d_factor: {1.0 - 0.15 * effect:g}}}")
+    return "\n".join(lines) + "\n"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,12 +162,12 @@ def write_solid(path: Path, kind: Kind, surface: Surface | None, rng: np.random.
     path.write_bytes(bytes(80) + np.uint32(len(data)).tobytes() + data.tobytes())
 
 
-def part_text(mesh: str) -> str:
-    """A part file of a matte plate or disc."""
+def part_text(mesh: str, effect: float = 1.0) -> str:
+    """A part file of a matte plate or disc, with defects to place."""
     return (
         f"format: lightopt-part/1\nname: {mesh}\nmesh: {{file: {mesh}.stl, units: mm}}\n"
         "placement: {anchor: rest_on_table}\npostures: [{elevation_deg: 0, rotation_deg: 0}]\n"
-        f"reflectance: {{R_d: 170, R_s: 400, sigma_rad: 0.1}}\n{CATALOGUE}"
+        f"reflectance: {{R_d: 170, R_s: 400, sigma_rad: 0.1}}\n{catalogue(effect)}"
     )
 
 
@@ -172,27 +189,26 @@ def grain(kind: Kind, points: Float, rng: np.random.Generator) -> Float:
     return ndimage.map_coordinates(noise / noise.std(), where, order=1, mode="nearest")
 
 
-@dataclass(frozen=True)
-class Taken:
-    """The images of a part, and the number of the defect that each pixel shows, −1 for none; None for a good part."""
+def take(folder: Path, kind: Kind, seed: int, effect: float | None) -> tuple[ImageSet, NDArray[np.int32] | None]:
+    """Images of a part that lies off its place, with noise, texture and waves of a seed, and defects of an effect.
 
-    image_set: ImageSet
-    labels: NDArray[np.int32] | None = None
-
-
-def take(folder: Path, kind: Kind, seed: int, *, good: bool) -> Taken:
-    """Images of a part that lies off its place, with noise, texture and waves of a seed."""
-    rng = np.random.default_rng([11, seed, good])
-    out = folder / f"{'good' if good else 'bad'}-{seed:03}"
+    effect: None for a good part.
+    Returns: The images, and the number of the defect that each pixel shows, −1 for none; None for a good part.
+    """
+    rng = np.random.default_rng([11, seed])
+    out = folder / f"{seed:03}"
     out.mkdir()
-    name = f"own-{out.name}" if kind.own_surface else "own"
-    if not (folder / f"{name}.stl").exists():
-        write_solid(folder / f"{name}.stl", kind, kind.surface, rng)
-        (folder / f"{name}.yaml").write_text(part_text(name), encoding="utf-8")
-    path = folder / f"{name}.yaml"
-    if not good:
-        path = _with_defects(folder, path, seed)
-    scene = build_scene(load_rig(folder / "rig.yaml"), load_part(path), postures=(FIRST,), defects=not good)
+    mesh = f"own-{out.name}" if kind.own_surface else "own"
+    if not (folder / f"{mesh}.stl").exists():
+        write_solid(folder / f"{mesh}.stl", kind, kind.surface, rng)
+    path = folder / f"{mesh}.yaml"
+    path.write_text(part_text(mesh, effect or 1.0), encoding="utf-8")
+    if effect is not None:
+        path = folder / f"{out.name}.yaml"
+        which = "--seed", seed, "--count", DEFECTS
+        run_command("defects", folder / "rig.yaml", folder / f"{mesh}.yaml", *which, "-o", path, "-q")
+    rig = load_rig(folder / "rig.yaml")
+    scene = build_scene(rig, load_part(path), postures=(FIRST,), defects=effect is not None)
     x, y, turn = (float(a) for a in rng.uniform(-1.0, 1.0, 3) * (SHIFT_MM, SHIFT_MM, TURN_RAD))
     placed = place_part(scene, Placement(x=x, y=y, turn=turn))
     images = render_posture(placed, FIRST, caster=cast_rays_at(placed))
@@ -200,39 +216,141 @@ def take(folder: Path, kind: Kind, seed: int, *, good: bool) -> Taken:
     points = (images.geometry.points[hit].astype(np.float64) - [x, y, 0.0]) @ rotation_z(turn)
     common = grain(kind, points, rng)
     entries: list[dict[str, object]] = []
-    for number, image in enumerate(images.lights):
+    for number, (light, image) in enumerate(zip(rig.lights, images.lights, strict=True)):
         own = math.sqrt(kind.common) * common + math.sqrt(1.0 - kind.common) * grain(kind, points, rng)
         level = image.level.astype(np.float64)
         level[hit] *= np.maximum(1.0 + kind.grain * own, 0.0)
-        noise = image_rng(seed + 1000 * (not good), light=number, posture=0, exposure=0)
-        full_scale = scene.reflectance.full_scale
-        levels = expose(level, sensor=scene.sensor, exposure=1.0, full_scale=full_scale, rng=noise)
-        write_png(out / f"{image.light}.png", levels, metadata={})
-        light = next(one for one in load_rig(folder / "rig.yaml").lights if one.name == image.light)
-        entries.append(
-            {
-                "light": image.light,
-                "light_elevation_deg": light.elevation_deg,
-                "light_azimuth_deg": light.azimuth_deg,
-                "posture": FIRST.as_dict(),
-                "exposure": 1.0,
-                "png": f"{image.light}.png",
-            }
-        )
+        noise = image_rng(seed, light=number, posture=0, exposure=0)
+        levels = expose(level, sensor=scene.sensor, exposure=1.0, full_scale=255.0, rng=noise)
+        write_png(out / f"{light.name}.png", levels, metadata={})
+        angles = {"light_elevation_deg": light.elevation_deg, "light_azimuth_deg": light.azimuth_deg}
+        shot = {"posture": FIRST.as_dict(), "exposure": 1.0, "png": f"{light.name}.png"}
+        entries.append({"light": light.name, **angles, **shot})
     manifest = {"format": "lightopt-images/1", "kind": "captured", "bit_depth": 8, "full_scale": 255, "images": entries}
     (out / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
-    return Taken(read_image_set(out), _labels(images) if not good else None)
+    labels = images.geometry.defect
+    return read_image_set(out), None if labels is None else labels.astype(np.int32)
 
 
-def _labels(images: PostureImages) -> NDArray[np.int32]:
-    assert images.geometry.defect is not None
-    return images.geometry.defect.astype(np.int32)
+@dataclass(frozen=True)
+class Size:
+    """How many parts of a kind there are: good ones to learn from and to count, and bad ones of each effect."""
+
+    kinds: tuple[str, ...]
+    learned: int
+    good: int
+    bad: int
+    rate: float
 
 
-def _with_defects(folder: Path, part: Path, seed: int) -> Path:
-    from lightopt.cli._main import run
+FULL = Size(tuple(KINDS), sets_needed(0.1), 60, 6, 0.1)
+TOY = Size(("brushed plate",), sets_needed(0.5), 2, 1, 0.5)
 
-    out = folder / f"{part.stem}-{seed}.yaml"
-    words = ["defects", folder / "rig.yaml", part, "--seed", seed, "--count", DEFECTS, "-o", out, "-q", "--force"]
-    assert run([str(word) for word in words]) == 0
-    return out
+Registered = tuple[RegisteredSet, PostureView, NDArray[np.int32] | None]
+
+
+def register_once(folder: Path, name: str, size: Size) -> list[Path]:
+    """Take the images of all parts of a kind and register each: a file for each, which all references use."""
+    kind = KINDS[name]
+    rig_file, part_file = files(folder, kind)
+    rig, part = load_rig(rig_file), load_part(part_file)
+    effects = [None] * (size.learned + size.good) + [effect for effect in EFFECTS for _ in range(size.bad)]
+    cache, paths = PredictionCache(), list[Path]()
+    for seed, effect in enumerate(effects):
+        images, labels = take(folder, kind, seed, effect)
+        # the place does not depend on the reference; images that are not the model's are refused when they are compared
+        registered = register_set(
+            rig, part, images, register=True, reference="self", cache=cache, run=RunContext(threads=1)
+        )
+        ((view, _),) = registered.views
+        path = folder / f"{seed:03}.pickle"
+        path.write_bytes(pickle.dumps((replace(registered, views=iter(())), view, labels)))
+        paths.append(path)
+        if seed % 20 == 0:
+            print(f"{name}: {seed + 1} of {len(effects)} sets", flush=True)
+    return paths
+
+
+def read_registered(path: Path) -> Registered:
+    """A set that is registered, ready to be compared."""
+    registered, view, labels = cast("Registered", pickle.loads(path.read_bytes()))  # its own file
+    return replace(registered, views=iter([(view, dict.fromkeys(view.lights, ((1.0, 1),)))])), view, labels
+
+
+def try_kind(task: tuple[str, Size]) -> list[str]:
+    """Rows of the table: one kind of part, each reference."""
+    name, size = task
+    with tempfile.TemporaryDirectory(prefix="lightopt-references-") as place:
+        folder = Path(place)
+        paths = register_once(folder, name, size)
+        rig, part = load_rig(folder / "rig.yaml"), load_part(folder / "cad.yaml")
+        return [count(name, reference, rig, part, paths, size) for reference in REFERENCES]
+
+
+def count(
+    name: str, reference: ReferenceName, rig: RigConfig, part: PartConfig, paths: Sequence[Path], size: Size
+) -> str:
+    """A row of the table: false alarms of good parts and defects found, with a reference."""
+    options = InspectOptions(detector="residual", fusion=None, reference=reference, false_alarms=size.rate)
+    calibration = None
+    if reference == "good-parts":
+        sets = ((path.stem, read_registered(path)[0]) for path in paths[: size.learned])
+        names = [path.stem for path in paths[: size.learned]]
+        calibration = calibrate_registered(sets, names, options=options, fingerprint={}, threads=1)
+    alarms: list[int] = []
+    thresholds: list[float] = []
+    found, placed, refused = dict.fromkeys(EFFECTS, 0), dict.fromkeys(EFFECTS, 0), 0
+    for number, path in enumerate(paths[size.learned :]):
+        registered, view, labels = read_registered(path)
+        try:
+            if reference == "model":
+                levels = view.level, view.predicted, view.limit, view.deviation
+                refuse_mismatch(*levels, some_pixels(view.clean), path.stem)
+            result = inspect_registered(
+                rig, part, registered, path.stem, options=options, cache=PredictionCache(), calibration=calibration,
+                run=RunContext(threads=1),
+            )  # fmt: skip
+        except InputError:
+            refused += 1
+            continue
+        thresholds.append(result.postures[0].threshold)
+        if labels is None:
+            alarms.append(len(result.defects))
+            continue
+        effect = EFFECTS[(number - size.good) // size.bad]
+        seen = {int(index) for index in np.unique(labels[view.clean]) if index >= 0}
+        hits = region_hits(result.postures[0].labels, labels)
+        placed[effect] += len(seen)
+        found[effect] += len(seen & {int(index) for touched in hits for index in touched})
+    print(f"{name}, {reference}: threshold {np.median(thresholds) if thresholds else math.nan:.1f}", flush=True)
+    cells = [f"{sum(map(bool, alarms))} of {len(alarms)} ({sum(alarms)})"]
+    cells += [f"{found[effect]} of {placed[effect]}" for effect in EFFECTS]
+    return f"| {name} | {reference} | {' | '.join(cells)} | {refused} |"
+
+
+def table(rows: Sequence[str]) -> str:
+    """All kinds and references."""
+    effects = [f"found, effect {effect:g}" for effect in EFFECTS]
+    head = ["part", "reference", "good parts with false alarms (regions)", *effects, "refused sets"]
+    return "\n".join([f"| {' | '.join(head)} |", "|---" * len(head) + "|", *rows])
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--kinds", nargs="+", choices=list(KINDS), help="of parts; all by default")
+    parser.add_argument("--workers", type=int, default=2, help="kinds that are worked on at once")
+    parser.add_argument("--no-page", action="store_true", help="print the table only")
+    parser.add_argument("--toy", action="store_true", help="few parts of one kind; prints the table only")
+    given = parser.parse_args(arguments)
+    size = TOY if given.toy else FULL
+    tasks = [(name, size) for name in given.kinds or size.kinds]
+    # not forked: a copy of a process whose threads hold locks waits for ever
+    with ProcessPoolExecutor(given.workers, mp_context=get_context("spawn")) as pool:
+        rows = [row for rows in pool.map(try_kind, tasks) for row in rows]
+    print(table(rows))
+    if not given.no_page and not given.toy and not given.kinds:
+        replace_block("references", table(rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -15,13 +15,8 @@ from lightopt.inspection._files import InspectionFolder
 from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._results import InspectedPosture, InspectionResult, Verdict, judge
 from lightopt.inspection.calibration._calibration import CalibratedPosture, Calibration
-from lightopt.inspection.calibration._systematic import (
-    divide_spread,
-    learned_view,
-    subtract_mean,
-    subtract_systematic,
-)
-from lightopt.inspection.detection._comparison import compare
+from lightopt.inspection.calibration._systematic import divide_spread, learned_view, subtract_mean, subtract_systematic
+from lightopt.inspection.detection._comparison import compare, evaluable
 from lightopt.inspection.detection._coverage import measure_coverage, surface_coverage
 from lightopt.inspection.detection._defects import merge_detections
 from lightopt.inspection.detection._deviation import Deviations
@@ -42,6 +37,8 @@ from lightopt.scene import build_catalogue, part_postures, place_defects
 
 # a posture with more regions than this is not a part with so many defects: its model does not describe it
 MOST_REGIONS = 1000
+
+RAISED = 2.0  # a threshold that features of the surface raise by this factor is reported
 
 MOST_DARK_SHARE = 0.01  # a black level that is further off than this share of the sensor's range is reported
 
@@ -157,7 +154,23 @@ def find_defects(
     registered = register_set(
         rig, part, image_set, register=options.register, reference=options.reference, cache=cache, run=run
     )
-    where = str(image_set.folder)
+    return inspect_registered(
+        rig, part, registered, str(image_set.folder), options=options, cache=cache, calibration=calibration, run=run
+    )
+
+
+def inspect_registered(
+    rig: RigConfig,
+    part: PartConfig,
+    registered: RegisteredSet,
+    where: str,
+    *,
+    options: InspectOptions,
+    cache: PredictionCache,
+    calibration: Calibration | None,
+    run: RunContext,
+) -> InspectionResult:
+    """As :func:`find_defects`, of a set whose part is registered; `where` names the set in messages."""
     postures: list[InspectedPosture] = []
     catalogue = build_catalogue(part) if DETECTORS[options.scored_by].uses_catalogue else ()
     for view, exposures in registered.views:
@@ -183,6 +196,7 @@ def find_defects(
         placement=registered.placement if options.register else None,
         registration=found,
         warnings=warnings,
+        reference=options.reference,
         nominal=registered.nominal,
         surface=surface_coverage(registered.nominal, coverages, surface_map),
     )
@@ -208,7 +222,7 @@ def _inspect_posture(
     if calibrated is None:
         high = threshold(options.false_alarms, pixels, detector.tests)
         if options.reference == "self":
-            high = texture_threshold(scores.score, found.usable.any(axis=0), high, options.false_alarms)
+            high = texture_threshold(scores.score, found, high, options.false_alarms)
     else:
         high = calibrated.threshold(options.false_alarms)
     explained = [one for one in scores.explained if one.score >= high]
@@ -241,7 +255,7 @@ def _inspect_posture(
         ),
         coverage=measure_coverage(
             view,
-            found,
+            evaluable(found, view) if options.reference == "good-parts" else found,
             min_images=options.min_images,
             # the synthetic image has no deviations to measure a contrast by: what the residual detector would find
             high=threshold(options.false_alarms, pixels, RESIDUAL.tests)
@@ -285,9 +299,12 @@ def inspection_warnings(
     calibrated: bool = False,
 ) -> tuple[str, ...]:
     """Warnings of an inspection; `expected` are the postures of which there should be images."""
-    warnings = [*([] if calibrated else _uncalibrated_warnings(rig, options)), *registration]
+    warnings = [*_reference_warnings(options), *([] if calibrated else _uncalibrated_warnings(rig, options))]
+    warnings += registration
     for one in postures:
         warnings += [f"posture {one.view.posture}: {text}" for text in _posture_warnings(rig, one, options)]
+        if options.reference == "self" and not calibrated:
+            warnings += _texture_warnings(one, options)
     there = {one.view.posture for one in postures}
     warnings += [
         f"posture {posture}: no images; surface that only this posture shows was not inspected"
@@ -295,6 +312,29 @@ def inspection_warnings(
         if posture not in there
     ]
     return tuple(warnings)
+
+
+def _reference_warnings(options: InspectOptions) -> list[str]:
+    reference = REFERENCES[options.reference]
+    warnings = [f"reference {options.reference}: {reference.limits}"] if reference.limits else []
+    if options.scored_by != options.detector:
+        warnings.append(
+            f"detector {options.detector}: tests for whole defects in noise that is independent from pixel to pixel, "
+            f"which texture is not; with reference {options.reference}, detector {options.scored_by} is used"
+        )
+    return warnings
+
+
+def _texture_warnings(inspected: InspectedPosture, options: InspectOptions) -> list[str]:
+    law = threshold(options.false_alarms, int(inspected.view.clean.sum()), DETECTORS[options.scored_by].tests)
+    if inspected.threshold < RAISED * law:
+        return []
+    text = (
+        f"posture {inspected.view.posture}: the surface has features that their neighbourhood does not predict, such "
+        f"as a relief; the threshold is {inspected.threshold:.3g}, where even texture has {law:.3g}, and few defects "
+        "are found; compare with good parts (--reference good-parts)"
+    )
+    return [text]
 
 
 def _uncalibrated_warnings(rig: RigConfig, options: InspectOptions) -> list[str]:

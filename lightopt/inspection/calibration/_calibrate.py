@@ -114,13 +114,7 @@ def calibrate(
             yield (
                 str(one.folder),
                 register_set(
-                    rig,
-                    part,
-                    one,
-                    register=options.register,
-                    reference=options.reference,
-                    cache=cache,
-                    run=inner,
+                    rig, part, one, register=options.register, reference=options.reference, cache=cache, run=inner
                 ),
             )
 
@@ -199,10 +193,7 @@ def calibrate_registered(
             sets=tuple(names),
             postures=tuple(
                 CalibratedPosture(
-                    posture=posture,
-                    exposures=one.exposures,
-                    peaks=tuple(one.peaks),
-                    systematic=one.systematic,
+                    posture=posture, exposures=one.exposures, peaks=tuple(one.peaks), systematic=one.systematic
                 )
                 for posture, one in postures.items()
             ),

@@ -59,9 +59,7 @@ class PackedDeviations:
         z = np.clip(found.z.reshape(lights, -1)[:, own], -greatest, greatest)
         usable, lit = (flags.reshape(lights, -1)[:, own] for flags in (found.usable, found.lit))
         packed = z.astype(np.float16)
-        return PackedDeviations(
-            (rows, columns), own, nominal.ravel()[own], packed, usable, lit, found.correlation
-        )
+        return PackedDeviations((rows, columns), own, nominal.ravel()[own], packed, usable, lit, found.correlation)
 
     def at_pixels(self, to: Int32) -> Deviations:
         """In an image that has them at the pixels `own` or `nominal`; scales are not stored."""

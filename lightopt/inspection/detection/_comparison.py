@@ -1,7 +1,10 @@
 """The images of a posture compared with the reference of the inspection."""
 
+from dataclasses import replace
+
 import numpy as np
 
+from lightopt.defects import DARK
 from lightopt.inspection.detection._deviation import Deviations, deviations
 from lightopt.inspection.detection._texture import whiten_texture
 from lightopt.inspection.prediction._neighbourhood import neighbourhood_view
@@ -32,3 +35,10 @@ def compare(
     found.z[~known] = 0.0
     found = Deviations(found.z, found.scale, found.usable & known, found.lit & known)
     return view, whiten_texture(found, threads=threads)
+
+
+def evaluable(found: Deviations, view: PostureView) -> Deviations:
+    """Deviations that count where the levels of a view, and not the model's, are dark or saturated."""
+    full = view.saturated & (view.predicted + view.deviation >= view.limit)
+    usable = found.usable & ~full
+    return replace(found, usable=usable, lit=usable & (view.predicted >= np.float32(DARK) * view.deviation))

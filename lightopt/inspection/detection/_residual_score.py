@@ -177,6 +177,15 @@ def rank_scores(z: Float64, count: int, k: int, correlation: float = 0.0) -> Flo
     return -np.where(far, leading, np.log(near)) / _LN_10
 
 
+def deviation_of_score(score: float, count: int, k: int, correlation: float = 0.0) -> float:
+    """The `k`-th largest of `count` magnitudes that has a score, as far as one deviation is far from likely."""
+    if correlation > 0.0 and k > 1:
+        z = np.linspace(0.0, TABLED_Z, COARSE_STEPS)
+        return float(np.interp(score, _correlated_scores(z, count, k, correlation), z, right=np.inf))
+    each = (10.0**-score / float(special.binom(count, k))) ** (1.0 / k)
+    return -float(special.ndtri(0.5 * each))
+
+
 def _correlated_scores(z: Float64, count: int, k: int, correlation: float) -> Float64:
     # mean of the probability over the common part
     common = np.linspace(-FARTHEST_COMMON, FARTHEST_COMMON, COMMON_STEPS)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from lightopt.core.arrays import Bool, Float32, Float64, Int32
+from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 from lightopt.defects import SIZES, CatalogueEntry
@@ -120,20 +120,25 @@ class _LocalFit:
 
         def moment(values: Float64, powers: tuple[int, int]) -> Float64:
             down = ndimage.correlate1d(values, taps[powers[0]], axis=0, mode="constant")
-            return ndimage.correlate1d(down, taps[powers[1]], axis=1, mode="constant")
+            return np.asarray(ndimage.correlate1d(down, taps[powers[1]], axis=1, mode="constant"), np.float64)
 
         orders = [(a, b) for a in range(5) for b in range(5 - a)]
         moments = {powers: moment(weight, powers) for powers in orders}
-        normal = np.stack(
-            [np.stack([moments[a + c, b + d] for c, d in _POWERS], axis=-1) for a, b in _POWERS], axis=-2
-        )
-        normal += RIDGE * np.maximum(moments[0, 0], 1e-6)[..., None, None] * np.diag([1e-6, 1.0, 1.0, 1.0, 1.0, 1.0])
         units = np.array([self.width ** -(a + b) for a, b in _POWERS])
         result: list[Float64] = []
         for image in images:
             right = np.stack([moment(weight * image, powers) for powers in _POWERS], axis=-1)
-            result.append(np.linalg.solve(normal, right[..., None])[..., 0] * units)
+            rows = [self._solve(moments, right, row) for row in range(len(image))]
+            result.append(np.stack(rows) * units)
         return result
+
+    def _solve(self, moments: dict[tuple[int, int], Float64], right: Float64, row: int) -> Float64:
+        # a row at a time: matrices take six times as much memory as moments
+        terms = [[moments[a + c, b + d][row] for c, d in _POWERS] for a, b in _POWERS]
+        normal = np.moveaxis(np.array(terms), -1, 0)
+        total = np.maximum(normal[:, :1, :1], 1e-6)
+        normal += RIDGE * total * np.diag([1e-6, 1.0, 1.0, 1.0, 1.0, 1.0])
+        return np.linalg.solve(normal, right[row][..., None])[..., 0]
 
 
 @kernel
