@@ -6,7 +6,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.core.errors import InputError, counted
+from lightopt.core.errors import InputError, counted, percent
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import DARK_SPREAD, refuse_mismatch
@@ -17,7 +17,12 @@ from lightopt.inspection._results import InspectedPosture, InspectionResult, Ver
 from lightopt.inspection.calibration._calibration import CalibratedPosture, Calibration
 from lightopt.inspection.calibration._systematic import divide_spread, learned_view, subtract_mean, subtract_systematic
 from lightopt.inspection.detection._comparison import compare, evaluable
-from lightopt.inspection.detection._coverage import measure_coverage, surface_coverage
+from lightopt.inspection.detection._coverage import (
+    REFERENCE_CONTRAST,
+    REFERENCE_DEFECT,
+    measure_coverage,
+    surface_coverage,
+)
 from lightopt.inspection.detection._defects import merge_detections
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._named_defects import join_explained
@@ -38,7 +43,7 @@ from lightopt.scene import build_catalogue, part_postures, place_defects
 # a posture with more regions than this is not a part with so many defects: its model does not describe it
 MOST_REGIONS = 1000
 
-RAISED = 2.0  # a threshold that features of the surface raise by this factor is reported
+LEAST_SENSITIVE = 0.5  # texture that hides the reference defect on more of the surface than the rest is reported
 
 MOST_DARK_SHARE = 0.01  # a black level that is further off than this share of the sensor's range is reported
 
@@ -230,10 +235,7 @@ def _inspect_posture(
     if count + len(explained) > MOST_REGIONS:
         raise InputError(
             f"{where}, posture {view.posture}: {counted(count, 'region')} that differ from a good part, expected at "
-            f"most {MOST_REGIONS:,}: the {REFERENCES[options.reference].basis} does not describe the part; check the "
-            "sensor's noise in the rig file and that the images have it; for a model, give a STEP file and fit the "
-            "reflectance (lightopt fit-specular); for a part without an exact model, compare with good parts "
-            "(--reference good-parts)"
+            f"most {MOST_REGIONS:,}: {REFERENCES[options.reference].remedy}"
         )
     labels, count = split_regions(labels, count, scores.unexplained, found, high)
     labels, count, owners = join_explained(labels, count, explained)
@@ -303,8 +305,6 @@ def inspection_warnings(
     warnings += registration
     for one in postures:
         warnings += [f"posture {one.view.posture}: {text}" for text in _posture_warnings(rig, one, options)]
-        if options.reference == "self" and not calibrated:
-            warnings += _texture_warnings(one, options)
     there = {one.view.posture for one in postures}
     warnings += [
         f"posture {posture}: no images; surface that only this posture shows was not inspected"
@@ -323,18 +323,6 @@ def _reference_warnings(options: InspectOptions) -> list[str]:
             f"which texture is not; with reference {options.reference}, detector {options.scored_by} is used"
         )
     return warnings
-
-
-def _texture_warnings(inspected: InspectedPosture, options: InspectOptions) -> list[str]:
-    law = threshold(options.false_alarms, int(inspected.view.clean.sum()), DETECTORS[options.scored_by].tests)
-    if inspected.threshold < RAISED * law:
-        return []
-    text = (
-        f"posture {inspected.view.posture}: the surface has features that their neighbourhood does not predict, such "
-        f"as a relief; the threshold is {inspected.threshold:.3g}, where even texture has {law:.3g}, and few defects "
-        "are found; compare with good parts (--reference good-parts)"
-    )
-    return [text]
 
 
 def _uncalibrated_warnings(rig: RigConfig, options: InspectOptions) -> list[str]:
@@ -369,4 +357,11 @@ def _posture_warnings(rig: RigConfig, inspected: InspectedPosture, options: Insp
         warnings.append("no pixel shows the part off its edges; nothing was inspected")
     elif inspected.coverage.inspected == 0.0:
         warnings.append("no pixel is reached by light and unsaturated in any image; nothing was inspected")
+    elif options.reference == "self":
+        share = inspected.coverage.sensitivity[REFERENCE_CONTRAST] / inspected.coverage.inspected
+        if share < LEAST_SENSITIVE:
+            warnings.append(
+                f"texture or relief hides {REFERENCE_DEFECT} on {percent(1.0 - share)} of the inspected surface; "
+                "compare with good parts (--reference good-parts)"
+            )
     return warnings

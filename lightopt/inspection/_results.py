@@ -1,7 +1,7 @@
 """The result of an inspection, and the verdict by the limits of the part file."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 from lightopt.config import InspectionConfig
@@ -79,10 +79,11 @@ class InspectionResult:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
+        reference = REFERENCES[self.reference]
         return {
             "defects": [defect.as_dict() for defect in self.defects],
             "postures": [posture.as_dict() for posture in self.postures],
-            "reference": {"name": self.reference, **asdict(REFERENCES[self.reference])},
+            "reference": {"name": self.reference, "basis": reference.basis, "limits": reference.limits},
             "surface": self.surface.as_dict(),
             "placement": None if self.placement is None else self.placement.as_dict(),
             "registration": None if self.registration is None else self.registration.as_dict(),

@@ -33,9 +33,9 @@ LOCAL_PX = 48.0
 CLEAR = 3.0  # correlations of fewer standard errors than this are chance
 MOST_CORRELATION = 0.95
 
-# shares of the surface between whose scores their law is fitted, and how often what it finds is taken out of the fit
-UPPER_SHARE, LOWER_SHARE = 0.2, 0.02
-ROUNDS = 5
+# shares of the surface between whose scores their law is fitted: first where even large defects have little weight
+MIDDLE_SHARES, UPPER_SHARES = (0.5, 0.1), (0.2, 0.02)
+MOST_DEFECTIVE = 0.25  # regions and their surroundings that cover more than this share are texture
 
 
 def whiten_texture(found: Deviations, *, threads: int | None = None) -> Deviations:
@@ -167,20 +167,22 @@ def texture_threshold(score: Float32, found: Deviations, least: float, false_ala
     """Score that texture exceeds anywhere in a posture with at most about this probability, and no less than `least`.
 
     The share of the surface above a score is taken to fall exponentially, as it does for normal deviates of whatever
-    spread. The rate is fitted to the scores of the surface itself, without the regions that a threshold finds there.
+    spread. The rate is fitted to the scores of the surface itself, without defects: these are regions that stand out
+    from its middle scores, unless they cover more than :data:`MOST_DEFECTIVE` of it.
     """
     usable = np.asarray(found.usable.any(axis=0), np.bool_)
-    counted, high = usable, least
-    for _ in range(ROUNDS):
-        own = score[counted].astype(np.float64)
-        if not len(own):
-            break
-        low, up = (float(np.quantile(own, 1.0 - share)) for share in (UPPER_SHARE, LOWER_SHARE))
-        decades = math.log10(UPPER_SHARE * len(own) / false_alarms)
-        high = max(least, low + (up - low) / math.log10(UPPER_SHARE / LOWER_SHARE) * decades)
-        labels, _ = find_regions(score, high)
-        rest = usable & np.logical_not(ndimage.binary_dilation(labels > 0, iterations=SPREAD_PX))
-        if np.array_equal(rest, counted):
-            break
-        counted = rest
-    return high
+    if not usable.any():
+        return least
+    middle = max(least, _extrapolated(score[usable], MIDDLE_SHARES, false_alarms))
+    labels, _ = find_regions(score, middle)
+    rest = usable & np.logical_not(ndimage.binary_dilation(labels > 0, iterations=SPREAD_PX))
+    if np.count_nonzero(rest) < (1.0 - MOST_DEFECTIVE) * np.count_nonzero(usable):
+        rest = usable
+    return max(least, _extrapolated(score[rest], UPPER_SHARES, false_alarms))
+
+
+def _extrapolated(score: Float32, shares: tuple[float, float], false_alarms: float) -> float:
+    # the score that so small a share exceeds that the whole has these false alarms, on the line through two shares
+    low, up = (float(np.quantile(score, 1.0 - share)) for share in shares)
+    decades = math.log10(shares[0] * len(score) / false_alarms)
+    return low + (up - low) / math.log10(shares[0] / shares[1]) * decades
