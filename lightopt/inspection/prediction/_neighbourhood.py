@@ -22,7 +22,7 @@ from lightopt.scene import Scene, pixel_footprint
 # the neighbourhood is a Gaussian of this many times the width of the largest defect, and of at least so many pixels
 WIDTHS, LEAST_PX = 1.5, 10.0
 
-BLOCKS = 5.0  # blocks per standard deviation of the Gaussian
+BLOCKS = 3.0  # blocks per standard deviation of the Gaussian
 LARGEST_BLOCK_PX = 8
 FULL_BLOCK = 0.5  # a block counts where at least this share of its pixels does
 REACH = 3.0  # the Gaussian is cut off at so many standard deviations
