@@ -64,7 +64,7 @@ STEP_MM = 0.2
 SHIFT_MM, TURN_RAD = 0.25, math.radians(0.15)
 """A part lies up to so far off its place."""
 
-EFFECTS = (0.3, 0.1)
+EFFECTS = (1.0, 0.3)
 DEFECTS = 6
 
 
@@ -195,8 +195,9 @@ def take(folder: Path, kind: Kind, seed: int, effect: float | None) -> tuple[Ima
     effect: None for a good part.
     Returns: The images, and the number of the defect that each pixel shows, −1 for none; None for a good part.
     """
-    rng = np.random.default_rng([11, seed])
-    out = folder / f"{seed:03}"
+    good = effect is None
+    rng = np.random.default_rng([11, seed, good])
+    out = folder / f"{'good' if good else 'bad'}-{seed:03}"
     out.mkdir()
     mesh = f"own-{out.name}" if kind.own_surface else "own"
     if not (folder / f"{mesh}.stl").exists():
@@ -220,7 +221,7 @@ def take(folder: Path, kind: Kind, seed: int, effect: float | None) -> tuple[Ima
         own = math.sqrt(kind.common) * common + math.sqrt(1.0 - kind.common) * grain(kind, points, rng)
         level = image.level.astype(np.float64)
         level[hit] *= np.maximum(1.0 + kind.grain * own, 0.0)
-        noise = image_rng(seed, light=number, posture=0, exposure=0)
+        noise = image_rng(seed + 1000 * (not good), light=number, posture=0, exposure=0)
         levels = expose(level, sensor=scene.sensor, exposure=1.0, full_scale=255.0, rng=noise)
         write_png(out / f"{light.name}.png", levels, metadata={})
         angles = {"light_elevation_deg": light.elevation_deg, "light_azimuth_deg": light.azimuth_deg}
@@ -243,7 +244,7 @@ class Size:
     rate: float
 
 
-FULL = Size(tuple(KINDS), sets_needed(0.1), 60, 6, 0.1)
+FULL = Size(tuple(KINDS), sets_needed(0.1), 43, 6, 0.1)
 TOY = Size(("brushed plate",), sets_needed(0.5), 2, 1, 0.5)
 
 Registered = tuple[RegisteredSet, PostureView, NDArray[np.int32] | None]
@@ -254,20 +255,21 @@ def register_once(folder: Path, name: str, size: Size) -> list[Path]:
     kind = KINDS[name]
     rig_file, part_file = files(folder, kind)
     rig, part = load_rig(rig_file), load_part(part_file)
-    effects = [None] * (size.learned + size.good) + [effect for effect in EFFECTS for _ in range(size.bad)]
+    good = size.learned + size.good
+    tasks: list[tuple[int, float | None]] = [(seed, None) for seed in range(good)]
+    tasks += [(seed, EFFECTS[seed // size.bad]) for seed in range(len(EFFECTS) * size.bad)]
     cache, paths = PredictionCache(), list[Path]()
-    for seed, effect in enumerate(effects):
+    for seed, effect in tasks:
         images, labels = take(folder, kind, seed, effect)
         # the place does not depend on the reference; images that are not the model's are refused when they are compared
         registered = register_set(
             rig, part, images, register=True, reference="self", cache=cache, run=RunContext(threads=1)
         )
         ((view, _),) = registered.views
-        path = folder / f"{seed:03}.pickle"
+        path = folder / f"{images.folder.name}.pickle"
         path.write_bytes(pickle.dumps((replace(registered, views=iter(())), view, labels)))
         paths.append(path)
-        if seed % 20 == 0:
-            print(f"{name}: {seed + 1} of {len(effects)} sets", flush=True)
+        print(f"{name}: {len(paths)} of {len(tasks)} sets", flush=True)
     return paths
 
 

@@ -26,6 +26,7 @@ from lightopt.inspection import (
     score_deviations,
     threshold,
 )
+from lightopt.inspection.calibration._systematic import PackedDeviations, SystematicSums, subtract_mean
 from lightopt.inspection.detection._residual_score import deviation_of_score, rank_scores, smoothed_deviations
 from lightopt.inspection.detection._texture import EDGE_PX, texture_threshold, whiten_texture
 from lightopt.inspection.prediction._neighbourhood import _POWERS, RIDGE, _LocalFit, neighbourhood_view
@@ -222,6 +223,26 @@ def test_a_threshold_rises_with_heavy_scores_and_not_with_a_defect():
     marked[:, 100:140, 100:140] += 30.0
     score = score_deviations(replace(found, z=marked), min_images=2)
     assert texture_threshold(score, found, law, 0.05) < 1.2 * law
+
+
+# --- good parts
+
+
+def test_a_place_that_few_good_parts_show_is_not_usable():
+    found = noise(2, 60, 80)
+    nominal = np.arange(60 * 80, dtype=np.int32).reshape(60, 80)
+    sums = SystematicSums()
+    for seed in range(6):
+        one = noise(2, 60, 80, seed=seed + 1)
+        seen = one.usable.copy()
+        if seed:
+            seen[:, :, :40] = False
+        shown = replace(one, z=np.where(seen, one.z + 5.0, 0.0).astype(np.float32), usable=seen, lit=seen)
+        sums.add(PackedDeviations.of(shown, nominal))
+    after = subtract_mean(found, sums.systematic().where_known(), nominal)
+    assert not after.usable[:, :, :40].any()
+    assert np.array_equal(after.usable[:, :, 40:], found.usable[:, :, 40:])
+    assert after.z[after.usable].mean() == pytest.approx(-5.0, abs=0.2)
 
 
 # --- the command

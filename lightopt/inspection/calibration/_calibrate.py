@@ -56,11 +56,11 @@ class _GoodPosture:
     def refer_to_mean(self, threads: int | None) -> None:
         """Replace the deviations of each set from the model by those from the mean of the others."""
         from_model, self.sums = self.sums, SystematicSums()
-        self.mean = from_model.systematic()
+        self.mean = from_model.systematic().where_known()
         for path in self.packed:
             one = PackedDeviations.load(path)
             nominal = one.nominal_image()
-            found = subtract_mean(one.at_pixels(one.own), from_model.systematic(but=one), nominal)
+            found = subtract_mean(one.at_pixels(one.own), from_model.systematic(but=one).where_known(), nominal)
             packed = PackedDeviations.of(whiten_texture(found, threads=threads), nominal)
             self.sums.add(packed)
             packed.save(path)

@@ -34,6 +34,10 @@ class SystematicDeviations:
     mean: Float32
     spread: Float32
 
+    def where_known(self) -> SystematicDeviations:
+        """The same, with a mean of NaN where too few sets show a place, and only there the spread is 1."""
+        return replace(self, mean=np.where(self.spread > 1.0, self.mean, np.float32(np.nan)))
+
 
 @dataclass(frozen=True)
 class PackedDeviations:
@@ -101,13 +105,15 @@ class PackedDeviations:
 
 def subtract_systematic(found: Deviations, systematic: SystematicDeviations, nominal: Int32) -> Deviations:
     """Deviations without the common deviations of good parts in that posture, under the same lights."""
-    return divide_spread(subtract_mean(found, systematic, nominal), systematic, nominal)
+    z = np.where(found.usable, found.z - _at_pixels(systematic.mean, nominal, 0.0), np.float32(0.0))
+    return divide_spread(replace(found, z=z), systematic, nominal)
 
 
 def subtract_mean(found: Deviations, systematic: SystematicDeviations, nominal: Int32) -> Deviations:
-    """Deviations from the mean of good parts."""
-    z = np.where(found.usable, found.z - _at_pixels(systematic.mean, nominal, 0.0), np.float32(0.0))
-    return replace(found, z=z)
+    """Deviations from the mean of good parts; a place that has none, from :meth:`where_known`, is not usable."""
+    off = found.z - _at_pixels(systematic.mean, nominal, np.nan)
+    usable = found.usable & np.isfinite(off)
+    return replace(found, z=np.where(usable, off, np.float32(0.0)), usable=usable, lit=found.lit & usable)
 
 
 def divide_spread(found: Deviations, systematic: SystematicDeviations, nominal: Int32) -> Deviations:
@@ -118,7 +124,7 @@ def divide_spread(found: Deviations, systematic: SystematicDeviations, nominal: 
 
 def learned_view(view: PostureView, found: Deviations, systematic: SystematicDeviations, nominal: Int32) -> PostureView:
     """A view with the levels of good parts, given the deviations `found` from the model."""
-    level = view.predicted + _at_pixels(systematic.mean, nominal, 0.0) * found.scale
+    level = view.predicted + np.nan_to_num(_at_pixels(systematic.mean, nominal, 0.0)) * found.scale
     return replace(view, predicted=np.where(view.predicted > 0.0, np.maximum(level, np.float32(1e-6)), np.float32(0.0)))
 
 
