@@ -364,6 +364,19 @@ def test_good_parts_are_the_reference_of_a_print_that_the_model_lacks(cli, plate
     assert "--reference: calibration.json was made with good-parts, found model" in ran.err
 
 
+def test_good_parts_set_the_threshold_of_the_own_neighbourhood(cli, plate):
+    sets = [take(plate, f"g{i}", i, marks=0.04) for i in range(5)]
+    options = ("--no-register", "--reference", "self")
+    ran = inspect(cli, plate, sets, *options, "--calibrate", "--false-alarms", "0.5", out="cal")
+    assert ran.status == 0, ran.err
+    peaks = json.loads((plate.folder / "cal" / "calibration.json").read_text(encoding="utf-8"))["postures"][0]["peaks"]
+    bad = take(plate, "bad", 9, marks=0.04, stain=0.3)
+    assert inspect(cli, plate, bad, *options, "--calibration", plate.folder / "cal").status == 0
+    found = result(plate)
+    assert found["postures"][0]["threshold"] == pytest.approx(max(3.0, *peaks), abs=1e-3)
+    assert any(map(at_stain, found["defects"]))
+
+
 def test_images_that_are_not_like_the_good_parts_are_refused(cli, plate):
     sets = [take(plate, f"g{i}", i, print_=0.8) for i in range(5)]
     options = ("--no-register", "--reference", "good-parts")
