@@ -466,3 +466,17 @@ def test_the_benchmark_of_calibration_counts_good_sets() -> None:
         plain, held = (int(row[k].split(" of ")[0]) for k in (2, 4))
         assert plain >= 3
         assert held <= 2
+
+
+@pytest.mark.nightly
+def test_the_benchmark_of_references_counts_good_and_bad_parts(capsys: pytest.CaptureFixture[str]) -> None:
+    from benchmarks import inspection, references
+
+    before = inspection.PAGE.read_bytes()
+    references.main(["--toy", "--workers", "1"])
+    assert inspection.PAGE.read_bytes() == before
+    rows = [line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines() if line.startswith("| br")]
+    assert [row[1] for row in rows] == ["model", "good-parts", "self"]
+    assert rows[0][2].startswith("2 of 2 ")  # brush marks are not in the model
+    assert rows[2][2].startswith("0 of 2 ")
+    assert all(int(row[3].split(" of ")[0]) >= 5 for row in rows[1:])

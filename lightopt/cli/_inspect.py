@@ -40,6 +40,14 @@ def inspect(
             "catalogue as whole shapes; template: dots and lines in the synthetic image.",
         ),
     ] = "catalogue",
+    reference: Annotated[
+        str,
+        common.model_option(
+            metavar="model|good-parts|self",
+            help="What the images are compared with. model: mesh and reflectance; good-parts: levels that a "
+            "calibration learned from good parts; self: the smooth neighbourhood of each place in the images.",
+        ),
+    ] = "model",
     fusion: Annotated[
         str,
         common.model_option(
@@ -103,6 +111,7 @@ def inspect(
     options = inspection.InspectOptions(
         detector=detector,
         fusion=None if fusion == "none" else cast("Any", fusion),
+        reference=cast("Any", reference),
         false_alarms=false_alarms,
         min_images=min_images,
         register=register,
@@ -337,10 +346,12 @@ def _show_evaluation(summary: Mapping[str, Any], *, verbose: bool) -> None:
 
 def _show_inspection(result: inspection.InspectionResult, verdict: inspection.Verdict, *, verbose: bool) -> None:
     # the verdict, defects, where the part lies, what was inspected
-    from lightopt.inspection import REFERENCE_DEFECT
+    from lightopt.inspection import REFERENCE_DEFECT, REFERENCES
     from lightopt.report.inspection import dark_text, defect_table, placement_text, surface_notes, surface_table
 
     echo(f"{verdict.word}: {verdict.explanation}")
+    if result.reference != "model":
+        echo(f"compared with: {REFERENCES[result.reference].basis}")
     if result.defects:
         show_page_table(defect_table(result, verdict), most=None if verbose else MOST_DEFECTS)
         if not verbose and len(result.defects) > MOST_DEFECTS:

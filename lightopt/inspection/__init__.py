@@ -14,6 +14,7 @@ from lightopt.inspection._files import (
 from lightopt.inspection._inspect import (
     InspectedSet as InspectedSet,
     inspect_batch as inspect_batch,
+    inspect_registered as inspect_registered,
     inspect_set as inspect_set,
 )
 from lightopt.inspection._options import InspectOptions as InspectOptions
@@ -82,9 +83,11 @@ from lightopt.inspection.fusion._synthetic_image import (
 from lightopt.inspection.prediction._posture_view import PostureView as PostureView, posture_view as posture_view
 from lightopt.inspection.prediction._predict import predict as predict
 from lightopt.inspection.prediction._prediction_cache import PredictionCache as PredictionCache
+from lightopt.inspection.prediction._reference import REFERENCES as REFERENCES
 from lightopt.inspection.prediction._registered_set import (
     RegisteredSet as RegisteredSet,
     nominal_pixels as nominal_pixels,
     nominal_scene as nominal_scene,
     register_part as register_part,
+    register_set as register_set,
 )

@@ -6,8 +6,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
-from lightopt.core.arrays import Bool, Float32
+from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 
@@ -48,6 +49,14 @@ def gaussian_taps(scale: float) -> Float32:
     reach = math.ceil(REACH * scale)
     taps = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1) / scale))
     return (taps / taps.sum()).astype(np.float32)
+
+
+def convolve(image: Float64, weights: Float64) -> Float64:
+    """Convolve an image, shape (H, W), with weights of an odd square; beyond the image's border is nothing."""
+    shape = [fft.next_fast_len(n + t - 1, real=True) for n, t in zip(image.shape, weights.shape, strict=True)]
+    reach = weights.shape[0] // 2
+    full = np.asarray(fft.irfft2(np.asarray(fft.rfft2(image, shape)) * np.asarray(fft.rfft2(weights, shape)), shape))
+    return full[reach : reach + image.shape[0], reach : reach + image.shape[1]]
 
 
 @kernel

@@ -6,34 +6,44 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.core.errors import InputError, counted
+from lightopt.core.errors import InputError, counted, percent
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
-from lightopt.estimate.registration import DARK_SPREAD
+from lightopt.estimate.registration import DARK_SPREAD, refuse_mismatch
 from lightopt.images import ImageSet
 from lightopt.inspection._files import InspectionFolder
 from lightopt.inspection._options import InspectOptions
 from lightopt.inspection._results import InspectedPosture, InspectionResult, Verdict, judge
 from lightopt.inspection.calibration._calibration import CalibratedPosture, Calibration
-from lightopt.inspection.calibration._systematic import subtract_systematic
-from lightopt.inspection.detection._coverage import measure_coverage, surface_coverage
+from lightopt.inspection.calibration._systematic import divide_spread, learned_view, subtract_mean, subtract_systematic
+from lightopt.inspection.detection._comparison import compare, evaluable
+from lightopt.inspection.detection._coverage import (
+    REFERENCE_CONTRAST,
+    REFERENCE_DEFECT,
+    measure_coverage,
+    surface_coverage,
+)
 from lightopt.inspection.detection._defects import merge_detections
-from lightopt.inspection.detection._deviation import deviations
+from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._named_defects import join_explained
 from lightopt.inspection.detection._regions import find_regions, measure_regions, split_regions
 from lightopt.inspection.detection._registry import DETECTORS, RESIDUAL
 from lightopt.inspection.detection._residual_score import threshold
+from lightopt.inspection.detection._texture import texture_threshold, whiten_texture
 from lightopt.inspection.evaluation._evaluation import SetEvaluation, evaluate_set
 from lightopt.inspection.evaluation._ground_truth import TruthSource
 from lightopt.inspection.fusion._synthetic_image import synthetic_image
-from lightopt.inspection.prediction._posture_view import PostureView
+from lightopt.inspection.prediction._posture_view import PostureView, some_pixels
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
+from lightopt.inspection.prediction._reference import REFERENCES
 from lightopt.inspection.prediction._registered_set import RegisteredSet, nominal_pixels, register_set
 from lightopt.inspection.prediction._template_bank import TemplateBank
 from lightopt.scene import build_catalogue, part_postures, place_defects
 
 # a posture with more regions than this is not a part with so many defects: its model does not describe it
 MOST_REGIONS = 1000
+
+LEAST_SENSITIVE = 0.5  # texture that hides the reference defect on more of the surface than the rest is reported
 
 MOST_DARK_SHARE = 0.01  # a black level that is further off than this share of the sensor's range is reported
 
@@ -127,6 +137,11 @@ def inspect_batch(
 def _require_valid(rig: RigConfig, part: PartConfig, options: InspectOptions, calibration: Calibration | None) -> None:
     if problems := options.problems():
         raise InputError(*problems)
+    if calibration is None and options.reference == "good-parts":
+        raise InputError(
+            "option 'reference': good-parts needs a calibration that was made from good parts; make one with lightopt "
+            "inspect RIG PART IMAGES --calibrate --reference good-parts, and give it by --calibration"
+        )
     if calibration is not None:
         calibration.require_match(rig, part, options)
 
@@ -141,10 +156,28 @@ def find_defects(
     run: RunContext,
 ) -> InspectionResult:
     """As :func:`inspect_set`, with options and calibration that are checked; warnings are in the result only."""
-    registered = register_set(rig, part, image_set, register=options.register, cache=cache, run=run)
-    where = str(image_set.folder)
+    registered = register_set(
+        rig, part, image_set, register=options.register, reference=options.reference, cache=cache, run=run
+    )
+    return inspect_registered(
+        rig, part, registered, str(image_set.folder), options=options, cache=cache, calibration=calibration, run=run
+    )
+
+
+def inspect_registered(
+    rig: RigConfig,
+    part: PartConfig,
+    registered: RegisteredSet,
+    where: str,
+    *,
+    options: InspectOptions,
+    cache: PredictionCache,
+    calibration: Calibration | None,
+    run: RunContext,
+) -> InspectionResult:
+    """As :func:`find_defects`, of a set whose part is registered; `where` names the set in messages."""
     postures: list[InspectedPosture] = []
-    catalogue = build_catalogue(part) if DETECTORS[options.detector].uses_catalogue else ()
+    catalogue = build_catalogue(part) if DETECTORS[options.scored_by].uses_catalogue else ()
     for view, exposures in registered.views:
         calibrated = None if calibration is None else calibration.of(view.posture, exposures, where=where)
         bank: TemplateBank = ()
@@ -168,6 +201,7 @@ def find_defects(
         placement=registered.placement if options.register else None,
         registration=found,
         warnings=warnings,
+        reference=options.reference,
         nominal=registered.nominal,
         surface=surface_coverage(registered.nominal, coverages, surface_map),
     )
@@ -182,19 +216,18 @@ def _inspect_posture(
     where: str,
     threads: int | None,
 ) -> InspectedPosture:
-    found = deviations(view, threads=threads)
-    if calibrated is not None and calibrated.systematic is not None:
-        nominal = nominal_pixels(view, registered.nominal, registered.placement)
-        found = subtract_systematic(found, calibrated.systematic, nominal)
     make_synthetic = None
     if options.fusion is not None:
         make = functools.partial(synthetic_image, view, options.fusion, threads=threads)
         make_synthetic = functools.cache(make)
-    detector = DETECTORS[options.detector]
+    view, found = _compare(view, options, registered, calibrated, where, threads)
+    detector = DETECTORS[options.scored_by]
     scores = detector.score(found, options.min_images, make_synthetic, bank, threads)
     pixels = int(view.clean.sum())
     if calibrated is None:
         high = threshold(options.false_alarms, pixels, detector.tests)
+        if options.reference == "self":
+            high = texture_threshold(scores.score, found, high, options.false_alarms)
     else:
         high = calibrated.threshold(options.false_alarms)
     explained = [one for one in scores.explained if one.score >= high]
@@ -202,8 +235,7 @@ def _inspect_posture(
     if count + len(explained) > MOST_REGIONS:
         raise InputError(
             f"{where}, posture {view.posture}: {counted(count, 'region')} that differ from a good part, expected at "
-            f"most {MOST_REGIONS:,}: the model does not describe the part; check the sensor's noise in the rig file "
-            "and that the images have it, give a STEP file, and fit the reflectance (lightopt fit-specular)"
+            f"most {MOST_REGIONS:,}: {REFERENCES[options.reference].remedy}"
         )
     labels, count = split_regions(labels, count, scores.unexplained, found, high)
     labels, count, owners = join_explained(labels, count, explained)
@@ -225,7 +257,7 @@ def _inspect_posture(
         ),
         coverage=measure_coverage(
             view,
-            found,
+            evaluable(found, view) if options.reference == "good-parts" else found,
             min_images=options.min_images,
             # the synthetic image has no deviations to measure a contrast by: what the residual detector would find
             high=threshold(options.false_alarms, pixels, RESIDUAL.tests)
@@ -234,6 +266,29 @@ def _inspect_posture(
             threads=threads,
         ),
     )
+
+
+def _compare(
+    view: PostureView,
+    options: InspectOptions,
+    registered: RegisteredSet,
+    calibrated: CalibratedPosture | None,
+    where: str,
+    threads: int | None,
+) -> tuple[PostureView, Deviations]:
+    # a view with the levels of the reference, and the deviations from them
+    view, found = compare(view, options.reference, registered.neighbourhood_px, threads=threads)
+    if calibrated is None or calibrated.systematic is None:
+        return view, found
+    nominal = nominal_pixels(view, registered.nominal, registered.placement)
+    if options.reference != "good-parts":
+        return view, subtract_systematic(found, calibrated.systematic, nominal)
+    learned = learned_view(view, found, calibrated.systematic, nominal)
+    pixels = some_pixels(learned.clean)
+    place = f"{where}, posture {view.posture}"
+    refuse_mismatch(learned.level, learned.predicted, learned.limit, learned.deviation, pixels, place)
+    found = whiten_texture(subtract_mean(found, calibrated.systematic, nominal), threads=threads)
+    return learned, divide_spread(found, calibrated.systematic, nominal)
 
 
 def inspection_warnings(
@@ -246,7 +301,8 @@ def inspection_warnings(
     calibrated: bool = False,
 ) -> tuple[str, ...]:
     """Warnings of an inspection; `expected` are the postures of which there should be images."""
-    warnings = [*([] if calibrated else _uncalibrated_warnings(rig, options)), *registration]
+    warnings = [*_reference_warnings(options), *([] if calibrated else _uncalibrated_warnings(rig, options))]
+    warnings += registration
     for one in postures:
         warnings += [f"posture {one.view.posture}: {text}" for text in _posture_warnings(rig, one, options)]
     there = {one.view.posture for one in postures}
@@ -256,6 +312,17 @@ def inspection_warnings(
         if posture not in there
     ]
     return tuple(warnings)
+
+
+def _reference_warnings(options: InspectOptions) -> list[str]:
+    reference = REFERENCES[options.reference]
+    warnings = [f"reference {options.reference}: {reference.limits}"] if reference.limits else []
+    if options.scored_by != options.detector:
+        warnings.append(
+            f"detector {options.detector}: tests for whole defects in noise that is independent from pixel to pixel, "
+            f"which texture is not; with reference {options.reference}, detector {options.scored_by} is used"
+        )
+    return warnings
 
 
 def _uncalibrated_warnings(rig: RigConfig, options: InspectOptions) -> list[str]:
@@ -290,4 +357,11 @@ def _posture_warnings(rig: RigConfig, inspected: InspectedPosture, options: Insp
         warnings.append("no pixel shows the part off its edges; nothing was inspected")
     elif inspected.coverage.inspected == 0.0:
         warnings.append("no pixel is reached by light and unsaturated in any image; nothing was inspected")
+    elif options.reference == "self":
+        share = inspected.coverage.sensitivity[REFERENCE_CONTRAST] / inspected.coverage.inspected
+        if share < LEAST_SENSITIVE:
+            warnings.append(
+                f"texture or relief hides {REFERENCE_DEFECT} on {percent(1.0 - share)} of the inspected surface; "
+                "compare with good parts (--reference good-parts)"
+            )
     return warnings

@@ -13,6 +13,7 @@ from lightopt.inspection.detection._coverage import REFERENCE_CONTRAST, PostureC
 from lightopt.inspection.detection._defects import Detection, FoundDefect
 from lightopt.inspection.fusion._synthetic_image import SyntheticImage
 from lightopt.inspection.prediction._posture_view import PostureView
+from lightopt.inspection.prediction._reference import REFERENCES, ReferenceName
 from lightopt.scene import Scene
 
 
@@ -63,6 +64,7 @@ class InspectionResult:
     registration: the search that found it, or the part of the batch that it lies near; None where there was none.
     warnings: missing lights and postures, and so on.
     nominal: the scene with the part where its file has it.
+    reference: what the images were compared with.
     surface: of the part, each place counted once however many postures show it.
     """
 
@@ -71,14 +73,17 @@ class InspectionResult:
     placement: Placement | None
     registration: Registration | None = None
     warnings: tuple[str, ...]
+    reference: ReferenceName = "model"
     nominal: Scene = field(repr=False, compare=False)
     surface: SurfaceCoverage
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
+        reference = REFERENCES[self.reference]
         return {
             "defects": [defect.as_dict() for defect in self.defects],
             "postures": [posture.as_dict() for posture in self.postures],
+            "reference": {"name": self.reference, "basis": reference.basis, "limits": reference.limits},
             "surface": self.surface.as_dict(),
             "placement": None if self.placement is None else self.placement.as_dict(),
             "registration": None if self.registration is None else self.registration.as_dict(),

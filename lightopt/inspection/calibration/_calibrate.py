@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -19,9 +19,18 @@ from lightopt.inspection.calibration._calibration import (
     least_rate,
     too_few_good_sets,
 )
-from lightopt.inspection.calibration._systematic import PackedDeviations, SystematicSums, subtract_systematic
-from lightopt.inspection.detection._deviation import deviations
+from lightopt.inspection.calibration._systematic import (
+    GREATEST_Z,
+    PackedDeviations,
+    SystematicDeviations,
+    SystematicSums,
+    divide_spread,
+    subtract_mean,
+    subtract_systematic,
+)
+from lightopt.inspection.detection._comparison import GREATEST_LEARNED_Z, compare
 from lightopt.inspection.detection._registry import DETECTORS
+from lightopt.inspection.detection._texture import whiten_texture
 from lightopt.inspection.fusion._synthetic_image import synthetic_image
 from lightopt.inspection.prediction._prediction_cache import PredictionCache
 from lightopt.inspection.prediction._registered_set import ExposuresByLight, RegisteredSet, nominal_pixels, register_set
@@ -31,19 +40,46 @@ from lightopt.scene import build_catalogue
 
 @dataclass
 class _GoodPosture:
-    """What is gathered of one posture from good set to good set."""
+    """What is gathered of one posture from good set to good set.
+
+    mean: of the deviations from the model, where good parts are the reference and not the model; the others are then
+        deviations from that.
+    """
 
     exposures: ExposuresByLight
     first_set: str
     packed: list[Path] = field(default_factory=list)
     peaks: list[float] = field(default_factory=list)
     sums: SystematicSums = field(default_factory=SystematicSums)
+    mean: SystematicDeviations | None = None
+
+    def refer_to_mean(self, threads: int | None) -> None:
+        """Replace the deviations of each set from the model by those from the mean of the others."""
+        from_model, self.sums = self.sums, SystematicSums()
+        self.mean = from_model.systematic().where_known()
+        for path in self.packed:
+            one = PackedDeviations.load(path)
+            nominal = one.nominal_image()
+            found = subtract_mean(one.at_pixels(one.own), from_model.systematic(but=one).where_known(), nominal)
+            packed = PackedDeviations.of(whiten_texture(found, threads=threads), nominal)
+            self.sums.add(packed)
+            packed.save(path)
+
+    @property
+    def systematic(self) -> SystematicDeviations | None:
+        """What the sets have in common; None for a detector that does not use deviations."""
+        if not self.packed:
+            return None
+        common = self.sums.systematic()
+        return common if self.mean is None else replace(common, mean=self.mean.mean)
 
     def judge_next(self, options: InspectOptions, bank: TemplateBank, threads: int | None) -> None:
         """Judge the first set that is not judged yet by what the others have in common."""
         one = PackedDeviations.load(self.packed[len(self.peaks)])
-        found = subtract_systematic(one.at_pixels(one.own), self.sums.systematic(but=one), one.nominal_image())
-        scores = DETECTORS[options.detector].score(found, options.min_images, None, bank, threads)
+        common, found = self.sums.systematic(but=one), one.at_pixels(one.own)
+        subtract = subtract_systematic if self.mean is None else divide_spread
+        found = subtract(found, common, one.nominal_image())
+        scores = DETECTORS[options.scored_by].score(found, options.min_images, None, bank, threads)
         self.peaks.append(float(scores.score.max(initial=0.0)))
 
 
@@ -70,12 +106,17 @@ def calibrate(
         raise InputError(*problems)
 
     cache = PredictionCache()
-    catalogue = build_catalogue(part)
+    catalogue = build_catalogue(part) if DETECTORS[options.scored_by].uses_catalogue else ()
 
     def registered() -> Iterator[tuple[str, RegisteredSet]]:
         for one in sets:
             inner = run.within(f"good set {one.folder.name}")
-            yield (str(one.folder), register_set(rig, part, one, register=options.register, cache=cache, run=inner))
+            yield (
+                str(one.folder),
+                register_set(
+                    rig, part, one, register=options.register, reference=options.reference, cache=cache, run=inner
+                ),
+            )
 
     def banks() -> Iterator[tuple[Posture, TemplateBank]]:
         for _, one in registered():
@@ -108,7 +149,7 @@ def calibrate_registered(
         sets at once would fill the memory.
     """
     require_good_sets(len(names), options)
-    detector = DETECTORS[options.detector]
+    detector, learned = DETECTORS[options.scored_by], options.reference == "good-parts"
     postures: dict[Posture, _GoodPosture] = {}
     with tempfile.TemporaryDirectory(prefix="lightopt-calibration-") as folder:
         for number, (name, registered) in enumerate(sets):
@@ -118,7 +159,7 @@ def calibrate_registered(
                     postures[view.posture] = _GoodPosture(exposures, name)
                 gathered = _same_images(postures, view.posture, exposures, name)
                 seen.append(view.posture)
-                found = deviations(view, threads=threads)
+                view, found = compare(view, options.reference, registered.neighbourhood_px, threads=threads)
                 if detector.uses_synthetic:
                     assert options.fusion is not None
                     make_synthetic = partial(synthetic_image, view, options.fusion, probes=0, threads=threads)
@@ -126,7 +167,7 @@ def calibrate_registered(
                     gathered.peaks.append(float(scores.score.max(initial=0.0)))
                     continue
                 nominal = nominal_pixels(view, registered.nominal, registered.placement)
-                packed = PackedDeviations.of(found, nominal)
+                packed = PackedDeviations.of(found, nominal, greatest=GREATEST_LEARNED_Z if learned else GREATEST_Z)
                 gathered.sums.add(packed)
                 path = Path(folder) / f"{number}-{posture_folder(view.posture)}.npz"
                 packed.save(path)
@@ -136,6 +177,9 @@ def calibrate_registered(
                     f"{name}: no images of posture {', '.join(map(str, missing))}, which "
                     f"{postures[missing[0]].first_set} has; give good sets of the same postures"
                 )
+        if learned:
+            for gathered in postures.values():
+                gathered.refer_to_mean(threads)
         if detector.uses_catalogue:
             assert banks is not None
             for posture, bank in banks():
@@ -149,10 +193,7 @@ def calibrate_registered(
             sets=tuple(names),
             postures=tuple(
                 CalibratedPosture(
-                    posture=posture,
-                    exposures=one.exposures,
-                    peaks=tuple(one.peaks),
-                    systematic=one.sums.systematic() if one.packed else None,
+                    posture=posture, exposures=one.exposures, peaks=tuple(one.peaks), systematic=one.systematic
                 )
                 for posture, one in postures.items()
             ),

@@ -38,7 +38,8 @@ class CalibratedPosture:
     """What was learned from good parts of one posture.
 
     peaks: greatest score of each good set, judged by what the others have in common.
-    systematic: what they have in common; None for a detector that does not use deviations.
+    systematic: what they have in common; None for a detector that does not use deviations. Where good parts are the
+        reference, its spread is that of deviations from its mean without texture.
     """
 
     posture: Posture
@@ -148,10 +149,14 @@ def calibration_fingerprint(rig: RigConfig, part: PartConfig, options: InspectOp
     """All that scores depend on, as hashes, and the options: not names, limits of the verdict, or lists of defects."""
     names = ("name", "postures", "inspection", "defects", "defect_catalogue")
     of_part: dict[str, bool | set[str]] = {**dict.fromkeys(names, True), "mesh": {"file"}}
-    if DETECTORS[options.detector].uses_catalogue:
+    if DETECTORS[options.scored_by].uses_catalogue or options.reference == "self":
         del of_part["defect_catalogue"]
     ranges = {"elevation_range_deg", "azimuth_range_deg"}
-    chosen: dict[str, Any] = {"detector": options.detector, "register": options.register}
+    chosen: dict[str, Any] = {
+        "reference": options.reference,
+        "detector": options.detector,
+        "register": options.register,
+    }
     by_synthetic = DETECTORS[options.detector].uses_synthetic
     chosen |= {"fusion": options.fusion} if by_synthetic else {"min_images": options.min_images}
     return {

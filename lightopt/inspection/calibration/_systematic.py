@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from lightopt.core.arrays import Bool, Float32, Int32
 from lightopt.defects import SCALES_PX
 from lightopt.inspection.detection._deviation import Deviations
 from lightopt.inspection.detection._residual_score import smoothed_deviations
+from lightopt.inspection.prediction._posture_view import PostureView
 
 LEAST_SHARE = 0.5  # at least this share of the good sets must show a pixel, else nothing is learned of it
 
@@ -34,6 +35,10 @@ class SystematicDeviations:
     mean: Float32
     spread: Float32
 
+    def where_known(self) -> SystematicDeviations:
+        """The same, with a mean of NaN where too few sets show a place, and only there the spread is 1."""
+        return replace(self, mean=np.where(self.spread > 1.0, self.mean, np.float32(np.nan)))
+
 
 @dataclass(frozen=True)
 class PackedDeviations:
@@ -49,15 +54,17 @@ class PackedDeviations:
     z: NDArray[np.float16]
     usable: Bool
     lit: Bool
+    correlation: float = 0.0
 
     @staticmethod
-    def of(found: Deviations, nominal: Int32) -> PackedDeviations:
-        """Those of a posture, `nominal` from :func:`nominal_pixels`."""
+    def of(found: Deviations, nominal: Int32, *, greatest: float = GREATEST_Z) -> PackedDeviations:
+        """Those of a posture up to the `greatest`, `nominal` from :func:`nominal_pixels`."""
         own = np.flatnonzero(found.usable.any(axis=0)).astype(np.int32)
         lights, rows, columns = found.z.shape
-        z = np.clip(found.z.reshape(lights, -1)[:, own], -GREATEST_Z, GREATEST_Z)
+        z = np.clip(found.z.reshape(lights, -1)[:, own], -greatest, greatest)
         usable, lit = (flags.reshape(lights, -1)[:, own] for flags in (found.usable, found.lit))
-        return PackedDeviations((rows, columns), own, nominal.ravel()[own], z.astype(np.float16), usable, lit)
+        packed = z.astype(np.float16)
+        return PackedDeviations((rows, columns), own, nominal.ravel()[own], packed, usable, lit, found.correlation)
 
     def at_pixels(self, to: Int32) -> Deviations:
         """In an image that has them at the pixels `own` or `nominal`; scales are not stored."""
@@ -69,7 +76,7 @@ class PackedDeviations:
             return flat.reshape(whole)
 
         z = np.where(self.usable, self.z, 0.0).astype(np.float32)
-        return Deviations(image(z), np.ones(whole, np.float32), image(self.usable), image(self.lit))
+        return Deviations(image(z), np.ones(whole, np.float32), image(self.usable), image(self.lit), self.correlation)
 
     def nominal_image(self) -> Int32:
         """Flat index as :func:`nominal_pixels` gives it, shape (H, W); −1 where nothing was usable."""
@@ -81,7 +88,8 @@ class PackedDeviations:
     def save(self, path: Path) -> None:
         """Write to a file."""
         flags: dict[str, Any] = {name: np.packbits(getattr(self, name), axis=1) for name in ("usable", "lit")}
-        np.savez(path, shape=np.array(self.shape), own=self.own, nominal=self.nominal, z=self.z, **flags)
+        flags |= {"shape": np.array(self.shape), "correlation": np.array(self.correlation)}
+        np.savez(path, own=self.own, nominal=self.nominal, z=self.z, **flags)
 
     @staticmethod
     def load(path: Path) -> PackedDeviations:
@@ -92,18 +100,40 @@ class PackedDeviations:
             usable, lit = (
                 np.unpackbits(arrays[name], axis=1, count=len(own)).astype(np.bool_) for name in ("usable", "lit")
             )
-            return PackedDeviations((rows, columns), own, arrays["nominal"], arrays["z"], usable, lit)
+            correlation = float(arrays["correlation"])
+            return PackedDeviations((rows, columns), own, arrays["nominal"], arrays["z"], usable, lit, correlation)
 
 
 def subtract_systematic(found: Deviations, systematic: SystematicDeviations, nominal: Int32) -> Deviations:
     """Deviations without the common deviations of good parts in that posture, under the same lights."""
+    z = np.where(found.usable, found.z - _at_pixels(systematic.mean, nominal, 0.0), np.float32(0.0))
+    return divide_spread(replace(found, z=z), systematic, nominal)
+
+
+def subtract_mean(found: Deviations, systematic: SystematicDeviations, nominal: Int32) -> Deviations:
+    """Deviations from the mean of good parts; a place that has none, from :meth:`where_known`, is not usable."""
+    off = found.z - _at_pixels(systematic.mean, nominal, np.nan)
+    usable = found.usable & np.isfinite(off)
+    return replace(found, z=np.where(usable, off, np.float32(0.0)), usable=usable, lit=found.lit & usable)
+
+
+def divide_spread(found: Deviations, systematic: SystematicDeviations, nominal: Int32) -> Deviations:
+    """Deviations in units of the scatter of good parts."""
+    spread = _at_pixels(systematic.spread, nominal, 1.0)
+    return replace(found, z=found.z / spread, scale=found.scale * spread)
+
+
+def learned_view(view: PostureView, found: Deviations, systematic: SystematicDeviations, nominal: Int32) -> PostureView:
+    """A view with the levels of good parts, given the deviations `found` from the model."""
+    level = view.predicted + np.nan_to_num(_at_pixels(systematic.mean, nominal, 0.0)) * found.scale
+    return replace(view, predicted=np.where(view.predicted > 0.0, np.maximum(level, np.float32(1e-6)), np.float32(0.0)))
+
+
+def _at_pixels(images: Float32, nominal: Int32, unknown: float) -> Float32:
+    # images of the part at its nominal placement, at the pixels of a set
     known = nominal >= 0
-    at = np.where(known, nominal, 0)
-    lights = len(found.z)
-    mean = np.where(known, systematic.mean.reshape(lights, -1)[:, at], np.float32(0.0))
-    spread = np.where(known, systematic.spread.reshape(lights, -1)[:, at], np.float32(1.0))
-    z = np.where(found.usable, (found.z - mean) / spread, np.float32(0.0))
-    return Deviations(z, found.scale * spread, found.usable, found.lit)
+    values = images.reshape(len(images), -1)[:, np.where(known, nominal, 0)]
+    return np.where(known, values, np.float32(unknown))
 
 
 class SystematicSums:

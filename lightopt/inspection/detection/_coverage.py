@@ -17,7 +17,7 @@ from lightopt.core.transforms import Posture
 from lightopt.geometry import face_areas
 from lightopt.inspection._image_blocks import in_row_blocks
 from lightopt.inspection.detection._deviation import Deviations
-from lightopt.inspection.detection._residual_score import disc_gain
+from lightopt.inspection.detection._residual_score import deviation_of_score, disc_gain
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.inspection.prediction._predict import SurfaceMap
 from lightopt.scene import Scene
@@ -165,7 +165,7 @@ def measure_coverage(
     """
     images, height, width = view.predicted.shape
     state, least = np.empty((height, width), np.uint8), np.empty((height, width), np.float32)
-    needed = _needed(images, min(min_images, images), high) / disc_gain(REFERENCE_DISC_PX)
+    needed = _needed(images, min(min_images, images), high, found.correlation) / disc_gain(REFERENCE_DISC_PX)
     contrasts = np.array(CONTRASTS)
 
     def judge(rows: slice) -> Float64:
@@ -241,14 +241,13 @@ def _judge_rows(
     return areas
 
 
-def _needed(images: int, min_images: int, high: float) -> Float64:
+def _needed(images: int, min_images: int, high: float, correlation: float) -> Float64:
     # deviation that k of n images must show for the threshold, whatever the others do, all of them half of the time;
     # by n and k
     z = np.full((images + 1, min_images + 1), np.inf)
     for n in range(1, images + 1):
         for k in range(1, min(n, min_images) + 1):
-            each = (10.0**-high / float(special.binom(n, k))) ** (1.0 / k)
-            z[n, k] = float(special.ndtri(0.5 ** (1.0 / k)) - special.ndtri(0.5 * each))
+            z[n, k] = float(special.ndtri(0.5 ** (1.0 / k))) + deviation_of_score(high, n, k, correlation)
     return z
 
 

@@ -41,25 +41,29 @@ class Deviations:
         and prediction, same shape.
     lit: of these, the ones that are not :data:`DARK`: they show most defects, dark ones only what glints there, same
         shape.
+    correlation: of what is no defect, from image to image at the same place: that of a texture; noise has none.
     """
 
     z: Float32
     scale: Float32
     usable: Bool
     lit: Bool
+    correlation: float = 0.0
 
     def in_box(self, rows: slice, columns: slice = slice(None)) -> Deviations:
         """Some rows and columns, as views of the arrays."""
         box = (slice(None), rows, columns)
-        return Deviations(self.z[box], self.scale[box], self.usable[box], self.lit[box])
+        return Deviations(self.z[box], self.scale[box], self.usable[box], self.lit[box], self.correlation)
 
 
-def deviations(view: PostureView, *, threads: int | None = None) -> Deviations:
+def deviations(view: PostureView, *, local: bool = True, threads: int | None = None) -> Deviations:
     """Compare the images of a posture with the good part.
 
     Both are clipped where the camera clips, and what rounding alone may make of the mean where noise does not even it
     out is no deviation. A pixel's variance is that of the sensor's noise, of a part that lies a tenth of a pixel from
     where the model has it, and of what the model gets wrong around the pixel.
+
+    local: Whether what the model gets wrong counts.
     """
     z, scale = np.empty_like(view.level), np.empty_like(view.level)
     usable, lit = np.empty(z.shape, np.bool_), np.empty(z.shape, np.bool_)
@@ -74,10 +78,12 @@ def deviations(view: PostureView, *, threads: int | None = None) -> Deviations:
         )  # fmt: skip
 
     in_image_blocks(compare, lights, height, threads)
+    if not local:
+        return Deviations(z, scale, usable, lit)
     typical = in_threads(lambda i: _around(sums[i], counts[i]), range(lights), threads)
 
     def normalise(i: int, rows: slice) -> None:
-        _normalise(typical[i], rows.start, rows.stop, z[i], scale[i])
+        normalise_rows(typical[i], rows.start, rows.stop, z[i], scale[i])
 
     in_image_blocks(normalise, lights, height, threads)
     return Deviations(z, scale, usable, lit)
@@ -161,7 +167,8 @@ def _model(predicted: Float32, limit: Float32, y: int, x: int) -> float:
 
 
 @kernel
-def _normalise(typical: Float32, top: int, bottom: int, z: Float32, scale: Float32) -> None:
+def normalise_rows(typical: Float32, top: int, bottom: int, z: Float32, scale: Float32) -> None:
+    """Divide rows of deviations by the typical deviation around their blocks, and multiply their scale by it."""
     # blocks' values belong to their middles; between those, on straight lines
     rows, columns = typical.shape
     for y in range(top, bottom):

@@ -3,9 +3,10 @@
 import math
 
 import numpy as np
-from scipy import fft, ndimage, special
+from scipy import ndimage, special
 
 from lightopt.core.arrays import Float32, Float64
+from lightopt.inspection._image_blocks import convolve
 from lightopt.inspection.detection._deviation import CLIPPED, MEAN_OF_NORMAL
 from lightopt.inspection.fusion._synthetic_image import SyntheticImage
 
@@ -50,7 +51,8 @@ def score_templates(image: SyntheticImage) -> Float32:
         return score
     share = np.maximum(ndimage.gaussian_filter(inner.astype(np.float64), LOCAL_PX), 1e-6)
     for template in templates():
-        answer = _convolved(level, template)
+        # the mean goes first: what lies beyond the image's border is 0
+        answer = convolve(level - level.mean(), template)
         spread = float(np.median(np.abs(answer[inner]))) / 0.6745
         size = np.where(inner, np.minimum(np.abs(answer), CLIPPED * max(spread, 1e-9)), 0.0)
         local = ndimage.gaussian_filter(size, LOCAL_PX) / share / MEAN_OF_NORMAL
@@ -78,12 +80,3 @@ def _line(width: float, length: float, direction: float) -> Float64:
 def _normal(template: Float64) -> Float64:
     template = template - template.mean()
     return template / np.sqrt(np.sum(template**2))
-
-
-def _convolved(image: Float64, template: Float64) -> Float64:
-    shape = [fft.next_fast_len(n + t - 1, real=True) for n, t in zip(image.shape, template.shape, strict=True)]
-    reach = template.shape[0] // 2
-    # the mean goes first: what lies beyond the image's border is 0
-    first, second = (np.asarray(fft.rfft2(a, shape)) for a in (image - image.mean(), template))
-    full = np.asarray(fft.irfft2(first * second, shape))
-    return full[reach : reach + image.shape[0], reach : reach + image.shape[1]]

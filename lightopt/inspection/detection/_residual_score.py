@@ -31,6 +31,11 @@ TABLED_Z = 25.0
 
 TABLE_STEPS = 256  # scores are tabulated in steps of 1/256 of a standard deviation
 
+COARSE_STEPS = 1001  # where images are correlated, scores are worked out at so many deviations
+
+# and as a mean over so many values of what they have in common, up to so many standard deviations
+COMMON_STEPS, FARTHEST_COMMON = 801, 27.0
+
 _LN_10 = math.log(10.0)
 
 
@@ -127,7 +132,7 @@ def score_deviations(found: Deviations, *, min_images: int, threads: int | None 
     inner = found.in_box(*window)
     lights, height, _ = inner.z.shape
     score = np.zeros(inner.z.shape[1:], np.float32)
-    table = _table(lights, min_images)
+    table = _table(lights, min_images, found.correlation)
     scales = [(*_weights(width), np.inf if width == min(SCALES_PX) else STRONGEST_Z) for width in SCALES_PX]
 
     def score_rows(rows: slice) -> None:
@@ -143,24 +148,50 @@ def score_deviations(found: Deviations, *, min_images: int, threads: int | None 
     return whole
 
 
-def _table(images: int, rank: int) -> Float32:
+def _table(images: int, rank: int, correlation: float) -> Float32:
     # scores by rank − 1, the number of images that count and the deviation in steps of 1/TABLE_STEPS; in between they
     # are read off straight lines, which is off by 1e-5 at most
     z = np.arange(int(TABLED_Z * TABLE_STEPS) + 1) / TABLE_STEPS
     table = np.zeros((rank, images + 1, len(z)), np.float32)
     for k, count in itertools.product(range(1, rank + 1), range(1, images + 1)):
-        table[k - 1, count] = _scores(z, count, min(k, count))
+        table[k - 1, count] = rank_scores(z, count, min(k, count), correlation)
     return table
 
 
-def _scores(z: Float64, count: int, k: int) -> Float64:
-    # −log₁₀ of rank_probability, which is too small for a number where several images show a strong defect: there its
-    # leading term, C(count, k)·tᵏ, is it to 1e-8
+def rank_scores(z: Float64, count: int, k: int, correlation: float = 0.0) -> Float64:
+    """−log₁₀ of :func:`rank_probability`, in double precision however small that is.
+
+    correlation: Between the images: they have a common part of that variance, and are independent but for it.
+    """
+    if correlation > 0.0 and k > 1:
+        coarse = np.linspace(0.0, TABLED_Z, COARSE_STEPS)
+        return np.interp(z, coarse, _correlated_scores(coarse, count, k, correlation))
+    # a number is too small where several images show a strong defect: there its leading term, C(count, k)·tᵏ, is it to
+    # 1e-8
     ln_tail = special.log_ndtr(-z) + math.log(2.0)
     leading = special.gammaln(count + 1) - special.gammaln(k + 1) - special.gammaln(count - k + 1) + k * ln_tail
     far = ln_tail < math.log(1e-9)
     near = rank_probability(np.where(far, 0.0, z), np.full(len(z), count), k)
     return -np.where(far, leading, np.log(near)) / _LN_10
+
+
+def deviation_of_score(score: float, count: int, k: int, correlation: float = 0.0) -> float:
+    """The `k`-th largest of `count` magnitudes that has a score, as far as one deviation is far from likely."""
+    if correlation > 0.0 and k > 1:
+        z = np.linspace(0.0, TABLED_Z, COARSE_STEPS)
+        return float(np.interp(score, _correlated_scores(z, count, k, correlation), z, right=np.inf))
+    each = (10.0**-score / float(special.binom(count, k))) ** (1.0 / k)
+    return -float(special.ndtri(0.5 * each))
+
+
+def _correlated_scores(z: Float64, count: int, k: int, correlation: float) -> Float64:
+    # mean of the probability over the common part
+    common = np.linspace(-FARTHEST_COMMON, FARTHEST_COMMON, COMMON_STEPS)
+    weight = np.exp(-0.5 * common**2) / math.sqrt(2.0 * math.pi) * (common[1] - common[0])
+    shared, own = math.sqrt(correlation) * common, math.sqrt(1.0 - correlation)
+    tail = special.ndtr((shared - z[:, None]) / own) + special.ndtr((-shared - z[:, None]) / own)
+    chance = special.betainc(k, count - k + 1, np.minimum(tail, 1.0)) @ weight
+    return np.maximum(-np.log10(np.maximum(chance, 1e-300)), 0.0)
 
 
 @kernel

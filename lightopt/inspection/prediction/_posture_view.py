@@ -97,12 +97,19 @@ class PostureView:
 
 
 def posture_view(
-    scene: Scene, observations: Sequence[Observation], prediction: Prediction, *, where: str, threads: int | None = None
+    scene: Scene,
+    observations: Sequence[Observation],
+    prediction: Prediction,
+    *,
+    where: str,
+    exact: bool = True,
+    threads: int | None = None,
 ) -> PostureView:
     """Compare the images of one posture with its prediction: fit gains and dark level, merge exposures.
 
     observations: Of one posture.
     where: The set, for messages.
+    exact: Whether the prediction is expected to describe the images; else it is not refused where it does not.
     Raises InputError: images that do not look like the prediction, or that are all saturated.
     """
     clean = prediction.clean
@@ -136,8 +143,9 @@ def posture_view(
 
     in_image_blocks(merge, len(lights), len(clean), threads)
     posture = observations[0].posture
-    level, predicted, limit, deviation = (arrays[k] for k in ("level", "predicted", "limit", "deviation"))
-    refuse_mismatch(level, predicted, limit, deviation, some_pixels(clean), f"{where}, posture {posture}")
+    if exact:
+        level, predicted, limit, deviation = (arrays[k] for k in ("level", "predicted", "limit", "deviation"))
+        refuse_mismatch(level, predicted, limit, deviation, some_pixels(clean), f"{where}, posture {posture}")
     return PostureView(
         posture=posture, lights=lights, prediction=prediction, photometry=photometry, wavy=wavy, **arrays
     )

@@ -101,6 +101,9 @@ class PredictionCache:
         """
         if self.placement is None or self.scene is None or self.misfit is None:
             return None
+        if self.registration is not None and self.registration.outline:
+            # the levels inside the outline, which the offset is fitted to, do not say where the part is
+            return None
         scene = replace(self.scene, postures=nominal.postures, lights=nominal.lights)
         keys = _keys(scene, observations)
         if any(key not in self.rendered for key in keys.values()):

@@ -23,10 +23,12 @@ from lightopt.estimate.registration import (
     register,
 )
 from lightopt.images import ImageSet
+from lightopt.inspection.prediction._neighbourhood import LEAST_PX, neighbourhood_px
 from lightopt.inspection.prediction._posture_view import PostureView, posture_view
 from lightopt.inspection.prediction._prediction_cache import PredictionCache, observed_lights
+from lightopt.inspection.prediction._reference import ReferenceName
 from lightopt.rendering import cast_rays_at
-from lightopt.scene import Scene, build_scene, project, view_from_part
+from lightopt.scene import Scene, build_catalogue, build_scene, project, view_from_part
 
 # by light the exposure and the number of frames of each image
 ExposuresByLight = dict[str, tuple[tuple[float, int], ...]]
@@ -40,6 +42,7 @@ class RegisteredSet:
     scene: the predicted scene: the part lies where it was found, or nearly there.
     views: of each posture, in the set's order, made one at a time; with the exposures of its images.
     registration: that found the part, or the part that it lies near; None for a part that is not searched for.
+    neighbourhood_px: width of the neighbourhood that a place is compared with where that is the reference.
     """
 
     nominal: Scene
@@ -47,10 +50,18 @@ class RegisteredSet:
     scene: Scene
     views: Iterator[tuple[PostureView, ExposuresByLight]]
     registration: Registration | None = None
+    neighbourhood_px: float = LEAST_PX
 
 
 def register_set(
-    rig: RigConfig, part: PartConfig, image_set: ImageSet, *, register: bool, cache: PredictionCache, run: RunContext
+    rig: RigConfig,
+    part: PartConfig,
+    image_set: ImageSet,
+    *,
+    register: bool,
+    reference: ReferenceName = "model",
+    cache: PredictionCache,
+    run: RunContext,
 ) -> RegisteredSet:
     """Find the part of a set, and predict the good part for its images; takes what :func:`inspect_set` takes."""
     threads = run.threads
@@ -67,12 +78,14 @@ def register_set(
             if offset is not None:
                 prediction = cache.shifted_prediction(scene, posture, lights, offset, threads=threads)
             where = str(image_set.folder)
-            view = posture_view(scene, mine, prediction, where=where, threads=threads)
+            exact = reference == "model"
+            view = posture_view(scene, mine, prediction, where=where, exact=exact, threads=threads)
             yield view, {x: tuple(sorted((o.exposure, o.frames) for o in mine if o.light == x)) for x in view.lights}
         if register and offset is None:
             cache.measure_misfit(scene, observations, threads=threads)
 
-    return RegisteredSet(nominal, placement, scene, views(), cache.registration if register else None)
+    width = neighbourhood_px(nominal, build_catalogue(part))
+    return RegisteredSet(nominal, placement, scene, views(), cache.registration if register else None, width)
 
 
 def nominal_scene(

@@ -4,7 +4,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from lightopt.core.errors import counted, percent
-from lightopt.inspection import REFERENCE_CONTRAST, REFERENCE_DEFECT, BatchRow, InspectionResult, Verdict
+from lightopt.inspection import (
+    REFERENCE_CONTRAST,
+    REFERENCE_DEFECT,
+    REFERENCES,
+    BatchRow,
+    InspectionResult,
+    InspectOptions,
+    Verdict,
+)
 from lightopt.report._page import Answer, Facts, Note, Page, Section, Table, Warnings, page_html
 from lightopt.report.inspection._pictures import image_blocks, marked_part
 from lightopt.report.inspection._tables import dark_text, defect_table, placement_text, surface_table, truth_blocks
@@ -64,6 +72,8 @@ def _facts(result: InspectionResult, verdict: Verdict, provenance: Mapping[str, 
     min_images: int = options["min_images"]
     fewer = any(len(p.view.lights) < min_images for p in result.postures)
     rate, limits = options["false_alarms"], verdict.limits
+    reference = REFERENCES[result.reference]
+    detector = InspectOptions(detector=options["detector"], reference=result.reference).scored_by
     alarms = (
         f"{rate:g} of good parts with a false alarm in a posture"
         if "calibration" in inputs
@@ -78,7 +88,8 @@ def _facts(result: InspectionResult, verdict: Verdict, provenance: Mapping[str, 
     rows = [
         ("rig", f"{inputs['rig']['file']}, sha256 {inputs['rig']['sha256'][:16]}"),
         ("part", f"{inputs['part']['file']}, sha256 {inputs['part']['sha256'][:16]}"),
-        ("detector", f"{options['detector']}, {shows}{', or in all images where there are fewer' if fewer else ''}"),
+        ("compared with", f"{reference.basis}{f': {reference.limits}' if reference.limits else ''}"),
+        ("detector", f"{detector}, {shows}{', or in all images where there are fewer' if fewer else ''}"),
         ("image without highlights", options["fusion"] or "none"),
         ("false-alarm rate", alarms),
         ("limits", counting),
