@@ -14,10 +14,10 @@ from scipy import ndimage, stats
 from lightopt import build_scene, load_part, load_rig
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
+from lightopt.defects import SCALES_PX
 from lightopt.estimate.registration import Placement, place_part
 from lightopt.images import read_image_set, read_png, write_png
 from lightopt.inspection import (
-    SCALES_PX,
     Deviations,
     InspectOptions,
     PostureView,

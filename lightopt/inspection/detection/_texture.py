@@ -14,10 +14,11 @@ from scipy import fft, ndimage
 
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.threads import in_threads
+from lightopt.defects import SCALES_PX
 from lightopt.inspection._image_blocks import convolve, gaussian_taps, in_image_blocks
 from lightopt.inspection.detection._deviation import BLOCK_PX, CLIPPED, MEAN_OF_NORMAL, Deviations, normalise_rows
 from lightopt.inspection.detection._regions import SPREAD_PX, find_regions
-from lightopt.inspection.detection._residual_score import SCALES_PX, noise_gain, smoothed_deviations
+from lightopt.inspection.detection._residual_score import noise_gain, smoothed_deviations
 
 # the spectrum is the median over tiles of the first of these sides of which the surface has so many
 TILES_PX, LEAST_TILES, MOST_TILES = (64, 32, 16), 24, 1000
