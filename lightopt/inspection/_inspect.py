@@ -139,8 +139,8 @@ def _require_valid(rig: RigConfig, part: PartConfig, options: InspectOptions, ca
         raise InputError(*problems)
     if calibration is None and options.reference == "good-parts":
         raise InputError(
-            "option 'reference': good-parts needs a calibration that was made from good parts; make one with lightopt "
-            "inspect RIG PART IMAGES --calibrate --reference good-parts, and give it by --calibration"
+            "option 'reference': good-parts needs a calibration that was made from good parts with the same reference; "
+            "make one with option 'calibrate', and give it by option 'calibration'"
         )
     if calibration is not None:
         calibration.require_match(rig, part, options)
@@ -362,6 +362,6 @@ def _posture_warnings(rig: RigConfig, inspected: InspectedPosture, options: Insp
         if share < LEAST_SENSITIVE:
             warnings.append(
                 f"texture or relief hides {REFERENCE_DEFECT} on {percent(1.0 - share)} of the inspected surface; "
-                "compare with good parts (--reference good-parts)"
+                "compare with good parts (option 'reference': good-parts)"
             )
     return warnings

@@ -26,7 +26,7 @@ REFERENCES: Final[Mapping[ReferenceName, Reference]] = {
         basis="model of the part (mesh and reflectance)",
         remedy="the model does not describe the part; check the sensor's noise in the rig file and that the images "
         "have it, give a STEP file, fit the reflectance (lightopt fit-specular), or compare with good parts "
-        "(--reference good-parts)",
+        "(option 'reference': good-parts)",
     ),
     "good-parts": Reference(
         basis="good parts of the calibration",
@@ -36,7 +36,7 @@ REFERENCES: Final[Mapping[ReferenceName, Reference]] = {
     ),
     "self": Reference(
         basis="smooth neighbourhood of each place in the part's own images",
-        remedy="the part is not smooth; compare with good parts (--reference good-parts)",
+        remedy="the part is not smooth; compare with good parts (option 'reference': good-parts)",
         limits="deviations wider than the neighbourhood, slow changes of brightness, and defects at edges are not "
         "found; a feature that the surface has only once or twice looks like a defect",
     ),
