@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -12,7 +13,8 @@ from lightopt.core.errors import CheckFailed, InputError
 from lightopt.core.run_context import RunContext
 
 if TYPE_CHECKING:
-    from lightopt.design import TargetNotReached
+    from lightopt.config import PartConfig, RigConfig
+    from lightopt.design import CalibratedThreshold, TargetNotReached
 
 
 light_option = partial(typer.Option, rich_help_panel="Light positions")
@@ -74,6 +76,14 @@ def optimize(
             metavar="N",
             help="detectability: expected false alarms per posture that the inspection may have, from 1e-9 to 1.",
             show_default="0.05",
+        ),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        objective_option(
+            metavar="FILE",
+            help="detectability: calibration.json of inspect --calibrate for RIG as it stands; defects count from its "
+            "threshold on, and its false-alarm rate becomes the default.",
         ),
     ] = None,
     choose_postures: Annotated[
@@ -182,6 +192,7 @@ def optimize(
     dependent = (
         ("--min-images", min_images, of_defects, "--objective detectability"),
         ("--false-alarms", false_alarms, of_defects, "--objective detectability"),
+        ("--calibration", calibration, of_defects, "--objective detectability"),
         ("--posture-step", posture_step, choice, "--choose-postures or --target"),
         ("--allow-outside", allow_outside, choice, "--choose-postures or --target"),
         ("--exposure-gain", exposure_gain, exposures is not None, "--exposures"),
@@ -227,6 +238,9 @@ def optimize(
         **_given(posture_step_deg=posture_step, allow_outside_px=allow_outside, exposure_gain=exposure_gain),
     )
     loaded_rig, loaded_part = common.load_inputs(rig, part)
+    threshold = None
+    if calibration is not None:
+        threshold, false_alarms = _calibrated(calibration, loaded_rig, loaded_part, min_images, false_alarms)
     options = OptimizeOptions(
         objectives=tuple(objective or ()),
         step_deg=step,
@@ -240,6 +254,7 @@ def optimize(
         images=images,
         report=report,
         rows=ranking_rows,
+        threshold=threshold,
         **_given(min_images=min_images, false_alarms=false_alarms, patch_budget=patches, limit=max_combinations),
     )
     try:
@@ -288,3 +303,17 @@ def _show_reachable(error: TargetNotReached) -> None:
         "at least: share that these postures show, chosen one after the other for one set of lights; "
         "--choose-postures N places the lights for N postures, and may choose others"
     )
+
+
+def _calibrated(
+    path: Path, rig: RigConfig, part: PartConfig, min_images: int | None, false_alarms: float | None
+) -> tuple[CalibratedThreshold, float]:
+    # the threshold of a calibrated inspection, and its false-alarm rate unless another is wanted
+    from lightopt.design import CalibratedThreshold
+    from lightopt.inspection import InspectOptions, read_calibration
+
+    learned = read_calibration(path)
+    rate = learned.rate if false_alarms is None else false_alarms
+    learned.require_match(rig, part, InspectOptions(false_alarms=rate, **_given(min_images=min_images)))
+    score = max(posture.threshold(rate) for posture in learned.postures)
+    return CalibratedThreshold(score=score, file=path.name, sha256=learned.sha256), rate

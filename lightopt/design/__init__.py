@@ -14,7 +14,11 @@ from lightopt.design._files import (
     write_design as write_design,
 )
 from lightopt.design._optimize import optimize as optimize
-from lightopt.design._options import OptimizeOptions as OptimizeOptions, PlanOptions as PlanOptions
+from lightopt.design._options import (
+    CalibratedThreshold as CalibratedThreshold,
+    OptimizeOptions as OptimizeOptions,
+    PlanOptions as PlanOptions,
+)
 from lightopt.design._result import (
     LEFT_OUT_MEANING as LEFT_OUT_MEANING,
     DesignResult as DesignResult,

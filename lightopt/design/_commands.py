@@ -96,6 +96,7 @@ def _search_words(options: OptimizeOptions) -> list[str]:
         ("--step", options.step_deg, default.step_deg),
         ("--min-images", options.min_images, default.min_images),
         ("--false-alarms", options.false_alarms, default.false_alarms),
+        ("--calibration", None if options.threshold is None else options.threshold.file, None),
         ("--shade-below", options.shade_below, default.shade_below),
         ("--ranking-rows", options.rows, default.rows),
         ("--max-combinations", options.limit, default.limit),

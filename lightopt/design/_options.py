@@ -24,6 +24,18 @@ DEFECT_OBJECTIVE = "detectability"  # the objective whose pairs of patch and def
 
 
 @dataclass(frozen=True, kw_only=True)
+class CalibratedThreshold:
+    """The score from which a calibrated inspection counts a defect: that of its posture with the highest.
+
+    file, sha256: Name and hash of the calibration.
+    """
+
+    score: float
+    file: str
+    sha256: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class OptimizeOptions:
     """What to optimise and how.
 
@@ -35,6 +47,7 @@ class OptimizeOptions:
     shade_below: Share of full scale, above black, below which a level is shaded.
     min_images: Images that must show a defect, for objective detectability.
     false_alarms: Allowed in the images of a posture of a good part, for objective detectability.
+    threshold: Of a calibrated inspection; it follows from `false_alarms` and noise alone where None.
     postures, points: Instead of the part's own; point lights per panel, instead of the rig's.
     patch_budget: About how many patches may be visible.
     images, report: Whether images of the best set and an HTML report are part of the results.
@@ -50,6 +63,7 @@ class OptimizeOptions:
     shade_below: float = DEFAULT_SHADE_SHARE
     min_images: int = 2
     false_alarms: float = DEFAULT_FALSE_ALARMS
+    threshold: CalibratedThreshold | None = None
     postures: tuple[Posture, ...] | None = None
     points: int | Literal["auto"] | None = None
     shadows: bool = True
@@ -188,7 +202,8 @@ def known_provenance(
 
 
 def _defect_facts(options: OptimizeOptions) -> dict[str, Any]:
-    return {"min_images": options.min_images, "false_alarms": options.false_alarms}
+    facts: dict[str, Any] = {"min_images": options.min_images, "false_alarms": options.false_alarms}
+    return facts if options.threshold is None else {**facts, "calibration": asdict(options.threshold)}
 
 
 def _plan_facts(options: OptimizeOptions, plan: PlanOptions) -> dict[str, Any]:

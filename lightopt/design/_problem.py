@@ -54,6 +54,7 @@ def detection_model_of(scene: Scene, part: PartConfig, options: OptimizeOptions)
         sensor=scene.sensor,
         full_scale=scene.reflectance.full_scale,
         false_alarms=options.false_alarms,
+        threshold=None if options.threshold is None else options.threshold.score,
         min_images=options.min_images,
     )
 

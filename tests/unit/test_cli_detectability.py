@@ -271,3 +271,35 @@ def test_one_image_decides_where_the_brightest_scattered_light_drowns_in_noise(t
     levels = evaluator.matrices(Posture(0.0, 0.0), [[light] for light in build_lights(rig)])[0].levels
     least = 3.0 * math.sqrt(scene.sensor.noise_variance(3.0))
     assert 0.7 * 30.0 * least < max(layer.max() for layer in levels) <= 1.05 * 30.0 * least
+
+
+def test_a_calibration_gives_threshold_and_rate_and_must_be_of_the_same_inspection(three, cli):
+    sets = []
+    for seed in range(5):
+        sets.append(three.folder / f"good-{seed}")
+        ran = cli("render", three.rig, three.part, "-o", sets[-1], "--noise", seed, "--posture", "0,0")
+        assert ran.status == 0, ran.err
+    learned = three.folder / "learned"
+    ran = cli(
+        "inspect", three.rig, three.part, *sets, "-o", learned, "--calibrate", "--false-alarms", "0.5",
+        "--min-images", "2", "--no-register",
+    )  # fmt: skip
+    assert ran.status == 0, ran.err
+    options = (*FEW, *BARE, "--objective", "detectability", "--posture", "0,0", "--calibration", learned)
+    ran = cli("optimize", three.rig, three.part, "-o", three.out, *options)
+    assert (ran.status, ran.err.count("register")) == (2, 1)
+    ran = cli(
+        "inspect", three.rig, three.part, *sets, "-o", learned, "--calibrate", "--false-alarms", "0.5",
+        "--min-images", "2", "--force",
+    )  # fmt: skip
+    assert ran.status == 0, ran.err
+    ran = cli("optimize", three.rig, three.part, "-o", three.out, *options)
+    assert ran.status == 0, ran.err
+    result = result_of(three.out)
+    chosen = result["provenance"]["options"]
+    calibration = json.loads((learned / "calibration.json").read_text(encoding="utf-8"))
+    assert chosen["false_alarms"] == 0.5
+    assert chosen["calibration"]["score"] == pytest.approx(calibration["postures"][0]["threshold"], abs=1e-4)
+    ran = cli("optimize", three.rig, three.part, "-o", three.out, *options, "--min-images", "1", "--force")
+    assert ran.status == 2
+    assert "--min-images: calibration.json was made with 2, found 1" in ran.err

@@ -55,6 +55,14 @@ def test_fewer_false_alarms_need_more_evidence():
         model(false_alarms=0.0)
 
 
+def test_a_calibrated_threshold_of_noise_alone_is_that_of_noise_alone():
+    pixels = 300_000
+    plain = model(min_images=2, false_alarms=0.05).limits(pixels, 0.05)
+    same = model(min_images=2, threshold=threshold(0.05, pixels, 1)).limits(pixels, 0.05)
+    np.testing.assert_allclose(same, plain, rtol=1e-9)
+    assert (model(min_images=2, threshold=threshold(0.05, pixels, 1) + 2.0).limits(pixels, 0.05) > plain).all()
+
+
 @pytest.mark.parametrize("tests", [1.0, 250.0, 4e5])
 def test_the_threshold_is_that_of_the_detector(tests):
     """A Z that planning needs has the score that an inspection needs: the detector's own sum of logarithms."""

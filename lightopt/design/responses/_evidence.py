@@ -102,6 +102,7 @@ class DetectionModel:
     full_scale: Grey level that makes a full-scale sensor level at exposure 1.
     false_alarms: Allowed in the images of a posture of a good part.
     min_images: Images that must show a defect.
+    threshold: Score from which on a calibrated inspection counts a defect; that of noise alone where None.
     Raises InputError: False alarms out of range.
     """
 
@@ -110,6 +111,7 @@ class DetectionModel:
     full_scale: float
     false_alarms: float = DEFAULT_FALSE_ALARMS
     min_images: int = 1
+    threshold: float | None = None
     _stencils: dict[int, Stencils] = field(default_factory=dict[int, Stencils], init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -129,11 +131,13 @@ class DetectionModel:
         pixels: That can be inspected in the images.
         """
         entries, found = self.catalogue.entries, np.empty((len(self.catalogue.entries), UNITS_OF_IMAGE))
+        # a score is −log₁₀ of the false alarms of noise alone in a pixel
+        false_alarms = self.false_alarms if self.threshold is None else pixels * 10.0**-self.threshold
         for e, planned in enumerate(entries):
             own = defect_hypotheses(planned.entry)
             grid = search_grid(own, footprint)
             places = pixels / (grid.ratio * grid.step) ** 2
-            z = least_z(places * len(own.turns) * len(grid.halves) * len(SIZES), len(entries), self.false_alarms)
+            z = least_z(places * len(own.turns) * len(grid.halves) * len(SIZES), len(entries), false_alarms)
             z -= _GREATEST_OF_NEAR + _greatest_of_segments(planned)
             if self.min_images == 1:
                 found[e] = np.array(_ALONE) * z * z

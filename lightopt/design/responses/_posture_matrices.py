@@ -221,6 +221,7 @@ def _matrix_facts(problem: Problem, detection: DetectionModel | None) -> dict[st
             "noise": asdict(detection.sensor),
             "full_scale": detection.full_scale,
             "false_alarms": detection.false_alarms,
+            "threshold": detection.threshold,
             "min_images": detection.min_images,
             "units": UNITS_OF_IMAGE,
         }
