@@ -123,7 +123,14 @@ def as_made(path: Path, lobe: float) -> PartConfig:
 class Prediction:
     """What the planner says of a rig: which defects the inspection finds at which patches."""
 
-    def __init__(self, rig: RigConfig, part: PartConfig, min_images: int, options: argparse.Namespace) -> None:
+    def __init__(
+        self,
+        rig: RigConfig,
+        part: PartConfig,
+        min_images: int,
+        options: argparse.Namespace,
+        calibration: Calibration | None = None,
+    ) -> None:
         scene = build_scene(rig, part, defects=False)
         caster = cast_rays_at(scene)
         posture = scene.postures[0]
@@ -138,6 +145,9 @@ class Prediction:
                 sensor=scene.sensor,
                 full_scale=scene.reflectance.full_scale,
                 false_alarms=options.false_alarms,
+                threshold=None
+                if calibration is None
+                else max(one.threshold(options.false_alarms) for one in calibration.postures),
                 min_images=images_that_decide(rig, part, min_images, longest=1.0),
             ),
         )
@@ -198,7 +208,6 @@ def close_loop(folder: Path, name: str, options: argparse.Namespace) -> Iterator
         angles = ", ".join(f"{light.elevation_deg:g}°" for light in rig.lights)
         print(f"{name}, {objective}: {angles}", flush=True)
         nominal = load_part(part_file)
-        counts = {k: _Counts(Prediction(rig, nominal, k, options)) for k in MIN_IMAGES}
         inspections = {
             k: InspectOptions(fusion=None, min_images=k, false_alarms=options.false_alarms) for k in MIN_IMAGES
         }
@@ -209,6 +218,7 @@ def close_loop(folder: Path, name: str, options: argparse.Namespace) -> Iterator
                 for seed in range(sets_needed(options.false_alarms))
             ]
             calibrations = {k: calibrate(rig, nominal, good, options=one) for k, one in inspections.items()}
+        counts = {k: _Counts(Prediction(rig, nominal, k, options, calibrations.get(k))) for k in MIN_IMAGES}
         cache = PredictionCache()
         for seed, path in enumerate(placed, 1):
             part = load_part(path)
