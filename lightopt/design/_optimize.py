@@ -41,7 +41,7 @@ from lightopt.design.postures._exposures import plan_exposures
 from lightopt.design.postures._plan_postures import plan_postures, planned_answers, with_chosen
 from lightopt.design.postures._posture_grid import posture_grid
 from lightopt.design.responses._defect_hypotheses import planned_catalogue
-from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
+from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches, without_edges
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.design.responses._posture_matrices import PostureMatrices
 from lightopt.design.search._best_positions import candidates_of_others, search_objectives, search_other_objectives
@@ -287,8 +287,13 @@ def _complete(
     evaluator = matrices.evaluator(detection_model_of(problem.scene, problem.part, options))
     shares_on = evaluator if chosen is None else chosen.evaluator
     if plan.exposures and chosen is None:
+        inspected = shares_on
+        if problem.defects is None:
+            # exposures are planned for defects, whatever the objective
+            table = without_edges(shares_on.table, problem.scene, problem.caster, threads=run.threads)
+            inspected = replace(shares_on, table=table)
         brackets = plan_exposures(
-            shares_on,
+            inspected,
             lights.postures,
             [lights.panels(i) for i in range(len(lights.postures))],
             plan.exposures,

@@ -303,3 +303,16 @@ def test_a_calibration_gives_threshold_and_rate_and_must_be_of_the_same_inspecti
     ran = cli("optimize", three.rig, three.part, "-o", three.out, *options, "--min-images", "1", "--force")
     assert ran.status == 2
     assert "--min-images: calibration.json was made with 2, found 1" in ran.err
+
+
+def test_exposures_are_planned_on_the_same_surface_whatever_the_objective(bench, cli):
+    # one position, so that the lights stand the same for both
+    bench.edit("rig.yaml", "azimuth_deg: 45}", "azimuth_deg: 45, elevation_range_deg: [60, 60]}")
+    shares = []
+    for objective in ("detectability", "coverage"):
+        out = bench.folder / objective
+        options = ("--objective", objective, "--exposures", "1,1/4", "--posture", "0,0", "--min-images", "2", *BARE)
+        ran = cli("optimize", bench.rig, bench.part, "-o", out, *options, *FEW)
+        assert ran.status == 0, ran.err
+        shares.append(result_of(out)["exposures"])
+    assert shares[0] == shares[1]
