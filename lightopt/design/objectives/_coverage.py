@@ -24,7 +24,7 @@ from lightopt.core.kernels import kernel
 from lightopt.core.run_context import Share, WorkCounter, part_of
 from lightopt.core.threads import blocks, run_all
 from lightopt.design.objectives._difference_tables import Differences
-from lightopt.design.objectives._objective import INSPECTABLE_SURFACE, Objective
+from lightopt.design.objectives._objective import Objective, inspectable_surface
 from lightopt.design.objectives._scores_by_packed_bits import bit_scores
 from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds, LuminanceMatrix, level_range
 
@@ -52,7 +52,7 @@ class CoverageObjective(Objective):
 
     name: str = "coverage"
     unit: str = "µm²"
-    share_of: str | None = INSPECTABLE_SURFACE
+    share_of: str | None = inspectable_surface(edges=True)
 
     @property
     def meaning(self) -> str:

@@ -23,7 +23,7 @@ from lightopt.core.arrays import Bool, Float64, Int64
 from lightopt.core.errors import InputError, counted
 from lightopt.core.run_context import Share
 from lightopt.defects import DEFAULT_FALSE_ALARMS
-from lightopt.design.objectives._objective import INSPECTABLE_SURFACE, Objective, area_text
+from lightopt.design.objectives._objective import Objective, area_text, inspectable_surface
 from lightopt.design.objectives._scores_by_units import combination_sums
 from lightopt.design.responses._defect_hypotheses import PlannedDefect
 from lightopt.design.responses._evidence import units_needed
@@ -73,7 +73,7 @@ class DetectabilityObjective(Objective):
     across_postures: bool = False
     name: str = "detectability"
     unit: str = "µm² × weight of the defects"
-    share_of: str | None = f"{INSPECTABLE_SURFACE}, × defects by weight"
+    share_of: str | None = f"{inspectable_surface(edges=False)}, × defects by weight"
 
     def __post_init__(self) -> None:
         if problem := min_images_problem(self.min_images):

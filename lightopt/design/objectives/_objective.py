@@ -13,11 +13,14 @@ from lightopt.core.run_context import Share
 from lightopt.design.responses._luminance_matrix import AREA_UNIT_MM2, LevelThresholds, LuminanceMatrix, area_units
 from lightopt.rendering import GRAZING_DEG
 
-# what shares of area are shares of
-INSPECTABLE_SURFACE = (
-    f"the surface that the camera sees in the posture at up to {GRAZING_DEG:g}° to its normal; of several postures, "
-    "added up"
-)
+
+def inspectable_surface(*, edges: bool) -> str:
+    """What shares of area are shares of; for defects `edges` of the part do not belong to it."""
+    off = "" if edges else ", off silhouettes and creases"
+    return (
+        f"the surface that the camera sees in the posture at up to {GRAZING_DEG:g}° to its normal{off}; of several "
+        "postures, added up"
+    )
 
 
 # how near to the best a score is near [thousandths of the inspectable area, where a score is an area; else of the best
