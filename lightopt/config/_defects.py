@@ -2,12 +2,20 @@
 
 import math
 from collections.abc import Mapping
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field, ValidationInfo, field_validator
 
 from lightopt.config import _fields as fields
-from lightopt.defects import MAX_SLOPE, SHAPE_KINDS, DefectKind, DefectShape, depth_of_slope, slope_of_depth
+from lightopt.defects import (
+    MAX_SLOPE,
+    SHAPE_KINDS,
+    CatalogueEntry,
+    DefectKind,
+    DefectShape,
+    depth_of_slope,
+    slope_of_depth,
+)
 
 _Extent = Annotated[float, Field(ge=1e-3, le=1e3)]
 _Size = Annotated[
@@ -18,6 +26,12 @@ _Slope = Annotated[float, Field(gt=0, le=60), fields.expecting("a number above 0
 _Depth = Annotated[float, Field(gt=0, le=1e3), fields.expecting("a number above 0, up to 1000 (mm)")]
 _Factor = Annotated[float, Field(ge=0, le=100), fields.expecting("a number from 0 to 100")]
 _WidthFactor = Annotated[float, Field(ge=0.01, le=100), fields.expecting("a number from 0.01 to 100")]
+_Factor10 = Annotated[float, Field(ge=0.1, le=10)]
+_Range = Annotated[
+    tuple[_Factor10, _Factor10],
+    Field(strict=False),
+    fields.expecting("[least, greatest], two numbers from 0.1 to 10, such as [0.5, 2]"),
+]
 _Turn = Annotated[float, Field(ge=-360, le=360), fields.expecting("a number from -360 to 360 (degrees)")]
 _PixelIndex = Annotated[int, Field(ge=0, le=65535)]
 
@@ -139,6 +153,40 @@ class CatalogueEntryConfig(fields.Frozen):
         )
 
 
+class PlannedDefectConfig(CatalogueEntryConfig):
+    """A kind of defect in a catalogue, of one size and slope or of ranges of them."""
+
+    size_range: _Range = Field(
+        default=(1.0, 1.0), description="Least and greatest size, as multiples of size_mm; all of that size if absent."
+    )
+    slope_range: _Range = Field(
+        default=(1.0, 1.0),
+        description="Least and greatest slope of the walls, as multiples of that of slope_deg or depth_mm; all of that "
+        "slope if absent. Shapes only.",
+    )
+
+    @field_validator("size_range", "slope_range")
+    @classmethod
+    def _least_first(cls, value: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:
+        if value[0] > value[1]:
+            raise fields.complaint(f"expected the least first, found [{value[0]:g}, {value[1]:g}]")
+        kind = info.data.get("kind")
+        if info.field_name == "slope_range" and value != (1.0, 1.0) and kind is not None and kind not in SHAPE_KINDS:
+            raise fields.complaint(f"a {kind} has no slope; remove this key")
+        if info.field_name == "slope_range" and kind in SHAPE_KINDS:
+            steepest = value[1] * _slope_deg(kind, info.data)
+            if steepest > math.degrees(MAX_SLOPE) + 1e-9:
+                raise fields.complaint(
+                    f"the steepest walls would be {steepest:.0f} degrees; expected at most {math.degrees(MAX_SLOPE):g}"
+                )
+        return value
+
+    @property
+    def entry(self) -> CatalogueEntry:
+        """The kind of defect, in mm and radians."""
+        return CatalogueEntry(self.name, self.shape, sizes=self.size_range, slopes=self.slope_range)
+
+
 class DefectConfig(CatalogueEntryConfig):
     """A defect that is on the part: what it is, and where."""
 
@@ -169,3 +217,11 @@ class DefectConfig(CatalogueEntryConfig):
 
 def _extents(size: float | tuple[float, float]) -> tuple[float, float]:
     return size if isinstance(size, tuple) else (size, size)
+
+
+def _slope_deg(kind: DefectKind, data: Mapping[str, Any]) -> float:
+    # of a shape as far as its keys are valid, else 0
+    slope, depth, size = (data.get(key) for key in ("slope_deg", "depth_mm", "size_mm"))
+    if depth is not None and size is not None:
+        return math.degrees(slope_of_depth(kind, _extents(size)[1], depth))
+    return slope or 0.0

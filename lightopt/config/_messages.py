@@ -131,8 +131,11 @@ def _unknown_key(model: type[BaseModel], loc: Keys, known: str | None) -> str:
 
 
 def _home(model: type[BaseModel], parent: type[BaseModel] | None, key: str) -> str | None:
-    """Key of a list whose entries have this key, where they extend those of the mapping at hand."""
-    more = () if parent is None else tuple(m for m in parent.__subclasses__() if key in m.model_fields)
+    """Key of a list whose entries have this key, where they extend the same keys as the mapping at hand."""
+    kinds = (
+        () if parent is None else (parent, *(base for base in parent.__bases__ if getattr(base, "model_fields", None)))
+    )
+    more = tuple(m for kind in kinds for m in kind.__subclasses__() if key in m.model_fields)
     return next((name for name, field in model.model_fields.items() if _inner_model(field.annotation) in more), None)
 
 

@@ -9,11 +9,11 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
 
 from lightopt.config import _fields as fields
-from lightopt.config._defects import CatalogueEntryConfig, DefectConfig
+from lightopt.config._defects import DefectConfig, PlannedDefectConfig
 from lightopt.core.units import step_units_mm, unit_name
 
 _ChordTolerance = Annotated[float, Field(ge=1e-4, le=10), fields.expecting("a number from 0.0001 to 10 (mm)")]
-_Catalogue = Annotated[tuple[CatalogueEntryConfig, ...], Field(strict=False, min_length=1, max_length=100)]
+_Catalogue = Annotated[tuple[PlannedDefectConfig, ...], Field(strict=False, min_length=1, max_length=100)]
 _Share = Annotated[float, Field(ge=0, le=1), fields.expecting("a number from 0 to 1")]
 
 

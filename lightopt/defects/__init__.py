@@ -4,7 +4,11 @@ Knows points, normals and lengths; no mesh, no camera and no light. Defects are 
 move nothing: neither points nor silhouettes nor shadows. ``benchmarks/displaced.py`` has what that costs.
 """
 
-from lightopt.defects._catalogue import BUILT_IN_CATALOGUE as BUILT_IN_CATALOGUE, CatalogueEntry as CatalogueEntry
+from lightopt.defects._catalogue import (
+    BUILT_IN_CATALOGUE as BUILT_IN_CATALOGUE,
+    SIZES as SIZES,
+    CatalogueEntry as CatalogueEntry,
+)
 from lightopt.defects._foreshortening import (
     FORESHORTENINGS as FORESHORTENINGS,
     foreshortening_classes as foreshortening_classes,
@@ -45,7 +49,6 @@ from lightopt.defects._statistic import (
 from lightopt.defects._waviness import Waviness as Waviness, clipped_variance as clipped_variance
 from lightopt.defects._whole_defects import (
     PLANNING_GRID as PLANNING_GRID,
-    SIZES as SIZES,
     DefectHypotheses as DefectHypotheses,
     PixelMixture as PixelMixture,
     defect_hypotheses as defect_hypotheses,

@@ -1,17 +1,55 @@
 """The defects to plan for where a part names none."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Final
 
 from lightopt.defects._shape import DefectShape
+
+SIZES: Final = (0.6, 1.0, 1.6)
+"""Sizes that are tested, as multiples of an entry's; the slope stays."""
+
+_SLOPES = 3  # steps of a range of slopes for which inspections are planned
 
 
 @dataclass(frozen=True)
 class CatalogueEntry:
-    """A kind of defect that an inspection is planned for: its name, size, steepness and factors."""
+    """A kind of defect that an inspection is planned for: its name, size, steepness and factors.
+
+    sizes, slopes: Least and greatest, as multiples of the shape's.
+    """
 
     name: str
     shape: DefectShape
+    sizes: tuple[float, float] = (1.0, 1.0)
+    slopes: tuple[float, float] = (1.0, 1.0)
+
+    def at(self, size: float, slope: float) -> "CatalogueEntry":
+        """One defect of the ranges, from 0 for the least to 1 for the greatest size and slope, in equal ratios."""
+        (small, large), (flat, steep) = self.sizes, self.slopes
+        scale, steeper = small * (large / small) ** size, flat * (steep / flat) ** slope
+        shape = replace(
+            self.shape,
+            length=scale * self.shape.length,
+            width=scale * self.shape.width,
+            slope=steeper * self.shape.slope,
+        )
+        return CatalogueEntry(self.name, shape)
+
+    def in_sizes(self) -> tuple["CatalogueEntry", ...]:
+        """Entries of one size that together test all sizes of the range: each tests :data:`SIZES` of its own."""
+        small, large = self.sizes
+        count = max(1, math.ceil(math.log(large / small) / math.log(SIZES[-1] / SIZES[0]) - 1e-9))
+        return tuple(self.at((i + 0.5) / count, 0.5) for i in range(count))
+
+    def in_sizes_and_slopes(self) -> tuple["CatalogueEntry", ...]:
+        """Entries of one size and slope that stand for the ranges, equally many of each part of them."""
+        count = _SLOPES if self.slopes[0] < self.slopes[1] else 1
+        return tuple(
+            replace(one, shape=replace(one.shape, slope=self.at(0.5, (i + 0.5) / count).shape.slope))
+            for one in self.in_sizes()
+            for i in range(count)
+        )
 
 
 BUILT_IN_CATALOGUE = (

@@ -11,11 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Index, Int32
-from lightopt.defects._catalogue import CatalogueEntry
+from lightopt.defects._catalogue import SIZES, CatalogueEntry
 from lightopt.defects._shape import SHAPE_KINDS, DefectShape, height_gradient, radial_place
-
-SIZES = (0.6, 1.0, 1.6)
-"""Sizes that are tested, as multiples of the entry's; the slope stays."""
 
 ELLIPSE_TURNS = 4
 SEGMENT_LENGTH = 6.0  # of a scratch a segment of so many widths is tested

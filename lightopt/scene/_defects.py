@@ -64,7 +64,7 @@ def build_catalogue(part: PartConfig) -> tuple[CatalogueEntry, ...]:
         catalogue = BUILT_IN_CATALOGUE
         places = ["the built-in haze"] * len(catalogue)
     else:
-        catalogue = tuple(CatalogueEntry(entry.name, entry.shape) for entry in part.defect_catalogue)
+        catalogue = tuple(entry.entry for entry in part.defect_catalogue)
         places = [part.source.at("defect_catalogue", i, "sigma_factor") for i in range(len(catalogue))]
     problems = [
         problem

@@ -78,6 +78,17 @@ def test_the_same_seed_gives_the_same_bytes_and_another_one_others(cli, catalogu
 
 
 @pytest.mark.slow
+def test_sizes_and_slopes_are_drawn_from_the_ranges_of_the_catalogue(cli, bench):
+    entry = "{name: dent, kind: dent, size_mm: 2, slope_deg: 3, size_range: [0.5, 1.5], slope_range: [0.5, 2]}"
+    bench.part.write_text(bench.part.read_text(encoding="utf-8") + f"defect_catalogue: [{entry}]\n", encoding="utf-8")
+    out = bench.folder / "dents.yaml"
+    assert cli("defects", bench.rig, bench.part, "--seed", "3", "--count", "14", "-o", out).status == 0
+    shapes = [defect.shape for defect in load_part(out).defects]
+    sizes, slopes = (np.array([getattr(s, name) for s in shapes]) for name in ("length", "slope"))
+    assert 1.0 <= sizes.min() < 1.5 < 2.0 < sizes.max() <= 3.0
+    assert 1.5 <= np.degrees(slopes).min() < 2.5 < 4.0 < np.degrees(slopes).max() <= 6.0
+
+
 def test_places_are_even_by_area(catalogue):
     """Of many small defects the halves of the knob on either side of its middle get about half each."""
     text = catalogue.part.read_text(encoding="utf-8").partition("defect_catalogue")[0]

@@ -15,6 +15,7 @@ from test_config_models import KNOWN_ERRORS, PROBES, error_kinds, paths, with_va
 from lightopt.config import PartConfig, json_schema, load_part, with_list
 from lightopt.core.errors import InputError
 from lightopt.defects import BUILT_IN_CATALOGUE, DefectKind, depth_of_slope
+from lightopt.scene import build_catalogue
 
 GOOD = [
     {"name": "a", "kind": "scratch", "at_mm": [1, 2, 3], "size_mm": [5, 0.2], "slope_deg": 4, "direction_deg": 30},
@@ -133,11 +134,44 @@ def test_a_catalogue_names_kinds_and_no_places(bench):
     assert "depth_mm" not in said
 
 
+PIT = {"name": "pit", "kind": "pit", "size_mm": 1, "slope_deg": 20}
+
+
+def test_a_catalogue_may_have_ranges_of_sizes_and_slopes(bench):
+    entries = [{**PIT, "size_range": [0.5, 2], "slope_range": [0.1, 3]}, {**GOOD[3], "size_range": [1, 4]}]
+    entries[1].pop("at_mm")
+    pit, haze = build_catalogue(part_with(bench, defect_catalogue=entries))
+    assert (pit.sizes, pit.slopes, haze.sizes, haze.slopes) == ((0.5, 2), (0.1, 3), (1, 4), (1, 1))
+    assert build_catalogue(load_part(bench.part))[0].shape.slope == pytest.approx(math.radians(20))
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ({**PIT, "size_range": [2, 0.5]}, "size_range: expected the least first, found [2, 0.5]"),
+        ({**PIT, "size_range": 2}, "size_range: expected [least, greatest], two numbers from 0.1 to 10"),
+        ({**PIT, "slope_range": [1, 3.1]}, "slope_range: the steepest walls would be 62 degrees; expected at most 60"),
+        (
+            {**PIT, "slope_deg": None, "depth_mm": 0.2, "slope_range": [1, 9]},
+            "slope_range: the steepest walls would be 239 degrees",
+        ),
+        (
+            {"name": "s", "kind": "stain", "size_mm": 2, "R_d_factor": 0.5, "slope_range": [1, 2]},
+            "slope_range: a stain has no slope; remove this key",
+        ),
+    ],
+)
+def test_a_wrong_range_is_named_with_its_line(bench, entry, message):
+    text = refused(bench, defect_catalogue=[{k: v for k, v in entry.items() if v is not None}])
+    assert message in text
+    assert text.startswith(f"{bench.part}:7: defect_catalogue[0].")
+
+
 def test_no_kind_of_error_falls_through(tmp_path):
     data = {
         **minimal(),
         "defects": GOOD,
-        "defect_catalogue": [{"name": "k", "kind": "pit", "size_mm": 1, "slope_deg": 9}],
+        "defect_catalogue": [{**PIT, "size_range": [0.5, 2], "slope_range": [0.5, 2]}],
     }
     places = [path for path in paths(data) if str(path[0]).startswith("defect")]
     kinds = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -58,6 +59,23 @@ def test_long_defects_are_planned_in_all_orientations_and_each_entry_weighs_the_
     scratch = [defect.turn for defect in defects if defect.name == "scratch"]
     np.testing.assert_allclose(np.degrees(scratch), np.arange(8) * 22.5)
     assert [(defect.name, defect.turn) for defect in defects[-2:]] == [("stain", None), ("haze", None)]
+
+
+def test_ranges_are_planned_in_steps_of_equal_ratio_and_weigh_as_one_kind():
+    ranged = CatalogueEntry("dent", dent(2.0).shape, sizes=(0.5, 4.0), slopes=(0.5, 2.0))
+    found = planned_catalogue((ranged, dent(3.0, name="other")))
+    sizes = sorted({round(own.shapes[1].length, 6) for own in found.entries[:-1]})
+    # from 0.6 times the least to 1.6 times the greatest
+    assert len(sizes) == 3
+    assert sizes[0] * 0.6 <= 1.0
+    assert sizes[-1] * 1.6 >= 8.0
+    assert all(b / a <= 1.6 / 0.6 + 1e-9 for a, b in itertools.pairwise(sizes))
+    slopes = sorted({round(math.degrees(own.entry.shape.slope), 6) for own in found.entries[:-1]})
+    np.testing.assert_allclose(slopes, 2.0 * 2.0 ** np.array([-2 / 3, 0, 2 / 3]), atol=1e-5)
+    weights = {name: sum(d.weight for d in found.defects if d.name == name) for name in ("dent", "other")}
+    assert weights["dent"] == weights["other"]
+    # inspections find a slope from the amplitude
+    assert [one.shape.length for one in ranged.in_sizes()] == pytest.approx(sizes)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """The defects for which an inspection is planned: whole defects of the catalogue, long ones in several orientations."""
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, reduce
@@ -24,7 +25,7 @@ class PlannedDefect:
     """A defect of the catalogue in one orientation, with its middle on a patch.
 
     name: Of the catalogue's entry.
-    weight: A whole number; those of each entry of the catalogue have the same sum of weights.
+    weight: A whole number; those of each entry of the part's catalogue have the same sum of weights.
     turn: Of the length, in the tangent plane from the part's X axis, counterclockwise seen from outside [rad]; see
         :func:`lightopt.defects.tangent_direction`. None for a round defect.
     """
@@ -47,12 +48,14 @@ class PlannedCatalogue:
     @cached_property
     def defects(self) -> tuple[PlannedDefect, ...]:
         """Entry after entry; the orientations of an entry are adjacent, evenly around half a turn."""
-        most = reduce(math.lcm, (len(own.turns) for own in self.entries))
+        # a kind may have several sizes and slopes
+        members = Counter(own.entry.name for own in self.entries)
+        most = reduce(math.lcm, (len(own.turns) * members[own.entry.name] for own in self.entries))
         return tuple(
             PlannedDefect(
                 name=own.entry.name,
                 kind=own.entry.shape.kind,
-                weight=most // len(own.turns),
+                weight=most // (len(own.turns) * members[own.entry.name]),
                 turn=float(turn) if len(own.turns) > 1 else None,
             )
             for own in self.entries
@@ -76,7 +79,11 @@ def planned_catalogue(catalogue: Sequence[CatalogueEntry]) -> PlannedCatalogue:
     ]
     if problems:
         raise InputError(*problems)
-    found = PlannedCatalogue(entries=tuple(defect_hypotheses(entry, PLANNING_GRID) for entry in catalogue))
+    found = PlannedCatalogue(
+        entries=tuple(
+            defect_hypotheses(one, PLANNING_GRID) for entry in catalogue for one in entry.in_sizes_and_slopes()
+        )
+    )
     if len(found.defects) > MOST_HYPOTHESES:
         raise InputError(
             f"defect catalogue: {len(catalogue)} entries in their orientations are {len(found.defects)} hypotheses, "

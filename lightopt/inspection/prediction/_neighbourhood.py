@@ -39,7 +39,8 @@ _POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))  # of the quadratic's
 
 def neighbourhood_px(scene: Scene, catalogue: Sequence[CatalogueEntry]) -> float:
     """Standard deviation of the neighbourhood of a place [px]: well above the widest defect of a catalogue."""
-    widest = max((min(entry.shape.length, entry.shape.width) for entry in catalogue), default=0.0) * max(SIZES)
+    widths = [min(entry.shape.length, entry.shape.width) * entry.sizes[1] for entry in catalogue]
+    widest = max(widths, default=0.0) * max(SIZES)
     distance = float(np.linalg.norm(scene.camera.position - scene.pivot))
     return max(LEAST_PX, WIDTHS * widest / pixel_footprint(scene.camera, distance))
 

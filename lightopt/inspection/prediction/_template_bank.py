@@ -154,7 +154,8 @@ def template_bank(
     panels = [next(light for light in pixels.view.lights if light.name == name) for name in view.lights]
     return tuple(
         _templates(defect_hypotheses(entry), scene, view, deviation, surface, panels, caster, threads)
-        for entry in catalogue
+        for ranges in catalogue
+        for entry in ranges.in_sizes()
     )
 
 
