@@ -60,18 +60,23 @@ class Waviness:
         _lean(points, normals, *self._waves, result)
         return result
 
-    def correlated_pixels(self, footprint: float, scales: Sequence[float]) -> float:
+    def correlated_pixels(self, footprint: float, scales: Sequence[float], *, walls: bool = False) -> float:
         """How many times the variance of a pixel the waviness adds to a sum over pixels, of variance 1 in white noise.
 
         The sum is over a Gaussian of the width s [px] that is worst. With the covariance of the slope and q = ℓ²/(2s²),
-        ℓ in pixels, it is 2πℓ²·q/(1 + q)²; at least 1.
+        ℓ in pixels, it is 2πℓ²·q/(1 + q)². Where the sum is over the slope of a Gaussian hill of that width, as walls
+        of a defect have it, it is 6πℓ²·q/(1 + q)³. At least 1.
 
         footprint: Side of a pixel on the surface [mm]
         scales: Widths s
+        walls: Whether sums are over slopes, too
         """
         square = (self.length / footprint) ** 2
         ratios = [square / (2.0 * scale * scale) for scale in scales]
-        return max(1.0, *(2.0 * math.pi * square * q / (1.0 + q) ** 2 for q in ratios))
+        factors = [1.0, *(2.0 * math.pi * square * q / (1.0 + q) ** 2 for q in ratios)]
+        if walls:
+            factors += [6.0 * math.pi * square * q / (1.0 + q) ** 3 for q in ratios]
+        return max(factors)
 
 
 @kernel

@@ -201,7 +201,7 @@ def test_what_the_documentation_shows_is_read(bench):
     bench.part.write_text(bench.part.read_text(encoding="utf-8") + "".join(snippets), encoding="utf-8")
     part = load_part(bench.part)
     assert [d.shape.kind for d in part.defects] == ["scratch", "dent", "stain"]
-    assert [one.shape.kind for one in part.defect_catalogue or ()] == ["scratch", "dent", "stain"]
+    assert [one.shape.kind for one in part.defect_catalogue or ()] == ["scratch", "dent", "stain", "dent"]
     for entry in BUILT_IN_CATALOGUE:
         row = next(line for line in page.splitlines() if line.startswith(f"| {entry.name} |") and "why" not in line)
         assert row

@@ -44,6 +44,22 @@ def test_slopes_have_their_root_mean_square_and_sums_over_gaussians_their_varian
     assert waviness.correlated_pixels(0.25, SCALES_PX) == max(expected)
 
 
+def test_sums_over_the_walls_of_a_hill_have_their_variance():
+    step, scale = 0.25, 3.0
+    y, x = np.mgrid[-14:15, -14:15]
+    walls = x * np.exp(-(x**2 + y**2) / (2.0 * scale**2))
+    walls /= np.sqrt(np.sum(walls**2))
+    points, normals, shape = plane(50.0, step)
+    sums = []
+    for seed in range(6):
+        leant = Waviness(slope=SLOPE, length=LENGTH_MM, seed=seed).normals(points, normals)
+        slopes = leant[:, 0].reshape(shape) / (SLOPE / math.sqrt(2.0))
+        sums.append(np.var(ndimage.correlate(slopes, walls)[15:-15, 15:-15]))
+    waviness = Waviness(slope=SLOPE, length=LENGTH_MM)
+    assert np.mean(sums) == pytest.approx(waviness.correlated_pixels(step, (scale,), walls=True), rel=0.25)
+    assert waviness.correlated_pixels(step, (scale,), walls=True) > waviness.correlated_pixels(step, (scale,))
+
+
 def test_waves_much_finer_than_a_pixel_are_independent_from_pixel_to_pixel():
     assert Waviness(slope=SLOPE, length=0.01).correlated_pixels(0.25, SCALES_PX) == 1.0
 

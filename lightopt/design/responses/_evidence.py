@@ -288,7 +288,7 @@ class PatchEvidence:
         if scene.waviness is not None:
             slopes, directions = scene.waviness.leans
             self._correlated = np.array(
-                [scene.waviness.correlated_pixels(footprint, one.scales_px(footprint)) for one in entries]
+                [scene.waviness.correlated_pixels(footprint, one.scales_px(footprint), walls=True) for one in entries]
             )
         unchanged = np.ones(len(slopes))
         self._variants = surface_variants(

@@ -276,10 +276,8 @@ def _with_waviness(own: DefectHypotheses, view: PostureView, deviation: Float32)
     known = view.prediction.waviness
     if known is None or view.wavy is None:
         return deviation, None
-    of_entry, included = (
-        known.waviness.correlated_pixels(known.footprint, scales)
-        for scales in (own.scales_px(known.footprint), SCALES_PX)
-    )
+    of_entry = known.waviness.correlated_pixels(known.footprint, own.scales_px(known.footprint), walls=True)
+    included = known.waviness.correlated_pixels(known.footprint, SCALES_PX)
     wider = np.sqrt(deviation**2 + np.float32(of_entry - included) * view.wavy).astype(np.float32)
     return wider, (deviation / wider).astype(np.float32)
 
