@@ -57,7 +57,7 @@ def test_sums_over_the_walls_of_a_hill_have_their_variance():
         sums.append(np.var(ndimage.correlate(slopes, walls)[15:-15, 15:-15]))
     waviness = Waviness(slope=SLOPE, length=LENGTH_MM)
     assert np.mean(sums) == pytest.approx(waviness.correlated_pixels(step, (scale,), walls=True), rel=0.25)
-    assert waviness.correlated_pixels(step, (scale,), walls=True) > waviness.correlated_pixels(step, (scale,))
+    assert waviness.correlated_pixels(step, (6.0,), walls=True) > waviness.correlated_pixels(step, (6.0,))
 
 
 def test_waves_much_finer_than_a_pixel_are_independent_from_pixel_to_pixel():
