@@ -151,6 +151,11 @@ class AlternatingSearch:
         # what every posture shows under these lights, once for as many as there is room for
         if lights not in self._counts:
             self._passes += 1
+            size = len(self.postures) * self.evaluator.weights.zero_counts(self.evaluator.needed).nbytes
+            # those of the initial positions are needed again at the end
+            for one in sorted(self._counts, key=lambda one: one is None):
+                if (len(self._counts) + 1) * size > CACHED_BYTES:
+                    del self._counts[one]
             # posture by posture in each thread: none waits for another at the end of a posture
             evaluator, found = replace(self.evaluator, threads=1), dict[int, Counts]()
 
@@ -165,11 +170,7 @@ class AlternatingSearch:
 
             threads = self.evaluator.threads or available_processors()
             run_all(((count, pair) for pair in enumerate(self.postures)), threads=threads, done=done)
-            counts = [found[i] for i in range(len(self.postures))]
-            size = sum(one.nbytes for one in counts)
-            while self._counts and (len(self._counts) + 1) * size > CACHED_BYTES:
-                del self._counts[next(iter(self._counts))]
-            self._counts[lights] = counts
+            self._counts[lights] = [found[i] for i in range(len(self.postures))]
         return self._counts[lights]
 
     def _stage(self, name: str) -> Share | None:

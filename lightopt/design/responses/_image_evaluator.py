@@ -57,8 +57,14 @@ DRAWN_PATCHES = 20_000
 """Patches that represent all where much is tried: the first iterations of the search, and tolerances."""
 
 
+def _image_key(posture: Posture, exposures: Sequence[float], panel: PanelLight) -> Any:
+    # the same wherever a light of these properties stands at this place, whichever object that is
+    place = (value.tobytes() if isinstance(value, np.ndarray) else value for value in vars(panel).values())
+    return posture, tuple(exposures), *place
+
+
 class FlagCache:
-    """What images of single lights show, by posture, exposures and panel, as long as there is room for it.
+    """What images of single lights show, by posture, exposures and place of the light, as long as there is room for it.
 
     Safe to use from several threads at once.
     """
@@ -66,7 +72,7 @@ class FlagCache:
     def __init__(self, most_bytes: int) -> None:
         self._most_bytes, self._bytes = most_bytes, 0
         self._lock = Lock()
-        self._words: dict[tuple[Posture, tuple[float, ...], int], tuple[PanelLight, UInt8, int]] = {}
+        self._words: dict[Any, tuple[UInt8, int]] = {}
 
     def clear(self) -> None:
         """Forget everything."""
@@ -75,8 +81,8 @@ class FlagCache:
 
     def find(self, posture: Posture, exposures: tuple[float, ...], panel: PanelLight) -> Words | None:
         """Flags of shape (units, p, words), where they are held."""
-        found = self._words.get((posture, exposures, id(panel)))
-        return None if found is None else widen_octets(*found[1:])
+        found = self._words.get(_image_key(posture, exposures, panel))
+        return None if found is None else widen_octets(*found)
 
     def keep(self, posture: Posture, exposures: tuple[float, ...], panel: PanelLight, flags: Words) -> None:
         """Hold flags of shape (units, p, words), if there is room left."""
@@ -84,14 +90,13 @@ class FlagCache:
         with self._lock:
             if self._bytes + octets.nbytes <= self._most_bytes:
                 self._bytes += octets.nbytes
-                # with the panel, since a number belongs to an object as long as that is there
-                self._words[posture, exposures, id(panel)] = panel, octets, flags.shape[-1]
+                self._words[_image_key(posture, exposures, panel)] = octets, flags.shape[-1]
 
 
 class ImageCache:
     """Images of single lights on the patches that a posture shows, as long as there is room for them.
 
-    They are found again by the same posture, exposures and place of the light, whichever object that is.
+    They are found again by the same posture, exposures and place of the light.
     """
 
     def __init__(self, most_bytes: int) -> None:
@@ -100,7 +105,7 @@ class ImageCache:
 
     def find(self, posture: Posture, exposures: Sequence[float], panel: PanelLight) -> tuple[Levels, Words] | None:
         """Levels and flags, of shapes (e, p) and (e, units, p, words), where they are held."""
-        return self._images.get(self._key(posture, exposures, panel))
+        return self._images.get(_image_key(posture, exposures, panel))
 
     def keep(
         self, posture: Posture, exposures: Sequence[float], panel: PanelLight, levels: Levels, flags: Words
@@ -108,12 +113,7 @@ class ImageCache:
         """Hold levels and flags, of shapes (e, p) and (e, units, p, words), if there is room left."""
         if self._bytes + levels.nbytes + flags.nbytes <= self._most_bytes:
             self._bytes += levels.nbytes + flags.nbytes
-            self._images[self._key(posture, exposures, panel)] = levels.copy(), flags.copy()
-
-    @staticmethod
-    def _key(posture: Posture, exposures: Sequence[float], panel: PanelLight) -> Any:
-        place = (value.tobytes() if isinstance(value, np.ndarray) else value for value in vars(panel).values())
-        return posture, tuple(exposures), *place
+            self._images[_image_key(posture, exposures, panel)] = levels.copy(), flags.copy()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
