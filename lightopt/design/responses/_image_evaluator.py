@@ -35,16 +35,8 @@ from lightopt.design.responses._packed_bits import (
 from lightopt.geometry import RayCaster, face_normals
 from lightopt.lights import PanelLight
 from lightopt.optics import expose
-from lightopt.rendering import (
-    PatchTable,
-    SurfacePoints,
-    converged_panel,
-    mask_pixels,
-    shade_converged,
-    shade_points,
-    shadow_targets,
-)
-from lightopt.scene import Scene, project, view_from_part
+from lightopt.rendering import PatchTable, SurfacePoints, converged_panel, shade_converged, shade_points, shadow_targets
+from lightopt.scene import Scene, view_from_part
 
 BLOCK_PATCHES = 1 << 12  # patches whose levels, under all hypotheses, are in the processor's caches together
 BLOCKS_AT_ONCE = 8  # that a thread works on before it takes others
@@ -421,21 +413,6 @@ def scattered_flags(matrices: Sequence[LuminanceMatrix], patches: Index, *, ligh
         assert matrix.visibility is not None
         flags[:, rows] |= matrix.visibility.words[light][place]
     return flags
-
-
-def without_edges(table: PatchTable, scene: Scene, caster: RayCaster, *, threads: int | None = None) -> PatchTable:
-    """The patches with those that an inspection leaves out, at silhouettes and creases, counted as grazing."""
-    grazing = table.grazing.copy()
-    for index, posture in enumerate(table.postures):
-        clean = mask_pixels(scene, posture, caster, threads=threads).clean
-        shown = np.flatnonzero(table.visible[index])
-        columns, rows, _ = project(view_from_part(scene, posture).camera, table.patches.centroids[shown])
-        x, y = (
-            np.clip(np.floor(a).astype(np.intp), 0, side - 1)
-            for a, side in zip((columns, rows), clean.shape[::-1], strict=True)
-        )
-        grazing[index, shown] |= ~clean[y, x]
-    return replace(table, grazing=grazing)
 
 
 def drawn_patches(table: PatchTable, count: int) -> PatchTable:
