@@ -355,9 +355,10 @@ def _fill_rays(
         own = Vector(dot(n, half) * h, dot(r, half) * h, dot(a, half) * h)
         rays[k, 3 * _AT_ONCE + j], rays[k, 4 * _AT_ONCE + j], rays[k, 5 * _AT_ONCE + j] = own
         rays[k, 6 * _AT_ONCE + j], rays[k, 7 * _AT_ONCE + j] = r2, dot(panel.outward, light)
+    own_clear = clear[k, first : first + number]
     for j in range(number):
         arriving = attenuated(weight, panel, rays[k, 6 * _AT_ONCE + j], rays[k, 7 * _AT_ONCE + j])
-        rays[k, 6 * _AT_ONCE + j] = arriving if clear[k, first + j] else 0.0
+        rays[k, 6 * _AT_ONCE + j] = arriving if own_clear[j] else 0.0
     for row in range(6):
         low, high = np.inf, -np.inf
         for j in range(number):
