@@ -107,16 +107,17 @@ class AlternatingSearch:
         With `prove` and a fixed number, the best of all sets of as many, where the search for it completes.
         """
         counts, weights = self._counts_under(panels, lights), self.evaluator.weights
-        greedy = partial(greedy_cover, counts, weights, count=request.count, target=request.target)
+        threads = self.evaluator.threads
+        greedy = partial(greedy_cover, counts, weights, count=request.count, target=request.target, threads=threads)
         covers = [greedy()]
         sets = [covers[0].chosen, tuple(before)]
         if request.target is None:
-            sets = [improve_by_exchange(counts, weights, one, threads=self.evaluator.threads) for one in sets]
+            sets = [improve_by_exchange(counts, weights, one, threads=threads) for one in sets]
         covers += [greedy(among=one) for one in sets if one and one != covers[0].chosen]
         best = max(covers, key=lambda cover: merit(cover, request))
         if self.prove and request.target is None and request.count is not None:
             size = min(request.count, len(counts))
-            chosen, max_covered, sets = best_set(counts, weights, best.chosen, size, threads=self.evaluator.threads)
+            chosen, max_covered, sets = best_set(counts, weights, best.chosen, size, threads=threads)
             if chosen != best.chosen:
                 covers.append(greedy(among=chosen))
                 best = covers[-1]
