@@ -35,7 +35,7 @@ from lightopt import build_scene, load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Bool
 from lightopt.defects import BUILT_IN_CATALOGUE, DEFAULT_FALSE_ALARMS, PlacedDefect, tangent_references
-from lightopt.design import DetectionModel, ImageEvaluator, planned_catalogue, unpack_flags, without_edges
+from lightopt.design import DetectionModel, ImageEvaluator, planned_catalogue, unpack_flags
 from lightopt.design._problem import images_that_decide
 from lightopt.images import ImageSet, read_image_set
 from lightopt.inspection import (
@@ -135,7 +135,7 @@ class Prediction:
         caster = cast_rays_at(scene)
         posture = scene.postures[0]
         catalogue = planned_catalogue(BUILT_IN_CATALOGUE)
-        self.table = without_edges(build_patches(scene, caster=caster, budget=options.patches), scene, caster)
+        self.table = build_patches(scene, caster=caster, budget=options.patches, edges=False)
         evaluator = ImageEvaluator(
             scene=scene,
             table=self.table,

@@ -30,7 +30,6 @@ from lightopt.design import (
     place_lights,
     planned_catalogue,
     sum_of_images,
-    without_edges,
 )
 from lightopt.rendering import build_patches, cast_rays_at
 from lightopt.scene import build_catalogue
@@ -78,7 +77,7 @@ def run(size: Size) -> Report:
             postures=tuple(Posture(tilt, turn) for tilt in TILTS for turn in turns),
         )
         caster = cast_rays_at(scene)
-        table = without_edges(build_patches(scene, caster=caster, budget=scale.patches), scene, caster)
+        table = build_patches(scene, caster=caster, budget=scale.patches, edges=False)
         catalogue = planned_catalogue(build_catalogue(part))
         whole = ImageEvaluator(
             scene=scene,

@@ -77,7 +77,6 @@ from lightopt.design.responses._image_evaluator import (
     ImageEvaluator as ImageEvaluator,
     drawn_patches as drawn_patches,
     luminance_matrix as luminance_matrix,
-    without_edges as without_edges,
 )
 from lightopt.design.responses._luminance_matrix import (
     Levels as Levels,

@@ -41,11 +41,11 @@ from lightopt.design.postures._exposures import plan_exposures
 from lightopt.design.postures._plan_postures import plan_postures, planned_answers, with_chosen
 from lightopt.design.postures._posture_grid import posture_grid
 from lightopt.design.responses._defect_hypotheses import planned_catalogue
-from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches, without_edges
+from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.design.responses._posture_matrices import PostureMatrices
 from lightopt.design.search._best_positions import candidates_of_others, search_objectives, search_other_objectives
-from lightopt.rendering import cast_rays_at, refuse_unusable_scene
+from lightopt.rendering import build_patches, cast_rays_at, refuse_unusable_scene
 from lightopt.scene import build_catalogue, build_scene, coarse_warnings
 
 
@@ -290,7 +290,9 @@ def _complete(
         inspected = shares_on
         if problem.defects is None:
             # exposures are planned for defects, whatever the objective
-            table = without_edges(shares_on.table, problem.scene, problem.caster, threads=run.threads)
+            table = build_patches(
+                problem.scene, caster=problem.caster, budget=options.patch_budget, edges=False, threads=run.threads
+            )
             inspected = replace(shares_on, table=table)
         brackets = plan_exposures(
             inspected,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Bool, Float64, Index, Int32, Int64
+from lightopt.core.arrays import Bool, Float64, Index, Int32, Int64, UInt8
 from lightopt.core.threads import Task, available_processors, blocks, run_all
 from lightopt.core.transforms import Posture
 from lightopt.geometry import (
@@ -22,6 +22,7 @@ from lightopt.geometry import (
     longest_edges,
     refine,
 )
+from lightopt.rendering._pixels import mask_pixels
 from lightopt.rendering._surface import GRAZING_COSINE
 from lightopt.scene import (
     PartView,
@@ -53,7 +54,7 @@ class PatchTable:
     postures: The postures considered
     visible: Whether the camera sees a patch's centroid, from the front and in the image; shape (postures, p)
     grazing: Whether it sees it at more than :data:`lightopt.rendering.GRAZING_DEG` to its normal, shape (postures, p):
-        such patches count in no score and no share of that posture
+        such patches count in no score and no share of that posture. Where edges are left out, also at edges
     max_edge: Longest edge of a patch that the camera may see, unless the mesh was finer already [mm]
     footprint: Side of a pixel's footprint on the part, where it is smallest [mm]
     seen_faces: Faces of the mesh that the camera sees, where they use up the budget of patches; 0 otherwise, and of a
@@ -151,7 +152,12 @@ class PatchPixels:
 
 
 def build_patches(
-    scene: Scene, *, caster: RayCaster, budget: int = DEFAULT_PATCH_BUDGET, threads: int | None = None
+    scene: Scene,
+    *,
+    caster: RayCaster,
+    budget: int = DEFAULT_PATCH_BUDGET,
+    edges: bool = True,
+    threads: int | None = None,
 ) -> PatchTable:
     """Cut the faces that the camera sees towards the pixel's footprint, within a budget (paper, section 3.3).
 
@@ -159,13 +165,19 @@ def build_patches(
     budget: About how many patches may be visible. A mesh that has more faces to begin with is not coarsened; half of
         the budget is for cutting long faces, however many others there are: where the camera sees more faces than the
         other half, the budget may be exceeded by up to a half, and the table says so.
+    edges: Whether patches at silhouettes and creases, which an inspection leaves out, are as good as others; else they
+        count as grazing.
     """
     mesh = scene.mesh
     views = [view_from_part(scene, posture) for posture in scene.postures]
     nearest = [(view.camera, project(view.camera, mesh.vertices)[2].min()) for view in views]
     footprint = min(pixel_footprint(camera, max(float(depth), 1e-3)) for camera, depth in nearest)
     threads = threads or available_processors()
-    seen = _faces_of_pixels(mesh, views, caster, threads)
+    clean = None
+    if edges:
+        seen = _faces_of_pixels(mesh, views, caster, threads)
+    else:
+        seen, clean = _masks_of_pixels(scene, caster, threads)
     # a face too narrow for any pixel's centre, such as a wall seen at a grazing angle, shows by its centroid
     facets = face_normals(mesh)
     rest = np.flatnonzero(~seen)
@@ -206,6 +218,8 @@ def build_patches(
         sees[fresh] = visible_points(points[fresh], facets[face[fresh]], views[view], caster)
         visible[view, patch] = sees
         grazing[view, patch] = _grazing(points, patches.normals[patch], sees, views[view])
+        if clean is not None:
+            grazing[view, patch[sees]] |= ~_at_points(clean[view], views[view].camera, points[sees])
 
     in_blocks(find_visible, len(candidates))
     over = shown < budget < int(visible.any(axis=0).sum()) and most > budget - shown
@@ -239,6 +253,31 @@ def _faces_of_pixels(mesh: TriangleMesh, views: Sequence[PartView], caster: RayC
 
     run_all(tasks(), threads=threads)
     return seen
+
+
+def _masks_of_pixels(scene: Scene, caster: RayCaster, threads: int) -> tuple[Bool, UInt8]:
+    # as _faces_of_pixels; and of each posture the pixels that an inspection does not leave out, eight to an octet
+    camera, count = scene.camera, len(scene.postures)
+    seen = np.zeros(len(scene.mesh.faces), np.bool_)
+    clean = np.zeros((count, camera.height, -(-camera.width // 8)), np.uint8)
+
+    def mask(view: int, posture: Posture) -> None:
+        masks = mask_pixels(scene, posture, caster, threads=1 if count >= threads else threads)
+        seen[masks.faces] = True
+        clean[view] = np.packbits(masks.clean, axis=1)
+
+    run_all(((mask, pair) for pair in enumerate(scene.postures)), threads=threads)
+    return seen, clean
+
+
+def _at_points(octets: UInt8, camera: PinholeCamera, points: Float64) -> Bool:
+    # the flags of the pixels that points lie in
+    columns, rows, _ = project(camera, points)
+    x, y = (
+        np.clip(np.floor(a).astype(np.intp), 0, side - 1)
+        for a, side in ((columns, camera.width), (rows, camera.height))
+    )
+    return (octets[y, x // 8] << (x % 8).astype(np.uint8)) & 128 > 0
 
 
 def patches_for_edge(table: PatchTable, mesh: TriangleMesh, edge: float) -> int:

@@ -92,18 +92,20 @@ def trace_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: 
 
 @dataclass(frozen=True, kw_only=True)
 class PixelMasks:
-    """What kind of surface each pixel centre of one posture's images looks at; arrays of shape (H, W).
+    """What kind of surface each pixel centre of one posture's images looks at; arrays of shape (H, W) but `faces`.
 
     hit: Whether it is the part at all
     clean: Off silhouettes, creases, back faces and grazing views: as :class:`PosturePixels` has it
     grazing: Front faces at more than :data:`GRAZING_DEG` to their normal
     area: Of the surface that the pixel sees [mm²], 0 off the part
+    faces: Whether a pixel centre looks at each face of the mesh, shape (f,)
     """
 
     hit: Bool
     clean: Bool
     grazing: Bool
     area: Float32
+    faces: Bool
 
 
 def mask_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: int | None = None) -> PixelMasks:
@@ -114,7 +116,7 @@ def mask_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: i
     columns = np.arange(left, right, dtype=np.int32)
     shape = (scene.camera.height, scene.camera.width)
     hit, edge, clean, grazing = (np.zeros(shape, np.bool_) for _ in range(4))
-    area = np.zeros(shape, np.float32)
+    area, faces = np.zeros(shape, np.float32), np.zeros(len(scene.mesh.faces), np.bool_)
     solid_angle = (camera.pixel_size / camera.image_distance) ** 2  # of a pixel on the optical axis
 
     def block(first: int) -> None:
@@ -124,7 +126,7 @@ def mask_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: i
         column, row = (a.ravel() for a in np.meshgrid(columns, rows))
         x, y = column.astype(np.float64) + 0.5, row.astype(np.float64) + 0.5
         hits, surface = trace_samples(caster, scene.mesh, camera, x, y, neighbours=True)
-        row, column = row[hits.ray], column[hits.ray]
+        row, column, faces[hits.face] = row[hits.ray], column[hits.ray], True
         index = np.full((len(rows) + 1, shape[1] + 1), -1, np.int32)
         index[row - rows[0], column] = np.arange(len(row), dtype=np.int32)
         differing = _differing(
@@ -138,7 +140,7 @@ def mask_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: i
 
     in_threads(block, range(top, bottom, _BLOCK_ROWS), threads)
     clean &= ~_widened(edge)
-    return PixelMasks(hit=hit, clean=clean, grazing=grazing, area=area)
+    return PixelMasks(hit=hit, clean=clean, grazing=grazing, area=area, faces=faces)
 
 
 @kernel

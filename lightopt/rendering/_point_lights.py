@@ -183,8 +183,10 @@ def add_points(
                     views[first + j, axis],
                 )
             n_dot_v[j] = dot(_column(n, j), _column(v, j))
+        # of slices the compiler knows that no index counts from the end: it takes several at once
+        own_diffuse, own_specular = diffuse[first : first + count], specular[first : first + count]
         for k in range(len(targets)):
-            q = vector_at(targets, k)
+            q, own_clear = vector_at(targets, k), clear[k, first : first + count]
             for j in range(count):
                 normal = _column(n, j)
                 light = minus(q, _column(p, j))
@@ -192,7 +194,7 @@ def add_points(
                 light = scaled(light, 1.0 / math.sqrt(r2[j]))
                 cosine[j] = dot(panel.outward, light)
                 n_dot_l = dot(normal, light)
-                lit = clear[k, first + j] & (n_dot_l > 0.0)
+                lit = own_clear[j] & (n_dot_l > 0.0)
                 terms[j] = lambert(n_dot_l) if lit else 0.0
                 half = plus(light, _column(v, j))
                 length_squared = dot(half, half)
@@ -201,7 +203,7 @@ def add_points(
                 lobe = _near_lobe(dot(normal, half), length_squared, inverse_two_sigma_squared)
                 near[j] = lit & (n_dot_v[j] > 0.0) & lobe
             for j in range(count):
-                diffuse[first + j] += weight * (attenuated(1.0, panel, r2[j], cosine[j]) * terms[j])
+                own_diffuse[j] += weight * (attenuated(1.0, panel, r2[j], cosine[j]) * terms[j])
             all_at_once = np.count_nonzero(near[:count]) > _LEAST_SHARE * count
             if all_at_once:
                 for j in range(count):
@@ -212,7 +214,7 @@ def add_points(
                     narrow = all_at_once and chord_squared[j] < NARROW_CHORD_SQUARED
                     lobe = lobes[j] if narrow else specular_lobe(chord_squared[j], inverse_two_sigma_squared)
                     lobe = lobe / specular_cosine(n_dot_v[j])
-                    specular[first + j] += weight * (attenuated(1.0, panel, r2[j], cosine[j]) * lobe)
+                    own_specular[j] += weight * (attenuated(1.0, panel, r2[j], cosine[j]) * lobe)
     return diffuse, specular
 
 

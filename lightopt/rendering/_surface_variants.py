@@ -269,15 +269,17 @@ def _point_kernel(
                     _fill_rays(frames, vector_at(grid, k), panel, weight, clear, k, first, number, rays, boxes, towards)
             for t in range(len(varied)):
                 normal, least_chord = vector_at(lean, t), most[t] / inverse[t]
+                # of a row's slice the compiler knows that no index counts from the end: it takes several at once
+                own = varied[t, first : first + number]
                 # light is linear in the normal where all that arrives is above the horizon
                 above, shiny = _extreme(normal, boxes, lights, 0) > 0.0, False
                 for k in range(lights):
                     shiny |= lit[k] and 2.0 - 2.0 * _extreme(normal, boxes, k, 1) <= least_chord + 1e-9
                 if above and not shiny:
-                    _fill_products(normal, R_d[t], towards, t, first, number, varied)
+                    _fill_products(normal, R_d[t], towards, own)
                 else:
-                    own = normal, R_d[t], R_s[t], inverse[t], least_chord
-                    _fill_variant(rays, boxes, lit, frames, own, t, first, number, sums, varied)
+                    variant = normal, R_d[t], R_s[t], inverse[t], least_chord
+                    _fill_variant(rays, boxes, lit, frames, variant, sums, own)
         else:
             varied[:, first : first + number] = 0.0
 
@@ -291,11 +293,9 @@ def _extreme(normal: Vector, boxes: Float64, k: int, most: int) -> float:
 
 
 @kernel
-def _fill_products(
-    normal: Vector, R_d: float, towards: Float64, t: int, first: int, number: int, varied: Levels
-) -> None:
-    for j in range(number):
-        varied[t, first + j] = R_d * dot(normal, _vector(towards, 0, j))
+def _fill_products(normal: Vector, R_d: float, towards: Float64, varied: Levels) -> None:
+    for j in range(len(varied)):
+        varied[j] = R_d * dot(normal, _vector(towards, 0, j))
 
 
 @kernel
@@ -355,9 +355,10 @@ def _fill_rays(
         own = Vector(dot(n, half) * h, dot(r, half) * h, dot(a, half) * h)
         rays[k, 3 * _AT_ONCE + j], rays[k, 4 * _AT_ONCE + j], rays[k, 5 * _AT_ONCE + j] = own
         rays[k, 6 * _AT_ONCE + j], rays[k, 7 * _AT_ONCE + j] = r2, dot(panel.outward, light)
+    own_clear = clear[k, first : first + number]
     for j in range(number):
         arriving = attenuated(weight, panel, rays[k, 6 * _AT_ONCE + j], rays[k, 7 * _AT_ONCE + j])
-        rays[k, 6 * _AT_ONCE + j] = arriving if clear[k, first + j] else 0.0
+        rays[k, 6 * _AT_ONCE + j] = arriving if own_clear[j] else 0.0
     for row in range(6):
         low, high = np.inf, -np.inf
         for j in range(number):
@@ -379,14 +380,12 @@ def _fill_variant(
     lit: Bool,
     frames: Float64,
     variant: tuple[Vector, float, float, float, float],
-    t: int,
-    first: int,
-    number: int,
     sums: Float64,
     varied: Levels,
 ) -> None:
-    # level of variant t, by its normal, R_d, R_s, 1/(2σ²) and the least |N − H|² without a lobe. Rows of
+    # levels of a variant, by its normal, R_d, R_s, 1/(2σ²) and the least |N − H|² without a lobe. Rows of
     # `sums`: diffuse and specular light, N·V, and |N − H|², infinite where there is no lobe
+    number = len(varied)
     normal, R_d, R_s, inverse, least_chord = variant
     for j in range(number):
         sums[j] = sums[_AT_ONCE + j] = 0.0
@@ -419,4 +418,4 @@ def _fill_variant(
                     sums[_AT_ONCE + j] += rays[k, 6 * _AT_ONCE + j] * specular_lobe(chord, inverse)
     for j in range(number):
         specular = R_s * sums[_AT_ONCE + j] / specular_cosine(sums[2 * _AT_ONCE + j])
-        varied[t, first + j] = R_d * sums[j] + specular
+        varied[j] = R_d * sums[j] + specular

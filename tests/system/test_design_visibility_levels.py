@@ -12,7 +12,7 @@ from test_design_luminance import matrix_of, small_scene
 
 from lightopt import build_scene
 from lightopt.defects import BUILT_IN_CATALOGUE, CatalogueEntry, DefectShape, expected_change, tangent_direction
-from lightopt.design import DetectionModel, luminance_matrix, planned_catalogue, without_edges
+from lightopt.design import DetectionModel, luminance_matrix, planned_catalogue
 from lightopt.design.responses._evidence import UNITS_OF_IMAGE, PatchEvidence
 from lightopt.design.responses._image_evaluator import patch_points
 from lightopt.rendering import (
@@ -82,7 +82,7 @@ def test_evidence_on_patches_is_that_of_rendered_images(tmp_path, part):
     own.write_text(source, encoding="utf-8")
     scene = build_scene(tmp_path / "rig.yaml", own, points=4)
     posture, caster = scene.postures[0], cast_rays_at(scene)
-    table = without_edges(build_patches(scene, caster=caster, budget=20_000), scene, caster)
+    table = build_patches(scene, caster=caster, budget=20_000, edges=False)
     model = DetectionModel(
         catalogue=planned_catalogue([entry(name) for name in WIDE]), sensor=scene.sensor, full_scale=255.0
     )

@@ -88,7 +88,8 @@ def exact_worth(plain, heavy, k, count):
 def test_the_bound_holds_against_the_exact_cover(seed, k):
     plain, packed, weights, heavy = random_case(seed, patches=4, trials=12, k=k)
     for count in (1, 2, 3, 4):
-        cover = greedy_cover(packed, weights, count=count)
+        cover = greedy_cover(packed, weights, count=count, threads=1)
+        assert cover == greedy_cover(packed, weights, count=count, threads=3)
         best = exact_worth(plain, heavy, k, len(cover.steps))
         assert cover.benefit <= best <= cover.bounds[-1]
         size = len(cover.steps)

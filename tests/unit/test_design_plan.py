@@ -271,6 +271,35 @@ def test_postures_and_lights_are_chosen_together(world, least):
     assert alone.position_counts is None
 
 
+def test_no_image_of_drawn_patches_is_computed_twice(world, monkeypatch):
+    rig, evaluator = world
+    few = replace(evaluator, table=drawn_patches(evaluator.table, 60))
+    candidates = find_candidates(rig, step_deg=10.0)
+    # room for what three sets of lights show, fewer than are tried
+    size = few.needed * len(POSTURES) * few.weights.masks.shape[1] * len(few.patches) * 8
+    monkeypatch.setattr(turning, "CACHED_BYTES", 3 * size)
+    computed, tried = [], set()
+    matrices, counts_under = ImageEvaluator.matrices, turning.AlternatingSearch._counts_under
+
+    def watched(self, posture, panels, **options):
+        if self.table is few.table:
+            computed.extend(
+                (posture, round(one.elevation, 9), round(one.azimuth, 9)) for some in panels for one in some
+            )
+        return matrices(self, posture, panels, **options)
+
+    def watched_counts(self, panels, lights):
+        tried.add((self.where, lights))
+        return counts_under(self, panels, lights)
+
+    monkeypatch.setattr(ImageEvaluator, "matrices", watched)
+    monkeypatch.setattr(turning.AlternatingSearch, "_counts_under", watched_counts)
+    choose_postures(evaluator, few, POSTURES, build_lights(rig), candidates, PostureRequest(count=2))
+    assert len([where for where, _ in tried if where == "drawn patches"]) > 3
+    # the rig's own positions are among the candidates
+    assert len(computed) == len(set(computed)) > 0
+
+
 def test_where_positions_are_too_many_for_memory_the_turns_stay_on_drawn_patches(world, monkeypatch):
     rig, evaluator = world
     candidates = find_candidates(rig, step_deg=10.0)

@@ -11,6 +11,7 @@ from lightopt import build_scene, render
 from lightopt.rendering import UNLIT, WHOLE, cast_rays_at, light_layer, mask_pixels, panel_visibility, trace_pixels
 from lightopt.rendering._pixels import LEFT_OUT
 from lightopt.rendering._surface import GRAZING_COSINE
+from lightopt.scene import pixel_directions
 
 
 @pytest.mark.parametrize("points", [1, 9, "auto"])
@@ -126,3 +127,5 @@ def test_masks_of_pixels_are_those_of_their_surface(shared_bench, threads, postu
         whole[at] = expected
         assert np.allclose(found, whole, rtol=1e-5)
     assert 0 < masks.clean.sum() < masks.hit.sum()
+    rays = pixel_directions(camera, pixels.column + 0.5, pixels.row + 0.5)
+    assert set(np.flatnonzero(masks.faces)) == set(caster.first_hit(camera.position, rays))

@@ -35,6 +35,7 @@ def greedy_cover(
     count: int | None = None,
     target: float | None = None,
     among: Sequence[int] | None = None,
+    threads: int | None = None,
 ) -> Cover:
     """Choose candidates one after the other, each time the one that adds most; the earlier one where two add the same.
 
@@ -52,6 +53,7 @@ def greedy_cover(
         allowed=range(len(candidates)) if among is None else sorted(among),
         most=count or len(candidates),
         goal=math.inf if target is None else target * weights.total,
+        threads=threads,
     )
     greedy.choose()
     everything = greedy.together(range(len(candidates)))
@@ -95,6 +97,7 @@ class _Greedy:
     allowed: Sequence[int]
     most: int
     goal: float
+    threads: int | None
     chosen: list[int] = field(default_factory=list[int])
     # benefit before a step and the gains then left, largest first: from these bounds are computed
     states: list[tuple[int, list[int]]] = field(default_factory=list[tuple[int, list[int]]])
@@ -112,10 +115,8 @@ class _Greedy:
     def _add_most(self) -> None:
         now = self.together(self.chosen)
         while True:
-            gains = [
-                0 if i in self.chosen else self.weights.gains(now, candidate)[1]
-                for i, candidate in enumerate(self.candidates)
-            ]
+            merits = self.weights.all_gains(now, self.candidates, threads=self.threads)
+            gains = [0 if i in self.chosen else benefit for i, (_, benefit) in enumerate(merits)]
             self.states.append((self.weights.benefit(now), sorted(gains, reverse=True)))
             best = max(self.allowed, key=lambda i: gains[i], default=None)
             met = self.weights.covered(now) >= self.goal

@@ -137,7 +137,7 @@ class _JointPlanner:
         weights = self.whole.weights
         indices = [postures.index(posture) for posture in plan.postures]
         every = [self._counts(plan, posture, self.whole.exposures) for posture in postures]
-        free = greedy_cover(every, weights, count=len(indices))
+        free = greedy_cover(every, weights, count=len(indices), threads=self.whole.threads)
         own = {i: self._counts(plan, postures[i], plan.exposures_of(postures[i])) for i in sorted(indices)}
         cover = replace(
             free,

@@ -29,7 +29,7 @@ from lightopt.design.postures._joint_choice import choose_with_exposures
 from lightopt.design.postures._light_positions import position_counts, position_counts_fit
 from lightopt.design.postures._posture_choice import PostureChoice, PostureRequest
 from lightopt.design.postures._posture_grid import posture_grid, usable_postures
-from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches, without_edges
+from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.design.responses._packed_bits import unpack_flags
 from lightopt.design.search._combinations import Ranked
@@ -253,8 +253,7 @@ def plan_postures(
         "for all of them"
     )
     scene = replace(scene, postures=postures)
-    table = build_patches(scene, caster=caster, budget=options.patch_budget, threads=run.threads)
-    table = without_edges(table, scene, caster, threads=run.threads)
+    table = build_patches(scene, caster=caster, budget=options.patch_budget, edges=False, threads=run.threads)
     whole = ImageEvaluator(
         scene=scene,
         table=table,

@@ -107,16 +107,17 @@ class AlternatingSearch:
         With `prove` and a fixed number, the best of all sets of as many, where the search for it completes.
         """
         counts, weights = self._counts_under(panels, lights), self.evaluator.weights
-        greedy = partial(greedy_cover, counts, weights, count=request.count, target=request.target)
+        threads = self.evaluator.threads
+        greedy = partial(greedy_cover, counts, weights, count=request.count, target=request.target, threads=threads)
         covers = [greedy()]
         sets = [covers[0].chosen, tuple(before)]
         if request.target is None:
-            sets = [improve_by_exchange(counts, weights, one, threads=self.evaluator.threads) for one in sets]
+            sets = [improve_by_exchange(counts, weights, one, threads=threads) for one in sets]
         covers += [greedy(among=one) for one in sets if one and one != covers[0].chosen]
         best = max(covers, key=lambda cover: merit(cover, request))
         if self.prove and request.target is None and request.count is not None:
             size = min(request.count, len(counts))
-            chosen, max_covered, sets = best_set(counts, weights, best.chosen, size, threads=self.evaluator.threads)
+            chosen, max_covered, sets = best_set(counts, weights, best.chosen, size, threads=threads)
             if chosen != best.chosen:
                 covers.append(greedy(among=chosen))
                 best = covers[-1]
@@ -151,6 +152,11 @@ class AlternatingSearch:
         # what every posture shows under these lights, once for as many as there is room for
         if lights not in self._counts:
             self._passes += 1
+            size = len(self.postures) * self.evaluator.weights.zero_counts(self.evaluator.needed).nbytes
+            # those of the initial positions are needed again at the end
+            for one in sorted(self._counts, key=lambda one: one is None):
+                if (len(self._counts) + 1) * size > CACHED_BYTES:
+                    del self._counts[one]
             # posture by posture in each thread: none waits for another at the end of a posture
             evaluator, found = replace(self.evaluator, threads=1), dict[int, Counts]()
 
@@ -165,11 +171,7 @@ class AlternatingSearch:
 
             threads = self.evaluator.threads or available_processors()
             run_all(((count, pair) for pair in enumerate(self.postures)), threads=threads, done=done)
-            counts = [found[i] for i in range(len(self.postures))]
-            size = sum(one.nbytes for one in counts)
-            while self._counts and (len(self._counts) + 1) * size > CACHED_BYTES:
-                del self._counts[next(iter(self._counts))]
-            self._counts[lights] = counts
+            self._counts[lights] = [found[i] for i in range(len(self.postures))]
         return self._counts[lights]
 
     def _stage(self, name: str) -> Share | None:

@@ -264,22 +264,28 @@ def _set_flags(
 ) -> None:
     # the greatest along each defect: what its segments have is what the patches that they lie on have
     height, width = owner.shape
-    enough = limits.shape[1] - 1
-    for p in range(words.shape[1]):
-        start = 0
-        for e in range(len(turns)):
+    energies, turn = np.empty(len(classes), np.float32), np.empty(len(classes), np.int32)
+    first = 0
+    for e in range(len(turns)):
+        count, enough = turns[e], limits[e, limits.shape[1] - 1]
+        for p in range(len(turn)):
             # the same turn as the image counts it
-            turn = int(np.rint(angle[p] / math.pi * turns[e])) % turns[e] if turns[e] > 1 else 0
-            for h in range(start, start + turns[e]):
-                own = start + turn
-                turn = turn + 1 if turn + 1 < turns[e] else 0
+            turn[p] = int(np.rint(angle[p] / math.pi * count)) % count if count > 1 else 0
+        for h in range(first, first + count):
+            for p in range(len(turn)):
+                own = first + turn[p]
+                turn[p] = turn[p] + 1 if turn[p] + 1 < count else 0
                 energy = found[own, p]
-                group = own * FORESHORTENINGS + classes[p]
-                dx, dy = along[group, 0], along[group, 1]
-                if (dx != 0.0 or dy != 0.0) and energy < limits[e, enough]:
-                    for side in (-2, -1, 1, 2):
-                        y, x = _cell(rows[p] + side * dy, height, pad), _cell(columns[p] + side * dx, width, pad)
-                        energy = max(energy, found[own, owner[y, x]])
-                for unit in range(len(words)):
-                    words[unit, p, h // 64] |= np.uint64(energy >= limits[e, unit]) << np.uint64(h % 64)
-            start += turns[e]
+                if energy < enough:
+                    group = own * FORESHORTENINGS + classes[p]
+                    dx, dy = along[group, 0], along[group, 1]
+                    if dx != 0.0 or dy != 0.0:
+                        for side in (-2, -1, 1, 2):
+                            y, x = _cell(rows[p] + side * dy, height, pad), _cell(columns[p] + side * dx, width, pad)
+                            energy = max(energy, found[own, owner[y, x]])
+                energies[p] = energy
+            for unit in range(len(words)):
+                limit, bit = limits[e, unit], np.uint64(h % 64)
+                for p in range(len(energies)):
+                    words[unit, p, h // 64] |= np.uint64(energies[p] >= limit) << bit
+        first += count

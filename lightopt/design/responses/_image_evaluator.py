@@ -35,16 +35,8 @@ from lightopt.design.responses._packed_bits import (
 from lightopt.geometry import RayCaster, face_normals
 from lightopt.lights import PanelLight
 from lightopt.optics import expose
-from lightopt.rendering import (
-    PatchTable,
-    SurfacePoints,
-    converged_panel,
-    mask_pixels,
-    shade_converged,
-    shade_points,
-    shadow_targets,
-)
-from lightopt.scene import Scene, project, view_from_part
+from lightopt.rendering import PatchTable, SurfacePoints, converged_panel, shade_converged, shade_points, shadow_targets
+from lightopt.scene import Scene, view_from_part
 
 BLOCK_PATCHES = 1 << 12  # patches whose levels, under all hypotheses, are in the processor's caches together
 BLOCKS_AT_ONCE = 8  # that a thread works on before it takes others
@@ -57,8 +49,14 @@ DRAWN_PATCHES = 20_000
 """Patches that represent all where much is tried: the first iterations of the search, and tolerances."""
 
 
+def _image_key(posture: Posture, exposures: Sequence[float], panel: PanelLight) -> Any:
+    # the same wherever a light of these properties stands at this place, whichever object that is
+    place = (value.tobytes() if isinstance(value, np.ndarray) else value for value in vars(panel).values())
+    return posture, tuple(exposures), *place
+
+
 class FlagCache:
-    """What images of single lights show, by posture, exposures and panel, as long as there is room for it.
+    """What images of single lights show, by posture, exposures and place of the light, as long as there is room for it.
 
     Safe to use from several threads at once.
     """
@@ -66,7 +64,7 @@ class FlagCache:
     def __init__(self, most_bytes: int) -> None:
         self._most_bytes, self._bytes = most_bytes, 0
         self._lock = Lock()
-        self._words: dict[tuple[Posture, tuple[float, ...], int], tuple[PanelLight, UInt8, int]] = {}
+        self._words: dict[Any, tuple[UInt8, int]] = {}
 
     def clear(self) -> None:
         """Forget everything."""
@@ -75,8 +73,8 @@ class FlagCache:
 
     def find(self, posture: Posture, exposures: tuple[float, ...], panel: PanelLight) -> Words | None:
         """Flags of shape (units, p, words), where they are held."""
-        found = self._words.get((posture, exposures, id(panel)))
-        return None if found is None else widen_octets(*found[1:])
+        found = self._words.get(_image_key(posture, exposures, panel))
+        return None if found is None else widen_octets(*found)
 
     def keep(self, posture: Posture, exposures: tuple[float, ...], panel: PanelLight, flags: Words) -> None:
         """Hold flags of shape (units, p, words), if there is room left."""
@@ -84,14 +82,13 @@ class FlagCache:
         with self._lock:
             if self._bytes + octets.nbytes <= self._most_bytes:
                 self._bytes += octets.nbytes
-                # with the panel, since a number belongs to an object as long as that is there
-                self._words[posture, exposures, id(panel)] = panel, octets, flags.shape[-1]
+                self._words[_image_key(posture, exposures, panel)] = octets, flags.shape[-1]
 
 
 class ImageCache:
     """Images of single lights on the patches that a posture shows, as long as there is room for them.
 
-    They are found again by the same posture, exposures and place of the light, whichever object that is.
+    They are found again by the same posture, exposures and place of the light.
     """
 
     def __init__(self, most_bytes: int) -> None:
@@ -100,7 +97,7 @@ class ImageCache:
 
     def find(self, posture: Posture, exposures: Sequence[float], panel: PanelLight) -> tuple[Levels, Words] | None:
         """Levels and flags, of shapes (e, p) and (e, units, p, words), where they are held."""
-        return self._images.get(self._key(posture, exposures, panel))
+        return self._images.get(_image_key(posture, exposures, panel))
 
     def keep(
         self, posture: Posture, exposures: Sequence[float], panel: PanelLight, levels: Levels, flags: Words
@@ -108,12 +105,7 @@ class ImageCache:
         """Hold levels and flags, of shapes (e, p) and (e, units, p, words), if there is room left."""
         if self._bytes + levels.nbytes + flags.nbytes <= self._most_bytes:
             self._bytes += levels.nbytes + flags.nbytes
-            self._images[self._key(posture, exposures, panel)] = levels.copy(), flags.copy()
-
-    @staticmethod
-    def _key(posture: Posture, exposures: Sequence[float], panel: PanelLight) -> Any:
-        place = (value.tobytes() if isinstance(value, np.ndarray) else value for value in vars(panel).values())
-        return posture, tuple(exposures), *place
+            self._images[_image_key(posture, exposures, panel)] = levels.copy(), flags.copy()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -421,21 +413,6 @@ def scattered_flags(matrices: Sequence[LuminanceMatrix], patches: Index, *, ligh
         assert matrix.visibility is not None
         flags[:, rows] |= matrix.visibility.words[light][place]
     return flags
-
-
-def without_edges(table: PatchTable, scene: Scene, caster: RayCaster, *, threads: int | None = None) -> PatchTable:
-    """The patches with those that an inspection leaves out, at silhouettes and creases, counted as grazing."""
-    grazing = table.grazing.copy()
-    for index, posture in enumerate(table.postures):
-        clean = mask_pixels(scene, posture, caster, threads=threads).clean
-        shown = np.flatnonzero(table.visible[index])
-        columns, rows, _ = project(view_from_part(scene, posture).camera, table.patches.centroids[shown])
-        x, y = (
-            np.clip(np.floor(a).astype(np.intp), 0, side - 1)
-            for a, side in zip((columns, rows), clean.shape[::-1], strict=True)
-        )
-        grazing[index, shown] |= ~clean[y, x]
-    return replace(table, grazing=grazing)
 
 
 def drawn_patches(table: PatchTable, count: int) -> PatchTable:

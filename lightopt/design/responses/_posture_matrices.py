@@ -21,7 +21,7 @@ from lightopt.design._candidates import Candidates
 from lightopt.design._problem import Problem, detection_model_of
 from lightopt.design.responses._defect_hypotheses import PlannedDefect
 from lightopt.design.responses._evidence import UNITS_OF_IMAGE, DetectionModel
-from lightopt.design.responses._image_evaluator import MOST_BYTES, ImageCache, ImageEvaluator, without_edges
+from lightopt.design.responses._image_evaluator import MOST_BYTES, ImageCache, ImageEvaluator
 from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Visibility
 from lightopt.images import make_folder, posture_folder, write_npz_atomic
 from lightopt.rendering import PatchTable, build_patches, patches_for_edge
@@ -154,10 +154,13 @@ class PostureMatrices:
         """The patches, made when first needed."""
         if self.table is None:
             problem, budget = self.problem, self.problem.options.patch_budget
-            threads = self.run.threads
-            self.table = build_patches(problem.scene, caster=problem.caster, budget=budget, threads=threads)
-            if self.detection is not None:
-                self.table = without_edges(self.table, problem.scene, problem.caster, threads=threads)
+            self.table = build_patches(
+                problem.scene,
+                caster=problem.caster,
+                budget=budget,
+                edges=self.detection is None,
+                threads=self.run.threads,
+            )
         return self.table
 
     def matrix(self, posture: Posture, *, held: int) -> LuminanceMatrix:
