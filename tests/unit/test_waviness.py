@@ -126,6 +126,20 @@ def test_a_good_wavy_part_raises_no_false_alarms_where_its_file_says_that_it_is(
     assert regions[1] >= 3
 
 
+@pytest.mark.parametrize("gain", [1.0, 1.03])
+def test_long_waves_do_not_pass_for_the_brightness_of_the_lights(wavy, gain):
+    wavy.edit("part.yaml", "waviness_mm: 1.5", "waviness_mm: 3")
+    rig, part = load_rig(wavy.rig), load_part(wavy.part)
+    wavy.edit("rig.yaml", "gain: 0.8", f"gain: {0.8 * gain:g}")
+    options = RenderOptions(postures=(Posture(elevation_deg=0.0, rotation_deg=0.0),), noise=1)
+    render_image_set(wavy.rig, wavy.part, wavy.out, options=options)
+    result = inspect_set(
+        rig, part, read_image_set(wavy.out), options=InspectOptions(fusion=None, detector="residual", register=False)
+    )
+    found = result.postures[0].view.photometry.gains
+    assert found == pytest.approx({"light1": 1.0, "light3": gain}, abs=0.002)
+
+
 def test_every_part_on_the_simulated_rig_has_a_surface_of_its_own(wavy):
     rig, part = load_rig(wavy.rig), load_part(wavy.part)
     frames = []

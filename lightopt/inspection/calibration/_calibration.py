@@ -85,7 +85,8 @@ class Calibration:
         now = calibration_fingerprint(rig, part, options)
         parts = {
             "rig": f"{rig.source.path}: camera, sensor, lights or stage",
-            "part": f"{part.source.path}: placement, reflectance or how the mesh is read",
+            "part": f"{part.source.path}: placement, reflectance, surface, how the mesh is read or the catalogue of "
+            "defects",
             "mesh_sha256": f"{part.source.resolve(part.mesh.file)}: the mesh",
         }
         problems = [

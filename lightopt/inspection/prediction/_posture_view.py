@@ -120,17 +120,21 @@ def posture_view(
             "shorter exposure or less light"
         )
     images = {image.light: image.level for image in prediction.images.lights}
-    photometry = fit_photometry(observations, [images[o.light] for o in observations], clean, scene, threads=threads)
+    waviness, correlated = prediction.waviness, 1.0
+    spreads = None
+    if waviness is not None:
+        correlated = waviness.waviness.correlated_pixels(waviness.footprint, SCALES_PX)
+        spreads = [np.float32(math.sqrt(correlated)) * waviness.spread[o.light] for o in observations]
+    photometry = fit_photometry(
+        observations, [images[o.light] for o in observations], clean, scene, spreads=spreads, threads=threads
+    )
     lights = tuple(name for name in images if any(o.light == name for o in observations))
     shape = len(lights), *clean.shape
     arrays: dict[str, Any] = {
         name: np.empty(shape, np.bool_ if name == "saturated" else np.float32) for name in _ARRAYS
     }
 
-    waviness, wavy, correlated = prediction.waviness, None, 1.0
-    if waviness is not None:
-        wavy = np.empty(shape, np.float32)
-        correlated = waviness.waviness.correlated_pixels(waviness.footprint, SCALES_PX)
+    wavy = None if waviness is None else np.empty(shape, np.float32)
 
     def merge(number: int, rows: slice) -> None:
         light = lights[number]
@@ -248,19 +252,23 @@ def fit_photometry(
     clean: Bool,
     scene: Scene,
     *,
+    spreads: Sequence[Float32] | None = None,
     threads: int | None = None,
 ) -> Photometry:
     """Gain of each light and a common dark level, by robust least squares over pixels that are neither black nor full.
 
     predicted: for each image, levels of the good part [grey level at exposure 1], shape (H, W).
     clean: the pixels to use, shape (H, W).
+    spreads: for each image, by how much good parts scatter besides the sensor's noise, as `predicted`; None for not.
     """
     names = [light.name for light in scene.lights]
     n = len(names)
 
+    scatter = [None] * len(observations) if spreads is None else spreads
+
     def sample(number: int) -> tuple[int, Float64, Float64, Float64]:
         o = observations[number]
-        return names.index(o.light), *_sample(scene, o, predicted[number], clean)
+        return names.index(o.light), *_sample(scene, o, predicted[number], scatter[number], clean)
 
     rows = in_threads(sample, range(len(observations)), threads)
     everywhere = some_pixels(clean)
@@ -289,8 +297,12 @@ def fit_photometry(
             x[:n] = (right[:n] - normal[:n, n] * darkest) / np.diag(normal)[:n]
     accepted = np.all((x[:n] >= 1.0 / MOST_GAIN) & (x[:n] <= MOST_GAIN))
     sets = [
-        (names.index(o.light), *_above_black(scene, o, light, everywhere))
-        for o, light in zip(observations, predicted, strict=True)
+        (
+            names.index(o.light),
+            *_above_black(scene, o, light, everywhere),
+            _noise_share(scene, o, light, own, everywhere),
+        )
+        for o, light, own in zip(observations, predicted, scatter, strict=True)
     ]
     if not accepted or _capped_residual(sets, x) > _capped_residual(sets, nominal):
         # not these lights, not this part or another lobe: fitted gains must not hide that
@@ -311,21 +323,41 @@ def _above_black(
     return model, level, bottom, bottom + sensor.saturated_from
 
 
-def _sample(scene: Scene, o: Observation, predicted: Float32, clean: Bool) -> tuple[Float64, Float64, Float64]:
-    # predicted and measured levels above black and the noise, at pixels that are neither black nor full
-    model, level, _, top = _above_black(scene, o, predicted, some_pixels(clean & ~o.saturated))
+def _noise(
+    scene: Scene, o: Observation, model: Float64, spread: Float32 | None, index: Index
+) -> tuple[Float64, Float64]:
+    # standard deviations of levels at some pixels: of the sensor's noise, and with the scatter of good parts
     noise = np.sqrt(scene.sensor.noise_variance(model, frames=o.frames))
+    if spread is None:
+        return noise, noise
+    scale = o.exposure * scene.sensor.max_level / scene.reflectance.full_scale
+    return noise, np.hypot(noise, scale * spread.ravel()[index])
+
+
+def _noise_share(scene: Scene, o: Observation, predicted: Float32, spread: Float32 | None, index: Index) -> Float64:
+    # share of the sensor's noise in the variance
+    noise, whole = _noise(scene, o, _above_black(scene, o, predicted, index)[0], spread, index)
+    return np.square(noise / whole)
+
+
+def _sample(
+    scene: Scene, o: Observation, predicted: Float32, spread: Float32 | None, clean: Bool
+) -> tuple[Float64, Float64, Float64]:
+    # predicted and measured levels above black and their noise, at pixels that are neither black nor full
+    index = some_pixels(clean & ~o.saturated)
+    model, level, _, top = _above_black(scene, o, predicted, index)
+    noise, whole = _noise(scene, o, model, spread, index)
     usable = (model + 4.0 * noise < top) & (model > 4.0 * noise)
-    return model[usable], level[usable], noise[usable]
+    return model[usable], level[usable], whole[usable]
 
 
-def _capped_residual(sets: Sequence[tuple[int, Float64, Float64, Float64, Float64]], x: Float64) -> float:
+def _capped_residual(sets: Sequence[tuple[int, Float64, Float64, Float64, Float64, Float64]], x: Float64) -> float:
     # sum of squared residuals over all pixels, black and full ones as the camera clips them; up to a cap, so that a
-    # defect does not change the gains
+    # defect does not change the gains. What scatters from part to part counts for less
     total = 0.0
-    for light, model, level, bottom, top in sets:
+    for light, model, level, bottom, top, share in sets:
         off = np.minimum(level, top) - np.clip(x[light] * model + x[-1], bottom, top)
-        total += float(np.sum(np.minimum(np.square(off), np.square(LEVEL_CAP * (top - bottom)))))
+        total += float(np.sum(share * np.minimum(np.square(off), np.square(LEVEL_CAP * (top - bottom)))))
     return total
 
 

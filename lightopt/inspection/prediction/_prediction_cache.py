@@ -23,7 +23,7 @@ from lightopt.inspection.prediction._nearby_placement import (
 )
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.inspection.prediction._predict import Prediction, SurfaceMap, map_surface, predict
-from lightopt.inspection.prediction._template_bank import TemplateBank, template_bank
+from lightopt.inspection.prediction._template_bank import TemplateBank, bank_bytes, template_bank
 from lightopt.rendering import cast_rays_at
 from lightopt.scene import Scene
 
@@ -165,8 +165,7 @@ class PredictionCache:
         if (kept := self.banks.get(key)) is not None:
             return kept
         bank = template_bank(scene, view, catalogue, self._caster(scene), threads=threads)
-        size = sum(entry.change.nbytes for some in (*self.banks.values(), bank) for entry in some)
-        if size <= MOST_BYTES:
+        if sum(map(bank_bytes, (*self.banks.values(), bank))) <= MOST_BYTES:
             self.banks[key] = bank
         return bank
 

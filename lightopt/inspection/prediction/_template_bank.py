@@ -123,6 +123,13 @@ class EntryTemplates:
 TemplateBank = tuple[EntryTemplates, ...]
 
 
+def bank_bytes(bank: TemplateBank) -> int:
+    """Memory of the images of a bank; entries may have some in common."""
+    names = ("deviation", "attenuation", "change", "count", "foreshortening", "inverse")
+    images = (getattr(one, name) for one in bank for name in names)
+    return sum({id(image): image.nbytes for image in images if image is not None}.values())
+
+
 @dataclass(frozen=True, eq=False)
 class _Surface:
     """The pixels of a posture for shading: their number among `pixels` or −1, tangent axes, foreshortening."""
