@@ -16,7 +16,7 @@ import numpy as np
 from lightopt import build_scene, load_part, load_rig
 from lightopt.core.arrays import Float64
 from lightopt.defects import BUILT_IN_CATALOGUE, CONFIRMED
-from lightopt.design import DetectionModel, ImageEvaluator, planned_catalogue, unpack_flags, without_edges
+from lightopt.design import DetectionModel, ImageEvaluator, planned_catalogue, unpack_flags
 from lightopt.rendering import build_patches, cast_rays_at
 from lightopt.report import chart, figure_image, fixed_style
 
@@ -48,7 +48,7 @@ def statistic_picture(target: Path, *, patches: int = 20_000) -> None:
     part = load_part(ROOT / "configs" / "parts" / "cover-knob.yaml")
     scene = build_scene(rig, part, defects=False)
     caster, posture = cast_rays_at(scene), scene.postures[0]
-    table = without_edges(build_patches(scene, caster=caster, budget=patches), scene, caster)
+    table = build_patches(scene, caster=caster, budget=patches, edges=False)
     catalogue = planned_catalogue(BUILT_IN_CATALOGUE)
     seen = table.inspectable(posture)
     needed: list[Float64] = []
