@@ -459,9 +459,9 @@ def table(differences: Sequence[Difference]) -> str:
                 _rms(np.array([getattr(d, name) for d in own])) for name in ("signal", "inside_rms", "outside_rms")
             )
             lines.append(
-                f"| {factor:g} | {kind} | {own[0].slope:.3g}° | {len(own)} | {signal:.3g} "
-                f"| {inside:.2g}, {max(d.inside_max for d in own):.2g} "
-                f"| {outside:.1g}, {max(d.outside_max for d in own):.2g} "
+                f"| {factor:g} | {kind} | {own[0].slope:.3g}° | {len(own)} | {_number(signal)} "
+                f"| {_number(inside)}, {_number(max(d.inside_max for d in own))} "
+                f"| {_number(outside)}, {_number(max(d.outside_max for d in own))} "
                 f"| {middle:.3f}, {low:.2f} to {high:.2f} "
                 f"| {np.median(correlation):.4f}, {np.percentile(correlation, 5.0):.3f} |"
             )
@@ -485,6 +485,10 @@ def _found(own: Sequence[Difference], which: int) -> str:
     return f"{model}, {moved} of {len(pairs)} | {only_model}, {only_moved}"
 
 
+def _number(value: float) -> str:
+    return f"{value:.0f}" if value >= 10.0 else f"{value:.2g}" if value >= 0.01 else "< 0.01"
+
+
 def _head(names: Sequence[str]) -> list[str]:
     return [f"| {' | '.join(names)} |", "|---" * len(names) + "|"]
 
@@ -493,7 +497,7 @@ def hiding_table(differences: Sequence[Difference]) -> str:
     """A line per group of the ratio of walls to view, all slopes and kinds together."""
     heads = (
         *("tan slope / tan view elevation", "defects", "difference / change: median, 95 %"),
-        *("difference / change / ratio: 95 %", "energy ratio: median, 5 to 95 %", "correlation: median, 5 %"),
+        *("the same over the ratio: 95 %", "energy ratio: median, 5 to 95 %", "correlation: median, 5 %"),
         *("2 images: model, displaced", "only model, only displaced"),
     )
     lines = _head(heads)
@@ -522,20 +526,24 @@ def bounds_text(differences: Sequence[Difference]) -> str:
     hills = [d for d in differences if _is_hill(d.kind)]
     shaded = [d for d in hills if d.reach_bound > 0.0]
     changed = [d for d in differences if d.reach > SLACK_MM]
+    low, middle, high = shifts
+    reach, floor = max(d.reach for d in differences), max(d.floor_max for d in differences)
+    above, rough = sum(d.above_bound for d in differences), sum(d.floor_max > SEEN for d in differences)
     shift = (
-        f"shift over parallax, {len(wide)} {', '.join(WIDE)} of more than {LEAST_PARALLAX_PX:g} px: "
-        f"median {shifts[1]:.2f}, 5 to 95 % {shifts[0]:.2f} to {shifts[2]:.2f}; from 0 to 1: {within}"
+        f"Parallax: {len(wide)} dents, bumps and blisters have one of more than {LEAST_PARALLAX_PX:g} px. The image's "
+        f"shift, by least squares, is {middle:.2f} of it (median; 5 to 95 %: {low:.2f} to {high:.2f}), and from 0 to 1 "
+        f"of it for {within}."
     )
-    reach = (
-        f"beyond the outline: bound above 0 for {len(shaded)} of {len(hills)} hills; {len(changed)} defects of "
-        f"{len(differences)} reach further than {SLACK_MM:g} mm, up to {max(d.reach for d in differences):.2f} mm; "
-        f"{sum(d.above_bound for d in differences)} further than their bound"
+    shadow = (
+        f"Shadows and hidden surface: the formula lets {len(shaded)} of {len(hills)} bumps and blisters reach beyond "
+        f"their outline. Of all {len(differences)} defects {len(changed)} change pixels more than {SLACK_MM:g} mm "
+        f"beyond it, up to {reach:.2f} mm, and {above} further than the formula says (by more than {SLACK_MM:g} mm)."
     )
-    floor = (
-        f"floor: at most {max(d.floor_max for d in differences):.2g} standard deviations, more than {SEEN:g} for "
-        f"{sum(d.floor_max > SEEN for d in differences)} of {len(differences)} defects"
+    control = (
+        f"Control: the refined mesh differs from the good part by at most {floor:.2g} σ, and by more than {SEEN:g} σ "
+        f"around {rough} of {len(differences)} defects."
     )
-    return f"- {shift}\n- {reach}\n- {floor}"
+    return f"- {shift}\n- {shadow}\n- {control}"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
