@@ -25,8 +25,9 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
+from benchmarks._case import one_posture_files
 from benchmarks.inspection import FIRST, replace_block
-from benchmarks.loop import OFF_MM, PARTS, files, run_command
+from benchmarks.loop import OFF_MM, PARTS, run_command
 from lightopt import build_scene, load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Bool, Float32, Float64, Index
@@ -396,7 +397,9 @@ class Inspector:
 
 def compare_part(folder: Path, name: str, options: argparse.Namespace) -> Iterator[Difference]:
     """All differences of a part."""
-    rig_file, part_file = files(folder, name, options.width, "as-filed")
+    rig_file, text = one_posture_files(folder, name, width=options.width, pixel_um=f"{4.4 * 1600 / options.width:g}")
+    part_file = folder / f"{name}.yaml"
+    part_file.write_text(text, encoding="utf-8")
     chosen = rig_file
     if not options.toy:
         best = folder / f"{name}-best"
