@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -100,6 +101,16 @@ def one_posture_files(folder: Path, name: str, *, width: int, pixel_um: str) -> 
     )
     one = "postures: [{elevation_deg: 0, rotation_deg: 0}]\n\nreflectance:"
     return folder / "rig.yaml", re.sub(r"postures:.*?\nreflectance:", one, part, flags=re.DOTALL)
+
+
+def write_records(path: Path, records: Sequence[object]) -> None:
+    """Write instances of a dataclass, one at least, as rows of a CSV file, and print its name."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(vars(records[0]))
+        writer.writerows(vars(one).values() for one in records)
+    print(path)
 
 
 def chrome(scene: Scene) -> Scene:

@@ -14,20 +14,19 @@ Profiles are rendered as in the catalogue and with other slopes.
 from __future__ import annotations
 
 import argparse
-import csv
 import itertools
 import math
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
 
-from benchmarks._case import one_posture_files
+from benchmarks._case import write_records
 from benchmarks.inspection import FIRST, replace_block
-from benchmarks.loop import OFF_MM, PARTS, run_command
+from benchmarks.loop import OFF_MM, PARTS, files, run_command
 from lightopt import build_scene, load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Bool, Float32, Float64, Index
@@ -397,9 +396,7 @@ class Inspector:
 
 def compare_part(folder: Path, name: str, options: argparse.Namespace) -> Iterator[Difference]:
     """All differences of a part."""
-    rig_file, text = one_posture_files(folder, name, width=options.width, pixel_um=f"{4.4 * 1600 / options.width:g}")
-    part_file = folder / f"{name}.yaml"
-    part_file.write_text(text, encoding="utf-8")
+    rig_file, part_file = files(folder, name, width=options.width)
     chosen = rig_file
     if not options.toy:
         best = folder / f"{name}-best"
@@ -566,12 +563,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in options.parts:
         with tempfile.TemporaryDirectory(prefix="lightopt-displaced-") as folder:
             differences += compare_part(Path(folder), name, options)
-    options.out.mkdir(parents=True, exist_ok=True)
-    with (options.out / "displaced.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(field.name for field in fields(Difference))
-        writer.writerows(vars(one).values() for one in differences)
-    print(options.out / "displaced.csv")
+    write_records(options.out / "displaced.csv", differences)
     tables = {
         "displaced": table(differences),
         "displaced-hiding": hiding_table(differences),

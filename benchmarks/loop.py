@@ -18,7 +18,6 @@ Two shares are set beside what was found, kind by kind:
 from __future__ import annotations
 
 import argparse
-import csv
 import itertools
 import math
 import re
@@ -29,7 +28,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks._case import one_posture_files
+from benchmarks._case import one_posture_files, write_records
 from benchmarks.inspection import FIRST, replace_block
 from lightopt import build_scene, load_part, load_rig
 from lightopt.config import PartConfig, RigConfig
@@ -100,14 +99,13 @@ def run_command(*words: object) -> None:
         raise SystemExit(f"lightopt {words[0]} left with {status}")
 
 
-def files(folder: Path, name: str, options: argparse.Namespace) -> tuple[Path, Path]:
-    """The sample rig with a camera of a width, and the part in its first posture with a finish."""
-    width, finish = options.width, options.finish
-    rig, part = one_posture_files(folder, str(name), width=width, pixel_um=f"{4.4 * 1600 / width:g}")
+def files(folder: Path, name: str, *, width: int, finish: str = "as-filed", surface: str = "") -> tuple[Path, Path]:
+    """The sample rig with a camera of a width, and the part in its first posture with a finish and a surface."""
+    rig, part = one_posture_files(folder, name, width=width, pixel_um=f"{4.4 * 1600 / width:g}")
     for key, value in FINISHES[finish].items():
         part = re.sub(rf"( {key}:) [0-9.]+", rf"\1 {value:g}", part)
-    if options.waviness:
-        part += f"\nsurface: {{waviness_deg: {options.waviness:g}, waviness_mm: {options.waviness_mm:g}}}\n"
+    if surface:
+        part += f"\nsurface: {surface}\n"
     path = folder / f"{Path(name).stem}.yaml"
     path.write_text(part, encoding="utf-8")
     return rig, path
@@ -189,7 +187,10 @@ def take(rig: RigConfig, part: PartConfig, folder: Path, seed: int) -> ImageSet:
 
 def close_loop(folder: Path, name: str, options: argparse.Namespace) -> Iterator[Tally]:
     """Plan, place, capture and inspect one part under the rigs of both objectives."""
-    rig_file, part_file = files(folder, name, options)
+    surface = (
+        f"{{waviness_deg: {options.waviness:g}, waviness_mm: {options.waviness_mm:g}}}" if options.waviness else ""
+    )
+    rig_file, part_file = files(folder, name, width=options.width, finish=options.finish, surface=surface)
     name = part_file.stem
     placed: list[Path] = []
     for seed in range(1, options.seeds + 1):
@@ -367,12 +368,7 @@ def main(arguments: list[str] | None = None) -> None:
             tallies += close_loop(Path(folder), name, options)
     text = table(tallies)
     print(f"\n{text}")
-    options.out.mkdir(parents=True, exist_ok=True)
-    with (options.out / "loop.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(vars(tallies[0]))
-        writer.writerows(vars(t).values() for t in tallies)
-    print(options.out / "loop.csv")
+    write_records(options.out / "loop.csv", tallies)
     if options.page:
         replace_block("loop" if options.finish == "as-filed" else f"loop-{options.finish}", text)
     if options.plot is not None:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field, ValidationInfo, field_validator
 
@@ -140,14 +140,11 @@ class CatalogueEntryConfig(fields.Frozen):
     def shape(self) -> DefectShape:
         """The defect without its place, in mm and radians."""
         length, width = _extents(self.size_mm)
-        slope = 0.0 if self.slope_deg is None else math.radians(self.slope_deg)
-        if self.depth_mm is not None:
-            slope = slope_of_depth(self.kind, width, self.depth_mm)
         return DefectShape(
             kind=self.kind,
             length=length,
             width=width,
-            slope=slope,
+            slope=_slope(self.kind, self.size_mm, self.slope_deg, self.depth_mm),
             R_d_factor=1.0 if self.R_d_factor is None else self.R_d_factor,
             sigma_factor=1.0 if self.sigma_factor is None else self.sigma_factor,
         )
@@ -174,7 +171,8 @@ class PlannedDefectConfig(CatalogueEntryConfig):
         if info.field_name == "slope_range" and value != (1.0, 1.0) and kind is not None and kind not in SHAPE_KINDS:
             raise fields.complaint(f"a {kind} has no slope; remove this key")
         if info.field_name == "slope_range" and kind in SHAPE_KINDS:
-            steepest = value[1] * _slope_deg(kind, info.data)
+            size, slope, depth = (info.data.get(key) for key in ("size_mm", "slope_deg", "depth_mm"))
+            steepest = value[1] * math.degrees(_slope(kind, size, slope, depth))
             if steepest > math.degrees(MAX_SLOPE) + 1e-9:
                 raise fields.complaint(
                     f"the steepest walls would be {steepest:.0f} degrees; expected at most {math.degrees(MAX_SLOPE):g}"
@@ -219,9 +217,10 @@ def _extents(size: float | tuple[float, float]) -> tuple[float, float]:
     return size if isinstance(size, tuple) else (size, size)
 
 
-def _slope_deg(kind: DefectKind, data: Mapping[str, Any]) -> float:
-    # of a shape as far as its keys are valid, else 0
-    slope, depth, size = (data.get(key) for key in ("slope_deg", "depth_mm", "size_mm"))
-    if depth is not None and size is not None:
-        return math.degrees(slope_of_depth(kind, _extents(size)[1], depth))
-    return slope or 0.0
+def _slope(
+    kind: DefectKind, size: float | tuple[float, float] | None, slope_deg: float | None, depth_mm: float | None
+) -> float:
+    # steepest slope [rad] by the keys that are there, else 0
+    if depth_mm is not None and size is not None:
+        return slope_of_depth(kind, _extents(size)[1], depth_mm)
+    return math.radians(slope_deg or 0.0)

@@ -66,10 +66,9 @@ def place_random_defects(
     """Place random defects on the surface that the camera sees in at least one of the part's postures.
 
     The entries of the part's catalogue, or of the built-in one, follow each other in order; sizes and slopes are drawn
-    evenly by their logarithm from an entry's ranges. Places are drawn evenly by
-    area and directions evenly all around; a place is used where the defect is seen whole in one posture, off
-    silhouettes, creases and grazing views, and apart from those before it. The same files, count and seed give the same
-    defects.
+    evenly by their logarithm from an entry's ranges. Places are drawn evenly by area and directions evenly all around;
+    a place is used where the defect is seen whole in one posture, off silhouettes, creases and grazing views, and apart
+    from those before it. The same files, count and seed give the same defects.
 
     rig, part: The part's own defects do not matter.
     count: Number of defects, 1 to 500.
@@ -85,9 +84,8 @@ def place_random_defects(
         raise InputError(*problems)
     catalogue = build_catalogue(part)
     scene = build_scene(rig, part, defects=False)
-    kinds = [catalogue[slot % len(catalogue)] for slot in range(count)]
-    within = np.random.default_rng([seed, 1]).random((count, 2))
-    kinds = [entry.at(float(size), float(slope)) for entry, (size, slope) in zip(kinds, within, strict=True)]
+    within = np.random.default_rng([seed, 1]).random((count, 2)).tolist()
+    kinds = [catalogue[slot % len(catalogue)].at(*within[slot]) for slot in range(count)]
     rng = np.random.default_rng(seed)
     chosen: dict[int, RandomDefect] = {}
     threads = None if run is None else run.threads

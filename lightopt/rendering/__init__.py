@@ -3,6 +3,7 @@
 from lightopt.rendering._converged_panel import (
     converged_panel as converged_panel,
     highlight_level as highlight_level,
+    panel_to_shade as panel_to_shade,
     shade_converged as shade_converged,
     shadow_targets as shadow_targets,
 )

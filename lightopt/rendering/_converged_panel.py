@@ -58,6 +58,15 @@ class PanelVisibility:
     penumbra: Bool
 
 
+def panel_to_shade(panel: PanelLight, caster: RayCaster) -> PanelLight | ConvergedPanel:
+    """A panel with the points that its file has, or converged where these are ``auto``.
+
+    panel: Part frame
+    caster: Of the part, whose bounding sphere the diffuse quadrature is chosen for
+    """
+    return converged_panel(panel, centre=caster.centre, radius=caster.radius) if panel.points == "auto" else panel
+
+
 def converged_panel(light: PanelLight, *, centre: Float64, radius: float) -> ConvergedPanel:
     """Choose the diffuse quadrature of a panel by trying it on surface points all over a part.
 

@@ -22,7 +22,7 @@ from lightopt.lights import PanelLight
 from lightopt.rendering._converged_panel import (
     ConvergedPanel,
     PanelVisibility,
-    converged_panel,
+    panel_to_shade,
     shade_converged,
     shadow_targets,
 )
@@ -236,10 +236,7 @@ class _PostureJob:
         ]
         self.geometry = _no_hit(shape, defects=bool(scene.defects)) if geometry else None
         self.back = np.zeros(shape, np.bool_)
-        self.panels: list[PanelLight | ConvergedPanel] = [
-            converged_panel(light, centre=caster.centre, radius=caster.radius) if light.points == "auto" else light
-            for light in view.lights
-        ]
+        self.panels = [panel_to_shade(light, caster) for light in view.lights]
         # neighbouring samples show where penumbrae are, so that blocks then overlap by a row
         self.halo = int(shadows and any(isinstance(panel, ConvergedPanel) for panel in self.panels))
 

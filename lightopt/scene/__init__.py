@@ -21,6 +21,7 @@ from lightopt.scene._camera import (
     place_camera as place_camera,
     project as project,
     screen_window as screen_window,
+    surface_footprint as surface_footprint,
 )
 from lightopt.scene._defects import (
     angle_outside_range as angle_outside_range,

@@ -127,6 +127,12 @@ def pixel_footprint(camera: PinholeCamera, distance: float) -> float:
     return camera.pixel_size / camera.image_distance * distance
 
 
+def surface_footprint(camera: PinholeCamera, points: Float64) -> float:
+    """The same at the typical depth of points of a surface, shape (k, 3), frame of the camera; at 1 mm for none."""
+    depth = (points - camera.position) @ camera.forward
+    return pixel_footprint(camera, float(np.median(depth)) if len(depth) else 1.0)
+
+
 def _distort(distortion: Distortion, x: Float64, y: Float64) -> tuple[Float64, Float64]:
     d = distortion
     r2 = x * x + y * y

@@ -61,8 +61,8 @@ from lightopt.design.responses._packed_bits import Words
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight
 from lightopt.optics import Sensor
-from lightopt.rendering import PatchTable, SurfacePoints, converged_panel, shade_variants, surface_variants
-from lightopt.scene import Scene, pixel_footprint, project, view_from_part
+from lightopt.rendering import PatchTable, SurfacePoints, panel_to_shade, shade_variants, surface_variants
+from lightopt.scene import Scene, project, surface_footprint, view_from_part
 
 UNITS_OF_IMAGE = 3
 """Most units of evidence that an image counts for."""
@@ -256,8 +256,7 @@ class PatchEvidence:
         camera = view_from_part(scene, posture).camera
         right, up = image_axes(surface.views, camera.right)
         classes = foreshortening_classes(surface.normals, surface.views, right, up).astype(np.int32)
-        depth = (surface.points - camera.position) @ camera.forward
-        footprint = pixel_footprint(camera, float(np.median(depth)) if len(depth) else 1.0)
+        footprint = surface_footprint(camera, surface.points)
         cosines = np.einsum("ij,ij->i", surface.normals, surface.views)
         areas = table.patches.areas[table.inspectable(posture)] * cosines / footprint**2
         image = _locate(scene, table, posture, areas)
@@ -307,11 +306,10 @@ class PatchEvidence:
         panel: Part frame.
         Returns levels at exposure 1 [grey level], shape (p,), and per exposure flags of shape (units, p, words).
         """
-        source = converged_panel(panel, centre=caster.centre, radius=caster.radius) if panel.points == "auto" else panel
         shaded = shade_variants(
             self._surface,
             self._references,
-            source,
+            panel_to_shade(panel, caster),
             self._variants,
             reflectance=self._scene.reflectance,
             caster=blocker,

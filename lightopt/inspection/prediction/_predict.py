@@ -13,15 +13,15 @@ from lightopt.lights import PanelLight
 from lightopt.rendering import (
     PostureImages,
     build_patches,
-    converged_panel,
     mask_pixels,
+    panel_to_shade,
     patch_positions,
     render_posture,
     shade_variants,
     surface_variants,
     trace_pixels,
 )
-from lightopt.scene import Scene, pixel_footprint
+from lightopt.scene import Scene, surface_footprint
 
 TRACE = 1e-6  # least R_d that is rendered: far below what a camera detects
 
@@ -83,7 +83,7 @@ def predict(
 def _wavy_levels(scene: Scene, posture: Posture, caster: RayCaster, threads: int | None) -> WavyLevels:
     assert scene.waviness is not None
     pixels = trace_pixels(scene, posture, caster, threads=threads)
-    surface, camera = pixels.surface, pixels.view.camera
+    surface = pixels.surface
     axes = scene.placement.rotation
     references = tangent_references(surface.normals, x_axis=axes[:, 0], y_axis=axes[:, 1])
     slope, direction = scene.waviness.leans
@@ -92,18 +92,23 @@ def _wavy_levels(scene: Scene, posture: Posture, caster: RayCaster, threads: int
     )
 
     def spread(panel: PanelLight) -> Float32:
-        source = converged_panel(panel, centre=caster.centre, radius=caster.radius) if panel.points == "auto" else panel
         shaded = shade_variants(
-            surface, references, source, variants, reflectance=scene.reflectance, caster=caster, dtype=np.float32
+            surface,
+            references,
+            panel_to_shade(panel, caster),
+            variants,
+            reflectance=scene.reflectance,
+            caster=caster,
+            dtype=np.float32,
         )
         image = np.zeros(pixels.shape, np.float32)
         image[pixels.row, pixels.column] = np.hypot(*(one - shaded.good for one in shaded.varied))
         return image
 
-    depth = (surface.points - camera.position) @ camera.forward
-    footprint = pixel_footprint(camera, float(np.median(depth)) if len(depth) else 1.0)
     return WavyLevels(
-        spread={panel.name: spread(panel) for panel in pixels.view.lights}, waviness=scene.waviness, footprint=footprint
+        spread={panel.name: spread(panel) for panel in pixels.view.lights},
+        waviness=scene.waviness,
+        footprint=surface_footprint(pixels.view.camera, surface.points),
     )
 
 

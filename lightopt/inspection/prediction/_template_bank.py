@@ -37,12 +37,12 @@ from lightopt.lights import PanelLight
 from lightopt.rendering import (
     PosturePixels,
     SurfacePoints,
-    converged_panel,
+    panel_to_shade,
     shade_variants,
     surface_variants,
     trace_pixels,
 )
-from lightopt.scene import Scene, pixel_footprint
+from lightopt.scene import Scene, surface_footprint
 
 # a place is tested where a defect of the entry's own size and amplitude is expected to stand out by so much; elsewhere
 # only one several times as strong would be found
@@ -183,8 +183,7 @@ def _surface(pixels: PosturePixels, clean: Bool) -> _Surface:
     right, up = image_axes(surface.views, camera.right)
     references = tangent_axis(surface.normals, right)
     classes = foreshortening_classes(surface.normals, surface.views, right, up).astype(np.int16)
-    depth = (surface.points[index[clean]] - camera.position) @ camera.forward
-    return _Surface(pixels, index, references, classes, pixel_footprint(camera, float(np.median(depth))))
+    return _Surface(pixels, index, references, classes, surface_footprint(camera, surface.points[index[clean]]))
 
 
 def _templates(
@@ -227,10 +226,7 @@ def _templates(
     pixel = index.ravel()[at].astype(np.intp)
     unit = MOST_CHANGE * ratio / CODES
     tasks = [(i, start, end) for i in range(lights) for start, end in blocks(len(at), _POINTS)]
-    sources = [
-        converged_panel(panel, centre=caster.centre, radius=caster.radius) if panel.points == "auto" else panel
-        for panel in panels
-    ]
+    sources = [panel_to_shade(panel, caster) for panel in panels]
 
     def shade(number: int) -> None:
         i, start, end = tasks[number]
