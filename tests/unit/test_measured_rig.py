@@ -154,7 +154,7 @@ def test_a_panel_moves_about_its_measured_pose(tmp_path):
     # 3 mm and 2° off
     off = Rotation.from_rotvec([0.02, 0.02, 0.02])
     turn = off * Rotation.from_matrix(np.stack([ideal.across, ideal.along, ideal.outward], axis=1))
-    centre = ideal.centre + [1.0, 2.0, -2.0]
+    centre = ideal.centre + np.array([1.0, 2.0, -2.0])
     pose = f"{{centre_mm: {vector(centre)}, rotation_vector_deg: {vector(turn.as_rotvec(degrees=True))}}}"
     posed = rig(tmp_path, (LIGHT, f"{{name: light1, pose: {pose}, elevation_range_deg: [30, 65]}}"))
     here = build_lights(posed)[0]
