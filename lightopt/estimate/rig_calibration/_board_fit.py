@@ -12,7 +12,6 @@ from lightopt.estimate.rig_calibration._board import Board, BoardView
 from lightopt.estimate.rig_calibration._board_model import (
     AT,
     BOARD_POSITION,
-    BOARD_ROTATION,
     BOW,
     CAMERA_POSITION,
     CAMERA_ROTATION,
@@ -20,7 +19,6 @@ from lightopt.estimate.rig_calibration._board_model import (
     NAMES,
     Origin,
     Sightings,
-    predict,
     sightings,
 )
 from lightopt.estimate.rig_calibration._board_start import start_from_views
@@ -28,7 +26,7 @@ from lightopt.estimate.rig_calibration._joint_fit import OPTIONAL, Corners, Join
 from lightopt.estimate.rig_calibration._postures import PostureGain, judge_postures
 from lightopt.scene import PinholeCamera, Stage
 
-OBSERVED = 0.5  # a parameter is unobservable whose error is more than this share of what it was beforehand
+_OBSERVED = 0.5  # a parameter is unobservable whose error is more than this share of what it was beforehand
 _LEAST_TILTED = np.radians(10.0)
 _OF_LENS = ("focal length", "distance", "principal point", "lens distortion")
 _NORMAL_95 = 1.959964
@@ -147,7 +145,7 @@ def fit_board(
     views: At least one; one at tilt 0 only, or rotations only, leave most unobservable
     camera, stage: Nominal, a few degrees and millimetres from the truth, world frame
     free: Further parameters to fit, of aspect, k2, p1, p2, k3, tilt_scale, rotary_scale
-    on_evidence: Whether those are fitted, too, that the residuals ask for
+    on_evidence: Whether those are fitted, too, that the residuals ask for, given that the tilt changes
     angle_error_deg: Standard error of a reading of the stage
     postures: Where pixels are predicted, and those that could be taken next; tilts to ±45° by default
     Raises InputError: The corners do not fit the rig, or are too few to start from
@@ -159,7 +157,8 @@ def fit_board(
     prior, origin = _prior(board, camera, stage or Stage(), uncertainty or RigUncertainty(), angle_error_deg)
     start = start_from_views(np.where(np.isfinite(prior.mean), prior.mean, 0.0), origin, corners.seen, corners.pixels)
     start[0][BOARD_POSITION.stop - 1] = board.height
-    fit = fit_jointly(corners, start, prior, extra=tuple(free), on_evidence=on_evidence)
+    tilted = bool(np.ptp(corners.seen.readings[:, 0]) >= _LEAST_TILTED)
+    fit = fit_jointly(corners, start, prior, extra=tuple(free), on_evidence=on_evidence and tilted)
     fitted_camera, fitted_stage = _rig(fit, camera)
     predicted_rms, gain = judge_postures(fit, board, corners.seen.readings, fitted_camera, postures)
     unit = np.array([np.degrees(1.0) if _is_angle(NAMES[i]) else 1.0 for i in fit.free])
@@ -176,7 +175,7 @@ def fit_board(
         common_errors=fit.common,
         angle_error_deg=float(np.degrees(fit.angle_sd)),
         residuals=_residuals(views, fit, corners.seen),
-        unobservable=_unobservable(fit, float(np.ptp(corners.seen.readings[:, 0]))),
+        unobservable=_unobservable(fit, tilted),
         predicted_rms=predicted_rms,
         next_posture=gain,
     )
@@ -215,7 +214,11 @@ def _prior(
     half = float(np.abs(board.points).max())
     for names, value, spread in [
         ("camera.rotation_x camera.rotation_y camera.rotation_z", 0.0, np.radians(known.rotation_deg)),
-        ("camera.position_x camera.position_y camera.position_z", camera.position - aside, known.position_share * distance),
+        (
+            "camera.position_x camera.position_y camera.position_z",
+            camera.position - aside,
+            known.position_share * distance,
+        ),
         ("camera.focal_px", focal, known.focal_share * focal),
         ("camera.principal_x_px camera.principal_y_px", centre, known.principal_share * camera.width),
         ("camera.aspect", camera.aspect, 0.01),
@@ -288,9 +291,9 @@ def _residuals(views: Sequence[BoardView], fit: JointFit, seen: Sightings) -> tu
     return tuple(found)
 
 
-def _unobservable(fit: JointFit, tilted: float) -> tuple[str, ...]:
-    # names of the quantities whose error is not much less than it was beforehand. With one rotation and no tilt
-    # [rad], errors of the board's shape pass for another lens, whatever their covariance is
+def _unobservable(fit: JointFit, tilted: bool) -> tuple[str, ...]:
+    # names of the quantities whose error is not much less than it was beforehand. Where the tilt hardly changes, errors
+    # of the board's shape pass for another lens, whatever the covariance is
     axes = fit.origin.camera
     rows: list[tuple[str, Float64]] = []
 
@@ -317,6 +320,7 @@ def _unobservable(fit: JointFit, tilted: float) -> tuple[str, ...]:
     for name, row in rows:
         mine = row[fit.free]
         after = np.sqrt(mine @ fit.of_free @ mine)
-        if name not in names and (tilted < _LEAST_TILTED and name in _OF_LENS or after > OBSERVED * np.linalg.norm(row * before)):
+        weak = after > _OBSERVED * np.linalg.norm(row * before) or (not tilted and name in _OF_LENS)
+        if weak and name not in names:
             names.append(name)
     return tuple(names)

@@ -56,9 +56,7 @@ class Origin:
     def moved(self, x: Float64) -> "Origin":
         """With the rotation parameters of `x` in it, so that they are 0 next."""
         return replace(
-            self,
-            camera=rotation(x[CAMERA_ROTATION]) @ self.camera,
-            board=rotation(x[BOARD_ROTATION]) @ self.board,
+            self, camera=rotation(x[CAMERA_ROTATION]) @ self.camera, board=rotation(x[BOARD_ROTATION]) @ self.board
         )
 
 

@@ -9,7 +9,15 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
-from lightopt.estimate.rig_calibration._board_model import AT, BOARD_POSITION, CAMERA_POSITION, Origin, Sightings, predict, rotation
+from lightopt.estimate.rig_calibration._board_model import (
+    AT,
+    BOARD_POSITION,
+    CAMERA_POSITION,
+    Origin,
+    Sightings,
+    predict,
+    rotation,
+)
 
 _LEAST_POINTS = 6
 _MOST_VIEWS = 24  # whose poses are tried
@@ -31,7 +39,7 @@ def start_from_views(x: Float64, origin: Origin, seen: Sightings, pixels: Float6
         if mine.sum() < _LEAST_POINTS or np.ptp(seen.points[mine], axis=0).min() == 0.0:
             continue
         for turned, shift in _plane_poses(seen.points[mine], rays[mine]):
-            lift, at_zero = _stage(x, origin, seen.readings[view])
+            lift, at_zero = _stage(x, seen.readings[view])
             world = origin.camera.T
             placed = Origin(origin.camera, lift.T @ world @ turned)
             there = x.copy()
@@ -47,7 +55,7 @@ def start_from_views(x: Float64, origin: Origin, seen: Sightings, pixels: Float6
     return best[1], best[2]
 
 
-def _stage(x: Float64, origin: Origin, reading: Float64) -> tuple[Float64, Float64]:
+def _stage(x: Float64, reading: Float64) -> tuple[Float64, Float64]:
     # world = R·part + t of a posture
     tilt, turn = x[[AT["tilt_axis.scale"], AT["rotary_axis.scale"]]] * reading
     epsilon = x[AT["tilt_axis.elevation"]]
@@ -66,7 +74,11 @@ def _plane_poses(points: Float64, rays: Float64) -> list[tuple[Float64, Float64]
     rows[::2, :3], rows[::2, 6:] = flat, -u[:, None] * flat
     rows[1::2, 3:6], rows[1::2, 6:] = flat, -v[:, None] * flat
     h = np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 3)
-    h = np.array([[size, 0.0, centre[0]], [0.0, size, centre[1]], [0.0, 0.0, 1.0]]) @ h @ np.diag([1.0 / unit, 1.0 / unit, 1.0])
+    h = (
+        np.array([[size, 0.0, centre[0]], [0.0, size, centre[1]], [0.0, 0.0, 1.0]])
+        @ h
+        @ np.diag([1.0 / unit, 1.0 / unit, 1.0])
+    )
     h /= np.copysign(0.5 * (np.linalg.norm(h[:, 0]) + np.linalg.norm(h[:, 1])), h[2, 2])
     axes, shift = h[:, :2], h[:, 2]
     sight = shift / np.linalg.norm(shift)

@@ -31,6 +31,7 @@ OPTIONAL = {
 
 _TRIM = 4.0  # robust standard deviations
 _EVIDENCE = 4.5  # standard errors from nominal from which an optional parameter is freed
+_LEAST_SCORED = 2.0  # standard deviations beforehand to standard errors, below which one stays held
 _READINGS_OF_PRIOR = 10.0  # what the given angle error counts against the errors that the fit finds, in readings
 _ROBUST_STEPS, _POLISH_STEPS = 100, 30
 _SETTLED = 1e-4  # square of the distance still to go, in standard errors
@@ -204,13 +205,12 @@ def _polished(
     # damped Gauss-Newton on the corners within the trim; noise and error of the readings are estimated at each step
     seen, free = corners.seen, _free(prior, extra)
     size = len(free)
-    known = np.isfinite(prior.sd)
-    mean = np.concatenate([np.where(known, prior.mean, 0.0)[free], np.zeros(angles.size)])
+    mean = np.concatenate([np.where(np.isfinite(prior.sd), prior.mean, 0.0)[free], np.zeros(angles.size)])
     precision = np.concatenate([1.0 / np.square(prior.sd[free]), np.zeros(angles.size)])
     problem = _Problem(corners, x, origin, free, np.ones(0), np.zeros(0, np.bool_))
-    now, angle_sd, effective = np.concatenate([x[free], angles.ravel()]), prior.angle_sd, float(len(mean))
-    damping = 0.0
-    for _ in range(_POLISH_STEPS):
+    now, angle_sd, effective, damping = np.concatenate([x[free], angles.ravel()]), prior.angle_sd, float(len(mean)), 0.0
+    step = 0
+    while True:
         residual = problem.residuals(now).reshape(-1, 2)
         far = np.where(np.isfinite(residual), np.abs(residual), np.inf)
         inlier = far.max(axis=1) <= _TRIM * max(_MAD * float(np.median(far)), _LEAST_SPREAD_PX)
@@ -218,19 +218,21 @@ def _polished(
         noise = float(np.sqrt(np.square(residual[inlier]).sum() / max(rows.sum() - effective, 1.0)))
         common = _common_errors(seen, residual, inlier, effective)
         precision[size:] = 1.0 / angle_sd**2
-        unit = noise * common
-        slopes = problem.slopes(now)[rows] / unit
+        slopes = problem.slopes(now)[rows] / (noise * common)
         normal = slopes.T @ slopes + np.diag(precision)
         covariance = inverse(normal)
-        pull = slopes.T @ residual.ravel()[rows] / unit - precision * (now - mean)
-        if pull @ covariance @ pull <= _SETTLED:
-            break
+        pull = slopes.T @ residual.ravel()[rows] / (noise * common) - precision * (now - mean)
+        if pull @ covariance @ pull <= _SETTLED or step == _POLISH_STEPS:
+            fitted, angles = problem.split(now)
+            return JointFit(
+                fitted, origin, prior, free, covariance, angles, angle_sd, noise, common, residual, inlier, extra
+            )
 
-        def cost(there: Float64) -> float:
+        def cost(there: Float64, rows: Bool = rows, unit: float = noise * common) -> float:
             off = problem.residuals(there)[rows] / unit
             return float(off @ off + precision @ np.square(there - mean))
 
-        before, damping = cost(now), 0.1 * damping
+        before, damping, step = cost(now), 0.1 * damping, step + 1
         while damping < _MOST_DAMPING:
             there = now + inverse(normal + damping * np.diag(np.diag(normal))) @ pull
             if cost(there) < before:
@@ -239,27 +241,13 @@ def _polished(
             damping = max(10.0 * damping, _FIRST_DAMPING)
         effective = len(now) - float(precision @ np.diag(covariance))
         found = float(np.square(now[size:]).sum() + np.diag(covariance)[size:].sum())
-        angle_sd = np.sqrt((_READINGS_OF_PRIOR * prior.angle_sd**2 + found) / (_READINGS_OF_PRIOR + angles.size))
-    x, angles = problem.split(now)
-    return JointFit(
-        x=x,
-        origin=origin,
-        prior=prior,
-        free=free,
-        covariance=covariance,
-        angles=angles,
-        angle_sd=float(angle_sd),
-        noise=noise,
-        common=common,
-        residual=residual,
-        inlier=inlier,
-        extra=extra,
-    )
+        known = _READINGS_OF_PRIOR * prior.angle_sd**2
+        angle_sd = float(np.sqrt((known + found) / (_READINGS_OF_PRIOR + angles.size)))
 
 
 def _common_errors(seen: Sightings, residual: Float64, inlier: Bool, effective: float) -> float:
-    # how many times larger residuals are that vary smoothly over a view (quadratic) than those that do not: a board that
-    # is not flat, or a lens of another kind, moves neighbouring corners together. All parameters act smoothly
+    # how many times larger residuals are that vary smoothly over a view (quadratic) than those that do not: a board
+    # that is not flat, or a lens of another kind, moves neighbouring corners together. All parameters act smoothly
     smooth = rough = 0.0
     smooth_count, rough_count = -effective, 0.0
     for view in range(len(seen.readings)):
@@ -291,7 +279,9 @@ def _scores(fit: JointFit, seen: Sightings, names: list[str]) -> Float64:
     unit = fit.noise * fit.common
     slopes = _matrix(by_x[:, :, fit.free], by_angles, seen)[rows] / unit
     held = by_x[:, :, [OPTIONAL[name] for name in names]].reshape(len(rows), -1)[rows] / unit
+    prior = fit.prior.sd[[OPTIONAL[name] for name in names]]
     pull = held.T @ fit.residual.ravel()[rows] / unit
     cross = held.T @ slopes
     variance = np.square(held).sum(axis=0) - np.einsum("ij,jk,ik->i", cross, fit.covariance, cross)
-    return pull / np.sqrt(np.maximum(variance, 1e-12))
+    observable = np.sqrt(variance.clip(0.0)) * prior > _LEAST_SCORED
+    return np.where(observable, pull / np.sqrt(np.where(observable, variance, 1.0)), 0.0)

@@ -52,16 +52,15 @@ def judge_postures(
     spread = np.einsum("kni,knj->ij", by_free, by_free) / inside[shown].sum()
     now = float(np.sqrt(np.sum(fit.of_free * spread)))
     information = inverse(fit.of_free)
-    best: PostureGain | None = None
+    gains: list[PostureGain] = []
     unit = fit.noise * fit.common
     for number, slopes, own in zip(shown, by_free / unit, by_angles / unit, strict=True):
         inner = own.T @ own + np.eye(2) / fit.angle_sd**2  # the new readings have errors, too
         cross = own.T @ slopes
         gained = slopes.T @ slopes - cross.T @ np.linalg.solve(inner, cross)
         rms = float(np.sqrt(np.sum(inverse(information + gained) * spread)))
-        if best is None or rms < best.predicted_rms:
-            best = PostureGain(posture=postures[number], predicted_rms=rms)
-    return now, best
+        gains.append(PostureGain(posture=postures[int(number)], predicted_rms=rms))
+    return now, min(gains, key=lambda gain: gain.predicted_rms)
 
 
 def _facing(outline: Float64, in_views: Float64) -> Bool:
