@@ -30,14 +30,14 @@ OPTIONAL = {
 }
 
 _TRIM = 4.0  # robust standard deviations
-_EVIDENCE = 4.5  # standard errors from nominal from which an optional parameter is freed
+_EVIDENCE = 4.0  # standard errors from nominal from which an optional parameter is freed
 _LEAST_SCORED = 2.0  # standard deviations beforehand to standard errors, below which one stays held
 _READINGS_OF_PRIOR = 10.0  # what the given angle error counts against the errors that the fit finds, in readings
 _ROBUST_STEPS, _POLISH_STEPS = 100, 30
 _SETTLED = 1e-4  # square of the distance still to go, in standard errors
 _FIRST_DAMPING, _MOST_DAMPING = 1e-6, 1e3
 _MOST_SPREAD_PX = 3.0  # corners that scatter more are of another rig or board
-_SMOOTH_TERMS = 6  # of a quadratic over a view
+_SMOOTH_POWERS = [(i, j) for i in range(4) for j in range(4 - i)]  # of x and y, over a view
 _LEAST_SMOOTH = 20  # degrees of freedom from which on smooth residuals tell something
 _LEAST_SPREAD_PX = 0.005
 _MAD = 1.4826
@@ -215,7 +215,8 @@ def _polished(
         far = np.where(np.isfinite(residual), np.abs(residual), np.inf)
         inlier = far.max(axis=1) <= _TRIM * max(_MAD * float(np.median(far)), _LEAST_SPREAD_PX)
         rows = np.repeat(inlier, 2)
-        noise = float(np.sqrt(np.square(residual[inlier]).sum() / max(rows.sum() - effective, 1.0)))
+        variance = float(np.square(residual[inlier]).sum()) / max(rows.sum() - effective, 1.0)
+        noise = max(float(np.sqrt(variance)), _LEAST_SPREAD_PX)
         common = _common_errors(seen, residual, inlier, effective)
         precision[size:] = 1.0 / angle_sd**2
         slopes = problem.slopes(now)[rows] / (noise * common)
@@ -246,21 +247,21 @@ def _polished(
 
 
 def _common_errors(seen: Sightings, residual: Float64, inlier: Bool, effective: float) -> float:
-    # how many times larger residuals are that vary smoothly over a view (quadratic) than those that do not: a board
+    # how many times larger residuals are that vary smoothly over a view (cubic) than those that do not: a board
     # that is not flat, or a lens of another kind, moves neighbouring corners together. All parameters act smoothly
     smooth = rough = 0.0
     smooth_count, rough_count = -effective, 0.0
     for view in range(len(seen.readings)):
         mine = inlier & (seen.view == view)
-        if mine.sum() <= _SMOOTH_TERMS:
+        if mine.sum() <= len(_SMOOTH_POWERS):
             continue
         x, y = (seen.points[mine] / seen.half).T
-        basis, _ = np.linalg.qr(np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y]))
+        basis, _ = np.linalg.qr(np.column_stack([x**i * y**j for i, j in _SMOOTH_POWERS]))
         off = residual[mine]
         mine_smooth = float(np.square(basis.T @ off).sum())
         smooth, rough = smooth + mine_smooth, rough + float(np.square(off).sum()) - mine_smooth
-        smooth_count += 2 * _SMOOTH_TERMS
-        rough_count += 2 * (len(off) - _SMOOTH_TERMS)
+        smooth_count += 2 * len(_SMOOTH_POWERS)
+        rough_count += 2 * (len(off) - len(_SMOOTH_POWERS))
     if smooth_count < _LEAST_SMOOTH or rough_count <= 0.0:
         return 1.0
     return float(np.sqrt(max(1.0, smooth / smooth_count / max(rough / rough_count, 1e-12))))
