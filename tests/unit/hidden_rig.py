@@ -93,7 +93,7 @@ class HiddenRig:
 
     def predicted_error(self, fit: BoardFit, postures=EVERYWHERE):
         """Rms over pixels of points on the board and 10 mm above it [px]."""
-        points = np.concatenate([self.points[::7], self.points[::7] + [0, 0, 10]])
+        points = np.concatenate([self.points[::7], self.points[::7] + np.array([0, 0, 10])])
         found = points @ fit.board_rotation.T + fit.board_position
         point, axis = fit.stage.tilt_axis
         off = [

@@ -217,7 +217,7 @@ def test_a_pivot_beside_the_origin_is_moved_there():
     ("change", "message"),
     [
         (lambda views: [], "no image shows a point"),
-        (lambda views: [replace(v, ids=v.ids[:4], pixels=v.pixels[:4]) for v in views], "6 points that are not on a line"),
+        (lambda views: [replace(v, ids=v.ids[:4], pixels=v.pixels[:4]) for v in views], "6 points that are not on"),
         (lambda views: [replace(v, ids=v.ids + 30) for v in views], "image 0: points 30 to 117, expected 0 to 87"),
         (lambda views: [replace(v, posture=Posture(-v.posture.elevation_deg, -v.posture.rotation_deg)) for v in views],
          "do not fit the rig"),

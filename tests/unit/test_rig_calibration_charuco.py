@@ -51,7 +51,7 @@ def test_corners_are_found_where_they_are(cv2, legacy):
     assert sorted(view.ids) == list(range(35))
     true = ORIGIN + SCALE * target.grid().points[view.ids] * [1, -1]
     assert np.abs((view.pixels - true).mean(axis=0)).max() < 0.02  # not half a pixel
-    assert np.sqrt(np.mean(np.square(view.pixels - true))) < 0.05
+    assert np.sqrt(np.mean(np.square(view.pixels - true))) < 0.1
 
 
 def test_any_kind_of_image_will_do(cv2):
@@ -66,10 +66,10 @@ def test_any_kind_of_image_will_do(cv2):
 @pytest.mark.parametrize(
     ("change", "message", "used"),
     [
-        (lambda image: gaussian_filter(image, 4.0), r"blurred: edges are [34]\.\d px wide", True),
+        (lambda image: gaussian_filter(image, 2.7), r"blurred: edges are 2\.\d px wide", True),
         (lambda image: np.clip(1.4 * image, 0, 255), "saturated: .* Expose less", True),
         (lambda image: image[:, ::-1], "the image is mirrored", False),
-        (lambda image: image[:170, :200], r"\d markers and \d corners found, expected at least 8 corners", False),
+        (lambda image: image[:230, :260], r"\d markers and \d corners found, expected at least 8 corners", False),
         (lambda image: np.full_like(image, 9.0), "no board found: grey levels are between 9 and 9 of 255", False),
         (lambda image: gaussian_filter(image, 20.0), "no board found", False),
     ],
@@ -139,7 +139,7 @@ def test_a_board_is_a_mesh_of_its_white_areas(cv2, tmp_path, suffix):
     assert whole == pytest.approx(24 * (25.0 - 3.75**2) + 24 * 3.75**2 / 36 * 8, rel=0.08)  # half of a marker's 16 bits
     mesh = board_mesh(TARGET, margin=2.0)
     write_mesh(tmp_path / f"board.{suffix}", mesh)
-    read = load_mesh(tmp_path / f"board.{suffix}", units="mm").mesh
+    read = load_mesh(tmp_path / f"board.{suffix}", unit_mm=1.0, normals="facet", crease_angle=0.5).mesh
     for found in (mesh, read):
         assert face_areas(found).sum() == pytest.approx(whole + 44 * 34 - 40 * 30, rel=1e-5)
         np.testing.assert_allclose(face_normals(found)[:, 2], 1.0)
@@ -166,7 +166,7 @@ def test_a_printed_board_has_its_true_size(cv2, tmp_path):
         board_sheet(TARGET, tmp_path / "board.svg")
     with pytest.raises(InputError, match="paper b5: expected a4, a3, letter"):
         board_sheet(TARGET, tmp_path / "board.pdf", paper="b5")
-    with pytest.raises(InputError, match="the board needs 320 × 276 mm, and a4 has 297 × 210 mm"):
+    with pytest.raises(InputError, match="the board needs 320 × 286 mm, and a4 has 297 × 210 mm"):
         board_sheet(CharucoBoard(squares=(6, 5), square=50.0, marker=40.0), tmp_path / "board.pdf", paper="a4")
 
 
@@ -184,8 +184,9 @@ def test_corners_of_a_rendered_board_are_where_the_scene_has_them(cv2, tmp_path)
     (tmp_path / "rig.yaml").write_text(
         "format: lightopt-rig/1\nname: rig\n"
         "camera: {distance_mm: 550, elevation_deg: 80, roll_deg: 7, resolution_px: [800, 600], pixel_size_um: 6, "
-        "image_distance_mm: 55}\n"
-        "light_source: {size_mm: [60, 60], points: 2, falloff: none, emission_exponent: 0}\n"
+        "image_distance_mm: 55, sensor: {bit_depth: 8, saturation_level: 255, black_level: 0, read_noise_levels: 1, "
+        "electrons_per_level: 60}}\n"
+        "light_source: {size_mm: [60, 60], points: 4, falloff: none, emission_exponent: 0}\n"
         "lights: [{name: light, distance_mm: 330, elevation_deg: 80, azimuth_deg: 45}]\n"
     )
     scene = build_scene(load_rig(tmp_path / "rig.yaml"), load_part(tmp_path / "part.yaml"))

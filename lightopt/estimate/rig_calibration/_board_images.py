@@ -15,7 +15,7 @@ from lightopt.estimate.rig_calibration._charuco import CharucoBoard, opencv, ope
 _LEAST_CORNERS = 8
 _LEAST_MARKERS = 4
 _LEAST_CONTRAST = 20.0  # of 255
-_MOST_BLUR_PX = 2.5  # standard deviation of an edge's spread
+_MOST_BLUR_PX = 2.0  # standard deviation of an edge's spread
 _SATURATED, _MOST_SATURATED = 0.995, 0.01  # level, as a share of the full scale; share of the pixels of the board
 
 
@@ -90,7 +90,7 @@ def _cause(cv2: Any, target: CharucoBoard, image: UInt8, corners: int) -> str:
         return "the image is mirrored: turn the camera's mirroring off"
     mine = _markers(cv2, target.dictionary, image)
     count = target.squares[0] * target.squares[1] // 2
-    if np.sum(mine >= count) > np.sum(mine < count):
+    if np.sum(mine >= count) >= max(np.sum(mine < count), _LEAST_MARKERS):
         return (
             f"wrong board: it shows marker {mine.max()} of {target.dictionary}, and a board of {target.squares[0]} × "
             f"{target.squares[1]} squares has 0 to {count - 1}. Check the numbers of squares"
