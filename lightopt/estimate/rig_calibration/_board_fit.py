@@ -12,50 +12,37 @@ from lightopt.estimate.rig_calibration._board import Board, BoardView
 from lightopt.estimate.rig_calibration._board_model import (
     AT,
     BOARD_POSITION,
-    BOW,
     CAMERA_POSITION,
-    CAMERA_ROTATION,
     LENS,
     NAMES,
-    Origin,
     Sightings,
     sightings,
 )
 from lightopt.estimate.rig_calibration._board_start import start_from_views
-from lightopt.estimate.rig_calibration._joint_fit import OPTIONAL, Corners, JointFit, Prior, fit_jointly
+from lightopt.estimate.rig_calibration._joint_fit import OPTIONAL, Corners, JointFit, fit_jointly
+from lightopt.estimate.rig_calibration._nominal import RigUncertainty, nominal_prior
 from lightopt.estimate.rig_calibration._postures import PostureGain, judge_postures
 from lightopt.scene import PinholeCamera, Stage
 
 _OBSERVED = 0.5  # a parameter is unobservable whose error is more than this share of what it was beforehand
 _LEAST_TILTED = np.radians(10.0)
+_QUANTITIES = {  # and their parameters; the camera's position is in its own axes
+    "focal length": "camera.focal_px",
+    "distance": "camera.position_z",
+    "camera position": "camera.position_x camera.position_y",
+    "camera rotation": "camera.rotation_x camera.rotation_y camera.rotation_z",
+    "principal point": "camera.principal_x_px camera.principal_y_px",
+    "lens distortion": "camera.k1",
+    "tilt axis direction": "tilt_axis.elevation",
+    "tilt axis position": "tilt_axis.position_y tilt_axis.position_z",
+    "board bow": "board.bow_xx board.bow_xy board.bow_yy",
+}
 _OF_LENS = ("focal length", "distance", "principal point", "lens distortion")
 _NORMAL_95 = 1.959964
 _FAULTY_SHARE, _FAULTY_RATIO = 0.5, 4.0  # outliers in a view; its median residual to that of all
 
 
-@dataclass(frozen=True, kw_only=True)
-class RigUncertainty:
-    """How well the nominal rig is known beforehand, as standard deviations.
-
-    What images do not determine stays near nominal. Against what they do determine this has no weight.
-
-    focal_share: Focal length, share of itself
-    principal_share: Principal point, share of the image's width
-    position_share: Camera position, share of its distance
-    rotation_deg: Camera rotation about each axis
-    tilt_axis_deg: Elevation of the tilt axis
-    tilt_axis_mm: Position of the tilt axis
-    """
-
-    focal_share: float = 0.05
-    principal_share: float = 0.05
-    position_share: float = 0.05
-    rotation_deg: float = 5.0
-    tilt_axis_deg: float = 1.0
-    tilt_axis_mm: float = 5.0
-
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ViewResidual:
     """How well one view fits.
 
@@ -143,7 +130,7 @@ def fit_board(
     are wrong as a whole are named.
 
     views: At least one; one at tilt 0 only, or rotations only, leave most unobservable
-    camera, stage: Nominal, a few degrees and millimetres from the truth, world frame
+    camera, stage: Nominal, a few degrees and millimetres from the truth, world frame; the tilt axis in its X-Z plane
     free: Further parameters to fit, of aspect, k2, p1, p2, k3, tilt_scale, rotary_scale
     on_evidence: Whether those are fitted, too, that the residuals ask for, given that the tilt changes
     angle_error_deg: Standard error of a reading of the stage
@@ -154,14 +141,14 @@ def fit_board(
     if wrong:
         raise InputError(f"{', '.join(wrong)}: cannot be fitted; expected some of {', '.join(OPTIONAL)}")
     corners = _corners(views, board)
-    prior, origin = _prior(board, camera, stage or Stage(), uncertainty or RigUncertainty(), angle_error_deg)
+    prior, origin = nominal_prior(board, camera, stage or Stage(), uncertainty or RigUncertainty(), angle_error_deg)
     start = start_from_views(np.where(np.isfinite(prior.mean), prior.mean, 0.0), origin, corners.seen, corners.pixels)
     start[0][BOARD_POSITION.stop - 1] = board.height
     tilted = bool(np.ptp(corners.seen.readings[:, 0]) >= _LEAST_TILTED)
     fit = fit_jointly(corners, start, prior, extra=tuple(free), on_evidence=on_evidence and tilted)
     fitted_camera, fitted_stage = _rig(fit, camera)
     predicted_rms, gain = judge_postures(fit, board, corners.seen.readings, fitted_camera, postures)
-    unit = np.array([np.degrees(1.0) if _is_angle(NAMES[i]) else 1.0 for i in fit.free])
+    unit = np.array([np.degrees(1.0) if "rotation" in NAMES[i] or "elevation" in NAMES[i] else 1.0 for i in fit.free])
     return BoardFit(
         camera=fitted_camera,
         stage=fitted_stage,
@@ -181,10 +168,6 @@ def fit_board(
     )
 
 
-def _is_angle(name: str) -> bool:
-    return "rotation" in name or name == "tilt_axis.elevation"
-
-
 def _corners(views: Sequence[BoardView], board: Board) -> Corners:
     count = board.columns * board.rows
     for view in views:
@@ -198,48 +181,6 @@ def _corners(views: Sequence[BoardView], board: Board) -> Corners:
     readings = np.radians([[view.posture.elevation_deg, view.posture.rotation_deg] for view in views])
     seen = sightings(board, [view.ids for view in views], readings)
     return Corners(seen, np.concatenate([view.pixels for view in views]))
-
-
-def _prior(
-    board: Board, camera: PinholeCamera, stage: Stage, known: RigUncertainty, angle_error_deg: float
-) -> tuple[Prior, Origin]:
-    # the nominal world moved so that the rotary axis is Z
-    aside = np.array([stage.pivot[0], stage.pivot[1], 0.0])
-    point, axis = stage.tilt_axis
-    mean, sd = np.zeros(len(NAMES)), np.full(len(NAMES), np.inf)
-    distance = float(np.linalg.norm(camera.position - stage.pivot))
-    focal = camera.image_distance / camera.pixel_size
-    centre = camera.axis_px
-    lens = camera.distortion
-    half = float(np.abs(board.points).max())
-    for names, value, spread in [
-        ("camera.rotation_x camera.rotation_y camera.rotation_z", 0.0, np.radians(known.rotation_deg)),
-        (
-            "camera.position_x camera.position_y camera.position_z",
-            camera.position - aside,
-            known.position_share * distance,
-        ),
-        ("camera.focal_px", focal, known.focal_share * focal),
-        ("camera.principal_x_px camera.principal_y_px", centre, known.principal_share * camera.width),
-        ("camera.aspect", camera.aspect, 0.01),
-        ("camera.k1", lens.k1, 0.5),
-        ("camera.k2", lens.k2, 5.0),
-        ("camera.p1", lens.p1, 0.05),
-        ("camera.p2", lens.p2, 0.05),
-        ("camera.k3", lens.k3, 50.0),
-        ("tilt_axis.elevation", np.arcsin(axis[2]), np.radians(known.tilt_axis_deg)),
-        ("tilt_axis.position_y tilt_axis.position_z", (point - aside)[1:], known.tilt_axis_mm),
-        ("tilt_axis.scale", stage.tilt_scale, 0.005),
-        ("rotary_axis.scale", stage.rotary_scale, 0.005),
-        ("board.position_z", board.height, board.height_error),
-        ("board.scale", 0.0, board.pitch_error),
-        ("board.pitch_ratio", 0.0, 0.01),
-        ("board.bow_xx board.bow_xy board.bow_yy", 0.0, 0.02 * half),
-    ]:
-        at = [AT[name] for name in names.split()]
-        mean[at], sd[at] = value, spread
-    origin = Origin(np.array([camera.right, -camera.up, camera.forward]), np.eye(3))
-    return Prior(mean, sd, float(np.radians(angle_error_deg))), origin
 
 
 def _rig(fit: JointFit, nominal: PinholeCamera) -> tuple[PinholeCamera, Stage]:
@@ -270,57 +211,29 @@ def _rig(fit: JointFit, nominal: PinholeCamera) -> tuple[PinholeCamera, Stage]:
 
 def _residuals(views: Sequence[BoardView], fit: JointFit, seen: Sightings) -> tuple[ViewResidual, ...]:
     distance = np.linalg.norm(fit.residual, axis=1)
-    usual = float(np.median(distance))
+    most = _FAULTY_RATIO * float(np.median(distance))
     found: list[ViewResidual] = []
     for number, view in enumerate(views):
-        mine, count = seen.view == number, len(view.ids)
-        inliers = distance[mine & fit.inlier]
-        outliers = count - len(inliers)
+        mine = seen.view == number
+        inliers, count = distance[mine & fit.inlier], len(view.ids)
         median = float(np.median(distance[mine])) if count else 0.0
-        found.append(
-            ViewResidual(
-                name=view.name,
-                posture=view.posture,
-                corners=count,
-                median=median,
-                rms=float(np.sqrt(np.mean(inliers**2))) if len(inliers) else 0.0,
-                outliers=outliers,
-                faulty=outliers > _FAULTY_SHARE * count or median > _FAULTY_RATIO * usual,
-            )
-        )
+        rms = float(np.sqrt(np.mean(np.square(inliers)))) if len(inliers) else 0.0
+        outliers = count - len(inliers)
+        faulty = outliers > _FAULTY_SHARE * count or median > most
+        found.append(ViewResidual(view.name, view.posture, count, median, rms, outliers, faulty))
     return tuple(found)
 
 
 def _unobservable(fit: JointFit, tilted: bool) -> tuple[str, ...]:
-    # names of the quantities whose error is not much less than it was beforehand. Where the tilt hardly changes, errors
-    # of the board's shape pass for another lens, whatever the covariance is
-    axes = fit.origin.camera
-    rows: list[tuple[str, Float64]] = []
-
-    def add(name: str, at: slice | list[int], weights: Float64) -> None:
-        for row in np.atleast_2d(weights):
-            whole = np.zeros(len(NAMES))
-            whole[at] = row
-            rows.append((name, whole))
-
-    one = np.eye(3)
-    add("focal length", [AT["camera.focal_px"]], one[:1, :1])
-    add("distance", CAMERA_POSITION, axes[2])
-    add("camera position", CAMERA_POSITION, axes[:2])
-    add("camera rotation", CAMERA_ROTATION, one)
-    add("principal point", [AT["camera.principal_x_px"], AT["camera.principal_y_px"]], one[:2, :2])
-    add("lens distortion", [AT["camera.k1"]], one[:1, :1])
-    add("tilt axis direction", [AT["tilt_axis.elevation"]], one[:1, :1])
-    add("tilt axis position", [AT["tilt_axis.position_y"], AT["tilt_axis.position_z"]], one[:2, :2])
-    add("board bow", BOW, one)
-    for name in fit.extra:
-        add(name.replace("_", " "), [OPTIONAL[name]], one[:1, :1])
-    names: list[str] = []
-    before = np.where(np.isfinite(fit.prior.sd), fit.prior.sd, 0.0)
-    for name, row in rows:
-        mine = row[fit.free]
-        after = np.sqrt(mine @ fit.of_free @ mine)
-        weak = after > _OBSERVED * np.linalg.norm(row * before) or (not tilted and name in _OF_LENS)
-        if weak and name not in names:
-            names.append(name)
-    return tuple(names)
+    # quantities whose error is not much less than it was beforehand. Where the tilt hardly changes, errors of the
+    # board's shape pass for another lens, whatever the covariance is
+    axes = np.eye(len(NAMES))
+    axes[CAMERA_POSITION, CAMERA_POSITION] = fit.origin.camera
+    after = np.sqrt(np.einsum("ij,jk,ik->i", axes[:, fit.free], fit.of_free, axes[:, fit.free]))
+    weak = {NAMES[i] for i in fit.free if after[i] > _OBSERVED * fit.prior.sd[i]}
+    quantities = {**_QUANTITIES, **{name.replace("_", " "): NAMES[OPTIONAL[name]] for name in fit.extra}}
+    return tuple(
+        name
+        for name, parameters in quantities.items()
+        if not weak.isdisjoint(parameters.split()) or (not tilted and name in _OF_LENS)
+    )

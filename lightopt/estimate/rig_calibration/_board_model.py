@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from lightopt.core.arrays import Float64, Index
+from lightopt.core.transforms import rotation_from_vector
 from lightopt.estimate.rig_calibration._board import Board
 
 # every parameter of the model, in this order; lengths [mm], angles [rad], image [px]
@@ -56,7 +57,9 @@ class Origin:
     def moved(self, x: Float64) -> "Origin":
         """With the rotation parameters of `x` in it, so that they are 0 next."""
         return replace(
-            self, camera=rotation(x[CAMERA_ROTATION]) @ self.camera, board=rotation(x[BOARD_ROTATION]) @ self.board
+            self,
+            camera=rotation_from_vector(x[CAMERA_ROTATION]) @ self.camera,
+            board=rotation_from_vector(x[BOARD_ROTATION]) @ self.board,
         )
 
 
@@ -74,11 +77,6 @@ class Sightings:
     half: Float64
     view: Index
     readings: Float64
-
-
-def rotation(vector: Float64) -> Float64:
-    """Rotation matrix of a rotation vector [rad]."""
-    return np.asarray(Rotation.from_rotvec(vector).as_matrix(), np.float64)
 
 
 def sightings(board: Board, ids: list[Index], readings: Float64) -> Sightings:
@@ -103,7 +101,7 @@ def predict(
     along = seen.points / seen.half
     bends = np.column_stack([along[:, 0] ** 2, along[:, 0] * along[:, 1], along[:, 1] ** 2])
     on_board = np.column_stack([flat, bends @ x[BOW]])
-    board = rotation(x[BOARD_ROTATION]) @ origin.board
+    board = rotation_from_vector(x[BOARD_ROTATION]) @ origin.board
     turned = on_board @ board.T
     q = turned + x[BOARD_POSITION]
 
@@ -117,7 +115,7 @@ def predict(
     point = np.array([0.0, x[AT["tilt_axis.position_y"]], x[AT["tilt_axis.position_z"]]])
     v = np.einsum("nij,nj->ni", spin, q)
     lifted = np.einsum("nij,nj->ni", lift, v - point)
-    camera = rotation(x[CAMERA_ROTATION]) @ origin.camera
+    camera = rotation_from_vector(x[CAMERA_ROTATION]) @ origin.camera
     seen_at = (lifted + point - x[CAMERA_POSITION]) @ camera.T
 
     pixels, by_point, by_lens = _image(x, seen_at)

@@ -9,6 +9,7 @@ import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
+from lightopt.core.transforms import rotation_from_vector, rotation_z
 from lightopt.estimate.rig_calibration._board_model import (
     AT,
     BOARD_POSITION,
@@ -16,7 +17,6 @@ from lightopt.estimate.rig_calibration._board_model import (
     Origin,
     Sightings,
     predict,
-    rotation,
 )
 
 _LEAST_POINTS = 6
@@ -59,9 +59,9 @@ def _stage(x: Float64, reading: Float64) -> tuple[Float64, Float64]:
     # world = R·part + t of a posture
     tilt, turn = x[[AT["tilt_axis.scale"], AT["rotary_axis.scale"]]] * reading
     epsilon = x[AT["tilt_axis.elevation"]]
-    lift = rotation(tilt * np.array([np.cos(epsilon), 0.0, np.sin(epsilon)]))
+    lift = rotation_from_vector(tilt * np.array([np.cos(epsilon), 0.0, np.sin(epsilon)]))
     point = np.array([0.0, x[AT["tilt_axis.position_y"]], x[AT["tilt_axis.position_z"]]])
-    return lift @ rotation(np.array([0.0, 0.0, turn])), point - lift @ point
+    return lift @ rotation_z(turn), point - lift @ point
 
 
 def _plane_poses(points: Float64, rays: Float64) -> list[tuple[Float64, Float64]]:
