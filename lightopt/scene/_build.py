@@ -75,6 +75,7 @@ def build_scene(
         stage=build_stage(rig),
         postures=chosen,
         placement=placement,
+        freedoms=6 if part.placement.registration == "full" else 3,
     )
     warnings += _check_view(scene, rig, part)
     waviness = None

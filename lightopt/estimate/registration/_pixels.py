@@ -9,8 +9,9 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.threads import in_threads
-from lightopt.core.transforms import Posture, rotation_z
+from lightopt.core.transforms import Posture
 from lightopt.estimate.registration._observations import Observation
+from lightopt.estimate.registration._placement import Placement
 from lightopt.geometry import RayCaster
 from lightopt.rendering import UNLIT, WHOLE, PosturePixels, light_layer, panel_visibility, trace_samples
 from lightopt.scene import PartView, Scene, view_from_part
@@ -63,15 +64,15 @@ class PixelSet:
         return (self.column[:, None] + (x + along) % 1.0).ravel(), (self.row[:, None] + (y + down) % 1.0).ravel()
 
 
-def view_of_placed(scene: Scene, posture: Posture, x: float, y: float, turn: float) -> PartView:
-    """Camera and lights as a part sees them that was shifted by x, y [mm] and turned [rad] on the stage.
+def view_of_placed(scene: Scene, posture: Posture, placement: Placement) -> PartView:
+    """Camera and lights as a part sees them that was moved on the stage.
 
     The part's own frame stays, so that one ray caster serves all placements.
     """
     view = view_from_part(scene, posture)
-    # x_placed = pivot + R·(x − pivot) + t, inverted
-    back = rotation_z(turn).T
-    shift = scene.pivot - back @ (scene.pivot + np.array([x, y, 0.0]))
+    # x_placed = R·x + t, inverted
+    back = placement.rotation.T
+    shift = -back @ placement.shift(scene.pivot)
     return PartView(
         camera=view.camera.moved(back, shift),
         lights=tuple(light.moved(back, shift) for light in view.lights),
