@@ -33,7 +33,9 @@ _TRIM = 4.0  # robust standard deviations
 _EVIDENCE = 4.0  # standard errors from nominal from which an optional parameter is freed
 _LEAST_SCORED = 2.0  # standard deviations beforehand to standard errors, below which one stays held
 _READINGS_OF_PRIOR = 10.0  # what the given angle error counts against the errors that the fit finds, in readings
-_ROBUST_STEPS, _POLISH_STEPS = 100, 30
+_POLISH_STEPS = 30
+_Loss = Literal["huber", "tukey"]
+_ROBUST_STEPS: tuple[tuple[_Loss, int], ...] = (("huber", 12), ("huber", 40), ("tukey", 75))
 _SETTLED = 1e-4  # square of the distance still to go, in standard errors
 _FIRST_DAMPING, _MOST_DAMPING = 1e-6, 1e3
 _MOST_SPREAD_PX = 3.0  # corners that scatter more are of another rig or board
@@ -107,20 +109,20 @@ def fit_jointly(
     start: Parameters of shape (P,) and orientations
     Raises InputError: The corners are of another rig or board
     """
-    (x, origin), angles = start, np.zeros_like(corners.seen.readings)
+    (x, origin), angles, spread = start, np.zeros_like(corners.seen.readings), np.inf
     free = _free(prior, extra)
-    x, angles, _ = _robust(corners, x, angles, origin, prior, free, "huber")
-    x, angles, spread = _robust(corners, x, angles, origin, prior, free, "tukey")
+    for loss, steps in _ROBUST_STEPS:
+        x, angles, spread = _robust(corners, x, angles, origin, prior, free, loss, steps)
+        # rotations start anew from where they are: slopes are exact there, and errors are those about the axes
+        mean = prior.mean.copy()
+        mean[CAMERA_ROTATION] -= x[CAMERA_ROTATION]
+        origin, prior = origin.moved(x), Prior(mean, prior.sd, prior.angle_sd)
+        x[CAMERA_ROTATION] = x[BOARD_ROTATION] = 0.0
     if spread > _MOST_SPREAD_PX:
         raise InputError(
             f"board: the corners do not fit the rig, half of them are more than {spread / _MAD:.1f} px off. "
             "Check the board's points and pitch, the readings of the stage and the nominal camera"
         )
-    # rotations start anew from where they are, so that their errors are those about the axes
-    mean = prior.mean.copy()
-    mean[CAMERA_ROTATION] -= x[CAMERA_ROTATION]
-    origin, prior = origin.moved(x), Prior(mean, prior.sd, prior.angle_sd)
-    x[CAMERA_ROTATION] = x[BOARD_ROTATION] = 0.0
     while True:
         fit = _polished(corners, x, angles, origin, prior, extra)
         rest = [name for name in OPTIONAL if name not in extra] if on_evidence else []
@@ -172,13 +174,7 @@ def _matrix(by_x: Float64, by_angles: Float64, seen: Sightings) -> Float64:
 
 
 def _robust(
-    corners: Corners,
-    x: Float64,
-    angles: Float64,
-    origin: Origin,
-    prior: Prior,
-    free: Index,
-    loss: Literal["huber", "tukey"],
+    corners: Corners, x: Float64, angles: Float64, origin: Origin, prior: Prior, free: Index, loss: _Loss, steps: int
 ) -> tuple[Float64, Float64, float]:
     # parameters, errors of the readings, robust standard deviation of a corner
     rows = corners.pixels.size
@@ -195,7 +191,7 @@ def _robust(
         resolution=np.full(len(reach), np.inf),
     )
     start = np.concatenate([x[free], angles.ravel()])
-    solution = solve(problem, start, limits, loss=loss, least_spread=_LEAST_SPREAD_PX, most_iterations=_ROBUST_STEPS)
+    solution = solve(problem, start, limits, loss=loss, least_spread=_LEAST_SPREAD_PX, most_iterations=steps)
     return *problem.split(solution.x), solution.spread
 
 
