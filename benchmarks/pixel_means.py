@@ -2,7 +2,8 @@
 
 ``python -m benchmarks.pixel_means [--places N] [--rays 1 3 4] [--page]``. The sample parts, good ones, are rendered in all
 their postures under the sample rig as filed with n × n rays per pixel and noise, at random places up to half a
-millimetre and half a degree off, and inspected with ``--min-images`` 1 and 2.
+millimetre and half a degree off, and inspected with ``--min-images`` 1 and 2. The sets of a place are a batch; each number
+of rays is the first of it in turn.
 """
 
 from __future__ import annotations
@@ -60,7 +61,9 @@ def displaced_part(folder: Path, name: str, place: int) -> PartConfig:
     turn = rng.uniform(-MOST_DEG, MOST_DEG)
     file = CONFIGS / "parts" / f"{name}.yaml"
     text = re.sub(r"file: (\S+)", lambda m: f"file: '{file.with_name(m[1]).as_posix()}'", file.read_text("utf-8"))
-    moved = f"placement:\n  anchor: rest_on_table\n  translate_mm: [{x:.4f}, {y:.4f}, 0]\n  rotate_deg: [0, 0, {turn:.4f}]"
+    moved = (
+        f"placement:\n  anchor: rest_on_table\n  translate_mm: [{x:.4f}, {y:.4f}, 0]\n  rotate_deg: [0, 0, {turn:.4f}]"
+    )
     path = folder / f"{name}-{place}.yaml"
     path.write_text(re.sub(r"placement:.*?\n\npostures:", f"{moved}\n\npostures:", text, flags=re.DOTALL), "utf-8")
     return load_part(path)
@@ -74,22 +77,29 @@ def count(folder: Path, options: argparse.Namespace) -> list[Row]:
         for points in options.points:
             rig = rig_of(folder, points, options.width)
             for place in range(options.places):
-                moved = displaced_part(folder, name, place)
-                for rays in options.rays:
+                moved, cache = displaced_part(folder, name, place), PredictionCache()
+                first = place % len(options.rays)
+                for rays in (*options.rays[first:], *options.rays[:first]):
                     out = folder / f"{name}-{points}-{rays}-{place}"
                     if not (out / "manifest.json").exists():
                         rendering = RenderOptions(noise=place + 1, supersample=rays, patch_budget=2000)
                         render_image_set(rig, moved, out, options=rendering)
-                    images, cache = read_image_set(out), PredictionCache()
+                    images = read_image_set(out)
                     for k in MIN_IMAGES:
                         begun = time.process_time()
                         inspection = InspectOptions(fusion=None, min_images=k)
-                        result = inspect_set(rig, part, images, options=inspection, cache=cache, run=RunContext(threads=1))
+                        result = inspect_set(
+                            rig, part, images, options=inspection, cache=cache, run=RunContext(threads=1)
+                        )
                         alarms = [len(p.detections) for p in result.postures]
                         seen = len(alarms), sum(alarms), sum(n > 0 for n in alarms), time.process_time() - begun
                         totals[name, points, rays, k].append(seen)
-                print(f"{name}, {points} points, place {place}: done", flush=True)
-    return [Row(*key, *(sum(x[i] for x in seen) for i in range(3)), np.median([x[3] for x in seen])) for key, seen in totals.items()]
+                        text = f"{name}, {points} points, place {place}, {rays} × {rays} rays, {k} of the images"
+                        print(f"{text}: {sum(alarms)} in {len(alarms)}, {seen[-1]:.1f} s", flush=True)
+    return [
+        Row(*key, *(sum(x[i] for x in seen) for i in range(3)), np.median([x[3] for x in seen]))
+        for key, seen in totals.items()
+    ]
 
 
 def table(rows: list[Row]) -> str:

@@ -189,12 +189,7 @@ def render_posture(
 
 
 def render_lights(
-    scene: Scene,
-    posture: Posture,
-    *,
-    caster: RayCaster,
-    averaged: Bool | None = None,
-    threads: int | None = None,
+    scene: Scene, posture: Posture, *, caster: RayCaster, averaged: Bool | None = None, threads: int | None = None
 ) -> tuple[LightImage, ...]:
     """The images of :func:`render_posture` alone, without what each pixel looks at."""
     view = view_from_part(scene, posture)
