@@ -8,8 +8,8 @@ mm off its place with noise of its own for each seed, and the inspection with th
 defects that the part's file names.
 
 With ``--waviness`` the part's file has so much, and each captured part has a surface of its own. With ``--lobe`` the
-parts have a lobe so much wider than their file says, and the inspection is calibrated on good parts. With ``--rays`` the
-simulated camera's pixels show the mean of so many rays along each side, as a real camera's do.
+parts have a lobe so much wider than their file says, and the inspection is calibrated on good parts. With ``--rays``
+the simulated camera's pixels show the mean of so many rays along each side, as a real camera's do.
 
 Two shares are set beside what was found, kind by kind:
 

@@ -1,9 +1,9 @@
 """False alarms on good parts whose images are averaged over the pixel, as a camera's are.
 
-``python -m benchmarks.pixel_means [--places N] [--rays 1 3 4] [--page]``. The sample parts, good ones, are rendered in all
-their postures under the sample rig as filed with n × n rays per pixel and noise, at random places up to half a
-millimetre and half a degree off, and inspected with ``--min-images`` 1 and 2. The sets of a place are a batch; each number
-of rays is the first of it in turn.
+``python -m benchmarks.pixel_means [--places N] [--rays 1 3 4] [--page]``. The sample parts, good ones, are rendered in
+all their postures under the sample rig as filed with n × n rays per pixel and noise, at random places up to half a
+millimetre and half a degree off, and inspected with ``--min-images`` 1 and 2. The sets of a place are a batch; each
+number of rays is the first of it in turn.
 """
 
 from __future__ import annotations

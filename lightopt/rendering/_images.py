@@ -337,7 +337,7 @@ class _PostureJob:
             image.level, self.averaged, scale, float(sensor.max_level), still, sensor.noise_variance(1.0) - still
         )
         # what is narrower than a pixel may show in the next one only
-        rough = ndimage.binary_dilation(rough, np.ones((3, 3))) & self.averaged
+        rough = np.logical_and(ndimage.binary_dilation(rough, np.ones((3, 3))), self.averaged)
         self.rough[number] = np.flatnonzero(rough)
         for pixels in (image.level, image.diffuse, image.specular):
             if pixels is not None:
@@ -459,8 +459,8 @@ def _tiles(columns: Float64, rows: Float64) -> tuple[Int32, Float64, Float64]:
 
 @kernel
 def _rough(level: Float32, averaged: Bool, scale: float, top: float, still: float, shot: float) -> Bool:
-    # pixels to average whose levels bend by more than noise within a pixel. Above `top` the noise is that of an exposure
-    # just short enough
+    # pixels to average whose levels bend by more than noise within a pixel. Above `top` noise is that of an exposure
+    # that is just short enough
     rough = np.zeros(level.shape, np.bool_)
     for y in range(2, level.shape[0] - 2):
         for x in range(2, level.shape[1] - 2):

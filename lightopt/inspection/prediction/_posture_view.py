@@ -247,7 +247,7 @@ def _merge_exposure(
                 limit[y, x] = min(limit[y, x], level[y, x])
 
 
-def _share_of_centres(arrays: dict[str, Any], inside: Sequence[Float32], clean: Bool) -> float:
+def _share_of_centres(arrays: dict[str, Any], inside: Sequence[Float32], clean: Bool) -> np.float32:
     # by which share levels go from the mean over each pixel to its centre, by least squares: a camera's pixels average
     # over their area, a renderer's may have one ray each
     across, square = 0.0, NO_EDGES
@@ -262,7 +262,7 @@ def _share_of_centres(arrays: dict[str, Any], inside: Sequence[Float32], clean: 
         within = np.abs(off - 0.5 * step) < 0.5 * np.abs(step) + WITHIN
         across += float(step[within] @ off[within])
         square += float(step[within] @ step[within])
-    return min(max(across / square, 0.0), 1.0)
+    return np.float32(min(max(across / square, 0.0), 1.0))
 
 
 @kernel
