@@ -97,7 +97,13 @@ def count(folder: Path, options: argparse.Namespace) -> list[Row]:
                         text = f"{name}, {points} points, place {place}, {rays} × {rays} rays, {k} of the images"
                         print(f"{text}: {sum(alarms)} in {len(alarms)}, {seen[-1]:.1f} s", flush=True)
     return [
-        Row(*key, *(sum(x[i] for x in seen) for i in range(3)), np.median([x[3] for x in seen]))
+        Row(
+            *key,
+            postures=sum(x[0] for x in seen),
+            false_alarms=sum(x[1] for x in seen),
+            with_any=sum(x[2] for x in seen),
+            seconds=float(np.median([x[3] for x in seen])),
+        )
         for key, seen in totals.items()
     ]
 

@@ -33,6 +33,10 @@ MOST_GAIN = 4.0  # gains further from those of the rig, up or down, are not acce
 
 _ARRAYS = ("level", "predicted", "deviation", "slack", "limit", "saturated")
 
+# Standard deviation of the mean over a pixel, as a share of its difference from the centre: few rays stand for it, and
+# the flank of a highlight may climb through all levels inside a pixel.
+SAMPLING = np.float32(0.15)
+
 # Images show the means over pixels unless levels go by more than this share to those of the pixels' centres.
 CENTRES = 0.2
 # That is the case where the sum of squared differences between centres and means, in units of noise, is less than this.
@@ -63,7 +67,8 @@ class PostureView:
     level: measured, black level and the lights' gains taken out, shape (lights, H, W). Of several exposures of a
         light each pixel has the longest that is saturated neither in the image nor in the prediction.
     predicted: of the good part, same shape.
-    deviation: standard deviation of a good part's level, by the sensor's noise and the part's waviness, same shape.
+    deviation: standard deviation of a good part's level, by the sensor's noise, the part's waviness and the few rays that
+        stand for the mean over a pixel, same shape.
     slack: by how much a good part's level may be off besides: by rounding, where noise does not even it out, and, in
         images of pixels' centres, by what differs inside a pixel, same shape.
     limit: level from which a pixel is saturated, same shape; where it is, not above `level`: a lower bound is never
@@ -163,6 +168,10 @@ def posture_view(
         for i, light in enumerate(lights):
             # the edge of a shadow is on either side of a centre, however little the part is off
             arrays["slack"][i] += share * np.abs(inside[light])
+    for i, light in enumerate(lights):
+        if light in inside:
+            ends = (np.minimum(level, arrays["limit"][i]) for level in (means[light], means[light] + inside[light]))
+            arrays["deviation"][i] = np.hypot(arrays["deviation"][i], SAMPLING * np.subtract(*ends))
     posture = observations[0].posture
     if exact:
         level, predicted, limit, deviation = (arrays[k] for k in ("level", "predicted", "limit", "deviation"))
