@@ -67,8 +67,8 @@ class PostureView:
     level: measured, black level and the lights' gains taken out, shape (lights, H, W). Of several exposures of a
         light each pixel has the longest that is saturated neither in the image nor in the prediction.
     predicted: of the good part, same shape.
-    deviation: standard deviation of a good part's level, by the sensor's noise, the part's waviness and the few rays that
-        stand for the mean over a pixel, same shape.
+    deviation: standard deviation of a good part's level, by the sensor's noise, the part's waviness and the few rays
+        that stand for the mean over a pixel, same shape.
     slack: by how much a good part's level may be off besides: by rounding, where noise does not even it out, and, in
         images of pixels' centres, by what differs inside a pixel, same shape.
     limit: level from which a pixel is saturated, same shape; where it is, not above `level`: a lower bound is never
