@@ -150,6 +150,9 @@ class VirtualBenchConfig(fields.Frozen):
     seed: Annotated[int, Field(ge=0, le=2**63 - 1), fields.expecting("a whole number from 0 up")] = Field(
         default=1, description="Seed of the noise, and of the waviness of the part's surface."
     )
+    rays: Annotated[int, Field(ge=1, le=8), fields.expecting("a whole number from 1 to 8")] = Field(
+        default=1, description="Rays along each side of a pixel, which shows their mean; 1 is the pixel's centre alone."
+    )
     part_offset_mm: fields.Coordinates = Field(
         default=(0.0, 0.0, 0.0), description="How far the part is from its place, world frame at posture (0, 0) [mm]."
     )

@@ -59,8 +59,8 @@ class Deviations:
 def deviations(view: PostureView, *, local: bool = True, threads: int | None = None) -> Deviations:
     """Compare the images of a posture with the good part.
 
-    Both are clipped where the camera clips, and what rounding alone may make of the mean where noise does not even it
-    out is no deviation. A pixel's variance is that of the sensor's noise, of a part that lies a tenth of a pixel from
+    Both are clipped where the camera clips, and what rounding, or the place of an edge inside its pixel, may make of a
+    level is no deviation. A pixel's variance is that of the sensor's noise, of a part that lies a tenth of a pixel from
     where the model has it, and of what the model gets wrong around the pixel.
 
     local: Whether what the model gets wrong counts.
@@ -73,7 +73,7 @@ def deviations(view: PostureView, *, local: bool = True, threads: int | None = N
 
     def compare(i: int, rows: slice) -> None:
         _compare(
-            view.level[i], view.predicted[i], view.deviation[i], view.rounding[i], view.limit[i], view.saturated[i],
+            view.level[i], view.predicted[i], view.deviation[i], view.slack[i], view.limit[i], view.saturated[i],
             view.clean, rows.start, rows.stop, z[i], scale[i], usable[i], lit[i], sums[i], counts[i],
         )  # fmt: skip
 
@@ -101,7 +101,7 @@ def _compare(
     level: Float32,
     predicted: Float32,
     deviation: Float32,
-    rounding: Float32,
+    slack: Float32,
     limit: Float32,
     saturated: Bool,
     clean: Bool,
@@ -134,7 +134,7 @@ def _compare(
             z[y, x] = 0.0
             if usable[y, x]:
                 off = _difference(min(level[y, x], limit[y, x]), predicted, limit, y, x)
-                off = math.copysign(max(abs(off) - rounding[y, x], 0.0), off) / own
+                off = math.copysign(max(abs(off) - slack[y, x], 0.0), off) / own
                 if lit[y, x] or abs(off) > DARK:
                     z[y, x] = off
                 sums[y // BLOCK_PX, x // BLOCK_PX] += min(abs(off), CLIPPED)

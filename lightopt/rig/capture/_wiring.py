@@ -159,7 +159,7 @@ def bench_truth(rig: RigConfig) -> BenchTruth:
     if own is None:
         return BenchTruth()
     x, y, z = map(math.radians, own.part_rotation_vector_deg)
-    return BenchTruth(seed=own.seed, part_offset_mm=own.part_offset_mm, part_rotation=(x, y, z))
+    return BenchTruth(seed=own.seed, rays=own.rays, part_offset_mm=own.part_offset_mm, part_rotation=(x, y, z))
 
 
 def _true_rig(rig: RigConfig) -> RigConfig:

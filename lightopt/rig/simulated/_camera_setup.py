@@ -25,6 +25,7 @@ class BenchTruth:
     ambient_level: Light that is always there, everywhere in the image [grey level at exposure 1].
     triggered: Whether the camera's frames begin on request; otherwise they follow one another, and the first after a
         change began before it.
+    rays: Along each side of a pixel, which shows their mean, as a real camera's does; 1: its centre.
     """
 
     seed: int = 1
@@ -34,6 +35,7 @@ class BenchTruth:
     dark_level: float = 0.0
     ambient_level: float = 0.0
     triggered: bool = True
+    rays: int = 1
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -101,7 +101,7 @@ class BenchOptics:
         with self._rendering:
             if (posture, light) not in self._layers:
                 # all lights at once: the rays are cast once, and the others are wanted next
-                images = render_posture(self.scene, posture, caster=self._caster)
+                images = render_posture(self.scene, posture, caster=self._caster, supersample=self._truth.rays)
                 self._layers |= {(posture, image.light): image.level for image in images.lights}
             layer = self._layers[posture, light]
             for name in (one.name for one in self.scene.lights):
