@@ -85,6 +85,7 @@ def _scene(part: str, size: Size, coarser: float) -> Scene:
 def resized(camera: PinholeCamera, width: int) -> PinholeCamera:
     """The same view with another number of pixels, `width` by three quarters of it."""
     height = width * 3 // 4
+    assert camera.principal_point is None
     return replace(camera, width=width, height=height, pixel_size=camera.pixel_size * camera.width / width)
 
 

@@ -28,5 +28,6 @@ from lightopt.config._part import (
     PartConfig as PartConfig,
     PlacementConfig as PlacementConfig,
 )
+from lightopt.config._pose import standing_at as standing_at
 from lightopt.config._rig import LightConfig as LightConfig, RigConfig as RigConfig
 from lightopt.config._source_file import Source as Source

@@ -1,10 +1,18 @@
 """The camera in a rig file: its geometry, its sensor, and the device behind it."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, ValidationInfo, field_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    field_validator,
+    model_validator,
+)
 
 from lightopt.config import _fields as fields
+from lightopt.config._pose import CameraPoseConfig, with_pose
 
 _Distortion = Annotated[float, Field(ge=-1e3, le=1e3), fields.expecting("a number")]
 _Pixels = Annotated[int, Field(ge=1, le=65535)]
@@ -20,6 +28,16 @@ def _whole(value: object) -> object:
     if type(value) is not int:
         raise ValueError("a literal would take 8.0 for 8")
     return value
+
+
+_Point = Annotated[
+    tuple[fields.Number, fields.Number], Field(strict=False), fields.expecting("[column, row], two numbers of pixels")
+]
+_Focal = Annotated[
+    tuple[fields.Positive, fields.Positive],
+    Field(strict=False),
+    fields.expecting("[in columns, in rows], two numbers of pixels above 0"),
+]
 
 
 class DistortionConfig(fields.Frozen):
@@ -73,7 +91,7 @@ class SensorConfig(fields.Frozen):
 
 
 class CameraConfig(fields.Frozen):
-    """A pinhole camera that looks at the origin, the centre of the table top."""
+    """A pinhole camera that looks at the origin, the centre of the table top, or has a measured pose."""
 
     distance_mm: fields.Length = Field(description="Distance from the origin to the pinhole [mm].")
     elevation_deg: fields.Elevation = Field(
@@ -85,6 +103,9 @@ class CameraConfig(fields.Frozen):
         "to the right and Y up.",
     )
     roll_deg: fields.Azimuth = Field(default=0.0, description="Roll of the camera about its viewing axis [deg].")
+    pose: CameraPoseConfig | None = Field(
+        default=None, description="Measured pose, in place of distance_mm, elevation_deg, azimuth_deg and roll_deg."
+    )
     resolution_px: Annotated[
         tuple[_Pixels, _Pixels],
         Field(strict=False),
@@ -92,6 +113,16 @@ class CameraConfig(fields.Frozen):
     ] = Field(description="Width and height of the image [pixels].")
     pixel_size_um: Annotated[float, Field(ge=0.01, le=1000), fields.expecting("a number from 0.01 to 1000")] = Field(
         description="Edge of a square pixel on the sensor [µm]."
+    )
+    principal_point_px: _Point | None = Field(
+        default=None,
+        description="Column and row where the optical axis meets the image [pixels]; the first pixel's centre is at "
+        "0.5, 0.5. The image's centre if absent.",
+    )
+    focal_px: _Focal | None = Field(
+        default=None,
+        description="Measured focal length in columns and in rows [pixels]. Give this, image_distance_mm or "
+        "focal_length_mm.",
     )
     image_distance_mm: fields.Length | None = Field(
         default=None, description="Distance from the pinhole to the image plane [mm]. Give this or focal_length_mm."
@@ -108,11 +139,18 @@ class CameraConfig(fields.Frozen):
         default=None, description="Exposure time [µs] that counts as exposure 1 on real hardware."
     )
 
+    @model_validator(mode="wrap")
+    @classmethod
+    def _placed(cls, value: object, handler: ValidatorFunctionWrapHandler) -> Any:
+        return with_pose(value, handler, point="position_mm", what="the camera", also=("roll_deg",))
+
     @field_validator("focal_length_mm")
     @classmethod
     def _one_of_two(cls, focal: float | None, info: ValidationInfo) -> float | None:
         if "image_distance_mm" not in info.data:
             return focal
+        if info.data.get("focal_px") is not None:
+            return _only_focal_px(focal, info)
         missing = 'missing key "image_distance_mm" (pinhole to image plane) or "focal_length_mm" (of the lens)'
         fields.exactly_one(focal, info, other="image_distance_mm", missing=missing)
         distance = info.data.get("distance_mm")
@@ -121,6 +159,12 @@ class CameraConfig(fields.Frozen):
                 f"expected less than distance_mm, {distance:g}: a lens of {focal:g} mm cannot focus there"
             )
         return focal
+
+
+def _only_focal_px(focal: float | None, info: ValidationInfo) -> float | None:
+    if focal is not None or info.data.get("image_distance_mm") is not None:
+        raise fields.complaint("focal_px is given, too; expected only one of the three lengths")
+    return focal
 
 
 # of keys that only one driver has: the driver, and the message where it lacks the key

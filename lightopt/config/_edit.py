@@ -139,7 +139,7 @@ def _index(text: str) -> tuple[dict[Keys, tuple[int, int]], dict[Keys, tuple[int
 def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Keys, str] | None = None) -> str:
     """The text of a configuration file for another folder; comments, order and layout stay.
 
-    Names relative to the configuration file change: a part's mesh, the folder that a rig's camera replays, and the
+    Names relative to the configuration file change: a part's mesh, the files and folders that a rig names, and the
     schema in the comment that editors read.
 
     folder: Where the copy will lie
@@ -150,8 +150,13 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
     names: dict[Keys, str] = {}
     if isinstance(config, PartConfig):
         names["mesh", "file"] = config.mesh.file
-    elif config.hardware is not None and config.hardware.camera.folder is not None:
-        names["hardware", "camera", "folder"] = config.hardware.camera.folder
+    else:
+        if config.hardware is not None and config.hardware.camera.folder is not None:
+            names["hardware", "camera", "folder"] = config.hardware.camera.folder
+        if config.calibration is not None:
+            names["calibration", "covariance"] = config.calibration.covariance
+        if config.virtual_bench is not None and config.virtual_bench.rig is not None:
+            names["virtual_bench", "rig"] = config.virtual_bench.rig
     for keys, name in names.items():
         moved = _moved(config.source.resolve(name), name, folder)
         if moved != name:

@@ -18,6 +18,7 @@ from lightopt.config._fields import mapping
 from lightopt.config._hardware import ChannelConfig, ControllerConfig, HardwareConfig
 from lightopt.config._messages import describe, model_problems
 from lightopt.config._part import PartConfig
+from lightopt.config._pose import POSE_REPLACES
 from lightopt.config._rig import RigConfig
 from lightopt.config._source_file import Source, dotted
 from lightopt.config._strict_yaml import Document, Problem, YamlError, parse
@@ -168,6 +169,8 @@ def json_schema(kind: Literal["rig", "part"]) -> dict[str, Any]:
     for model in (schema, *schema["$defs"].values()):
         for field in model["properties"].values():
             field.pop("title", None)  # only the key again, in capitals
+        if "pose" in model["properties"]:
+            model["required"] = [key for key in model["required"] if key not in POSE_REPLACES]
     schema["title"] = f"lightopt {kind}"
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 

@@ -3,11 +3,12 @@
 from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationInfo, ValidatorFunctionWrapHandler, field_validator
+from pydantic import Field, ValidationInfo, ValidatorFunctionWrapHandler, field_validator, model_validator
 
 from lightopt.config import _fields as fields
 from lightopt.config._camera import CameraConfig
 from lightopt.config._hardware import HardwareConfig, misfits
+from lightopt.config._pose import CalibrationConfig, PanelPoseConfig, RotaryAxisConfig, TiltAxisConfig, with_pose
 
 _Normalisation = Literal["mean", "sum"]
 _Falloff = Literal["none", "inverse_square"]
@@ -31,7 +32,12 @@ class LightSourceConfig(fields.Frozen):
     falloff: _Falloff = Field(
         default="none",
         description="none: brightness does not depend on the distance; inverse_square: it does, and is "
-        "unchanged at the distance of the panel's centre.",
+        "unchanged at reference_distance_mm.",
+    )
+    reference_distance_mm: fields.Length | None = Field(
+        default=None,
+        description="inverse_square: distance at which brightness is unchanged [mm]; of the panel's centre to the "
+        "origin if absent, so that a panel moved away is not dimmer there.",
     )
     emission_exponent: _Exponent = Field(
         default=0.0, description="Exponent n of the panel's emission, cosⁿ of the angle to its axis; 0 is uniform."
@@ -46,7 +52,7 @@ class LightSourceConfig(fields.Frozen):
 
 
 class LightConfig(fields.Frozen):
-    """One panel light, which faces the origin; any key of light_source may be given here for this light."""
+    """One panel light, which faces the origin or has a measured pose; it may have any key of light_source, too."""
 
     name: fields.FileName = Field(description="Name of the light; it becomes a file name and differs from the others.")
     distance_mm: fields.Length = Field(description="Distance from the origin to the panel's centre [mm].")
@@ -54,6 +60,11 @@ class LightConfig(fields.Frozen):
         description="Elevation of the panel's centre above the table plane [deg]; 90 is straight above."
     )
     azimuth_deg: fields.Azimuth = Field(description="Azimuth of the panel's centre about Z, from X [deg].")
+    pose: PanelPoseConfig | None = Field(
+        default=None,
+        description="Measured pose, in place of distance_mm, elevation_deg and azimuth_deg. Where the light has "
+        "ranges, it moves about the origin from there.",
+    )
     elevation_range_deg: fields.ElevationRange | None = Field(
         default=None, description="Elevations [low, high] that the light can be moved to [deg]; fixed if absent."
     )
@@ -73,9 +84,17 @@ class LightConfig(fields.Frozen):
     falloff: _Falloff | None = Field(
         default=None, description="none or inverse_square for this light; as light_source if absent."
     )
+    reference_distance_mm: fields.Length | None = Field(
+        default=None, description="Distance at which this light's brightness is unchanged [mm]; as light_source."
+    )
     emission_exponent: _Exponent | None = Field(
         default=None, description="Emission exponent of this light; as light_source if absent."
     )
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _placed(cls, value: object, handler: ValidatorFunctionWrapHandler) -> Any:
+        return with_pose(value, handler, point="centre_mm", what="the panel's centre")
 
     @field_validator("elevation_range_deg", "azimuth_range_deg")
     @classmethod
@@ -114,6 +133,31 @@ class StageConfig(fields.Frozen):
     rotation_range_deg: fields.AzimuthRange = Field(
         default=(-360.0, 360.0), description="Rotations [low, high] that the stage reaches [deg]."
     )
+    tilt_axis: TiltAxisConfig | None = Field(
+        default=None, description="Measured axis of the cradle; along X through pivot_mm if absent."
+    )
+    rotary_axis: RotaryAxisConfig | None = Field(default=None, description="Measured scale of the rotary axis.")
+
+
+class VirtualBenchConfig(fields.Frozen):
+    """What the virtual bench has in place of what its files say; only lightopt capture reads it."""
+
+    rig: fields.Text | None = Field(
+        default=None,
+        description="Rig file with the true camera, lights, stage and sensor, of the same light names and resolution; "
+        "relative to this file.",
+    )
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1), fields.expecting("a whole number from 0 up")] = Field(
+        default=1, description="Seed of the noise, and of the waviness of the part's surface."
+    )
+    part_offset_mm: fields.Coordinates = Field(
+        default=(0.0, 0.0, 0.0), description="How far the part is from its place, world frame at posture (0, 0) [mm]."
+    )
+    part_rotation_vector_deg: fields.Coordinates = Field(
+        default=(0.0, 0.0, 0.0),
+        description="Rotation of the part from its place about the origin, before the offset: its axis, as long as "
+        "its angle [deg].",
+    )
 
 
 class RigConfig(fields.FileConfig):
@@ -127,8 +171,15 @@ class RigConfig(fields.FileConfig):
         description="The lights, at least one."
     )
     stage: StageConfig = Field(default=StageConfig(), description="The stage; unlimited about the origin if absent.")
+    calibration: CalibrationConfig | None = Field(
+        default=None, description="Covariance and intervals of measured values, as lightopt calibrate writes them."
+    )
     hardware: HardwareConfig | None = Field(
         default=None, description="The devices behind camera, lights and stage; absent is the virtual bench."
+    )
+
+    virtual_bench: VirtualBenchConfig | None = Field(
+        default=None, description="How the virtual bench differs from this file; as the file says if absent."
     )
 
     @field_validator("lights", mode="wrap")

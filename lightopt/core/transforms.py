@@ -49,13 +49,36 @@ def rotation_z(angle: float) -> Float64:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def rigid_transform(points: Float64, rotation: Float64, pivot: Float64) -> Float64:
-    """Rotate points about a pivot: p' = pivot + R·(p − pivot).
+def rotation_from_vector(vector: Float64) -> Float64:
+    """Rotation by |vector| [rad] about the vector, shape (3, 3) (Rodrigues' formula).
 
-    points: [mm], shape (..., 3)
-    pivot: [mm], shape (3,)
+    vector: Shape (3,)
     """
-    return (points - pivot) @ rotation.T + pivot
+    angle = float(np.linalg.norm(vector))
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * (cross @ cross)
+
+
+def vector_of_rotation(rotation: Float64) -> Float64:
+    """The vector of :func:`rotation_from_vector`, shape (3,), of a length up to π."""
+    # through the unit quaternion, by its largest component (Shepperd 1978, doi:10.2514/3.55767b)
+    r, trace = rotation, float(np.trace(rotation))
+    largest = int(np.argmax([trace, r[0, 0], r[1, 1], r[2, 2]]))
+    skew = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
+    if largest == 0:
+        real, imaginary = 1.0 + trace, skew
+    else:
+        i = largest - 1
+        imaginary = r[i] + r[:, i]
+        imaginary[i] = 1.0 - trace + 2.0 * r[i, i]
+        real = float(skew[i])
+    sine = float(np.linalg.norm(imaginary))
+    if sine == 0.0:
+        return np.zeros(3)
+    return 2.0 * math.atan2(abs(sine), abs(real)) * math.copysign(1.0, real) / sine * imaginary
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lightopt.config import PartConfig, RigConfig, copied_text, load_rig, with_list
 from lightopt.core.arrays import UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
-from lightopt.core.transforms import Posture
+from lightopt.core.transforms import Posture, vector_of_rotation
+from lightopt.design._candidates import panels_of
 from lightopt.design._commands import degrees_text
 from lightopt.design._previous_result import (
     PLANNED_PART_NAME,
@@ -72,11 +75,26 @@ def _rig_files(design: DesignResult) -> list[RigFile]:
 def _rig_text(rig: RigConfig, angles: Sequence[tuple[float, float]], home: Path) -> str:
     values: dict[tuple[str | int, ...], str] = {}
     for index, (light, (elevation, azimuth)) in enumerate(zip(rig.lights, angles, strict=True)):
+        if light.pose is not None:
+            if (elevation, azimuth) != (light.elevation_deg, light.azimuth_deg):
+                values |= _moved_pose(rig, index, (elevation, azimuth))
+            continue
         if light.elevation_range_deg is not None:
             values["lights", index, "elevation_deg"] = degrees_text(elevation)
         if light.azimuth_range_deg is not None:
             values["lights", index, "azimuth_deg"] = degrees_text(azimuth)
     return _edited(rig, "the rig", "the new angles", lambda: copied_text(rig, home, values))
+
+
+def _moved_pose(rig: RigConfig, index: int, angles: tuple[float, float]) -> dict[tuple[str | int, ...], str]:
+    panel = panels_of(rig, index, [angles], None)[0]
+    rotation = np.stack([panel.across, panel.along, panel.outward], axis=1)
+    pose = {"centre_mm": panel.centre, "rotation_vector_deg": np.degrees(vector_of_rotation(rotation))}
+    return {
+        ("lights", index, "pose", key, i): f"{round(float(value), 6)}"
+        for key, vector in pose.items()
+        for i, value in enumerate(vector)
+    }
 
 
 def _edited(config: RigConfig | PartConfig, kind: str, what: str, edit: Callable[[], str]) -> str:

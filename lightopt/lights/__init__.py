@@ -8,6 +8,7 @@ from lightopt.lights._panel import (
     panel_corners as panel_corners,
     panel_grid as panel_grid,
     place_light as place_light,
+    pose_light as pose_light,
     rectangles_meet as rectangles_meet,
     segments_blocked as segments_blocked,
 )

@@ -15,16 +15,17 @@ from lightopt.core.transforms import azimuth_tangent, direction, elevation_tange
 
 @dataclass(frozen=True, kw_only=True)
 class PanelLight:
-    """A rectangular panel facing the origin, in whichever frame its vectors are given (world or part).
+    """A rectangular panel, in whichever frame its vectors are given (world or part).
 
-    elevation, azimuth: Where it stands, world frame [rad]
+    elevation, azimuth: Where its centre stands, world frame [rad]
     distance: Panel centre to origin [mm]
     centre: [mm], shape (3,)
-    across, along: Unit vectors of its sides, e_φ and e_θ, shape (3,)
-    outward: Unit vector from the origin to the panel, d, shape (3,); the panel shines along −d
+    across, along: Unit vectors of its sides, shape (3,); e_φ and e_θ of a panel that faces the origin
+    outward: Unit vector across × along, shape (3,), from the origin to a panel that faces it; it shines along −outward
     size: Sides along `across` and `along` [mm]
     points: Number of point lights k², or ``"auto"`` for the converged panel
-    inverse_square: Whether light falls off with (distance of the panel centre / r)²
+    inverse_square: Whether light falls off with (reference distance / r)²
+    reference_distance: [mm]; None for the panel's own distance
     emission_exponent: n of the emission cosⁿ(angle to the panel's axis); 0 is the paper's point light
     """
 
@@ -42,6 +43,7 @@ class PanelLight:
     gain: float = 1.0
     inverse_square: bool = False
     emission_exponent: float = 0.0
+    reference_distance: float | None = None
 
     @property
     def total_weight(self) -> float:
@@ -77,6 +79,44 @@ def place_light(*, distance: float, elevation: float, azimuth: float, **panel: A
         outward=d,
         **panel,
     )
+
+
+def pose_light(
+    *, centre: Float64, rotation: Float64, elevation: float, azimuth: float, start: tuple[float, float], **panel: Any
+) -> PanelLight:
+    """Panel of a measured pose, carried about the origin from the angles where it was measured to others.
+
+    centre: Where it was measured, world frame [mm], shape (3,)
+    rotation: Of its own axes (across, along, outward) there, to the world's
+    elevation, azimuth: Where it stands now [rad]
+    start: Elevation and azimuth where it was measured [rad]
+    panel: As of :func:`place_light`
+    """
+    if (elevation, azimuth) != start:
+        before = _facing(*start)
+        carried = _facing(elevation, azimuth) @ before.T
+        centre, rotation = carried @ centre, carried @ rotation
+    across, along, outward = rotation.T
+    return PanelLight(
+        elevation=elevation,
+        azimuth=azimuth,
+        distance=float(np.linalg.norm(centre)),
+        centre=centre,
+        across=across,
+        along=along,
+        outward=outward,
+        **panel,
+    )
+
+
+def _facing(elevation: float, azimuth: float) -> Float64:
+    # axes of a panel that stands there and faces the origin, in columns
+    axes = (
+        azimuth_tangent(azimuth=azimuth),
+        elevation_tangent(elevation=elevation, azimuth=azimuth),
+        direction(elevation=elevation, azimuth=azimuth),
+    )
+    return np.stack(axes, axis=1)
 
 
 def panel_grid(light: PanelLight, points: int) -> Float64:

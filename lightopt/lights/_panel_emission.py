@@ -15,7 +15,7 @@ class PanelNumbers(NamedTuple):
     """A panel in the part's frame; a point of it is ``centre + s·across + t·along`` with s, t in [−½, ½].
 
     across, along: As long as the panel's sides [mm]
-    distance: Of the panel's centre to the origin of the world [mm]
+    distance: At which the fall-off is 1 [mm]
     """
 
     centre: Vector
@@ -34,7 +34,7 @@ def panel_numbers(light: PanelLight) -> PanelNumbers:
         across=Vector(*(light.size[0] * light.across).tolist()),
         along=Vector(*(light.size[1] * light.along).tolist()),
         outward=Vector(*light.outward.tolist()),
-        distance=float(light.distance),
+        distance=float(light.distance if light.reference_distance is None else light.reference_distance),
         inverse_square=light.inverse_square,
         emission_exponent=float(light.emission_exponent),
     )

@@ -117,7 +117,7 @@ def mask_pixels(scene: Scene, posture: Posture, caster: RayCaster, *, threads: i
     shape = (scene.camera.height, scene.camera.width)
     hit, edge, clean, grazing = (np.zeros(shape, np.bool_) for _ in range(4))
     area, faces = np.zeros(shape, np.float32), np.zeros(len(scene.mesh.faces), np.bool_)
-    solid_angle = (camera.pixel_size / camera.image_distance) ** 2  # of a pixel on the optical axis
+    solid_angle = (camera.pixel_size / camera.image_distance) ** 2 / camera.aspect  # of a pixel on the optical axis
 
     def block(first: int) -> None:
         last = min(first + _BLOCK_ROWS, bottom)

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from lightopt.core.arrays import Float64
-from lightopt.core.transforms import Posture, rotation_x
+from lightopt.core.transforms import Posture
 from lightopt.geometry import RayCaster
 from lightopt.lights import panel_corners
 from lightopt.rendering import cast_rays_at
@@ -227,8 +227,10 @@ def draw_stage(scene: Scene, caster: RayCaster, posture: Posture, drawing: Drawi
     corners = part_box(scene, posture)
     radius = 0.5 * float(np.linalg.norm(np.ptp(scene.mesh.bounds, axis=0)))
     reach = 1.25 * float(np.linalg.norm(corners - scene.pivot, axis=1).max())
-    tilted = rotation_x(np.radians(posture.elevation_deg))
-    ends = scene.pivot + reach * np.stack([X, -0.8 * X, tilted[:, 2], -0.35 * tilted[:, 2]])
+    (point, tilt), (rotation, translation) = scene.stage.tilt_axis, scene.stage.transform(posture)
+    pivot, rotary = rotation @ scene.pivot + translation, rotation[:, 2]
+    ends = np.stack([point + reach * tilt, point - 0.8 * reach * tilt])
+    ends = np.concatenate([ends, pivot + reach * np.stack([rotary, -0.35 * rotary])])
     inner = (box[0] + 45, box[1] + 20, box[2] - 45, box[3] - 40)
     middle = corners.mean(axis=0)
     half, step = round_up(1.05 * radius)
@@ -240,22 +242,27 @@ def draw_stage(scene: Scene, caster: RayCaster, posture: Posture, drawing: Drawi
     part = cast_part(scene, caster, posture, view)
     part.draw(drawing)
     pen = Pen(drawing, view, pen.labels, part)
-    _draw_axes(pen, scene.pivot, tilted, reach)
+    _draw_axes(pen, (point, tilt), (pivot, rotary), reach)
     pen.scale_bar(box[0], box[3] - 8, radius)
     drawing.labels(pen.labels, size=LABEL, bounds=box)
     return box
 
 
-def _draw_axes(pen: Pen, pivot: Float64, tilted: Float64, reach: float) -> None:
-    x, y, z = tilted.T
-    pen.line(np.stack([pivot - 0.8 * reach * X, pivot + reach * X]), STAGE, 1.6, dash=(16, 5))
-    pen.line(np.stack([pivot - 0.35 * reach * z, pivot + reach * z]), STAGE, 1.6, dash=(16, 5))
-    for axis, start, towards, letter, name in ((X, -Y, -Z, "θ", "tilt axis"), (z, -x, -y, "φ", "rotary axis")):
-        centre = pivot + 0.86 * reach * axis
+def _draw_axes(pen: Pen, tilt: tuple[Float64, Float64], rotary: tuple[Float64, Float64], reach: float) -> None:
+    # a point and the direction of each axis
+    pivot, z = rotary
+    y = np.asarray(np.cross(z, X), np.float64)
+    turned = -np.asarray(np.cross(y, z), np.float64), -y
+    for (point, axis), (start, towards), back, letter, name in (
+        (tilt, (-Y, -Z), 0.8, "θ", "tilt axis"),
+        (rotary, turned, 0.35, "φ", "rotary axis"),
+    ):
+        pen.line(np.stack([point - back * reach * axis, point + reach * axis]), STAGE, 1.6, dash=(16, 5))
+        centre = point + 0.86 * reach * axis
         path = arc(centre, start, towards, 1.6 * np.pi, 0.22 * reach)
         pen.arrow(path, STAGE, 2.2, head=12.0)
         pen.label(f"+{sub(letter, 'j')}", path[-1], STAGE, away_from=centre)
-        pen.label(name, pivot + reach * axis, STAGE, away_from=pivot)
+        pen.label(name, point + reach * axis, STAGE, away_from=point)
     flat = pen.view.place(pivot)
     hidden = pen.part is not None and bool(pen.part.hides(pivot[None])[0])
     pen.drawing.disc(flat, 4.0, fill="#ffffffc0" if hidden else STAGE, outline=STAGE)

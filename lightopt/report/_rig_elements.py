@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lightopt.core.arrays import Float64
-from lightopt.core.transforms import Posture, rigid_transform
+from lightopt.core.transforms import Posture
 from lightopt.lights import PanelLight, panel_corners, panel_grid
 from lightopt.report._drawing import INK, SOFT, Drawing, Label, sub
 from lightopt.report._view import ORIGIN, ParallelView, PartPicture, X, Y, Z, arc
@@ -66,7 +66,8 @@ def foot_direction(light: PanelLight) -> Float64:
 def part_box(scene: Scene, posture: Posture) -> Float64:
     """Corners of the part's own bounding box at a posture [mm], shape (8, 3)."""
     corners = np.array(list(itertools.product(*scene.mesh.bounds.T)))
-    return rigid_transform(corners, posture.matrix, scene.pivot)
+    rotation, translation = scene.stage.transform(posture)
+    return corners @ rotation.T + translation
 
 
 def rig_size(scene: Scene) -> float:

@@ -124,8 +124,7 @@ class PartPicture:
 
 def cast_part(scene: Scene, caster: RayCaster, posture: Posture, view: ParallelView) -> PartPicture:
     """The scene's part at a posture, as a view shows it; `caster` is of the part in its own frame."""
-    rotation = posture.matrix
-    translation = scene.pivot - rotation @ scene.pivot
+    rotation, translation = scene.stage.transform(posture)
     centre = rotation @ caster.centre + translation
     half = int(np.ceil(caster.radius * view.scale * FINE)) + 2
     middle = np.round(view.place(centre) * FINE).astype(int)

@@ -8,6 +8,7 @@ from lightopt.scene._build import (
     build_lights as build_lights,
     build_scene as build_scene,
     build_sensor as build_sensor,
+    build_stage as build_stage,
     chord_tolerance as chord_tolerance,
     part_postures as part_postures,
     unit_hint as unit_hint,
@@ -19,6 +20,7 @@ from lightopt.scene._camera import (
     pixel_directions as pixel_directions,
     pixel_footprint as pixel_footprint,
     place_camera as place_camera,
+    pose_camera as pose_camera,
     project as project,
     screen_window as screen_window,
     surface_footprint as surface_footprint,
@@ -45,6 +47,7 @@ from lightopt.scene._scene import (
     move_part as move_part,
     view_from_part as view_from_part,
 )
+from lightopt.scene._stage import Stage as Stage
 from lightopt.scene._stage_travel import (
     VIRTUAL_DEG_PER_S as VIRTUAL_DEG_PER_S,
     pace_text as pace_text,

@@ -4,17 +4,17 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from lightopt.config import CameraConfig, PartConfig, RigConfig, load_part, load_rig, points_problem
+from lightopt.config import CameraConfig, PartConfig, RigConfig, load_part, load_rig, points_problem, standing_at
 from lightopt.core.errors import InputError
-from lightopt.core.transforms import Posture, rotation_x, rotation_y, rotation_z
+from lightopt.core.transforms import Posture, rotation_from_vector, rotation_x, rotation_y, rotation_z
 from lightopt.core.units import MM_PER_UNIT
 from lightopt.defects import Waviness
 from lightopt.geometry import UNITLESS_SUFFIXES, TriangleMesh, load_mesh, points_inside, transformed
-from lightopt.lights import PanelLight, place_light
+from lightopt.lights import PanelLight, place_light, pose_light
 from lightopt.optics import Reflectance, Sensor
 from lightopt.scene._camera import (
     Distortion,
@@ -23,10 +23,12 @@ from lightopt.scene._camera import (
     pixel_directions,
     pixel_footprint,
     place_camera,
+    pose_camera,
 )
 from lightopt.scene._defects import outside_stage_range, place_defects
 from lightopt.scene._part_size import guess_unit, view_size
 from lightopt.scene._scene import Placement, Scene, view_from_part
+from lightopt.scene._stage import Stage
 
 CHORD_TOLERANCE_MM = 0.01
 # CAD surfaces are tessellated to within the smaller of 10 µm and a fifth of a pixel's footprint
@@ -70,7 +72,7 @@ def build_scene(
             R_d=reflectance.R_d, R_s=reflectance.R_s, sigma=reflectance.sigma_rad, full_scale=reflectance.full_scale
         ),
         sensor=build_sensor(rig.camera),
-        pivot=np.array(rig.stage.pivot_mm, dtype=np.float64),
+        stage=build_stage(rig),
         postures=chosen,
         placement=placement,
     )
@@ -90,23 +92,36 @@ def build_camera(rig: RigConfig) -> PinholeCamera:
     Raises InputError: The lens model folds the image over
     """
     c = rig.camera
-    if c.image_distance_mm is not None:
+    aspect = 1.0
+    if c.focal_px is not None:
+        image_distance = c.focal_px[0] * c.pixel_size_um * 1e-3
+        aspect = c.focal_px[1] / c.focal_px[0]
+    elif c.image_distance_mm is not None:
         image_distance = c.image_distance_mm
     else:
         assert c.focal_length_mm is not None
         # thin lens focused at the origin: 1/f = 1/a + 1/b
         image_distance = c.focal_length_mm * c.distance_mm / (c.distance_mm - c.focal_length_mm)
-    camera = place_camera(
-        distance=c.distance_mm,
-        elevation=math.radians(c.elevation_deg),
-        azimuth=math.radians(c.azimuth_deg),
-        roll=math.radians(c.roll_deg),
-        width=c.resolution_px[0],
-        height=c.resolution_px[1],
-        pixel_size=c.pixel_size_um * 1e-3,
-        image_distance=image_distance,
-        distortion=Distortion(**c.distortion.model_dump()),
-    )
+    image: dict[str, Any] = {
+        "width": c.resolution_px[0],
+        "height": c.resolution_px[1],
+        "pixel_size": c.pixel_size_um * 1e-3,
+        "image_distance": image_distance,
+        "distortion": Distortion(**c.distortion.model_dump()),
+        "principal_point": c.principal_point_px,
+        "aspect": aspect,
+    }
+    if c.pose is None:
+        camera = place_camera(
+            distance=c.distance_mm,
+            elevation=math.radians(c.elevation_deg),
+            azimuth=math.radians(c.azimuth_deg),
+            roll=math.radians(c.roll_deg),
+            **image,
+        )
+    else:
+        rotation = rotation_from_vector(np.radians(c.pose.rotation_vector_deg))
+        camera = pose_camera(position=np.array(c.pose.position_mm, np.float64), rotation=rotation, **image)
     columns, rows = np.meshgrid(np.linspace(0.0, camera.width, 33), np.linspace(0.0, camera.height, 33))
     if not np.isfinite(pixel_directions(camera, columns.ravel(), rows.ravel())).all():
         raise InputError(
@@ -114,6 +129,23 @@ def build_camera(rig: RigConfig) -> PinholeCamera:
             "some pixels look nowhere; expected coefficients of a calibration that covered the whole image"
         )
     return camera
+
+
+def build_stage(rig: RigConfig) -> Stage:
+    """The rig's stage, world frame."""
+    s = rig.stage
+    pivot = np.array(s.pivot_mm, dtype=np.float64)
+    rotary_scale = 1.0 if s.rotary_axis is None else s.rotary_axis.scale
+    if s.tilt_axis is None:
+        return Stage(pivot=pivot, rotary_scale=rotary_scale)
+    direction = np.array(s.tilt_axis.direction, dtype=np.float64)
+    return Stage(
+        pivot=pivot,
+        tilt_point=None if s.tilt_axis.point_mm is None else np.array(s.tilt_axis.point_mm, dtype=np.float64),
+        tilt_direction=direction / np.linalg.norm(direction),
+        tilt_scale=s.tilt_axis.scale,
+        rotary_scale=rotary_scale,
+    )
 
 
 def build_sensor(camera: CameraConfig) -> Sensor:
@@ -142,19 +174,33 @@ def build_lights(
         shared = rig.light_source
         own = {key: getattr(light, key) for key in type(shared).model_fields if getattr(light, key) is not None}
         source = shared.model_copy(update=own)
-        panel = place_light(
-            name=light.name,
-            distance=light.distance_mm,
-            elevation=math.radians(light.elevation_deg),
-            azimuth=math.radians(light.azimuth_deg),
-            size=source.size_mm,
-            points=source.points if points is None else points,
-            normalisation=source.normalisation,
-            gain=light.gain,
-            inverse_square=source.falloff == "inverse_square",
-            emission_exponent=source.emission_exponent,
+        where: dict[str, Any] = {
+            "elevation": math.radians(light.elevation_deg),
+            "azimuth": math.radians(light.azimuth_deg),
+        }
+        panel: dict[str, Any] = {
+            "name": light.name,
+            "size": source.size_mm,
+            "points": source.points if points is None else points,
+            "normalisation": source.normalisation,
+            "gain": light.gain,
+            "inverse_square": source.falloff == "inverse_square",
+            "emission_exponent": source.emission_exponent,
+            "reference_distance": source.reference_distance_mm,
+        }
+        if light.pose is None:
+            lights.append(place_light(distance=light.distance_mm, **where, **panel))
+            continue
+        measured = standing_at(light.pose.centre_mm)
+        lights.append(
+            pose_light(
+                centre=np.array(light.pose.centre_mm, np.float64),
+                rotation=rotation_from_vector(np.radians(light.pose.rotation_vector_deg)),
+                start=(math.radians(measured["elevation_deg"]), math.radians(measured["azimuth_deg"])),
+                **where,
+                **panel,
+            )
         )
-        lights.append(panel)
     return tuple(lights)
 
 

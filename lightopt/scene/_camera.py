@@ -38,8 +38,10 @@ class PinholeCamera:
 
     position: Pinhole [mm], shape (3,)
     right, up, forward: Unit vectors of the image, shape (3,)
-    pixel_size: Side of a square pixel [mm]
+    pixel_size: Width of a pixel [mm]
     image_distance: Pinhole to image plane [mm]
+    principal_point: Where the optical axis meets the image [px]; None for the image's centre
+    aspect: Focal length in rows over that in columns; 1 for square pixels
     """
 
     position: Float64
@@ -51,6 +53,13 @@ class PinholeCamera:
     pixel_size: float
     image_distance: float
     distortion: Distortion = Distortion()
+    principal_point: tuple[float, float] | None = None
+    aspect: float = 1.0
+
+    @property
+    def axis_px(self) -> tuple[float, float]:
+        """Column and row where the optical axis meets the image [px]."""
+        return self.principal_point or (0.5 * self.width, 0.5 * self.height)
 
     def moved(self, rotation: Float64, translation: Float64) -> PinholeCamera:
         """The camera after x' = rotation·x + translation, of shapes (3, 3) and (3,)."""
@@ -77,14 +86,24 @@ def place_camera(*, distance: float, elevation: float, azimuth: float, roll: flo
     )
 
 
+def pose_camera(*, position: Float64, rotation: Float64, **image: Any) -> PinholeCamera:
+    """Camera at a position [mm], world frame; `rotation` turns its own axes (x right, y down, z ahead) to the world's.
+
+    image: As of :func:`place_camera`
+    """
+    right, down, forward = rotation.T
+    return PinholeCamera(position=position, right=right, up=-down, forward=forward, **image)
+
+
 def pixel_directions(camera: PinholeCamera, columns: Float64, rows: Float64) -> Float64:
     """Directions of the rays through image points, not normalised, shape (k, 3), frame of the camera's vectors.
 
     columns, rows: Image points [px], shape (k,): pixel (column 0, row 0) has its centre at (0.5, 0.5)
     """
     scale = camera.pixel_size / camera.image_distance
-    x = (columns - 0.5 * camera.width) * scale
-    y = (rows - 0.5 * camera.height) * scale
+    column, row = camera.axis_px
+    x = (columns - column) * scale
+    y = (rows - row) * (scale / camera.aspect)
     if not camera.distortion.is_zero:
         x, y = _undistort(camera.distortion, x, y)
     return _directions(x, y, camera.forward, camera.right, camera.up)
@@ -119,7 +138,8 @@ def project(camera: PinholeCamera, points: Float64) -> tuple[Float64, Float64, F
         away = np.maximum(1.0, (camera.width + camera.height) / (scale * np.sqrt(np.where(folded, r2, 1.0))))
         lens_x, lens_y = _distort(camera.distortion, x, y)
         x, y = np.where(folded, away * x, lens_x), np.where(folded, away * y, lens_y)
-    return x * scale + 0.5 * camera.width, y * scale + 0.5 * camera.height, depth
+    column, row = camera.axis_px
+    return x * scale + column, y * (scale * camera.aspect) + row, depth
 
 
 def pixel_footprint(camera: PinholeCamera, distance: float) -> float:

@@ -17,32 +17,31 @@ def image_area(camera: PinholeCamera, polygon: Float64) -> float:
     polygon: Corners in order [mm], shape (k, 3), frame of the camera's vectors
     """
     offset = polygon - camera.position
-    # right, down, forward; the viewing pyramid then is |x| ≤ w·z, |y| ≤ h·z
+    # right, down, forward; the viewing pyramid then is left·z ≤ x ≤ right·z, top·z ≤ y ≤ bottom·z
     local = np.stack([offset @ camera.right, -(offset @ camera.up), offset @ camera.forward], axis=1)
     scale = camera.image_distance / camera.pixel_size
-    w, h = _half_view(camera)
-    local = _in_view(_clip(local, np.array([0.0, 0.0, 1.0]), _NEAR_MM), w, h)
+    local = _in_view(_clip(local, np.array([0.0, 0.0, 1.0]), _NEAR_MM), _view_at_depth_1(camera))
     if len(local) and not camera.distortion.is_zero:
         return _bent_area(camera, local)
-    return _area(local[:, :2] / local[:, 2:] * scale)
+    return camera.aspect * _area(local[:, :2] / local[:, 2:] * scale)
 
 
-def _half_view(camera: PinholeCamera) -> tuple[float, float]:
-    # the least rectangle about the optical axis, at depth 1, that has all that the lens shows
+def _view_at_depth_1(camera: PinholeCamera) -> tuple[float, float, float, float]:
+    # left, top, right, bottom of the least rectangle at depth 1 that has all that the lens shows
     scale = camera.image_distance / camera.pixel_size
-    w, h = 0.5 * camera.width / scale, 0.5 * camera.height / scale
+    column, row = camera.axis_px
     if camera.distortion.is_zero:
-        return w, h
+        down = scale * camera.aspect
+        return -column / scale, -row / down, (camera.width - column) / scale, (camera.height - row) / down
     across, down = np.linspace(0.0, camera.width, 65), np.linspace(0.0, camera.height, 65)
     columns = np.concatenate([across, across, np.zeros(65), np.full(65, float(camera.width))])
     rows = np.concatenate([np.zeros(65), np.full(65, float(camera.height)), down, down])
     rays = pixel_directions(camera, columns, rows)
     depth = rays @ camera.forward
     margin = 1.01  # between the samples
-    return (
-        margin * float(np.abs(rays @ camera.right / depth).max()),
-        margin * float(np.abs(rays @ camera.up / depth).max()),
-    )
+    w = margin * float(np.abs(rays @ camera.right / depth).max())
+    h = margin * float(np.abs(rays @ camera.up / depth).max())
+    return -w, -h, w, h
 
 
 def _bent_area(camera: PinholeCamera, local: Float64) -> float:
@@ -51,14 +50,15 @@ def _bent_area(camera: PinholeCamera, local: Float64) -> float:
     outline = np.concatenate([a + steps * (b - a) for a, b in zip(local, np.roll(local, -1, axis=0), strict=True)])
     world = camera.position + outline @ np.array([camera.right, -camera.up, camera.forward])
     columns, rows, _ = project(camera, world)
-    flat = np.stack([columns - 0.5 * camera.width, rows - 0.5 * camera.height, np.ones(len(columns))], axis=1)
-    area = _area(_in_view(flat, 0.5 * camera.width, 0.5 * camera.height)[:, :2])
+    flat = np.stack([columns, rows, np.ones(len(columns))], axis=1)
+    area = _area(_in_view(flat, (0.0, 0.0, float(camera.width), float(camera.height)))[:, :2])
     return area if area > _LEAST_AREA else 0.0
 
 
-def _in_view(polygon: Float64, w: float, h: float) -> Float64:
-    # the part of a polygon in the pyramid |x| ≤ w·z, |y| ≤ h·z; none of it where less than a triangle is left
-    for plane in ((1.0, 0.0, w), (-1.0, 0.0, w), (0.0, 1.0, h), (0.0, -1.0, h)):
+def _in_view(polygon: Float64, view: tuple[float, float, float, float]) -> Float64:
+    # the part of a polygon in a pyramid, as `_view_at_depth_1`; none of it where less than a triangle is left
+    left, top, right, bottom = view
+    for plane in ((1.0, 0.0, -left), (-1.0, 0.0, right), (0.0, 1.0, -top), (0.0, -1.0, bottom)):
         if len(polygon) < 3:
             return np.zeros((0, 3))
         polygon = _clip(polygon, np.array(plane), 0.0)

@@ -11,6 +11,7 @@ from lightopt.geometry import TriangleMesh, transformed
 from lightopt.lights import PanelLight
 from lightopt.optics import Reflectance, Sensor
 from lightopt.scene._camera import PinholeCamera
+from lightopt.scene._stage import Stage
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -38,7 +39,7 @@ class Scene:
 
     camera, lights: World frame
     mesh: The part at posture (0, 0), world frame [mm]
-    pivot: Point that postures turn about, world frame [mm], shape (3,)
+    stage: How postures move the part, world frame
     placement: From the mesh file's coordinates, in mm, to those of the mesh
     defects: On the part, frame of the mesh; images show them, the mesh does not
     waviness: Of good parts; None for smooth ones
@@ -49,12 +50,17 @@ class Scene:
     mesh: TriangleMesh
     reflectance: Reflectance
     sensor: Sensor
-    pivot: Float64
+    stage: Stage
     postures: tuple[Posture, ...]
     warnings: tuple[str, ...] = ()
     placement: Placement = field(default_factory=Placement)
     defects: tuple[PlacedDefect, ...] = ()
     waviness: Waviness | None = None
+
+    @property
+    def pivot(self) -> Float64:
+        """A point of the stage's rotary axis at tilt 0, world frame [mm], shape (3,)."""
+        return self.stage.pivot
 
 
 def move_part(scene: Scene, rotation: Float64, translation: Float64) -> Scene:
@@ -95,9 +101,8 @@ class PartView:
 
 
 def view_from_part(scene: Scene, posture: Posture) -> PartView:
-    """The scene's camera and lights in the part's own frame at a posture: p' = pivot + R·(p − pivot), inverted."""
-    rotation = posture.matrix
-    translation = scene.pivot - rotation @ scene.pivot
+    """The scene's camera and lights in the part's own frame at a posture: the stage's motion, inverted."""
+    rotation, translation = scene.stage.transform(posture)
     back = rotation.T
     back_translation = -back @ translation
     return PartView(

@@ -17,7 +17,7 @@ from lightopt.estimate.registration import Placement, part_file_placement, place
 from lightopt.estimate.registration._pixels import view_of_placed
 from lightopt.estimate.registration._registration import refine_placement
 from lightopt.rendering import cast_rays_at, render_posture
-from lightopt.scene import Scene, project, view_from_part
+from lightopt.scene import Scene, Stage, project, view_from_part
 
 PIVOT = np.array([2.0, -3.0, 5.0])
 TRUTH = Placement(x=0.7, y=-0.5, turn=math.radians(0.6))
@@ -26,7 +26,7 @@ TILTED = Posture(elevation_deg=-10.0, rotation_deg=170.0)
 
 @pytest.fixture(scope="module")
 def scene(shared_bench) -> Scene:
-    return replace(build_scene(shared_bench.rig, shared_bench.part), pivot=PIVOT)
+    return replace(build_scene(shared_bench.rig, shared_bench.part), stage=Stage(pivot=PIVOT))
 
 
 def by_hand(point: np.ndarray, placement: Placement) -> np.ndarray:
@@ -86,7 +86,7 @@ def test_a_part_file_can_say_where_the_part_lies(scene: Scene, shared_bench, anc
     def built(rotate: tuple[float, ...], translate: tuple[float, ...]) -> Scene:
         placement = f"placement: {{anchor: {anchor}, rotate_deg: {[*rotate]}, translate_mm: {[*translate]}}}"
         path.write_text(text.replace(was, placement), encoding="utf-8")
-        return replace(build_scene(shared_bench.rig, path), pivot=PIVOT)
+        return replace(build_scene(shared_bench.rig, path), stage=Stage(pivot=PIVOT))
 
     nominal = built(there[1], there[0])
     file = PlacementConfig(anchor=anchor, rotate_deg=there[1], translate_mm=there[0])

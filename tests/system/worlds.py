@@ -13,7 +13,7 @@ from lightopt.core.transforms import Posture
 from lightopt.geometry import TriangleMesh
 from lightopt.lights import place_light
 from lightopt.optics import Reflectance, Sensor
-from lightopt.scene import Scene, place_camera
+from lightopt.scene import Scene, Stage, place_camera
 from lightopt.scene._camera import Distortion
 
 PARTS = Path(__file__).parents[2] / "configs" / "parts"
@@ -107,7 +107,7 @@ def scene_from_mesh(camera, lights, mesh, *, points=None, pivot=(0, 0, 0), postu
         mesh=mesh,
         reflectance=Reflectance(**reflectance),
         sensor=Sensor(bit_depth=8, saturation_level=255),
-        pivot=np.array(pivot, dtype=float),
+        stage=Stage(pivot=np.array(pivot, dtype=float)),
         postures=tuple(Posture(elevation_deg=e, rotation_deg=r) for e, r in postures),
     )
 

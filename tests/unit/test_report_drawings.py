@@ -21,7 +21,7 @@ from lightopt.report._drawing import Drawing, fixed_style, text_width
 from lightopt.report._rig_drawing import draw_stage
 from lightopt.report._rig_elements import BORDER_STEPS, camera_shape, nice_step, part_box, round_up
 from lightopt.report._view import FINE, cast_part, fit_view
-from lightopt.scene import Scene, place_camera, project
+from lightopt.scene import Scene, Stage, place_camera, project
 from lightopt.scene._camera import Distortion
 
 
@@ -96,7 +96,7 @@ def scene_of(
         mesh=block(),
         reflectance=Reflectance(R_d=45.0, R_s=12500.0, sigma=0.0475, full_scale=255.0),
         sensor=Sensor(bit_depth=8),
-        pivot=np.zeros(3),
+        stage=Stage(),
         postures=postures,
     )
 

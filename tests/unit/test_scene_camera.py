@@ -9,12 +9,13 @@ import pytest
 import trimesh
 from hypothesis import given, strategies as st
 
-from lightopt.core.transforms import Posture, rigid_transform
+from lightopt.core.transforms import Posture
 from lightopt.geometry import TriangleMesh, points_inside, transformed
 from lightopt.lights import panel_grid, place_light
 from lightopt.optics import Reflectance, Sensor
 from lightopt.scene import (
     Scene,
+    Stage,
     frame_part,
     pixel_directions,
     pixel_footprint,
@@ -284,13 +285,13 @@ def test_the_part_sees_the_camera_as_the_camera_sees_the_part(elevation, rotatio
         mesh=box(),
         reflectance=Reflectance(R_d=1.0, R_s=1.0, sigma=0.1),
         sensor=Sensor(bit_depth=8),
-        pivot=np.array(pivot),
+        stage=Stage(pivot=np.array(pivot)),
         postures=(posture,),
     )
     view = view_from_part(scene, posture)
     moved = transformed(scene.mesh, view.rotation, view.translation)
     # the posture as written down: p' = pivot + R (p − pivot)
-    expected = rigid_transform(scene.mesh.vertices, posture.matrix, scene.pivot)
+    expected = (scene.mesh.vertices - scene.pivot) @ posture.matrix.T + scene.pivot
     assert np.allclose(moved.vertices, expected, atol=1e-9)
     in_world, in_part = project(scene.camera, expected), project(view.camera, scene.mesh.vertices)
     assert np.allclose(in_world, in_part, atol=1e-8)

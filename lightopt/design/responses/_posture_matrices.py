@@ -235,7 +235,7 @@ def _matrix_facts(problem: Problem, detection: DetectionModel | None) -> dict[st
         "light_source": rig.light_source.model_dump(mode="json"),
         "lights": [light.model_dump(mode="json", exclude=moving) for light in rig.lights],
         "angles_deg": [list(map(list, angles)) for angles in problem.candidates.angles],
-        "pivot_mm": list(rig.stage.pivot_mm),
+        "stage": rig.stage.model_dump(mode="json", exclude={"elevation_range_deg", "rotation_range_deg"}),
         "part": part.model_dump(mode="json", exclude=_NOT_OF_LEVELS),
         # of the file's name only what says how it is read
         "mesh": {"sha256": file_sha256(mesh), "suffix": mesh.suffix.lower()},

@@ -166,7 +166,7 @@ def calibration_fingerprint(rig: RigConfig, part: PartConfig, options: InspectOp
                 "camera": rig.camera.model_dump(mode="json"),
                 "light_source": rig.light_source.model_dump(mode="json"),
                 "lights": [light.model_dump(mode="json", exclude=ranges) for light in rig.lights],
-                "pivot_mm": list(rig.stage.pivot_mm),
+                "stage": rig.stage.model_dump(mode="json", exclude={"elevation_range_deg", "rotation_range_deg"}),
             }
         ),
         "part": _hash(part.model_dump(mode="json", exclude=of_part)),

@@ -89,11 +89,13 @@ def predict(scene: Scene, posture: Posture, caster: RayCaster, *, supersample: i
     """
     camera = scene.camera
     cell = max(1, round(camera.width / COARSE_COLUMNS))
+    axis = camera.principal_point
     coarse = replace(
         camera,
         width=max(1, camera.width // cell),
         height=max(1, camera.height // cell),
         pixel_size=camera.pixel_size * cell,
+        principal_point=axis and (axis[0] / cell, axis[1] / cell),
     )
     images = render_posture(replace(scene, camera=coarse), posture, caster=caster, supersample=supersample)
     scale = scene.sensor.max_level / scene.reflectance.full_scale
