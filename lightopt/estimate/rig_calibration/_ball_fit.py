@@ -6,20 +6,19 @@ The ball's outline gives its centre, its mirror images give the panels. Camera a
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
-from lightopt.core.transforms import Posture
+from lightopt.core.transforms import Posture, rotation_from_vector
 from lightopt.estimate.rig_calibration._mirror_ball import mirrored_image, outline_distances
 from lightopt.lights import PanelLight, panel_corners
-from lightopt.scene import PinholeCamera
+from lightopt.scene import PinholeCamera, Stage
 
 PANEL_PARAMETERS = (
     *(f"centre {axis} [mm]" for axis in "xyz"),
@@ -40,14 +39,6 @@ MOST_OUTLIERS = 0.2  # share of the images
 _BALL = 5  # parameters: centre in the stage frame, radius, offset of the outline
 _EACH = len(PANEL_PARAMETERS)
 _STEP = np.array([1e-4, 1e-4, 1e-4, 1e-6, 1e-6, 1e-6, 1e-4, 1e-4])
-
-
-class StageModel(Protocol):
-    """The part of :class:`lightopt.scene.Stage` that is used."""
-
-    def transform(self, posture: Posture) -> tuple[Float64, Float64]:
-        """Rotation and translation [mm] from the stage frame to the world frame."""
-        ...
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -136,11 +127,11 @@ def fit_ball(
     *,
     lights: Sequence[PanelLight],
     camera: PinholeCamera,
-    stage: StageModel,
+    stage: Stage,
     radius: float,
     radius_error: float = 0.0,
     size_error: float | None = None,
-    rig_deviations: Sequence[tuple[PinholeCamera, StageModel]] = (),
+    rig_deviations: Sequence[tuple[PinholeCamera, Stage]] = (),
 ) -> BallFit:
     """Fit the ball's centre in the stage frame, and pose and size of each panel.
 
@@ -203,7 +194,7 @@ def fit_ball(
 @dataclass(frozen=True)
 class _Problem:
     camera: PinholeCamera
-    stage: StageModel
+    stage: Stage
     lights: tuple[PanelLight, ...]
     views: tuple[BallView, ...]
     start: Float64
@@ -284,12 +275,25 @@ class _Problem:
 
 
 def posed_panel(light: PanelLight, parameters: Float64) -> PanelLight:
-    """A panel displaced by :data:`PANEL_PARAMETERS`: offset of the centre, rotation about its own axes, new sides."""
+    """A panel displaced by :data:`PANEL_PARAMETERS`: offset of the centre, rotation about its own axes, new sides.
+
+    light: World frame; its fall-off stays normalised where it is.
+    """
     axes = np.stack([light.across, light.along, light.outward], axis=1)
-    across, along, outward = (axes @ Rotation.from_rotvec(parameters[3:6]).as_matrix()).T
-    size = float(parameters[6]), float(parameters[7])
+    across, along, outward = (axes @ rotation_from_vector(parameters[3:6])).T
+    centre = light.centre + parameters[:3]
+    distance = float(np.linalg.norm(centre))
     return replace(
-        light, centre=light.centre + parameters[:3], across=across, along=along, outward=outward, size=size
+        light,
+        elevation=math.asin(centre[2] / distance),
+        azimuth=math.atan2(centre[1], centre[0]),
+        distance=distance,
+        centre=centre,
+        across=across,
+        along=along,
+        outward=outward,
+        size=(float(parameters[6]), float(parameters[7])),
+        reference_distance=light.reference_distance or light.distance,
     )
 
 
@@ -299,7 +303,7 @@ def _without_rotation(x: Float64) -> Float64:
     return found
 
 
-def _ball_start(views: Sequence[BallView], camera: PinholeCamera, stage: StageModel, radius: float) -> Float64:
+def _ball_start(views: Sequence[BallView], camera: PinholeCamera, stage: Stage, radius: float) -> Float64:
     """Ball parameters from the outlines alone, shape (5,)."""
     poses = [stage.transform(view.posture) for view in views]
 
@@ -328,7 +332,8 @@ def _ordered(problem: _Problem, view: BallView) -> BallView:
         expected = predicted[numbers[name]]
         expected = expected - expected.mean(axis=0)
         orders = [
-            np.array([(first + sense * k) % 4 for k in range(4)]) for first, sense in itertools.product(range(4), (1, -1))
+            np.array([(first + sense * k) % 4 for k in range(4)])
+            for first, sense in itertools.product(range(4), (1, -1))
         ]
         centred = image.corners - image.corners.mean(axis=0)
         best = min(orders, key=lambda order: float(np.sum(np.square(centred[order] - expected))))

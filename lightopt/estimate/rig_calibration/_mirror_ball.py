@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lightopt.core.arrays import Float64
-from lightopt.scene import PinholeCamera, project
-from lightopt.scene._camera import pixel_directions
+from lightopt.scene import PinholeCamera, pixel_directions, project
 
 _MOST_STEPS = 60
 _ANGLE_TOLERANCE = 1e-13  # [rad]
