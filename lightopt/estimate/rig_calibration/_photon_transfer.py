@@ -1,4 +1,4 @@
-"""Photon transfer: conversion gain, read noise, black level, linearity and saturation of a camera, from pairs of frames.
+"""Photon transfer: a camera's conversion gain, read noise, black level, linearity and saturation, from pairs of frames.
 
 EMVA Standard 1288, release 4.0 (doi:10.5281/zenodo.3951558), sections 6 and 8, with two changes: the line of the
 variance is weighted by the variance of its points, and the noise of dark frames is that of a rounded and clipped
@@ -19,6 +19,7 @@ from scipy.stats import t as student
 
 from lightopt.core.arrays import Bool, Float64
 from lightopt.core.errors import InputError
+from lightopt.estimate.rig_calibration._measured import Measured, measured
 
 LEAST_LEVELS = 6
 FITTED_SHARE = 0.7  # of saturation, up to which the variance is fitted (section 6.6)
@@ -49,15 +50,6 @@ class FramePair:
     first: NDArray[Any]
     second: NDArray[Any]
     exposure: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Measured:
-    """A value, its standard error and the 95 % interval."""
-
-    value: float
-    error: float
-    interval_95: tuple[float, float]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -224,8 +216,7 @@ def _jackknife(value: float, left_out: list[float]) -> Measured:
     # Efron 1982, doi:10.1137/1.9781611970319, chapter 3
     count = len(left_out)
     error = math.sqrt((count - 1) * float(np.var(left_out)))
-    half = float(student.ppf(0.975, count - 1)) * error
-    return Measured(value=value, error=error, interval_95=(value - half, value + half))
+    return measured(value, error, errors_95=float(student.ppf(0.975, count - 1)))
 
 
 def _share_from(pair: FramePair, level: float) -> float:
