@@ -11,11 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import approx_fprime, least_squares
 
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture, rotation_from_vector
+from lightopt.estimate.rig_calibration._measured import NORMAL_95
 from lightopt.estimate.rig_calibration._mirror_ball import mirrored_image, outline_distances
 from lightopt.lights import PanelLight, panel_corners
 from lightopt.scene import PinholeCamera, Stage
@@ -38,7 +39,6 @@ MOST_OUTLIERS = 0.2  # share of the images
 
 _BALL = 5  # parameters: centre in the stage frame, radius, offset of the outline
 _EACH = len(PANEL_PARAMETERS)
-_STEP = np.array([1e-4, 1e-4, 1e-4, 1e-6, 1e-6, 1e-6, 1e-4, 1e-4])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,9 +69,9 @@ class BallFit:
     """Panels, and the ball that showed them.
 
     lights: As they were given, with the fitted pose and size
-    centre: Of the ball, stage frame [mm], shape (3,)
-    covariance: Of centre, radius, offset of the outline [px], and then :data:`PANEL_PARAMETERS` of each light, shape
-        (5 + 8·L, 5 + 8·L)
+    centre, radius: Of the ball, stage frame [mm], shape (3,)
+    edge_offset: By how much the outline is measured outside of the ball's [px]
+    covariance: Of centre, radius, edge offset, then :data:`PANEL_PARAMETERS` of each light, shape (5 + 8·L, 5 + 8·L)
     rms: Of the residuals, in the standard deviations that the images claim; about 1
     unobservable: Parameters that these postures do not show
     left_out: Postures and lights whose image fits no panel pose
@@ -87,39 +87,31 @@ class BallFit:
     left_out: tuple[tuple[Posture, str], ...]
     _problem: _Problem = field(repr=False)
 
-    def panel_covariance(self, number: int) -> Float64:
-        """Of the :data:`PANEL_PARAMETERS` of the light with this number, shape (8, 8)."""
-        first = _BALL + _EACH * number
-        return self.covariance[first : first + _EACH, first : first + _EACH]
-
     @property
     def panels_covariance(self) -> Float64:
-        """Of the parameters of all panels, shape (8·L, 8·L)."""
+        """Of the :data:`PANEL_PARAMETERS` of all lights, shape (8·L, 8·L)."""
         return self.covariance[_BALL:, _BALL:]
 
-    def half_widths_95(self, number: int) -> Float64:
-        """Of the 95 % intervals of the :data:`PANEL_PARAMETERS` of a light, shape (8,)."""
-        return 1.96 * np.sqrt(np.diag(self.panel_covariance(number)))
+    @property
+    def half_widths_95(self) -> Float64:
+        """Of the 95 % intervals of the :data:`PANEL_PARAMETERS` of each light, shape (L, 8)."""
+        return NORMAL_95 * np.sqrt(np.diag(self.panels_covariance)).reshape(-1, _EACH)
 
     def next_posture(self, candidates: Sequence[Posture]) -> Posture:
-        """Of some postures the one that would narrow the intervals of the panels most, seen as well as the others."""
-        problem, x = self._problem, self._problem.start
-        seen = [image.covariance for view in problem.views for image in view.panels.values()]
-        typical = np.mean(seen, axis=0) if seen else np.eye(8) * 0.01
-        best, least = candidates[0], np.inf
+        """Of some postures the one whose mirrored panels would narrow the intervals of the panels most."""
+        x = np.concatenate([self.centre, [self.radius, self.edge_offset], _unmoved(self.lights).ravel()])
         information = np.linalg.inv(self.covariance)
-        for posture in candidates:
-            corners = {light.name: MirroredPanel(corners=np.zeros((4, 2)), covariance=typical) for light in self.lights}
-            outline = problem.views[0].outline[:0]
-            view = BallView(posture=posture, outline=outline, outline_error=1.0, panels=corners)
-            more = _Problem(problem.camera, problem.stage, problem.lights, (view,), x, problem.prior)
-            slope = more.slopes(x)[: -len(x)]
+        weight = 1.0 / np.median([np.sqrt(np.diag(np.linalg.inv(i.whitening))) for i in self._problem.images])
+
+        def error_after(posture: Posture) -> float:
+            view = BallView(posture=posture, outline=np.zeros((0, 2)), outline_error=1.0, panels={})
+            more = replace(self._problem, views=(view,), lights=self.lights)
+            slope = weight * approx_fprime(x, lambda x: more.mirrored(x).ravel(), 1e-6)
             slope = slope[np.isfinite(slope).all(axis=1)]
-            errors = np.diag(np.linalg.inv(information + slope.T @ slope))[_BALL:].reshape(-1, _EACH)
-            cost = float(np.sum(errors[:, :6] / np.square(UNOBSERVABLE[:6])))
-            if cost < least:
-                best, least = posture, cost
-        return best
+            variances = np.diag(np.linalg.inv(information + slope.T @ slope))[_BALL:].reshape(-1, _EACH)
+            return float(np.sum(variances / np.square(UNOBSERVABLE)))
+
+        return min(candidates, key=error_after)
 
 
 def fit_ball(
@@ -129,14 +121,14 @@ def fit_ball(
     camera: PinholeCamera,
     stage: Stage,
     radius: float,
-    radius_error: float = 0.0,
+    radius_error: float = LEAST_RADIUS_ERROR,
     size_error: float | None = None,
     rig_deviations: Sequence[tuple[PinholeCamera, Stage]] = (),
 ) -> BallFit:
     """Fit the ball's centre in the stage frame, and pose and size of each panel.
 
-    lights: Panels as the rig file has them, world frame, from which the fit starts; within about half their size and
-        20°, so that the corners can be told apart
+    lights: Panels as the rig file has them, world frame, from which the fit starts; within about 20°, so that their
+        corners can be told apart
     radius, radius_error: Of the ball, and its standard deviation [mm]
     size_error: Standard deviation of the lights' given sizes [mm]; None where they are unknown
     rig_deviations: Camera and stage, displaced by one standard deviation along each independent direction of their
@@ -144,42 +136,39 @@ def fit_ball(
     Raises InputError: Where views do not show what is to be fitted
     """
     _check(views, lights)
-    start = np.concatenate([_ball_start(views, camera, stage, radius), np.zeros(_EACH * len(lights))])
-    size = np.array([light.size for light in lights])
-    start[_BALL:].reshape(-1, _EACH)[:, 6:] = size
-    prior = np.empty((len(lights), _EACH))
-    prior[:, :3], prior[:, 3:6] = CENTRE_PRIOR, ROTATION_PRIOR
-    prior[:, 6:] = SIZE_PRIOR * size if size_error is None else size_error
+    start = np.concatenate([_ball_start(views, camera, stage, radius), _unmoved(lights).ravel()])
+    prior = np.tile([*[CENTRE_PRIOR] * 3, *[ROTATION_PRIOR] * 3, 0.0, 0.0], (len(lights), 1))
+    prior[:, 6:] = [[size_error or SIZE_PRIOR * side for side in light.size] for light in lights]
     ball_prior = [np.inf, np.inf, np.inf, max(radius_error, LEAST_RADIUS_ERROR), EDGE_PRIOR]
     problem = _Problem(camera, stage, tuple(lights), tuple(views), start, np.concatenate([ball_prior, prior.ravel()]))
-    problem = replace(problem, views=tuple(_ordered(problem, view) for view in views))
+    problem = replace(problem, images=_ordered(problem))
     left_out: list[tuple[Posture, str]] = []
-    images = sum(len(view.panels) for view in views)
+    most = MOST_OUTLIERS * len(problem.images)
     while True:
-        found = least_squares(problem.residuals, problem.start, problem.slopes, method="lm", x_scale="jac")
-        worst, view, light = problem.worst_image(found.x)
-        freedom = max(1, len(found.fun) - len(start))
-        scale = max(1.0, 2.0 * float(found.cost) / freedom)
-        if worst < OUTLIER or len(left_out) >= MOST_OUTLIERS * images:
+        found = least_squares(problem.residuals, start, method="lm", x_scale="jac")
+        mean_square = 2.0 * float(found.cost) / max(1, len(found.fun) - len(start))
+        rms = np.sqrt(np.mean(np.square(problem.corner_residuals(found.x)), axis=1))
+        worst = int(np.argmax(rms))
+        # in units of what most images are off, which is more than they claim where camera or stage are
+        if rms[worst] < OUTLIER * max(1.0, float(np.median(rms))) or len(left_out) >= most:
             break
-        left_out.append((problem.views[view].posture, light))
-        problem = problem.without(view, light)
-    slope = problem.slopes(found.x)
-    covariance = np.linalg.inv(slope.T @ slope) * scale
-    at_solution = replace(problem, lights=problem.posed(found.x), start=_without_rotation(found.x))
-    nominal = problem.residuals(found.x)
+        image = problem.images[worst]
+        left_out.append((views[image.view].posture, lights[image.light].name))
+        problem = replace(problem, images=(*problem.images[:worst], *problem.images[worst + 1 :]))
+    information = found.jac.T @ found.jac
+    covariance = np.linalg.inv(information) * max(1.0, mean_square)
     for other_camera, other_stage in rig_deviations:
-        change = replace(problem, camera=other_camera, stage=other_stage).residuals(found.x) - nominal
-        shift = np.linalg.solve(slope.T @ slope, slope.T @ change)
-        covariance = covariance + np.outer(shift, shift)
+        change = replace(problem, camera=other_camera, stage=other_stage).residuals(found.x) - found.fun
+        shift = np.linalg.solve(information, found.jac.T @ change)
+        covariance += np.outer(shift, shift)
     errors = np.sqrt(np.diag(covariance))[_BALL:].reshape(-1, _EACH)
     return BallFit(
-        lights=at_solution.lights,
+        lights=problem.posed(found.x),
         centre=found.x[:3],
         radius=float(found.x[3]),
         edge_offset=float(found.x[4]),
         covariance=covariance,
-        rms=float(np.sqrt(2.0 * found.cost / freedom)),
+        rms=math.sqrt(mean_square),
         unobservable=tuple(
             f"{light.name}: {name}"
             for light, row in zip(lights, errors, strict=True)
@@ -187,8 +176,17 @@ def fit_ball(
             if error > limit
         ),
         left_out=tuple(left_out),
-        _problem=at_solution,
+        _problem=problem,
     )
+
+
+@dataclass(frozen=True)
+class _Image:
+    # a mirrored panel, with corners in the order of panel_corners; whitening·difference has independent entries
+    view: int
+    light: int
+    corners: Float64
+    whitening: Float64
 
 
 @dataclass(frozen=True)
@@ -199,78 +197,35 @@ class _Problem:
     views: tuple[BallView, ...]
     start: Float64
     prior: Float64  # standard deviations of the parameters about the start
+    images: tuple[_Image, ...] = ()
 
     def posed(self, x: Float64) -> tuple[PanelLight, ...]:
-        return tuple(
-            posed_panel(light, row) for light, row in zip(self.lights, x[_BALL:].reshape(-1, _EACH), strict=True)
-        )
+        moves = x[_BALL:].reshape(-1, _EACH)
+        return tuple(posed_panel(light, move) for light, move in zip(self.lights, moves, strict=True))
 
     def mirrored(self, x: Float64) -> Float64:
         # corners of each light in each view [px], shape (V, L, 4, 2)
         corners = np.array([panel_corners(light) for light in self.posed(x)])
-        centres = np.array([self._centre(view.posture, x) for view in self.views])
+        centres = np.array([self._centre(view, x) for view in self.views])
         return mirrored_image(self.camera, centres[:, None, None, :], float(x[3]), corners[None])
 
     def residuals(self, x: Float64) -> Float64:
-        outlines = [self._outline(view, x) for view in self.views]
-        corners = self._corner_residuals(x)
-        return np.concatenate([*outlines, corners.ravel(), (x - self.start) / self.prior])
-
-    def slopes(self, x: Float64) -> Float64:
-        """Derivatives of the residuals; a panel moves only its own corners, so all panels are moved at once."""
-        points = sum(len(view.outline) for view in self.views)
-        present = [(v, k) for v, view in enumerate(self.views) for k in self._numbers(view)]
-        found = np.zeros((points + 8 * len(present) + len(x), len(x)))
-        corner_rows = slice(points, points + 8 * len(present))
-        for j, step in enumerate((1e-4, 1e-4, 1e-4, 1e-4, 1e-3)):
-            move = np.zeros(len(x))
-            move[j] = step
-            change = self.residuals(x + move) - self.residuals(x - move)
-            found[:, j] = change / (2.0 * step)
-        owner = np.array([k for _, k in present], np.intp)
-        block = np.arange(8 * len(present)).reshape(-1, 8) + points
-        for j, step in enumerate(_STEP):
-            move = np.zeros(len(x))
-            move[_BALL + j :: _EACH] = step
-            change = (self._corner_residuals(x + move) - self._corner_residuals(x - move)) / (2.0 * step)
-            found[block, (_BALL + _EACH * owner + j)[:, None]] = change
-        found[corner_rows.stop :] = np.diag(1.0 / self.prior)
-        return found
-
-    def worst_image(self, x: Float64) -> tuple[float, int, str]:
-        rms = np.sqrt(np.mean(np.square(self._corner_residuals(x)), axis=1))
-        if not len(rms):
-            return 0.0, 0, ""
-        # in units of what most images are off, which is more than they claim where camera or stage are
-        worst = int(np.argmax(rms))
-        present = [(v, name) for v, view in enumerate(self.views) for name in view.panels]
-        return float(rms[worst] / max(1.0, float(np.median(rms)))), *present[worst]
-
-    def without(self, number: int, light: str) -> _Problem:
-        view = self.views[number]
-        kept = replace(view, panels={name: image for name, image in view.panels.items() if name != light})
-        return replace(self, views=(*self.views[:number], kept, *self.views[number + 1 :]))
-
-    def _numbers(self, view: BallView) -> list[int]:
-        names = [light.name for light in self.lights]
-        return [names.index(name) for name in view.panels]
-
-    def _corner_residuals(self, x: Float64) -> Float64:
-        # in standard deviations, shape (images, 8)
-        predicted = self.mirrored(x)
-        rows = [
-            np.linalg.solve(np.linalg.cholesky(image.covariance), (predicted[v, k] - image.corners).ravel())
-            for v, view in enumerate(self.views)
-            for k, image in zip(self._numbers(view), view.panels.values(), strict=True)
+        outlines = [
+            (outline_distances(self.camera, self._centre(view, x), float(x[3]), view.outline) - x[4])
+            / view.outline_error
+            for view in self.views
         ]
-        return np.array(rows).reshape(-1, 8)
+        return np.concatenate([*outlines, self.corner_residuals(x).ravel(), (x - self.start) / self.prior])
 
-    def _outline(self, view: BallView, x: Float64) -> Float64:
-        away = outline_distances(self.camera, self._centre(view.posture, x), float(x[3]), view.outline)
-        return (away - x[4]) / view.outline_error
+    def corner_residuals(self, x: Float64) -> Float64:
+        # in standard deviations, shape (images, 8)
+        if not self.images:
+            return np.zeros((0, 8))
+        predicted = self.mirrored(x)
+        return np.array([i.whitening @ (predicted[i.view, i.light] - i.corners).ravel() for i in self.images])
 
-    def _centre(self, posture: Posture, x: Float64) -> Float64:
-        rotation, translation = self.stage.transform(posture)
+    def _centre(self, view: BallView, x: Float64) -> Float64:
+        rotation, translation = self.stage.transform(view.posture)
         return rotation @ x[:3] + translation
 
 
@@ -297,50 +252,42 @@ def posed_panel(light: PanelLight, parameters: Float64) -> PanelLight:
     )
 
 
-def _without_rotation(x: Float64) -> Float64:
-    found = x.copy()
-    found[_BALL:].reshape(-1, _EACH)[:, :6] = 0.0
-    return found
+def _unmoved(lights: Sequence[PanelLight]) -> Float64:
+    # parameters of panels where they are, shape (L, 8)
+    return np.array([[0.0] * 6 + [*light.size] for light in lights])
 
 
 def _ball_start(views: Sequence[BallView], camera: PinholeCamera, stage: Stage, radius: float) -> Float64:
     """Ball parameters from the outlines alone, shape (5,)."""
-    poses = [stage.transform(view.posture) for view in views]
+    ball = _Problem(
+        camera, stage, (), tuple(views), np.zeros(5), np.array([np.inf, np.inf, np.inf, np.inf, EDGE_PRIOR])
+    )
 
     def residuals(x: Float64) -> Float64:
-        return np.concatenate(
-            [
-                (outline_distances(camera, r @ x[:3] + t, radius, view.outline) - x[3]) / view.outline_error
-                for view, (r, t) in zip(views, poses, strict=True)
-            ]
-            + [x[3:] / EDGE_PRIOR]
-        )
+        return ball.residuals(np.insert(x, 3, radius))
 
     found = least_squares(residuals, np.array([0.0, 0.0, radius, 0.0]), method="lm", x_scale="jac")
-    return np.array([*found.x[:3], radius, found.x[3]])
+    return np.insert(found.x, 3, radius)
 
 
-def _ordered(problem: _Problem, view: BallView) -> BallView:
-    """The view with its corners in the order of :func:`lightopt.lights.panel_corners`, as near to the nominal panel.
+def _ordered(problem: _Problem) -> tuple[_Image, ...]:
+    """The images with their corners in the order of :func:`lightopt.lights.panel_corners`.
 
-    Which corner is which shows in the shape about the centre only: a panel may be far from where the file has it.
+    The shape about its centre alone shows which corner is which: a panel may be far from where the file has it.
     """
+    predicted = problem.mirrored(problem.start)
     numbers = {light.name: k for k, light in enumerate(problem.lights)}
-    predicted = replace(problem, views=(view,)).mirrored(problem.start)[0]
-    panels: dict[str, MirroredPanel] = {}
-    for name, image in view.panels.items():
-        expected = predicted[numbers[name]]
-        expected = expected - expected.mean(axis=0)
-        orders = [
-            np.array([(first + sense * k) % 4 for k in range(4)])
-            for first, sense in itertools.product(range(4), (1, -1))
-        ]
-        centred = image.corners - image.corners.mean(axis=0)
-        best = min(orders, key=lambda order: float(np.sum(np.square(centred[order] - expected))))
-        entries = np.stack([2 * best, 2 * best + 1], axis=1).ravel()
-        covariance = image.covariance[np.ix_(entries, entries)]
-        panels[name] = MirroredPanel(corners=image.corners[best], covariance=covariance)
-    return replace(view, panels=panels)
+    orders = [(first + sense * np.arange(4)) % 4 for first, sense in itertools.product(range(4), (1, -1))]
+    images: list[_Image] = []
+    for number, view in enumerate(problem.views):
+        for name, image in view.panels.items():
+            expected = predicted[number, numbers[name]]
+            offset = image.corners.mean(axis=0) - expected.mean(axis=0)
+            order = min(orders, key=lambda o: float(np.sum(np.square(image.corners[o] - offset - expected))))
+            entries = np.stack([2 * order, 2 * order + 1], axis=1).ravel()
+            root = np.linalg.cholesky(image.covariance[np.ix_(entries, entries)])
+            images.append(_Image(number, numbers[name], image.corners[order], np.linalg.inv(root)))
+    return tuple(images)
 
 
 def _check(views: Sequence[BallView], lights: Sequence[PanelLight]) -> None:

@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from lightopt.core.arrays import Bool, Float64, Index
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
-from lightopt.estimate.rig_calibration._ball_fit import PANEL_PARAMETERS, posed_panel
+from lightopt.estimate.rig_calibration._ball_fit import PANEL_PARAMETERS, _unmoved, posed_panel
 from lightopt.estimate.rig_calibration._measured import Measured, measured
 from lightopt.lights import PanelLight
 from lightopt.scene import PinholeCamera, Stage, pixel_directions
@@ -189,7 +189,7 @@ def fit_plate(
     common = [
         measured(float(v), float(e)) for v, e in zip(fit.x[:_COMMON], np.sqrt(np.diag(fit.covariance)), strict=False)
     ]
-    moves = fit.x[levels.stop :].reshape(-1, _EACH) + _sizes(lights)
+    moves = fit.x[levels.stop :].reshape(-1, _EACH) + _unmoved(lights)
     return PlateFit(
         lights=tuple(
             replace(posed_panel(light, move), gain=float(gain), emission_exponent=max(0.0, common[0].value))
@@ -273,16 +273,13 @@ class _Problem:
         return level * dimming * moved * _irradiance(*self._cosines, exponent=n, kappa=kappa)
 
     def _of_panels(self, move: Float64) -> tuple[Float64, Float64, Float64]:
-        panels = [posed_panel(light, move + size) for light, size in zip(self.lights, _sizes(self.lights), strict=True)]
+        panels = [
+            posed_panel(light, move + size) for light, size in zip(self.lights, _unmoved(self.lights), strict=True)
+        ]
         return _cosines(panels, self._owner, self._points, self._normals)
 
     def _irradiance_of(self, move: Float64) -> Float64:
         return _irradiance(*self._of_panels(move), exponent=self._exponent, kappa=0.0)
-
-
-def _sizes(lights: Sequence[PanelLight]) -> Float64:
-    # parameters of panels where they are, shape (L, 8)
-    return np.array([[0.0] * 6 + [*light.size] for light in lights])
 
 
 def irradiance(light: PanelLight, points: Float64, normal: Float64, *, exponent: float, kappa: float = 0.0) -> Float64:
