@@ -111,6 +111,7 @@ def build_camera(rig: RigConfig) -> PinholeCamera:
         "distortion": Distortion(**c.distortion.model_dump()),
         "principal_point": c.principal_point_px,
         "aspect": aspect,
+        "vignetting": (0.0, 0.0) if c.vignetting is None else (c.vignetting.v2, c.vignetting.v4),
     }
     if c.pose is None:
         camera = place_camera(

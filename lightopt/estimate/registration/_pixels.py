@@ -14,7 +14,7 @@ from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._placement import Placement
 from lightopt.geometry import RayCaster
 from lightopt.rendering import UNLIT, WHOLE, PosturePixels, light_layer, panel_visibility, trace_samples
-from lightopt.scene import PartView, Scene, view_from_part
+from lightopt.scene import PartView, Scene, lens_share, view_from_part
 
 _LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
 # additive recurrences that fill a pixel evenly: Roberts's R₂, by the plastic number, and quadratic irrationals
@@ -125,6 +125,9 @@ def light_at(
                 light[:, i, hits.ray] = found
 
     in_threads(shade, range(len(names)), threads)
+    passed = lens_share(view.camera, columns, rows)
+    if passed is not None:
+        light *= passed
     if pixels.rays > 1:
         light = light.reshape(*light.shape[:2], len(pixels.row), -1).mean(axis=3)
     return light[0], light[1:]
