@@ -39,7 +39,7 @@ def geometry_covariance():
 
 def cells_of(posture, levels=None, **options):
     levels = np.zeros(SHAPE) if levels is None else levels
-    options = {"light": "", "cell": 120, "usable": np.ones(SHAPE, bool), **options}
+    options = {"light": "", "cell": 80, "usable": np.ones(SHAPE, bool), **options}
     usable = options.pop("usable")
     return plate_cells(levels, usable, posture=posture, plate=PLATE, camera=CAMERA, stage=STAGE, **options)
 
@@ -133,7 +133,7 @@ def test_cells_are_on_the_plate_and_not_saturated():
     assert np.abs(on_stage[:, 2]).max() < 1e-9
     usable[600, 800] = False
     assert len(cells_of(POSTURES[1], usable=usable).levels) == len(view.levels) - 1
-    with pytest.raises(InputError, match="0 cells of 120 pixels"):
+    with pytest.raises(InputError, match="0 cells of 80 pixels"):
         cells_of(POSTURES[1], usable=np.zeros(SHAPE, bool))
 
 

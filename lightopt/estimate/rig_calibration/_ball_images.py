@@ -225,7 +225,9 @@ def _vote(image: Float64, radius: float) -> Float64:
     bin_size = max(2.0, 0.02 * radius)
     votes = np.concatenate([place + radius * unit, place - radius * unit])
     edges = [np.arange(-0.5 * radius, side + 0.5 * radius + bin_size, bin_size) for side in image.shape[::-1]]
-    counts = np.asarray(ndimage.gaussian_filter(np.histogram2d(*votes.T, bins=edges)[0], 1.0))
+    counts = np.asarray(
+        ndimage.gaussian_filter(np.histogram2d(*votes.T, bins=edges, weights=np.tile(size[rows, columns], 2))[0], 1.0)
+    )
     best = np.unravel_index(int(np.argmax(counts)), counts.shape)
     return np.array([axis[k] + 0.5 * bin_size for axis, k in zip(edges, best, strict=True)])
 
@@ -249,4 +251,5 @@ def _edges(
     before, here, after = (size[each, best + k] for k in (-1, 0, 1))
     bend = np.minimum(before - 2.0 * here + after, -1e-12)
     distance = fitted + offset[edge:-edge][best] + step * np.clip(0.5 * (before - after) / bend, -0.5, 0.5)
-    return distance, here, 1.4826 * float(np.median(np.abs(slope - np.median(slope, axis=0))))
+    far = slope[:, -max(4, slope.shape[1] // 8) :]  # outside of the ball, which has shades
+    return distance, here, 1.4826 * float(np.median(np.abs(far - np.median(far, axis=0))))
