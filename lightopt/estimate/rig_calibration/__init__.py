@@ -1,7 +1,9 @@
-"""Calibration of the rig from images of targets on its stage, and of the camera's sensor.
+"""Calibration of a rig from images of targets on its stage, and of its camera's sensor.
 
-A mirror ball shows where the panels are (:func:`fit_ball`), a matt plate how they shine (:func:`fit_plate`), pairs of
-frames what the sensor makes of light (:func:`photon_transfer`).
+Board: ``fit_board(views, board, camera=...) -> BoardFit`` gives camera and stage axes, with views from ``find_corners``
+(images of a ChArUco board) or ``read_corners`` (corners that another program found). Mirror ball: ``fit_ball`` gives the
+panels' poses, with views from ``measure_ball``. Matt plate: ``fit_plate`` gives their light and the lens's vignetting,
+with views from ``plate_cells``. Pairs of frames: ``photon_transfer`` gives the sensor.
 """
 
 from lightopt.estimate.rig_calibration._ball_fit import (
@@ -12,7 +14,17 @@ from lightopt.estimate.rig_calibration._ball_fit import (
     fit_ball as fit_ball,
 )
 from lightopt.estimate.rig_calibration._ball_images import measure_ball as measure_ball
+from lightopt.estimate.rig_calibration._board import Board as Board, BoardView as BoardView
+from lightopt.estimate.rig_calibration._board_fit import BoardFit as BoardFit, fit_board as fit_board
+from lightopt.estimate.rig_calibration._board_images import BoardImage as BoardImage, find_corners as find_corners
+from lightopt.estimate.rig_calibration._charuco import (
+    CharucoBoard as CharucoBoard,
+    board_mesh as board_mesh,
+    white_areas as white_areas,
+)
+from lightopt.estimate.rig_calibration._corner_lists import read_corners as read_corners
 from lightopt.estimate.rig_calibration._measured import Measured as Measured
+from lightopt.estimate.rig_calibration._nominal import RigUncertainty as RigUncertainty
 from lightopt.estimate.rig_calibration._photon_transfer import (
     FramePair as FramePair,
     PhotonTransfer as PhotonTransfer,
