@@ -1,9 +1,10 @@
 """Calibration of a rig from images of targets on its stage, and of its camera's sensor.
 
-Board: ``fit_board(views, board, camera=...) -> BoardFit`` gives camera and stage axes, with views from ``find_corners``
-(images of a ChArUco board) or ``read_corners`` (corners that another program found). Mirror ball: ``fit_ball`` gives the
-panels' poses, with views from ``measure_ball``. Matt plate: ``fit_plate`` gives their light and the lens's vignetting,
-with views from ``plate_cells``. Pairs of frames: ``photon_transfer`` gives the sensor.
+- Board: ``fit_board(views, board, camera=...) -> BoardFit`` gives camera and stage axes, with views from
+  ``find_corners`` (images of a ChArUco board) or ``read_corners`` (corners that another program found).
+- Mirror ball: ``fit_ball`` gives the poses of the panels, with views from ``measure_ball``.
+- Matt plate: ``fit_plate`` gives the panels' light and the lens's vignetting, with views from ``plate_cells``.
+- Pairs of frames: ``photon_transfer`` gives the sensor.
 """
 
 from lightopt.estimate.rig_calibration._ball_fit import (
