@@ -95,6 +95,7 @@ def statistics(seeds):
     return np.sqrt(np.mean(np.square(errors), axis=0)), np.abs(scores) <= 1.0
 
 
+@pytest.mark.slow
 def test_panels_are_found_and_intervals_hold():
     rms, covered = statistics(4)
     assert rms[:2].max() < 0.3  # lateral [mm]
@@ -152,6 +153,7 @@ def test_one_tilt_is_refused():
         fit_ball(views, lights=LIGHTS, camera=CAMERA, stage=STAGE, radius=RADIUS)
 
 
+@pytest.mark.slow
 def test_next_posture_helps_more_than_one_that_repeats():
     _, _, fit = fitted(2)
     candidates = [Posture(20.0, 0.0), Posture(-40.0, 45.0), Posture(0.0, 0.0)]

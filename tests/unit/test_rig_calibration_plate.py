@@ -86,6 +86,7 @@ def statistics(seeds):
     return np.sqrt(np.mean(np.square(errors), axis=0)), np.array(inside)
 
 
+@pytest.mark.slow
 def test_gains_exponent_and_vignetting_are_found():
     rms, inside = statistics(2)
     assert rms[:4].max() < 0.01
