@@ -286,7 +286,9 @@ def _ordered(problem: _Problem) -> tuple[_Image, ...]:
             order = min(orders, key=lambda o: float(np.sum(np.square(image.corners[o] - offset - expected))))
             entries = np.stack([2 * order, 2 * order + 1], axis=1).ravel()
             root = np.linalg.cholesky(image.covariance[np.ix_(entries, entries)])
-            images.append(_Image(number, numbers[name], image.corners[order], np.linalg.inv(root)))
+            images.append(
+                _Image(number, numbers[name], image.corners[order], np.asarray(np.linalg.inv(root), np.float64))
+            )
     return tuple(images)
 
 

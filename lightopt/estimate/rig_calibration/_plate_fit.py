@@ -7,9 +7,9 @@ Only the product of gain and the plate's brightness shows, so the mean gain is 1
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -27,7 +27,7 @@ NODES = 3  # of Gauss and Legendre along each side of a panel
 # standard deviations before the fit
 EXPONENT_PRIOR, VIGNETTING_PRIOR = 1.0, 0.5
 LAMBERT_PRIOR = 0.03  # of κ, for a plate that reflects as cosθ to the power 1 + κ; real ones are several % off Lambert
-EXPONENT_DECIDED = 0.25  # standard error of n from which the rig file's is kept
+EXPONENT_DECIDED = 0.33  # standard error of n from which the rig file's is kept: it does not tell 0 from 1
 HELD = 1e-6  # standard error of an n that is not fitted
 FALL_OFF_DECIDED = 9.0  # difference of χ² that decides between fall-off and none: three standard deviations
 
@@ -178,8 +178,8 @@ def fit_plate(
     difference = (fit.chi_squared - alternative.chi_squared) / max(1.0, min(fit.mean_square, alternative.mean_square))
     if difference > FALL_OFF_DECIDED:
         kept, fit = other, alternative
-    if not (fitted := bool(np.sqrt(fit.covariance[0, 0]) <= EXPONENT_DECIDED)):
-        fit = kept.solve(HELD)
+    fitted = bool(np.sqrt(fit.covariance[0, 0]) <= EXPONENT_DECIDED)
+    fit = kept.solve(EXPONENT_PRIOR if fitted else HELD, again=True)
 
     levels = slice(_COMMON, _COMMON + len(lights))
     level, of_levels = fit.x[levels], fit.covariance[levels, levels]
@@ -237,13 +237,14 @@ class _Problem:
         self._lambert_error = errors[2]
         self._known = np.linalg.inv(np.linalg.cholesky(panels_covariance))
         self._exponent = float(np.mean([light.emission_exponent for light in lights]))
+        # moves of the panels that levels are linear about, and what they are linear in
+        self._moves, self._slopes = np.zeros((len(lights), _EACH)), np.zeros((len(self._levels), _EACH))
         self._cosines = self._of_panels(np.zeros(_EACH))
-        moved = [(self._irradiance_of(step), self._irradiance_of(-step)) for step in np.diag(_STEP)]
-        middle = self._irradiance_of(np.zeros(_EACH))
-        self._slopes = np.stack([(up - down) / middle for up, down in moved], axis=1) / (2.0 * _STEP)
 
-    def solve(self, exponent_error: float) -> _Fit:
+    def solve(self, exponent_error: float, *, again: bool = False) -> _Fit:
         count = len(self.lights)
+        self._moves = np.zeros((count, _EACH))
+        self._cosines = self._of_panels(np.zeros(_EACH))
         flat = _irradiance(*self._cosines, exponent=self._exponent, kappa=0.0)
         totals = (np.bincount(self._owner, values, count) for values in (self._levels, flat))
         level = np.divide(*totals)
@@ -256,9 +257,9 @@ class _Problem:
                 [(self._predicted(x) - self._levels) / self._error, known, self._known @ x[-_EACH * count :]]
             )
 
-        found = least_squares(
-            residuals, start, method="lm", x_scale=np.concatenate([prior, level, np.ones(_EACH * count)])
-        )
+        found = self._fit(residuals, start)
+        if again:  # what a move does depends on n and on the panels' geometry
+            found = self._fit(residuals, found.x)
         freedom = len(found.fun) - len(start)
         mean_square = 2.0 * float(found.cost) / freedom
         covariance = np.linalg.inv(found.jac.T @ found.jac) * max(1.0, mean_square)
@@ -268,18 +269,26 @@ class _Problem:
         n, kappa, v1, v2 = x[:_COMMON]
         count = len(self.lights)
         dimming = 1.0 + self._square * (v1 + v2 * self._square)
-        moved = 1.0 + np.sum(self._slopes * x[-_EACH * count :].reshape(count, _EACH)[self._owner], axis=1)
+        moved = 1.0 + np.sum(
+            self._slopes * (x[-_EACH * count :].reshape(count, _EACH) - self._moves)[self._owner], axis=1
+        )
         level = x[_COMMON : _COMMON + count][self._owner]
         return level * dimming * moved * _irradiance(*self._cosines, exponent=n, kappa=kappa)
 
     def _of_panels(self, move: Float64) -> tuple[Float64, Float64, Float64]:
         panels = [
-            posed_panel(light, move + size) for light, size in zip(self.lights, _unmoved(self.lights), strict=True)
+            posed_panel(light, move + own)
+            for light, own in zip(self.lights, _unmoved(self.lights) + self._moves, strict=True)
         ]
         return _cosines(panels, self._owner, self._points, self._normals)
 
-    def _irradiance_of(self, move: Float64) -> Float64:
-        return _irradiance(*self._of_panels(move), exponent=self._exponent, kappa=0.0)
+    def _fit(self, residuals: Callable[[Float64], Float64], x: Float64) -> Any:
+        self._moves = x[_COMMON + len(self.lights) :].reshape(-1, _EACH)
+        self._cosines = self._of_panels(np.zeros(_EACH))
+        moved = [self._of_panels(step) for step in (*np.diag(_STEP), *np.diag(-_STEP))]
+        up, down = np.split(np.array([_irradiance(*cosines, exponent=x[0], kappa=0.0) for cosines in moved]), 2)
+        self._slopes = ((up - down) / (up + down)).T / _STEP
+        return least_squares(residuals, x, method="lm", x_scale="jac")
 
 
 def irradiance(light: PanelLight, points: Float64, normal: Float64, *, exponent: float, kappa: float = 0.0) -> Float64:
