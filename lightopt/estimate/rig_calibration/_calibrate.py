@@ -36,6 +36,7 @@ class RigCalibration:
     folder: With the image sets and targets.yaml
     board, ball, plate, sensor: None where there is no such image set
     camera, stage, lights: World frame, measured where they were, else as filed
+    filed: The lights as filed
     """
 
     rig: RigConfig
@@ -47,6 +48,7 @@ class RigCalibration:
     camera: PinholeCamera
     stage: Stage
     lights: tuple[PanelLight, ...]
+    filed: tuple[PanelLight, ...]
     warnings: tuple[str, ...]
 
     @property
@@ -123,6 +125,7 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
         camera=camera,
         stage=stage,
         lights=lights,
+        filed=build_lights(rig),
         warnings=tuple(warnings),
     )
 

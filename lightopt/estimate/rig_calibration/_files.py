@@ -56,8 +56,9 @@ def calibrated_rig_text(found: RigCalibration) -> str:
             values["camera", "sensor", key] = _number(max(0.0, measured.value))
         if sensor.saturation_level is not None and sensor.saturation_level < 2**rig.camera.sensor.bit_depth - 1:
             values["camera", "sensor", "saturation_level"] = str(math.floor(sensor.saturation_level))
-    ends = ", ".join(f"{json.dumps(k)}: [{_number(low)}, {_number(high)}]" for k, (low, high) in intervals(found))
-    values["calibration",] = f"{{covariance: {COVARIANCE_NAME}, intervals: {{{ends}}}}}"
+    of_rig = [(name, ends) for name, ends in intervals(found) if not name.startswith("board.")]
+    lines = "".join(f"\n    {json.dumps(name)}: [{_number(low)}, {_number(high)}]" for name, (low, high) in of_rig)
+    values["calibration",] = f"\n  covariance: {COVARIANCE_NAME}\n  intervals:{lines}"
     # the covariance lies beside the new file, not beside the old one
     text = copied_text(rig.model_copy(update={"calibration": None}), found.folder, values)
     return f"# calibrated by lightopt from the image sets in this folder; see {REPORT_NAME}\n{text}"

@@ -39,6 +39,7 @@ SIGMA = 0.004  # of the ball
 class CalibrationPlan:
     """Files of a calibration folder, and the commands that fill it.
 
+    board: To print; None where there is none
     targets: What is put on the stage, one sentence each
     commands: To run one after another
     images: Number of images that they capture
@@ -46,6 +47,7 @@ class CalibrationPlan:
 
     folder: Path
     files: tuple[Path, ...]
+    board: CharucoBoard | None
     targets: tuple[str, ...]
     commands: tuple[str, ...]
     images: int
@@ -73,6 +75,7 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
     white = {"R_d": WHITE, "R_s": 0.0, "sigma_rad": 0.5}
     lights = [light.name for light in rig.lights]
     captured: list[tuple[str, str, Sequence[Posture], int]] = []
+    target: CharucoBoard | None = None
     if targets.board is not None:
         b = targets.board
         target = CharucoBoard(
@@ -120,6 +123,7 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
     return CalibrationPlan(
         folder=folder,
         files=tuple(files),
+        board=target,
         targets=tuple(_sentences(folder, targets)),
         commands=tuple(commands),
         images=sum(len(postures) * count for _, _, postures, count in captured),
