@@ -30,6 +30,7 @@ _COMMANDS = {
     "render": ("_render", "Render the images that the camera would take."),
     "capture": ("_capture", "Capture images on the rig or the virtual bench."),
     "defects": ("_files", "Place random defects on a part for testing."),
+    "calibrate": ("_calibrate", "Measure a rig from images of targets on its stage."),
     "fit-diffuse": ("_fit", "Fit the diffuse coefficient to images."),
     "fit-specular": ("_fit", "Fit specular coefficient and roughness to images."),
     "optimize": ("_optimize", "Find the best light positions by exact search."),

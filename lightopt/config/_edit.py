@@ -30,8 +30,12 @@ def with_values(text: str, values: Mapping[Keys, str | None]) -> str:
     # a mapping or a list is removed before another takes its place
     removed = [keys for keys, value in values.items() if keys in entries and (value is None or keys not in spans)]
     gone = [_whole_entry(text, *entries[keys]) for keys in removed]
+    following = len(text)
     for start, end in sorted(gone, reverse=True):
-        text = text[:start] + text[end:]
+        before, behind = text[:start], text[min(end, following) :]
+        if re.match(r"\s*}", behind):  # no comma is left before the end of braces
+            before = re.sub(r"\s*,\s*$", "", before)
+        text, following = before + behind, len(before)
     spans, mappings, _ = _index(text)
     places: list[tuple[int, int, str]] = []  # spans to replace; empty ones to insert
     for keys, value in values.items():
@@ -122,10 +126,8 @@ def _end(node: yaml.Node) -> int:
 def _whole_entry(text: str, start: int, end: int, in_braces: bool) -> tuple[int, int]:
     # of a key and its value, from `start` to `end`, what goes with them: the comma in braces, else the line's comment
     if in_braces:
-        if behind := re.match(r"\s*,\s*", text[end:]):
-            return start, end + behind.end()
-        before = re.search(r",\s*$", text[:start])
-        return (before.start() if before else start), end
+        behind = re.match(r"\s*,\s*", text[end:])
+        return start, end + behind.end() if behind else end
     rest = end + len(text[end:].split("\n", 1)[0]) + 1
     line = text.rfind("\n", 0, start) + 1
     if text[line:start].strip():  # behind the dash of a list, which the next key takes over

@@ -22,13 +22,19 @@ from lightopt.config._pose import POSE_REPLACES
 from lightopt.config._rig import RigConfig
 from lightopt.config._source_file import Source, dotted
 from lightopt.config._strict_yaml import Document, Problem, YamlError, parse
+from lightopt.config._targets import TargetsConfig
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256
 
 MAX_BYTES = 1_000_000
-_KINDS = {"lightopt-rig": "a rig", "lightopt-part": "a part", "lightopt-images": "an image set"}
+_KINDS = {
+    "lightopt-rig": "a rig",
+    "lightopt-part": "a part",
+    "lightopt-images": "an image set",
+    "lightopt-targets": "the targets of a calibration",
+}
 
-Config = TypeVar("Config", RigConfig, PartConfig)
+Config = TypeVar("Config", RigConfig, PartConfig, TargetsConfig)
 Entry = TypeVar("Entry", bound=BaseModel)
 
 
@@ -47,6 +53,11 @@ def load_part(path: Path | str) -> PartConfig:
     ``source.resolve(part.mesh.file)`` is the path of the mesh.
     """
     return _load(Path(path), PartConfig, "lightopt-part/1")
+
+
+def load_targets(path: Path | str) -> TargetsConfig:
+    """Read the targets of a calibration (``lightopt-targets/1``) as :func:`load_rig` does."""
+    return _load(Path(path), TargetsConfig, "lightopt-targets/1")
 
 
 def _load(path: Path, model: type[Config], expected: str) -> Config:

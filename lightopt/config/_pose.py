@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidatorFunctionWrapHandler, field_validator
 
@@ -69,14 +69,17 @@ class RotaryAxisConfig(fields.Frozen):
     scale: _Scale = Field(default=1.0, description=_SCALE)
 
 
+_Interval = Annotated[tuple[fields.Number, fields.Number], Field(strict=False), fields.expecting("[low, high]")]
+
+
 class CalibrationConfig(fields.Frozen):
     """Where the measured values of this file come from."""
 
     covariance: fields.Text = Field(
         description="File of the joint covariance of all measured values, .npz; relative to this file."
     )
-    intervals: dict[str, tuple[fields.Number, fields.Number]] = Field(
-        default={}, description="95 % interval [low, high] of each measured value, by its key.", strict=False
+    intervals: dict[str, _Interval] = Field(
+        default={}, description="95 % interval [low, high] of each measured value, by its key."
     )
 
 

@@ -128,6 +128,20 @@ def test_wrong_corners_do_not_count(share):
     assert fit.faulty == ()
 
 
+def test_views_without_corners_or_with_a_line_of_them_do_no_harm():
+    rig = hidden_rig(3)
+    views = rig.views()
+    views[0] = BoardView("empty", views[0].posture, np.zeros(0, int), np.zeros((0, 2)))
+    line = np.isin(views[1].ids, np.arange(0, 88, 12))
+    views[1] = BoardView("line", views[1].posture, views[1].ids[line], views[1].pixels[line])
+    fit = fitted(rig, views)
+    assert fit.faulty == ()
+    assert [view.corners for view in fit.residuals[:2]] == [0, line.sum()]
+    assert rig.predicted_error(fit) < 0.1
+    with pytest.raises(InputError, match="not on a line"):
+        fitted(rig, views[:2])
+
+
 def test_wrong_views_are_named():
     rig = hidden_rig(3)
     views = rig.views()

@@ -50,6 +50,7 @@ class ViewResidual:
     rms: The same of the corners that count [px]
     outliers: Corners that do not count, as they are more than 4 robust standard deviations off
     faulty: Whether the view as a whole is wrong
+    pixels, offsets: Where the corners were found, and found less predicted [px], shape (corners, 2)
     """
 
     name: str
@@ -59,6 +60,8 @@ class ViewResidual:
     rms: float
     outliers: int
     faulty: bool
+    pixels: Float64 = field(repr=False)
+    offsets: Float64 = field(repr=False)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -220,7 +223,9 @@ def _residuals(views: Sequence[BoardView], fit: JointFit, seen: Sightings) -> tu
         rms = float(np.sqrt(np.mean(np.square(inliers)))) if len(inliers) else 0.0
         outliers = count - len(inliers)
         faulty = outliers > _FAULTY_SHARE * count or median > most
-        found.append(ViewResidual(view.name, view.posture, count, median, rms, outliers, faulty))
+        found.append(
+            ViewResidual(view.name, view.posture, count, median, rms, outliers, faulty, view.pixels, fit.residual[mine])
+        )
     return tuple(found)
 
 

@@ -21,12 +21,13 @@ from lightopt.estimate.rig_calibration._board_model import (
 
 _LEAST_POINTS = 6
 _MOST_VIEWS = 24  # whose poses are tried
+_BEHIND_PX = 1e6  # error of a point that would be behind the camera
 
 
 def start_from_views(x: Float64, origin: Origin, seen: Sightings, pixels: Float64) -> tuple[Float64, Origin]:
-    """Parameters and orientations with the board placed, and the camera turned so that the board is in its place.
+    """Parameters and orientations with the board in its place.
 
-    x, origin: Nominal parameters; camera and stage hold, the board's pose does not
+    x, origin: Nominal; those of the board are not used
     pixels: Shape (N, 2)
     Raises InputError: No view has enough points that are not on a line
     """
@@ -36,7 +37,8 @@ def start_from_views(x: Float64, origin: Origin, seen: Sightings, pixels: Float6
     best: tuple[float, Float64, Origin] | None = None
     for view in np.unique(np.linspace(0, views - 1, min(views, _MOST_VIEWS)).astype(int)):
         mine = seen.view == view
-        if mine.sum() < _LEAST_POINTS or np.ptp(seen.points[mine], axis=0).min() == 0.0:
+        flat = seen.points[mine] - seen.points[mine].mean(axis=0) if mine.any() else np.zeros((0, 2))
+        if len(flat) < _LEAST_POINTS or np.linalg.matrix_rank(flat) < 2:
             continue
         for turned, shift in _plane_poses(seen.points[mine], rays[mine]):
             lift, at_zero = _stage(x, seen.readings[view])
@@ -44,10 +46,12 @@ def start_from_views(x: Float64, origin: Origin, seen: Sightings, pixels: Float6
             placed = Origin(origin.camera, lift.T @ world @ turned)
             there = x.copy()
             there[BOARD_POSITION] = lift.T @ (world @ shift + x[CAMERA_POSITION] - at_zero)
-            error = pixels - predict(there, np.zeros((views, 2)), placed, seen, slopes=False)[0]
+            predicted, _, _ = predict(there, np.zeros((views, 2)), placed, seen, slopes=False)
+            error = np.nan_to_num(pixels - predicted, nan=_BEHIND_PX)
             # the camera's direction shifts a view as a whole
-            offsets = np.array([np.median(error[seen.view == k], axis=0) for k in range(views)])
-            cost = float(np.median(np.linalg.norm(error - offsets[seen.view], axis=1)))
+            for k in np.unique(seen.view):
+                error[seen.view == k] -= np.median(error[seen.view == k], axis=0)
+            cost = float(np.median(np.linalg.norm(error, axis=1)))
             if best is None or cost < best[0]:
                 best = cost, there, placed
     if best is None:
