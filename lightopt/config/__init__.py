@@ -23,6 +23,7 @@ from lightopt.config._load import (
     load_part as load_part,
     load_rig as load_rig,
 )
+from lightopt.config._opencv_file import read_opencv_file as read_opencv_file
 from lightopt.config._part import (
     InspectionConfig as InspectionConfig,
     PartConfig as PartConfig,

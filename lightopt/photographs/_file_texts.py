@@ -1,0 +1,123 @@
+"""Texts of the rig and part files of imported photographs, with where each value comes from."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from lightopt.config import standing_at
+from lightopt.core.arrays import Float64
+from lightopt.core.transforms import vector_of_rotation
+from lightopt.photographs._calibration import Intrinsics
+from lightopt.photographs._light_table import TableRow
+from lightopt.photographs._part import PartShape, Placed
+
+
+def rig_text(
+    *,
+    name: str,
+    intrinsics: Intrinsics,
+    intrinsics_from: str,
+    placed: Placed,
+    size: tuple[int, int],
+    bits: int,
+    bits_from: str,
+    lights: Sequence[TableRow],
+    table: str,
+    light_distance: float,
+    light_size: float | None,
+) -> str:
+    """Rig file.
+
+    lights: One row of the table for each light, world frame
+    light_distance: Of distant lights [mm]
+    light_size: Side of the panels [mm]; None for point lights
+    """
+    camera = placed.camera
+    near = [float(np.linalg.norm(row.place)) for row in lights if row.near]
+    side = light_size or 1e-3 * min(near or [light_distance])
+    size_from = "as given" if light_size else "not known; a single point, whatever its size"
+    distortion = ", ".join(f"{name}: {value:.9g}" for name, value in intrinsics.distortion.items())
+    reference = f"\n  reference_distance_mm: {np.mean(near):.9g}   # mean of the positions" if near else ""
+    return f"""# Written by lightopt import. Lengths in mm, angles in degrees, Z up.
+
+format: lightopt-rig/1
+name: {json.dumps(name, ensure_ascii=False)}
+
+camera:
+  pose:                         # {placed.camera_from}
+    position_mm: {_list(camera.position)}
+    rotation_vector_deg: {_list(np.degrees(vector_of_rotation(camera.rotation)))}
+  resolution_px: [{size[0]}, {size[1]}]    # of the photographs
+  pixel_size_um: 3.45           # assumed; images do not depend on it
+  focal_px: {_list(intrinsics.focal)}   # {intrinsics_from}
+  principal_point_px: {_list(intrinsics.principal_point)}   # {intrinsics_from}; the first pixel's centre is at 0.5
+  distortion: {{{distortion}}}
+  sensor:
+    bit_depth: {bits}                # {bits_from}
+
+light_source:
+  size_mm: [{side:.9g}, {side:.9g}]    # {size_from}
+  points: {"auto" if light_size else 1}
+  falloff: none                 # of distant lights: brightness does not depend on the distance{reference}
+
+lights:                         # {table}; gain is the column intensity, 1 without it
+{chr(10).join(_light(row, light_distance) for row in lights)}
+"""
+
+
+def _light(row: TableRow, light_distance: float) -> str:
+    at = standing_at([float(v) for v in row.place * (1.0 if row.near else light_distance)])
+    if not row.near:
+        at["distance_mm"] = light_distance
+    place = ", ".join(f"{key}: {value:.9g}" for key, value in at.items())
+    own = ", falloff: inverse_square" if row.near else ""
+    return f'  - {{name: "{row.light}", {place}, gain: {row.intensity:.9g}{own}}}'
+
+
+def part_text(shape: PartShape, placed: Placed, postures: Iterable[tuple[float, float]]) -> str:
+    """Part file.
+
+    postures: Tilt and rotation of each [deg]
+    """
+    units = f"\n  units: {shape.units}" if shape.units else ""
+    listed = "\n".join(f"  - {{elevation_deg: {tilt:.9g}, rotation_deg: {turn:.9g}}}" for tilt, turn in postures)
+    return f"""# Written by lightopt import.
+
+format: lightopt-part/1
+name: {json.dumps(shape.name, ensure_ascii=False)}
+
+mesh:
+  file: {json.dumps(shape.file, ensure_ascii=False)}{units}
+
+placement:                      # {placed.part_from}
+  anchor: {placed.anchor}
+  rotate_deg: {_list(_fixed_angles(placed.rotation))}
+  translate_mm: {_list(placed.translate)}
+
+postures:
+{listed}
+
+reflectance:                    # not known yet: fit-diffuse and fit-specular find it
+  R_d: 50
+  R_s: 1000
+  sigma_rad: 0.05
+"""
+
+
+def _fixed_angles(rotation: Float64) -> tuple[float, float, float]:
+    """Angles about the fixed X, then Y, then Z axis [deg] of a rotation of shape (3, 3)."""
+    r = rotation
+    about_y = math.asin(min(1.0, max(-1.0, -r[2, 0])))
+    if abs(r[2, 0]) > 1.0 - 1e-9:  # X and Z turn about one line: all of it is put on X
+        about_x, about_z = math.atan2(-r[1, 2], r[1, 1]), 0.0
+    else:
+        about_x, about_z = math.atan2(r[2, 1], r[2, 2]), math.atan2(r[1, 0], r[0, 0])
+    return math.degrees(about_x), math.degrees(about_y), math.degrees(about_z)
+
+
+def _list(values: Iterable[float]) -> str:
+    return "[" + ", ".join(f"{round(float(v), 9) + 0.0:.12g}" for v in values) + "]"
