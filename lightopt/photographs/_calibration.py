@@ -22,16 +22,13 @@ from lightopt.core.transforms import rotation_from_vector
 _PIXEL_CENTRE = 0.5  # of the first pixel here; 0 in OpenCV
 _ROTATION_TOLERANCE = 2e-3  # entries that were written with three decimals are off by less
 _MOST_SKEW_PX = 0.05  # how far skew may move an image point
-_COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
-_LENS_ADVICE = "expected OpenCV's k1, k2, p1, p2, k3: calibrate with these, or undistort the images"
 
-# names of a value in files, without upper case, dashes and underscores; the tutorials' own among them
+# names of a value in files, without upper case, dashes and underscores; those of OpenCV's tutorials among them
 _K = ("cameramatrix", "k", "mtx", "intrinsicmatrix", "intrinsics", "intrinsic")
 _DISTORTION = ("distortioncoefficients", "distcoeffs", "dist", "d", "distortion")
 _ROTATION = ("r", "rotationmatrix", "rotation", "rvec", "rvecs", "rotationvector")
 _TRANSLATION = ("t", "tvec", "tvecs", "translation", "translationvector")
 _BOTH = ("rt", "extrinsics", "extrinsic", "extrinsicmatrix")
-_WIDTH, _HEIGHT, _SIZE = ("imagewidth", "width"), ("imageheight", "height"), ("imagesize",)
 
 
 @dataclass(frozen=True)
@@ -40,7 +37,7 @@ class Intrinsics:
 
     focal: In columns and rows [px]
     principal_point: Column and row [px]; the first pixel's centre is at (0.5, 0.5)
-    distortion: Coefficients by their name
+    distortion: Coefficients k1, k2, p1, p2, k3 by their name
     size: Width and height of the images that were calibrated [px], where the file says so
     """
 
@@ -61,23 +58,16 @@ class Pose:
     position: Float64
     rotation: Float64
 
-    def turned(self, turn: Float64) -> Pose:
-        """The pose in a world turned by a rotation of shape (3, 3)."""
-        return Pose(turn @ self.position, turn @ self.rotation)
-
 
 def read_intrinsics(path: Path) -> Intrinsics:
     """Focal lengths, principal point and distortion from a calibration file.
 
     Raises InputError: The file, K or the lens model is not as expected
     """
-    values = _read(path)
-    key, found = _first(values, _K)
-    if found is None and "" in values:
-        key, found = "", values[""]
+    values = _Values(path)
+    where, found = values.first("", *_K)
     if found is None:
-        raise InputError(f"{path}: expected K as camera_matrix or K, found {', '.join(values) or 'nothing'}")
-    where = _place(path, key)
+        raise InputError(f"{path}: expected K as camera_matrix or K, found {values.names}")
     K = _numbers(where, found, (3, 3))
     low = np.array([K[1, 0], K[2, 0], K[2, 1]])
     if low.any():
@@ -90,11 +80,15 @@ def read_intrinsics(path: Path) -> Intrinsics:
         )
     if (slant := abs(K[0, 1]) * K[1, 2] / K[1, 1]) > _MOST_SKEW_PX:
         raise InputError(f"{where}: skew {K[0, 1]:g} moves image points by {slant:.2g} px; calibrate without skew")
+    where, size = values.first("imagesize")
+    if size is None:
+        size = [side for name in ("width", "height") if (side := values.first(f"image{name}", name)[1]) is not None]
+    width_height = [int(side) for side in _numbers(where, size, (2,))] if len(size) else None
     return Intrinsics(
         focal=(float(K[0, 0]), float(K[1, 1])),
         principal_point=(float(K[0, 2]) + _PIXEL_CENTRE, float(K[1, 2]) + _PIXEL_CENTRE),
-        distortion=_distortion(path, values),
-        size=_size(path, values),
+        distortion=_distortion(values),
+        size=None if width_height is None else (width_height[0], width_height[1]),
     )
 
 
@@ -104,31 +98,23 @@ def read_pose(path: Path, *, mm_per_unit: float, required: bool) -> Pose | None:
     mm_per_unit: Millimetres in one unit of t
     Raises InputError: Shapes are wrong, or R is not a rotation
     """
-    values = _read(path)
-    key, both = _first(values, _BOTH)
-    if both is None and np.shape(values.get("", ())) in ((3, 4), (4, 4)):
-        key, both = "", values[""]
-    key_R, turn = _first(values, _ROTATION)
-    key_t, t = _first(values, _TRANSLATION)
-    if both is not None:
-        shape = (4, 4) if np.shape(both) == (4, 4) else (3, 4)
-        matrix = _numbers(_place(path, key), both, shape)
-        key_R, key_t, turn, t = key, key, matrix[:3, :3], matrix[:3, 3]
-        if shape == (4, 4) and not np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0]):
-            raise InputError(f"{_place(path, key)}: expected the last row 0 0 0 1, found {_row(matrix[3])}")
-    if turn is None or t is None:
+    values = _Values(path)
+    where, both = values.first(*_BOTH, "")
+    if both is not None and np.shape(both) in ((3, 4), (4, 4)):
+        matrix = _numbers(where, both, np.shape(both))
+        if matrix[3:].any() and not np.array_equal(matrix[3:], [[0.0, 0.0, 0.0, 1.0]]):
+            raise InputError(f"{where}: expected 0, 0, 0, 1 as the last row, found {_row(matrix[3])}")
+        where_t, turn, t = where, matrix[:3, :3], matrix[:3, 3]
+    else:
+        (where, turn), (where_t, t) = values.first(*_ROTATION), values.first(*_TRANSLATION)
         if t is None and not required:  # ROS files have an R of another meaning
             return None
-        raise InputError(
-            f"{path}: expected R and t (or rvec and tvec, or a matrix of 3 × 4), found only {_names(values)}"
-        )
-    where = _place(path, key_R)
-    if np.shape(turn) == (3, 3):
-        rotation = _rotation(where, _numbers(where, turn, (3, 3)))
-    else:
-        rotation = rotation_from_vector(_numbers(where, turn, (3,)))
-    translation = _numbers(_place(path, key_t), t, (3,)) * mm_per_unit
-    return Pose(position=-rotation.T @ translation, rotation=rotation.T)
+    if turn is None or t is None:
+        raise InputError(f"{path}: expected R and t, rvec and tvec, or a matrix of 3 × 4, found {values.names}")
+    matrix_given = np.shape(turn) == (3, 3)
+    numbers = _numbers(where, turn, (3, 3) if matrix_given else (3,))
+    R = _rotation(where, numbers) if matrix_given else rotation_from_vector(numbers)
+    return Pose(position=-R.T @ _numbers(where_t, t, (3,)) * mm_per_unit, rotation=R.T)
 
 
 def _rotation(where: str, R: Float64) -> Float64:
@@ -148,60 +134,62 @@ def _rotation(where: str, R: Float64) -> Float64:
     return u @ v
 
 
-def _distortion(path: Path, values: Mapping[str, Any]) -> dict[str, float]:
-    model, fisheye = (_first(values, (name,))[1] for name in ("distortionmodel", "fisheyemodel"))
+def _distortion(values: _Values) -> dict[str, float]:
+    advice = "expected OpenCV's k1, k2, p1, p2, k3: calibrate with these, or undistort the images"
+    model, fisheye = (values.first(name)[1] for name in ("distortionmodel", "fisheyemodel"))
     if model not in (None, "plumb_bob", "rational_polynomial") or fisheye:
-        raise InputError(f"{path}: the lens model is {model or 'fisheye'}; {_LENS_ADVICE}")
-    key, found = _first(values, _DISTORTION)
-    numbers = _numbers(_place(path, key), [] if found is None else found, None).ravel()
+        raise InputError(f"{values.path}: the lens model is {model or 'fisheye'}; {advice}")
+    where, found = values.first(*_DISTORTION)
+    numbers = _numbers(where, [] if found is None else found, None).ravel()
     if numbers[5:].any():
-        raise InputError(f"{_place(path, key)}: found {len(numbers)} coefficients, not only five; {_LENS_ADVICE}")
-    return dict(zip(_COEFFICIENTS, (*map(float, numbers[:5]), *[0.0] * 5), strict=False))
+        raise InputError(f"{where}: found {len(numbers)} coefficients, not only five; {advice}")
+    return dict(zip(("k1", "k2", "p1", "p2", "k3"), (*map(float, numbers[:5]), *[0.0] * 5), strict=False))
 
 
-def _size(path: Path, values: Mapping[str, Any]) -> tuple[int, int] | None:
-    width, height = _first(values, _WIDTH)[1], _first(values, _HEIGHT)[1]
-    key, both = _first(values, _SIZE)
-    if both is None and (width is None or height is None):
-        return None
-    size = _numbers(_place(path, key or "image size"), [width, height] if both is None else both, (2,))
-    return int(size[0]), int(size[1])
+class _Values:
+    """Values of a calibration file by their names; a text file has one matrix, without a name."""
 
-
-def _read(path: Path) -> dict[str, Any]:
-    """Values of a file by their names; a text file has one matrix, without a name."""
-    suffix = path.suffix.lower()
-    if suffix in (".yml", ".yaml", ".json"):
-        return read_opencv_file(path)
-    try:
-        if suffix == ".npz":
-            with np.load(path, allow_pickle=False) as archive:
-                return {name: archive[name] for name in archive.files}
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}; expected a calibration file") from None
-    except (ValueError, EOFError) as error:
-        raise InputError(f"{path}: expected numbers as text, or a .npz, .yml or .json file: {error}") from None
-    rows: list[list[float]] = []
-    for number, line in enumerate(lines, 1):
-        cells = re.split(r"[\s,;]+", re.sub(r"[#%].*", "", line).strip(" \t,;[]"))
-        if cells == [""]:
-            continue
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        if path.suffix.lower() in (".yml", ".yaml", ".json"):
+            self._found = read_opencv_file(path)
+            return
         try:
-            rows.append([float(cell) for cell in cells])
+            if path.suffix.lower() == ".npz":
+                with np.load(path, allow_pickle=False) as archive:
+                    self._found = {name: archive[name] for name in archive.files}
+            else:
+                self._found = {"": list(_rows(path, path.read_text(encoding="utf-8-sig")))}
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror or error}; expected a calibration") from None
+        except (ValueError, EOFError) as error:
+            raise InputError(f"{path}: expected numbers as text, or a .npz, .yml or .json file: {error}") from None
+
+    @property
+    def names(self) -> str:
+        """What the file has, in words."""
+        named = (name or "a matrix of " + " × ".join(map(str, np.shape(v))) for name, v in self._found.items())
+        return ", ".join(named) or "nothing"
+
+    def first(self, *names: str) -> tuple[str, Any]:
+        """Place, for messages, and value of the first entry that has one of the names; None without one."""
+        for key, value in self._found.items():
+            if re.sub(r"[-_ ]", "", key.lower()) in names:
+                return f"{self.path}: {key}" if key else str(self.path), value
+        return str(self.path), None
+
+
+def _rows(path: Path, text: str) -> list[list[float]]:
+    rows: list[list[float]] = []
+    for number, line in enumerate(text.splitlines(), 1):
+        numbers = re.sub(r"[#%].*|[\[\],;]", " ", line).split()
+        try:
+            rows += [[float(cell) for cell in numbers]] if numbers else []
         except ValueError:
             raise InputError(f'{path}:{number}: expected numbers only, found "{line.strip()[:60]}"') from None
-        if len(rows[-1]) != len(rows[0]):
-            raise InputError(
-                f"{path}:{number}: expected {len(rows[0])} numbers as in the rows above, found {len(cells)}"
-            )
-    return {"": rows}
-
-
-def _first(values: Mapping[str, Any], names: tuple[str, ...]) -> tuple[str, Any]:
-    """Key, as the file has it, and value of the first entry that has one of the names."""
-    found = ((key, value) for key, value in values.items() if re.sub(r"[-_ ]", "", key.lower()) in names)
-    return next(found, ("", None))
+        if numbers and len(numbers) != len(rows[0]):
+            raise InputError(f"{path}:{number}: expected {len(rows[0])} numbers as above, found {len(numbers)}")
+    return rows
 
 
 def _numbers(where: str, value: object, shape: tuple[int, ...] | None) -> Float64:
@@ -209,8 +197,8 @@ def _numbers(where: str, value: object, shape: tuple[int, ...] | None) -> Float6
         numbers = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise InputError(f"{where}: expected numbers, found {str(value)[:60]}") from None
-    if shape is not None and (numbers.size == 3 and shape == (3,)):
-        numbers = numbers.reshape(3)  # a row or a column
+    if shape is not None and len(shape) == 1 and numbers.size == shape[0]:
+        numbers = numbers.reshape(shape)  # a row or a column
     if shape is not None and numbers.shape != shape:
         expected, found = (" × ".join(map(str, s)) or "one" for s in (shape, numbers.shape))
         several = "; of several poses, write the one of these images to a file" if shape == (3,) else ""
@@ -218,16 +206,6 @@ def _numbers(where: str, value: object, shape: tuple[int, ...] | None) -> Float6
     if not np.isfinite(numbers).all():
         raise InputError(f"{where}: expected finite numbers, found {_row(numbers.ravel())}")
     return numbers
-
-
-def _place(path: Path, key: str) -> str:
-    return f"{path}: {key}" if key else str(path)
-
-
-def _names(values: Mapping[str, Any]) -> str:
-    return (
-        ", ".join(name or "a matrix of " + " × ".join(map(str, np.shape(v))) for name, v in values.items()) or "nothing"
-    )
 
 
 def _row(values: Float64) -> str:

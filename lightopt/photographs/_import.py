@@ -27,6 +27,7 @@ from lightopt.scene import Scene, build_scene
 _FAR = 1000.0  # a distant light is so many times farther from the origin than any point of the part
 _FARTHEST_MM = 1e6
 _FLOATING_BITS = 16  # of the sensor in the rig of floating-point images
+_LOW = 2**14  # levels of 16 bits that all stay below this are probably of fewer bits
 _LEAST_OVERLAP = 0.9  # of mask and part; less says that calibration, units or placement are wrong
 
 
@@ -102,10 +103,13 @@ def import_photographs(
         run.warn(
             f"mask and part overlap by {overlap:.0%} only; check [R|t], the units, option 'turn_world' and option 'at'"
         )
+    highest = 0.0
     for number, row in enumerate(rows):
-        _add(writer, rig, row, folder, inputs, options)
+        highest = max(highest, _add(writer, rig, row, folder, inputs, options))
         if (progress := run.stage("importing")) is not None:
             progress((number + 1) / len(rows))
+    if photographs.bits == 16 and highest < _LOW:
+        run.warn(f"no level reaches {_LOW} of 65535; a camera of 10 to 14 bits needs option 'bits'")
     writer.add_warnings(run.warnings)
     return ImportedSet(
         rig=out / "rig.yaml",
@@ -160,13 +164,10 @@ def _overlap(scene: Scene, mask: Bool) -> float:
 
 def _add(
     writer: ImageSetWriter, rig: RigConfig, row: TableRow, folder: Path, inputs: Inputs, options: ImportOptions
-) -> None:
-    """Write one photograph as an image of the set: levels as PNG, floating point as EXR; black off the mask."""
+) -> float:
+    """Write one photograph, levels as PNG, floating point as EXR, black off the mask; returns its highest sample."""
     photographs = inputs.photographs
-    path = folder / row.image
-    samples = read_photograph(path)
-    if photographs.bits is not None and (highest := int(samples.max())) > photographs.full:
-        raise InputError(f"{path}: levels up to {highest}, but option 'bits' {options.bits} says {photographs.full:g}")
+    samples = read_photograph(folder / row.image)
     share, full = grey_share(samples, full=photographs.full, gamma=options.gamma or "linear", channel=options.channel)
     if inputs.mask is not None:
         share, full = np.where(inputs.mask, share, np.float32(0.0)), full & inputs.mask
@@ -181,9 +182,10 @@ def _add(
     )
     if photographs.bits is not None:
         writer.add_image(entry, png=quantised(share, full, bits=photographs.bits))
-        return
-    level: Float32 = share * np.float32(writer.manifest.full_scale / row.exposure)
-    writer.add_image(entry, exr={"Y": level, "valid": (~full).astype(np.float32)})
+    else:
+        level: Float32 = share * np.float32(writer.manifest.full_scale / row.exposure)
+        writer.add_image(entry, exr={"Y": level, "valid": (~full).astype(np.float32)})
+    return float(samples.max())
 
 
 def _point(point: Float64) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -14,7 +14,7 @@ from lightopt.core.arrays import Bool, Float64
 from lightopt.core.errors import InputError, counted
 from lightopt.core.transforms import rotation_x, rotation_y, rotation_z
 from lightopt.core.units import MM_PER_UNIT
-from lightopt.images import PhotographFormat, photograph_format
+from lightopt.images import PhotographFormat, photograph_format, read_photograph
 from lightopt.photographs._calibration import Intrinsics, Pose, read_intrinsics, read_pose
 from lightopt.photographs._grey_levels import SRGB_BITS, Channel, Gamma, read_mask
 from lightopt.photographs._light_table import TableRow, read_light_table
@@ -117,14 +117,14 @@ def read_inputs(folder: Path, table: Path, out: Path, options: ImportOptions) ->
     photographs = None if rows is None else read(_photographs, folder, rows, options)
     pose = read(_pose, options)
     if turn is not None:
-        pose = pose and pose.turned(turn)
-        rows = rows and tuple(row.turned(turn) for row in rows)
+        pose = pose and Pose(turn @ pose.position, turn @ pose.rotation)
+        rows = rows and tuple(replace(row, place=turn @ row.place) for row in rows)
         problems += _below(pose, rows or (), options)
     intrinsics = read(_intrinsics, options.camera, photographs)
     mask = read(_mask, options, photographs, rows or ())
     shape = None if turn is None else read(_shape, options, out, pose, turn)
     if problems or turn is None or rows is None or photographs is None or intrinsics is None or shape is None:
-        raise InputError(*problems)
+        raise InputError(*dict.fromkeys(problems))  # the camera's file is read twice
     return Inputs(rows, photographs, intrinsics, pose, turn, mask, shape)
 
 
@@ -158,6 +158,10 @@ def _photographs(folder: Path, rows: Sequence[TableRow], options: ImportOptions)
     stored = first.bits
     if options.bits is not None and (stored != 16 or options.bits not in _BITS):
         problems.append(f"option 'bits': expected 10, 12 or 14, of images stored in 16 bits, found {options.bits}")
+    elif options.bits is not None:
+        highest = max(int(read_photograph(folder / row.image).max()) for row, _ in found)
+        if highest >= 2**options.bits:
+            problems.append(f"option 'bits': found levels up to {highest}, more than {options.bits} bits have")
     if problems:
         raise InputError(*problems)
     named = {row.image for row in rows} | ({options.mask.name} if options.mask else set())

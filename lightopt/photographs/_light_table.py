@@ -6,7 +6,7 @@ import csv
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
@@ -39,10 +39,6 @@ class TableRow:
     exposure: float
     intensity: float
     posture: Posture
-
-    def turned(self, turn: Float64) -> TableRow:
-        """The row in a world turned by a rotation of shape (3, 3)."""
-        return replace(self, place=turn @ self.place)
 
 
 def read_light_table(path: Path) -> tuple[TableRow, ...]:

@@ -197,10 +197,8 @@ def ball(tmp_path):
     Image.fromarray(colour // 2).save(folder / "two.png")
     (folder / "K.txt").write_text("# pixels\n8000 0 39.5\n0 8000 29.5\n0 0 1\n")
     (folder / "lights.csv").write_text("image;light;x;y;z;exposure\none.png;a;0;0;1;1\ntwo.png;a;0;0;1;1/2\n")
-    return ["import", folder, folder / "lights.csv", "--camera", folder / "K.txt", "--sphere", "10"] + [
-        "--mask",
-        folder / "mask.png",
-    ]
+    where = ["import", folder, folder / "lights.csv", "--camera", folder / "K.txt"]
+    return [*where, "--sphere", "10", "--mask", folder / "mask.png"]
 
 
 def test_a_sphere_is_where_the_mask_is(cli, tmp_path, ball):
