@@ -24,7 +24,9 @@ def import_(
     pose: Annotated[
         Path | None, common.model_option(metavar="FILE", help="File of [R|t], if the calibration file has none.")
     ] = None,
-    pose_units: Annotated[Literal["mm", "cm", "m"], common.model_option(help="Unit of t: mm, cm or m.")] = "mm",
+    pose_units: Annotated[
+        Literal["mm", "cm", "m"], common.model_option(metavar="UNIT", help="Unit of t: mm, cm or m.")
+    ] = "mm",
     distance: Annotated[
         float | None,
         common.model_option(
@@ -65,10 +67,12 @@ def import_(
         common.model_option(metavar="MM", min=1e-3, help="Side of the panels.", show_default="point lights"),
     ] = None,
     gamma: Annotated[
-        Literal["linear", "srgb"] | None, common.model_option(help="Encoding of the levels.", show_default="linear")
+        Literal["linear", "srgb"] | None,
+        common.model_option(metavar="NAME", help="Encoding of the levels: linear or srgb.", show_default="linear"),
     ] = None,
     channel: Annotated[
-        Literal["luminance", "red", "green", "blue"], common.model_option(help="Grey value of colour photographs.")
+        Literal["luminance", "red", "green", "blue"],
+        common.model_option(metavar="NAME", help="Grey value of colour photographs: luminance, red, green or blue."),
     ] = "luminance",
     bits: Annotated[
         int | None, common.model_option(metavar="N", help="Bits of the camera, if 16-bit files have fewer: 10, 12, 14.")

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from lightopt.core.arrays import Float64
+
 _SUBDIVISIONS = 5  # 20,480 triangles, whose middles are 0.015 % of the radius inside the sphere
 
 
@@ -12,11 +14,11 @@ def sphere_stl(radius: float) -> bytes:
     return _stl(creation.icosphere(subdivisions=_SUBDIVISIONS, radius=radius))
 
 
-def box_stl(low: tuple[float, float, float], high: tuple[float, float, float]) -> bytes:
-    """Binary STL of a box between two corners [mm]."""
+def box_stl(corners: Float64) -> bytes:
+    """Binary STL of a box between two corners [mm], shape (2, 3)."""
     from trimesh import creation
 
-    return _stl(creation.box(bounds=[low, high]))
+    return _stl(creation.box(bounds=corners))
 
 
 def _stl(mesh: Any) -> bytes:

@@ -4,64 +4,53 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
 from lightopt.config import standing_at
 from lightopt.core.arrays import Float64
 from lightopt.core.transforms import vector_of_rotation
-from lightopt.photographs._calibration import Intrinsics
+from lightopt.photographs._inputs import ImportOptions, Inputs
 from lightopt.photographs._light_table import TableRow
-from lightopt.photographs._part import PartShape, Placed
+from lightopt.photographs._placement import Placed
 
 
 def rig_text(
-    *,
-    name: str,
-    intrinsics: Intrinsics,
-    intrinsics_from: str,
-    placed: Placed,
-    size: tuple[int, int],
-    bits: int,
-    bits_from: str,
-    lights: Sequence[TableRow],
-    table: str,
-    light_distance: float,
-    light_size: float | None,
+    inputs: Inputs, placed: Placed, options: ImportOptions, *, name: str, table: str, light_distance: float
 ) -> str:
     """Rig file.
 
-    lights: One row of the table for each light, world frame
+    name, table: Of the rig, and of the file of the lights
     light_distance: Of distant lights [mm]
-    light_size: Side of the panels [mm]; None for point lights
     """
-    camera = placed.camera
+    camera, intrinsics, photographs = placed.camera, inputs.intrinsics, inputs.photographs
+    lights = list({row.light: row for row in inputs.rows}.values())
     near = [float(np.linalg.norm(row.place)) for row in lights if row.near]
-    side = light_size or 1e-3 * min(near or [light_distance])
-    size_from = "as given" if light_size else "not known; a single point, whatever its size"
+    side = options.light_size or 1e-3 * min(near or [light_distance])
+    size_from = "as given" if options.light_size else "not known; a single point, whatever its size"
     distortion = ", ".join(f"{name}: {value:.9g}" for name, value in intrinsics.distortion.items())
     reference = f"\n  reference_distance_mm: {np.mean(near):.9g}   # mean of the positions" if near else ""
     return f"""# Written by lightopt import. Lengths in mm, angles in degrees, Z up.
 
 format: lightopt-rig/1
-name: {json.dumps(name, ensure_ascii=False)}
+name: {_quoted(name)}
 
 camera:
   pose:                         # {placed.camera_from}
     position_mm: {_list(camera.position)}
     rotation_vector_deg: {_list(np.degrees(vector_of_rotation(camera.rotation)))}
-  resolution_px: [{size[0]}, {size[1]}]    # of the photographs
+  resolution_px: [{photographs.size[0]}, {photographs.size[1]}]    # of the photographs
   pixel_size_um: 3.45           # assumed; images do not depend on it
-  focal_px: {_list(intrinsics.focal)}   # {intrinsics_from}
-  principal_point_px: {_list(intrinsics.principal_point)}   # {intrinsics_from}; the first pixel's centre is at 0.5
+  focal_px: {_list(intrinsics.focal)}   # {options.camera.name}
+  principal_point_px: {_list(intrinsics.principal_point)}   # {options.camera.name}; the first pixel's centre is at 0.5
   distortion: {{{distortion}}}
   sensor:
-    bit_depth: {bits}                # {bits_from}
+    bit_depth: {photographs.sensor_bits}               # {photographs.bits_from}; fit-specular --write-noise measures the noise
 
 light_source:
   size_mm: [{side:.9g}, {side:.9g}]    # {size_from}
-  points: {"auto" if light_size else 1}
+  points: {"auto" if options.light_size else 1}
   falloff: none                 # of distant lights: brightness does not depend on the distance{reference}
 
 lights:                         # {table}; gain is the column intensity, 1 without it
@@ -78,24 +67,24 @@ def _light(row: TableRow, light_distance: float) -> str:
     return f'  - {{name: "{row.light}", {place}, gain: {row.intensity:.9g}{own}}}'
 
 
-def part_text(shape: PartShape, placed: Placed, postures: Iterable[tuple[float, float]]) -> str:
-    """Part file.
-
-    postures: Tilt and rotation of each [deg]
-    """
+def part_text(inputs: Inputs, placed: Placed) -> str:
+    """Part file."""
+    shape, postures = inputs.shape, dict.fromkeys(row.posture for row in inputs.rows)
     units = f"\n  units: {shape.units}" if shape.units else ""
-    listed = "\n".join(f"  - {{elevation_deg: {tilt:.9g}, rotation_deg: {turn:.9g}}}" for tilt, turn in postures)
+    listed = "\n".join(
+        f"  - {{elevation_deg: {p.elevation_deg:.9g}, rotation_deg: {p.rotation_deg:.9g}}}" for p in postures
+    )
     return f"""# Written by lightopt import.
 
 format: lightopt-part/1
-name: {json.dumps(shape.name, ensure_ascii=False)}
+name: {_quoted(shape.name)}
 
 mesh:
-  file: {json.dumps(shape.file, ensure_ascii=False)}{units}
+  file: {_quoted(shape.file)}{units}
 
 placement:                      # {placed.part_from}
   anchor: {placed.anchor}
-  rotate_deg: {_list(_fixed_angles(placed.rotation))}
+  rotate_deg: {_list(_fixed_angles(inputs.turn))}
   translate_mm: {_list(placed.translate)}
 
 postures:
@@ -121,3 +110,7 @@ def _fixed_angles(rotation: Float64) -> tuple[float, float, float]:
 
 def _list(values: Iterable[float]) -> str:
     return "[" + ", ".join(f"{round(float(v), 9) + 0.0:.12g}" for v in values) + "]"
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)

@@ -20,13 +20,12 @@ from lightopt.photographs._file_texts import part_text, rig_text
 from lightopt.photographs._grey_levels import grey_share, quantised
 from lightopt.photographs._inputs import ImportOptions, Inputs, read_inputs
 from lightopt.photographs._light_table import TableRow
-from lightopt.photographs._part import place
+from lightopt.photographs._placement import place
 from lightopt.rendering import cast_rays_at, set_manifest, trace_pixels
 from lightopt.scene import Scene, build_scene
 
 _FAR = 1000.0  # a distant light is so many times farther from the origin than any point of the part
 _FARTHEST_MM = 1e6
-_FLOATING_BITS = 16  # of the sensor in the rig of floating-point images
 _LOW = 2**14  # levels of 16 bits that all stay below this are probably of fewer bits
 _LEAST_OVERLAP = 0.9  # of mask and part; less says that calibration, units or placement are wrong
 
@@ -63,33 +62,17 @@ def import_photographs(
     run = run or RunContext()
     inputs = read_inputs(folder, table, out, options)
     rows, photographs = inputs.rows, inputs.photographs
-    placed = place(
-        inputs.shape,
-        inputs.intrinsics,
-        inputs.pose,
-        size=photographs.size,
-        mask=inputs.mask,
-        turn=inputs.turn,
-        at=None if options.at is None else np.array(options.at),
-        distance=options.distance,
-    )
+    placed = place(inputs, options)
     run.warn(*photographs.notes)
-    lights = {row.light: row for row in reversed(rows)}
     rig_yaml = rig_text(
-        name=folder.resolve().name,
-        intrinsics=inputs.intrinsics,
-        intrinsics_from=options.camera.name,
-        placed=placed,
-        size=photographs.size,
-        bits=photographs.bits or _FLOATING_BITS,
-        bits_from=photographs.bits_from if photographs.bits else "of floating-point images, in which 1 is full scale",
-        lights=[lights[name] for name in dict.fromkeys(row.light for row in rows)],
+        inputs,
+        placed,
+        options,
+        name=folder.resolve().name or "photographs",
         table=table.name,
         light_distance=options.light_distance or min(float(f"{_FAR * placed.reach:.3g}"), _FARTHEST_MM),
-        light_size=options.light_size,
     )
-    postures = dict.fromkeys((row.posture.elevation_deg, row.posture.rotation_deg) for row in rows)
-    files = {"rig.yaml": rig_yaml.encode(), "part.yaml": part_text(inputs.shape, placed, postures).encode()}
+    files = {"rig.yaml": rig_yaml.encode(), "part.yaml": part_text(inputs, placed).encode()}
     if inputs.shape.content is not None:
         files[inputs.shape.file] = inputs.shape.content
     with _written(out, files, force=force):

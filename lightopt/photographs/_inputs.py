@@ -78,6 +78,11 @@ class Photographs:
     bits_from: str
     notes: tuple[str, ...]
 
+    @property
+    def sensor_bits(self) -> int:
+        """Bit depth of the sensor in the rig."""
+        return self.bits or 16
+
 
 @dataclass(frozen=True)
 class Inputs:
@@ -167,7 +172,7 @@ def _photographs(folder: Path, rows: Sequence[TableRow], options: ImportOptions)
     named = {row.image for row in rows} | ({options.mask.name} if options.mask else set())
     others = [p.name for p in sorted(folder.iterdir()) if p.suffix.lower() in _SUFFIXES and p.name not in named]
     bits = options.bits or stored
-    bits_from = "as given" if options.bits else "as stored"
+    bits_from = "as given" if options.bits else "as stored" if stored else "of floating-point images; 1 is full scale"
     if options.gamma == "srgb" and bits == 8:
         bits, bits_from = SRGB_BITS, "of 8-bit sRGB photographs, made linear"
     notes: list[str] = []
