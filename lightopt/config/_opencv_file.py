@@ -10,7 +10,6 @@ import yaml
 from lightopt.core.errors import InputError
 
 _HEADER = re.compile(r"\A%YAML[^\n]*\n")  # OpenCV writes %YAML:1.0, which no YAML parser takes
-_MATRIX = {"rows", "cols", "data"}
 
 
 class _Loader(yaml.SafeLoader):
@@ -50,8 +49,13 @@ def read_opencv_file(path: Path) -> dict[str, Any]:
 def _plain(value: object) -> object:
     if isinstance(value, dict):
         fields = cast("dict[str, Any]", value)
-        if fields.keys() >= _MATRIX and len(fields["data"]) == fields["rows"] * fields["cols"]:
-            columns = fields["cols"]
-            return [fields["data"][row * columns : (row + 1) * columns] for row in range(fields["rows"])]
+        rows, columns, data = (fields.get(key) for key in ("rows", "cols", "data"))
+        if (
+            isinstance(rows, int)
+            and isinstance(columns, int)
+            and isinstance(data, list)
+            and len(data) == rows * columns
+        ):
+            return [data[row * columns : (row + 1) * columns] for row in range(rows)]
         return {str(key): _plain(inner) for key, inner in fields.items()}
     return value

@@ -82,8 +82,9 @@ def read_intrinsics(path: Path) -> Intrinsics:
         raise InputError(f"{where}: skew {K[0, 1]:g} moves image points by {slant:.2g} px; calibrate without skew")
     where, size = values.first("imagesize")
     if size is None:
-        size = [side for name in ("width", "height") if (side := values.first(f"image{name}", name)[1]) is not None]
-    width_height = [int(side) for side in _numbers(where, size, (2,))] if len(size) else None
+        sides = [values.first(f"image{name}", name)[1] for name in ("width", "height")]
+        size = None if None in sides else sides
+    width_height = None if size is None else [int(side) for side in _numbers(where, size, (2,))]
     return Intrinsics(
         focal=(float(K[0, 0]), float(K[1, 1])),
         principal_point=(float(K[0, 2]) + _PIXEL_CENTRE, float(K[1, 2]) + _PIXEL_CENTRE),
@@ -99,9 +100,9 @@ def read_pose(path: Path, *, mm_per_unit: float, required: bool) -> Pose | None:
     Raises InputError: Shapes are wrong, or R is not a rotation
     """
     values = _Values(path)
-    where, both = values.first(*_BOTH, "")
-    if both is not None and np.shape(both) in ((3, 4), (4, 4)):
-        matrix = _numbers(where, both, np.shape(both))
+    where, both = values.first(*_BOTH, *([""] if required else []))
+    if both is not None:
+        matrix = _numbers(where, both, (3, 4), (4, 4))
         if matrix[3:].any() and not np.array_equal(matrix[3:], [[0.0, 0.0, 0.0, 1.0]]):
             raise InputError(f"{where}: expected 0, 0, 0, 1 as the last row, found {_row(matrix[3])}")
         where_t, turn, t = where, matrix[:3, :3], matrix[:3, 3]
@@ -111,9 +112,8 @@ def read_pose(path: Path, *, mm_per_unit: float, required: bool) -> Pose | None:
             return None
     if turn is None or t is None:
         raise InputError(f"{path}: expected R and t, rvec and tvec, or a matrix of 3 × 4, found {values.names}")
-    matrix_given = np.shape(turn) == (3, 3)
-    numbers = _numbers(where, turn, (3, 3) if matrix_given else (3,))
-    R = _rotation(where, numbers) if matrix_given else rotation_from_vector(numbers)
+    numbers = _numbers(where, turn, (3,), (3, 3))
+    R = _rotation(where, numbers) if numbers.ndim == 2 else rotation_from_vector(numbers)
     return Pose(position=-R.T @ _numbers(where_t, t, (3,)) * mm_per_unit, rotation=R.T)
 
 
@@ -140,7 +140,7 @@ def _distortion(values: _Values) -> dict[str, float]:
     if model not in (None, "plumb_bob", "rational_polynomial") or fisheye:
         raise InputError(f"{values.path}: the lens model is {model or 'fisheye'}; {advice}")
     where, found = values.first(*_DISTORTION)
-    numbers = _numbers(where, [] if found is None else found, None).ravel()
+    numbers = _numbers(where, [] if found is None else found).ravel()
     if numbers[5:].any():
         raise InputError(f"{where}: found {len(numbers)} coefficients, not only five; {advice}")
     return dict(zip(("k1", "k2", "p1", "p2", "k3"), (*map(float, numbers[:5]), *[0.0] * 5), strict=False))
@@ -192,16 +192,18 @@ def _rows(path: Path, text: str) -> list[list[float]]:
     return rows
 
 
-def _numbers(where: str, value: object, shape: tuple[int, ...] | None) -> Float64:
+def _numbers(where: str, value: object, *shapes: tuple[int, ...]) -> Float64:
+    """An array of one of the shapes, of any shape where none is given; a vector may be a row or a column."""
     try:
         numbers = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise InputError(f"{where}: expected numbers, found {str(value)[:60]}") from None
-    if shape is not None and len(shape) == 1 and numbers.size == shape[0]:
-        numbers = numbers.reshape(shape)  # a row or a column
-    if shape is not None and numbers.shape != shape:
-        expected, found = (" × ".join(map(str, s)) or "one" for s in (shape, numbers.shape))
-        several = "; of several poses, write the one of these images to a file" if shape == (3,) else ""
+    if shapes and (numbers.size,) in shapes:
+        numbers = numbers.ravel()
+    if shapes and numbers.shape not in shapes:
+        expected = " or ".join(" × ".join(map(str, shape)) for shape in shapes)
+        found = " × ".join(map(str, numbers.shape)) or "one"
+        several = "; of several poses, write the one of these images to a file" if (3,) in shapes else ""
         raise InputError(f"{where}: expected {expected} numbers, found {found}{several}")
     if not np.isfinite(numbers).all():
         raise InputError(f"{where}: expected finite numbers, found {_row(numbers.ravel())}")

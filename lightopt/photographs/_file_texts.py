@@ -30,7 +30,9 @@ def rig_text(
     side = options.light_size or 1e-3 * min(near or [light_distance])
     size_from = "as given" if options.light_size else "not known; a single point, whatever its size"
     distortion = ", ".join(f"{name}: {value:.9g}" for name, value in intrinsics.distortion.items())
-    reference = f"\n  reference_distance_mm: {np.mean(near):.9g}   # mean of the positions" if near else ""
+    reference = (
+        f"\n  reference_distance_mm: {np.mean(near):.9g} # of near lights: the mean of their distances" if near else ""
+    )
     return f"""# Written by lightopt import. Lengths in mm, angles in degrees, Z up.
 
 format: lightopt-rig/1
@@ -40,16 +42,17 @@ camera:
   pose:                         # {placed.camera_from}
     position_mm: {_list(camera.position)}
     rotation_vector_deg: {_list(np.degrees(vector_of_rotation(camera.rotation)))}
-  resolution_px: [{photographs.size[0]}, {photographs.size[1]}]    # of the photographs
+  resolution_px: [{photographs.size[0]}, {photographs.size[1]}]
   pixel_size_um: 3.45           # assumed; images do not depend on it
-  focal_px: {_list(intrinsics.focal)}   # {options.camera.name}
-  principal_point_px: {_list(intrinsics.principal_point)}   # {options.camera.name}; the first pixel's centre is at 0.5
+  # the lens: from {options.camera.name}; the first pixel's centre is at 0.5, 0.5
+  focal_px: {_list(intrinsics.focal)}
+  principal_point_px: {_list(intrinsics.principal_point)}
   distortion: {{{distortion}}}
-  sensor:
-    bit_depth: {photographs.sensor_bits}               # {photographs.bits_from}; fit-specular --write-noise measures the noise
+  sensor:                       # its noise is not known; --write-noise of the fits adds it
+    bit_depth: {photographs.sensor_bits:<3}              # {photographs.bits_from}
 
 light_source:
-  size_mm: [{side:.9g}, {side:.9g}]    # {size_from}
+  size_mm: [{side:.9g}, {side:.9g}] # {size_from}
   points: {"auto" if options.light_size else 1}
   falloff: none                 # of distant lights: brightness does not depend on the distance{reference}
 

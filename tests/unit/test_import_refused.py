@@ -101,7 +101,7 @@ def test_camera_matrices(refused, text, words):
         (POSE.replace("-1 0 0", "-2 0 0"), ["R is not a rotation"]),
         (POSE.replace("0 -1 0", "0 1 0"), ["left-handed"]),
         ("1 0 0 0\n0 1 0 0\n0 0 1 400\n", ["Z = -400 mm", "--turn-world"]),
-        ("1 0 0\n0 1 0\n0 0 1\n", ["3 × 4", "a matrix of 3 × 3"]),
+        ("1 0 0\n0 1 0\n0 0 1\n", ["3 × 4", "found 3 × 3"]),
         (POSE + "0 0 1 1\n", ["last row"]),
     ],
 )
@@ -119,6 +119,8 @@ def test_poses(refused, folder, text, words):
         ({"image_width": 160, "image_height": 120}, ["160 × 120 px", "80 × 60 px"]),
         ({"rvecs": [[0, 0, 0], [0, 0, 1]], "tvecs": [[0, 0, 400], [0, 0, 500]]}, ["rvecs", "several poses"]),
         ({"R": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "T": "here"}, ["T", "expected numbers"]),
+        ({"R": [[1, 0, 0], [0, 1], [0, 0, 1]], "T": [0, 0, 400]}, ["R", "expected numbers"]),
+        ({"R": None, "T": [0, 0, 400]}, ["rvec and tvec", "found K, dist, T"]),
     ],
 )
 def test_calibration_files(refused, folder, values, words):
