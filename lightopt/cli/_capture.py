@@ -26,6 +26,12 @@ def capture(
     posture: common.Postures = None,
     exposures: common.Exposures = "1",
     average: Annotated[int, common.selection_option(metavar="N", min=1, help="Average N frames per image.")] = 1,
+    seed: Annotated[
+        int | None,
+        common.selection_option(
+            metavar="N", min=0, help="Seed of the virtual bench's noise.", show_default="as the rig file says, or 1"
+        ),
+    ] = None,
     dark: Annotated[
         bool, common.selection_option("--dark", help="Also capture dark frames, and subtract them in the EXR.")
     ] = False,
@@ -77,6 +83,7 @@ def capture(
         home=home,
         check=check_lights,
         check_repeatability=check_repeatability,
+        seed=seed,
     )
     loaded_rig, loaded_part = common.load_inputs(rig, part)
     if dry_run:

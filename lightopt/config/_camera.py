@@ -50,6 +50,18 @@ class DistortionConfig(fields.Frozen):
     k3: _Distortion = Field(default=0.0, description="Radial coefficient of r⁶.")
 
 
+_Dimming = Annotated[float, Field(ge=-0.9, le=1.0), fields.expecting("a number from -0.9 to 1")]
+
+
+class VignettingConfig(fields.Frozen):
+    """How the lens dims the image away from the optical axis: by the factor 1 + v2·ρ² + v4·ρ⁴."""
+
+    v2: _Dimming = Field(
+        default=0.0, description="Coefficient of ρ², ρ the distance from the principal point in half diagonals."
+    )
+    v4: _Dimming = Field(default=0.0, description="Coefficient of ρ⁴.")
+
+
 class SensorConfig(fields.Frozen):
     """How the sensor turns light into levels."""
 
@@ -134,6 +146,7 @@ class CameraConfig(fields.Frozen):
         validate_default=True,
     )
     distortion: DistortionConfig = Field(default=DistortionConfig(), description="Lens distortion; none unless given.")
+    vignetting: VignettingConfig | None = Field(default=None, description="Measured vignetting; none unless given.")
     sensor: SensorConfig = Field(description="The sensor, and how it turns light into levels.")
     exposure_us: fields.Positive | None = Field(
         default=None, description="Exposure time [µs] that counts as exposure 1 on real hardware."

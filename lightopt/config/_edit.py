@@ -18,19 +18,29 @@ from lightopt.core.errors import InputError
 _SCHEMA = re.compile(r"^(#\s*yaml-language-server:.*\$schema=)(\S+)", re.MULTILINE)
 
 
-def with_values(text: str, values: Mapping[Keys, str]) -> str:
-    """The text of a YAML file with some scalars replaced, or added to mappings that are there.
+def with_values(text: str, values: Mapping[Keys, str | None]) -> str:
+    """The text of a YAML file with some values replaced, removed, or added to mappings that are there.
 
     text: A YAML document that :func:`lightopt.config.load_rig` or ``load_part`` has accepted
-    values: New text of each value by its path of keys, as it is to stand in the file
+    values: New text of each value by its path of keys, as it is to stand in the file; None removes key and value
     Raises InputError: The mapping around a key is not in the file, or is an alias that stands for a mapping somewhere
         else
     """
-    spans, mappings = _index(text)
+    spans, _, entries = _index(text)
+    # a mapping or a list is removed before another takes its place
+    removed = [keys for keys, value in values.items() if keys in entries and (value is None or keys not in spans)]
+    gone = [_whole_entry(text, *entries[keys]) for keys in removed]
+    for start, end in sorted(gone, reverse=True):
+        text = text[:start] + text[end:]
+    spans, mappings, _ = _index(text)
     places: list[tuple[int, int, str]] = []  # spans to replace; empty ones to insert
     for keys, value in values.items():
+        if value is None:
+            continue
         if keys in spans:
             places.append((*spans[keys], value))
+        elif len(keys) == 1 and not mappings[()][1]:
+            places.append((len(text), len(text), f"{keys[0]}: {value}\n"))
         elif keys[:-1] in mappings:
             at, flow, column = mappings[keys[:-1]]
             line = f"{keys[-1]}: {value}"
@@ -109,37 +119,61 @@ def _end(node: yaml.Node) -> int:
     return node.end_mark.index
 
 
-def _index(text: str) -> tuple[dict[Keys, tuple[int, int]], dict[Keys, tuple[int, bool, int]]]:
-    # the span of every scalar, and where every mapping that is not empty begins: place, whether in braces, column
+def _whole_entry(text: str, start: int, end: int, in_braces: bool) -> tuple[int, int]:
+    # of a key and its value, from `start` to `end`, what goes with them: the comma in braces, else the line's comment
+    if in_braces:
+        if behind := re.match(r"\s*,\s*", text[end:]):
+            return start, end + behind.end()
+        before = re.search(r",\s*$", text[:start])
+        return (before.start() if before else start), end
+    rest = end + len(text[end:].split("\n", 1)[0]) + 1
+    line = text.rfind("\n", 0, start) + 1
+    if text[line:start].strip():  # behind the dash of a list, which the next key takes over
+        return start, rest + len(text[rest:]) - len(text[rest:].lstrip(" "))
+    return line, rest
+
+
+def _index(
+    text: str,
+) -> tuple[dict[Keys, tuple[int, int]], dict[Keys, tuple[int, bool, int]], dict[Keys, tuple[int, int, bool]]]:
+    # the span of every scalar; where every mapping that is not empty begins: place, whether in braces, column; and the
+    # span of every key with its value, and whether it is in braces
     spans: dict[Keys, tuple[int, int]] = {}
     mappings: dict[Keys, tuple[int, bool, int]] = {}
+    entries: dict[Keys, tuple[int, int, bool]] = {}
     events: Iterator[yaml.Event] = yaml.parse(text, Loader=yaml.SafeLoader)
 
-    def value(event: yaml.Event, keys: Keys) -> None:
+    def value(event: yaml.Event, keys: Keys) -> int:
+        # read a value and return where it ends: not the end of a block, which is beyond the comments behind it
+        end = event.end_mark.index
         if isinstance(event, (yaml.ScalarEvent, yaml.AliasEvent)):
-            spans[keys] = event.start_mark.index, event.end_mark.index
+            spans[keys] = event.start_mark.index, end
         elif isinstance(event, yaml.SequenceStartEvent):
             number = 0
             while not isinstance(item := next(events), yaml.SequenceEndEvent):
-                value(item, (*keys, number))
+                end = value(item, (*keys, number))
                 number += 1
+            end = item.end_mark.index if event.flow_style else end
         elif isinstance(event, yaml.MappingStartEvent):
             while not isinstance(key := next(events), yaml.MappingEndEvent):
-                mark = key.start_mark
-                mappings.setdefault(keys, (mark.index, bool(event.flow_style), mark.column))
+                mark, in_braces = key.start_mark, bool(event.flow_style)
+                mappings.setdefault(keys, (mark.index, in_braces, mark.column))
                 name: str = key.value if isinstance(key, yaml.ScalarEvent) else ""
-                value(next(events), (*keys, name))
+                end = value(next(events), (*keys, name))
+                entries[(*keys, name)] = mark.index, end, in_braces
+            end = key.end_mark.index if event.flow_style else end
+        return end
 
     for event in events:
         if isinstance(event, yaml.NodeEvent):
             value(event, ())
-    return spans, mappings
+    return spans, mappings, entries
 
 
-def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Keys, str] | None = None) -> str:
+def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Keys, str | None] | None = None) -> str:
     """The text of a configuration file for another folder; comments, order and layout stay.
 
-    Names relative to the configuration file change: a part's mesh, the folder that a rig's camera replays, and the
+    Names relative to the configuration file change: a part's mesh, the files and folders that a rig names, and the
     schema in the comment that editors read.
 
     folder: Where the copy will lie
@@ -150,8 +184,13 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
     names: dict[Keys, str] = {}
     if isinstance(config, PartConfig):
         names["mesh", "file"] = config.mesh.file
-    elif config.hardware is not None and config.hardware.camera.folder is not None:
-        names["hardware", "camera", "folder"] = config.hardware.camera.folder
+    else:
+        if config.hardware is not None and config.hardware.camera.folder is not None:
+            names["hardware", "camera", "folder"] = config.hardware.camera.folder
+        if config.calibration is not None:
+            names["calibration", "covariance"] = config.calibration.covariance
+        if config.virtual_bench is not None and config.virtual_bench.rig is not None:
+            names["virtual_bench", "rig"] = config.virtual_bench.rig
     for keys, name in names.items():
         moved = _moved(config.source.resolve(name), name, folder)
         if moved != name:

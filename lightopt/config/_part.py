@@ -138,6 +138,11 @@ class PlacementConfig(fields.Frozen):
     ] = Field(
         default=(0.0, 0.0, 0.0), description="Rotation about the fixed X, then Y, then Z axis, before the anchor [deg]."
     )
+    registration: Literal["plane", "full"] = Field(
+        default="plane",
+        description="What a registration searches. plane: the part rests on the stage's plate, and is shifted and "
+        "rotated on it; full: also its height and its tilt.",
+    )
 
 
 class ReflectanceConfig(fields.Frozen):

@@ -139,6 +139,27 @@ class StageConfig(fields.Frozen):
     rotary_axis: RotaryAxisConfig | None = Field(default=None, description="Measured scale of the rotary axis.")
 
 
+class VirtualBenchConfig(fields.Frozen):
+    """What the virtual bench has in place of what its files say; only lightopt capture reads it."""
+
+    rig: fields.Text | None = Field(
+        default=None,
+        description="Rig file with the true camera, lights, stage and sensor, of the same light names and resolution; "
+        "relative to this file.",
+    )
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1), fields.expecting("a whole number from 0 up")] = Field(
+        default=1, description="Seed of the noise, and of the waviness of the part's surface."
+    )
+    part_offset_mm: fields.Coordinates = Field(
+        default=(0.0, 0.0, 0.0), description="How far the part is from its place, world frame at posture (0, 0) [mm]."
+    )
+    part_rotation_vector_deg: fields.Coordinates = Field(
+        default=(0.0, 0.0, 0.0),
+        description="Rotation of the part from its place about the origin, before the offset: its axis, as long as "
+        "its angle [deg].",
+    )
+
+
 class RigConfig(fields.FileConfig):
     """A rig: one camera, the lights around the table, and the stage that holds the part."""
 
@@ -155,6 +176,10 @@ class RigConfig(fields.FileConfig):
     )
     hardware: HardwareConfig | None = Field(
         default=None, description="The devices behind camera, lights and stage; absent is the virtual bench."
+    )
+
+    virtual_bench: VirtualBenchConfig | None = Field(
+        default=None, description="How the virtual bench differs from this file; as the file says if absent."
     )
 
     @field_validator("lights", mode="wrap")

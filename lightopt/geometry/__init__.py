@@ -6,6 +6,7 @@ the frame of the part's file, in mm, Z up.
 
 from lightopt.geometry._caster import Hits as Hits, RayCaster as RayCaster, resolve_hits as resolve_hits
 from lightopt.geometry._load_mesh import UNITLESS_SUFFIXES as UNITLESS_SUFFIXES, load_mesh as load_mesh
+from lightopt.geometry._mesh_formats import write_mesh as write_mesh
 from lightopt.geometry._nearest import (
     SurfaceFinder as SurfaceFinder,
     SurfacePlace as SurfacePlace,

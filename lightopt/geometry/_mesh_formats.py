@@ -9,6 +9,7 @@ import io
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy as np
 from lightopt.core.arrays import Float32, Float64, Int32, Int64
 from lightopt.core.errors import InputError
 from lightopt.geometry._glb import glb_triangle_count, placed, split_glb
+from lightopt.geometry._triangle_mesh import TriangleMesh
 
 _STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("vertices", "<f4", (3, 3)), ("attributes", "<u2")])
 
@@ -313,3 +315,19 @@ def _fans(polygons: Int64) -> Int64:
     """Triangles (0, k, k+1) of polygons with the same number of corners, shape (m, 3)."""
     corners = polygons.shape[1]
     return np.stack([polygons[:, (0, k, k + 1)] for k in range(1, corners - 1)], axis=1).reshape(-1, 3)
+
+
+def write_mesh(path: str | Path, mesh: TriangleMesh) -> None:
+    """Write a mesh [mm] as a file of the kind that its name ends with: .stl, .ply or .obj; normals are not kept.
+
+    Raises InputError: Another kind
+    """
+    import trimesh
+
+    path = Path(path)
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in ("stl", "ply", "obj"):
+        raise InputError(f"{path}: expected a name that ends with .stl, .ply or .obj")
+    shape = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    exported: Any = shape.export(file_type=kind)
+    path.write_bytes(exported.encode("utf-8") if isinstance(exported, str) else exported)

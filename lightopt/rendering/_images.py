@@ -30,7 +30,7 @@ from lightopt.rendering._defect_shading import DefectSamples, defect_samples
 from lightopt.rendering._penumbra_squares import SIDES
 from lightopt.rendering._point_lights import shade_points
 from lightopt.rendering._surface import SurfacePoints, trace_samples
-from lightopt.scene import PartView, Scene, screen_window, view_from_part
+from lightopt.scene import PartView, Scene, lens_share, screen_window, view_from_part
 
 _log = logging.getLogger("lightopt.rendering")
 
@@ -272,6 +272,7 @@ class _PostureJob:
             self._store_geometry(centre_hits, centres, self._in_defects(centres), centre_places)
         reflectance = self.scene.reflectance
         sample = hits.ray.astype(np.intp)
+        passed = lens_share(self.view.camera, columns[sample % len(columns)], rows[sample // len(columns)])
         for panel, image in zip(self.panels, self.images, strict=True):
             d, s, visibility = self._shade(surface, panel, sample, grid)
             diffuse, specular = reflectance.R_d * d, reflectance.R_s * s
@@ -279,6 +280,8 @@ class _PostureJob:
                 diffuse[some.index], specular[some.index] = some.light(
                     panel, visibility, sample=sample, shape=grid, caster=self.shadow_caster
                 )
+            if passed is not None:
+                diffuse, specular = passed * diffuse, passed * specular
             if places is None:
                 diffuse, specular = (self._means(values, hits, grid, own) for values in (diffuse, specular))
             light = (image.level, diffuse + specular), (image.diffuse, diffuse), (image.specular, specular)

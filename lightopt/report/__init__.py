@@ -4,6 +4,7 @@ Those of ``lightopt optimize`` are in :mod:`lightopt.report.design`, those of ``
 :mod:`lightopt.report.inspection`.
 """
 
+from lightopt.report._board_sheet import board_sheet as board_sheet
 from lightopt.report._charts import chart as chart
 from lightopt.report._contact_sheet import add_contact_sheets as add_contact_sheets, contact_sheet as contact_sheet
 from lightopt.report._drawing import figure_image as figure_image, fixed_style as fixed_style

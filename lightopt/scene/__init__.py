@@ -18,6 +18,7 @@ from lightopt.scene._camera import (
     Framing as Framing,
     PinholeCamera as PinholeCamera,
     frame_part as frame_part,
+    lens_share as lens_share,
     pixel_directions as pixel_directions,
     pixel_footprint as pixel_footprint,
     place_camera as place_camera,

@@ -75,6 +75,7 @@ def build_scene(
         stage=build_stage(rig),
         postures=chosen,
         placement=placement,
+        freedoms=6 if part.placement.registration == "full" else 3,
     )
     warnings += _check_view(scene, rig, part)
     waviness = None
@@ -110,6 +111,7 @@ def build_camera(rig: RigConfig) -> PinholeCamera:
         "distortion": Distortion(**c.distortion.model_dump()),
         "principal_point": c.principal_point_px,
         "aspect": aspect,
+        "vignetting": (0.0, 0.0) if c.vignetting is None else (c.vignetting.v2, c.vignetting.v4),
     }
     if c.pose is None:
         camera = place_camera(

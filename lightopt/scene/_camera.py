@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightopt.core.arrays import Float64
 from lightopt.core.kernels import kernel
@@ -42,6 +43,7 @@ class PinholeCamera:
     image_distance: Pinhole to image plane [mm]
     principal_point: Where the optical axis meets the image [px]; None for the image's centre
     aspect: Focal length in rows over that in columns; 1 for square pixels
+    vignetting: Coefficients of ρ² and ρ⁴ in what the lens passes, ρ from the principal point in half diagonals
     """
 
     position: Float64
@@ -55,6 +57,7 @@ class PinholeCamera:
     distortion: Distortion = Distortion()
     principal_point: tuple[float, float] | None = None
     aspect: float = 1.0
+    vignetting: tuple[float, float] = (0.0, 0.0)
 
     @property
     def axis_px(self) -> tuple[float, float]:
@@ -140,6 +143,16 @@ def project(camera: PinholeCamera, points: Float64) -> tuple[Float64, Float64, F
         x, y = np.where(folded, away * x, lens_x), np.where(folded, away * y, lens_y)
     column, row = camera.axis_px
     return x * scale + column, y * (scale * camera.aspect) + row, depth
+
+
+def lens_share(camera: PinholeCamera, columns: NDArray[Any], rows: NDArray[Any]) -> Float64 | None:
+    """Share of the light that the lens passes to image points [px], 1 on its axis; None where it is 1 everywhere."""
+    if camera.vignetting == (0.0, 0.0):
+        return None
+    column, row = camera.axis_px
+    r2 = ((columns - column) ** 2 + (rows - row) ** 2) / (0.25 * (camera.width**2 + camera.height**2))
+    v2, v4 = camera.vignetting
+    return np.maximum(0.0, 1.0 + r2 * (v2 + r2 * v4))
 
 
 def pixel_footprint(camera: PinholeCamera, distance: float) -> float:

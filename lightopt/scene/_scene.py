@@ -43,6 +43,7 @@ class Scene:
     placement: From the mesh file's coordinates, in mm, to those of the mesh
     defects: On the part, frame of the mesh; images show them, the mesh does not
     waviness: Of good parts; None for smooth ones
+    freedoms: Degrees of freedom of the part on its stage: 3 on the plate, 6 with height and tilt
     """
 
     camera: PinholeCamera
@@ -56,6 +57,7 @@ class Scene:
     placement: Placement = field(default_factory=Placement)
     defects: tuple[PlacedDefect, ...] = ()
     waviness: Waviness | None = None
+    freedoms: int = 3
 
     @property
     def pivot(self) -> Float64:

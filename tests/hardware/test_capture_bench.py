@@ -352,3 +352,36 @@ def test_a_stage_switched_off_and_on_away_from_its_origin_is_noticed_before_its_
     assert "all lights are off" in said
     assert not read_image_set(tmp_path / "set").images
     assert capture(rig, part, tmp_path / "set", options=options, resume=True).taken == 1
+
+
+def test_a_bench_that_follows_a_true_rig_of_its_own(bed, tmp_path):
+    path, part = (Path(file) for file in bed[1]["shot"])
+    text = path.read_text(encoding="utf-8")
+    assert text.count("azimuth_deg: 45") == 1
+    true = tmp_path / "true.yaml"
+    true.write_text(text.replace("azimuth_deg: 45", "azimuth_deg: 75"), encoding="utf-8")
+    filed = tmp_path / "filed.yaml"
+    filed.write_text(text + "\nvirtual_bench: {rig: true.yaml, part_offset_mm: [3, 0, 0], seed: 5}\n", encoding="utf-8")
+    loaded, options = load_part(part), CaptureOptions(check=False)
+    capture(load_rig(filed), loaded, tmp_path / "seen", options=options)
+    truth = BenchTruth(part_offset_mm=(3.0, 0.0, 0.0), seed=5)
+    rig = load_rig(true)
+
+    def connect(plan):
+        return connect_devices(rig, plan.wiring, part=loaded, plan=plan, truth=truth)
+
+    capture(rig, loaded, tmp_path / "expected", options=options, connect=connect)
+    seen, expected = (read_image_set(tmp_path / name).images for name in ("seen", "expected"))
+    assert seen[0].light_azimuth_deg == 45.0  # as the file has it
+    for one, other in zip(seen, expected, strict=True):
+        assert (read_png(tmp_path / "seen" / one.png) == read_png(tmp_path / "expected" / other.png)).all()
+
+
+def test_a_true_rig_with_other_lights_is_refused(bed, tmp_path):
+    path, part = (Path(file) for file in bed[1]["shot"])
+    text = path.read_text(encoding="utf-8")
+    (tmp_path / "true.yaml").write_text(text.replace("light1", "lamp1"), encoding="utf-8")
+    filed = tmp_path / "filed.yaml"
+    filed.write_text(text + "\nvirtual_bench: {rig: true.yaml}\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"filed.yaml:\d+: virtual_bench.rig: .* has other lights"):
+        capture(load_rig(filed), load_part(part), tmp_path / "seen", options=CaptureOptions(check=False))

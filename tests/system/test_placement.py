@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 import trimesh
 from captured import captured, expose_all
+from scipy.spatial.transform import Rotation
 
 from lightopt import build_scene, render
 from lightopt.config import PlacementConfig
 from lightopt.core.transforms import Posture
-from lightopt.estimate.registration import Placement, part_file_placement, place_part, register
+from lightopt.estimate.registration import Placement, PoseFrame, part_file_placement, place_part, register
 from lightopt.estimate.registration._pixels import view_of_placed
+from lightopt.estimate.registration._placement import NAMES
 from lightopt.estimate.registration._registration import refine_placement
 from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.scene import Scene, Stage, project, view_from_part
@@ -22,6 +24,9 @@ from lightopt.scene import Scene, Stage, project, view_from_part
 PIVOT = np.array([2.0, -3.0, 5.0])
 TRUTH = Placement(x=0.7, y=-0.5, turn=math.radians(0.6))
 TILTED = Posture(elevation_deg=-10.0, rotation_deg=170.0)
+LEANING = replace(
+    TRUTH, z=0.2, tilt_x=math.radians(0.4), tilt_y=math.radians(-0.3), errors=(0.0,) * 6, observable=(True,) * 6
+)
 
 
 @pytest.fixture(scope="module")
@@ -33,23 +38,27 @@ def by_hand(point: np.ndarray, placement: Placement) -> np.ndarray:
     """A point of the part where it lies on the stage at posture (0, 0)."""
     c, s = math.cos(placement.turn), math.sin(placement.turn)
     x, y, z = point - PIVOT
-    return PIVOT + np.array([c * x - s * y + placement.x, s * x + c * y + placement.y, z])
+    turned = np.array([c * x - s * y, s * x + c * y, z])
+    tilted = Rotation.from_rotvec([placement.tilt_x, placement.tilt_y, 0.0]).apply(turned)
+    return PIVOT + tilted + np.array([placement.x, placement.y, placement.z])
 
 
-def test_a_placed_part_is_turned_about_the_stage_axis_and_then_shifted(scene: Scene) -> None:
-    placed = place_part(scene, TRUTH)
+@pytest.mark.parametrize("truth", [TRUTH, LEANING])
+def test_a_placed_part_is_turned_about_the_stage_axis_and_then_shifted(scene: Scene, truth: Placement) -> None:
+    placed = place_part(scene, truth)
     for before, after in zip(scene.mesh.vertices[::97], placed.mesh.vertices[::97], strict=True):
-        np.testing.assert_allclose(after, by_hand(before, TRUTH), atol=1e-4)
+        np.testing.assert_allclose(after, by_hand(before, truth), atol=1e-4)
     np.testing.assert_allclose(np.linalg.norm(placed.mesh.normals, axis=1), 1.0, atol=1e-5)
 
 
+@pytest.mark.parametrize("truth", [TRUTH, LEANING])
 @pytest.mark.parametrize("posture", [Posture(elevation_deg=0.0, rotation_deg=0.0), TILTED])
-def test_moving_the_view_is_moving_the_part(scene: Scene, posture: Posture) -> None:
-    nominal = view_of_placed(scene, posture, TRUTH.x, TRUTH.y, TRUTH.turn)
-    moved = view_from_part(place_part(scene, TRUTH), posture)
+def test_moving_the_view_is_moving_the_part(scene: Scene, posture: Posture, truth: Placement) -> None:
+    nominal = view_of_placed(scene, posture, truth)
+    moved = view_from_part(place_part(scene, truth), posture)
     point = scene.mesh.vertices[123]
     # as far from camera and lights, whether these were moved or the part
-    there = by_hand(point, TRUTH)
+    there = by_hand(point, truth)
     for a, b in (
         (nominal.camera.position, moved.camera.position),
         *((p.centre, q.centre) for p, q in zip(nominal.lights, moved.lights, strict=True)),
@@ -61,7 +70,7 @@ def test_moving_the_view_is_moving_the_part(scene: Scene, posture: Posture) -> N
 def test_the_moved_view_sees_the_image_of_the_moved_part(scene: Scene, posture: Posture) -> None:
     placed = place_part(scene, TRUTH)
     image = render_posture(placed, posture, caster=cast_rays_at(placed))
-    view = view_of_placed(scene, posture, TRUTH.x, TRUTH.y, TRUTH.turn)
+    view = view_of_placed(scene, posture, TRUTH)
     hit = image.geometry.hit
     row, column = (a[::41] for a in np.nonzero(hit))
     world = image.geometry.points[row, column].astype(np.float64)
@@ -75,8 +84,44 @@ def test_the_moved_view_sees_the_image_of_the_moved_part(scene: Scene, posture: 
     np.testing.assert_allclose(rows, row + 0.5, atol=0.01)
 
 
+def test_poses_are_placements(scene: Scene) -> None:
+    """The pose's middle is where the placement has it, and the errors of one follow from those of the other."""
+    frame = PoseFrame.of(replace(scene, freedoms=6))
+    pose = frame.pose(LEANING)
+    middle = 0.5 * (scene.mesh.vertices.min(axis=0) + scene.mesh.vertices.max(axis=0))
+    np.testing.assert_allclose(middle + pose[[0, 1, 3]], by_hand(middle, LEANING), atol=1e-6)
+    covariance = np.diag([0.01, 0.02, 0.001, 0.03, 0.002, 0.003]) ** 2
+    found = frame.placement(pose, covariance)
+    for name in NAMES:
+        assert getattr(found, name) == pytest.approx(getattr(LEANING, name), abs=1e-9)
+    draws = np.random.default_rng(1).multivariate_normal(pose, covariance, 4000)
+    drawn = np.array([[getattr(place, name) for name in NAMES] for place in map(frame.placement, draws)])
+    np.testing.assert_allclose(found.errors, drawn.std(axis=0), rtol=0.06)
+
+
+@pytest.mark.slow
+def test_height_and_tilt_are_found_where_they_are_searched(scene: Scene) -> None:
+    images = captured(place_part(scene, LEANING), exposures=(1.0, 1 / 16))
+    wrong = replace(scene.reflectance, R_d=40.0, R_s=9000.0, sigma=0.06)
+    caster = cast_rays_at(scene)
+    registration = register(replace(scene, reflectance=wrong, freedoms=6), images, caster=caster)
+    assert registration.converged
+    assert registration.warnings == ()
+    found = registration.placement
+    off = np.array([getattr(found, name) - getattr(LEANING, name) for name in NAMES])
+    assert np.all(np.abs(off[[0, 1, 3]]) < 0.03)
+    assert np.all(np.abs(off[[2, 4, 5]]) < math.radians(0.05))
+    assert np.all(np.array(found.errors) > 0.0)
+    assert np.all(np.abs(off) < 5.0 * np.array(found.errors))
+    # in the plane alone a shift makes up for the tilt
+    flat = register(replace(scene, reflectance=wrong), images, caster=caster)
+    assert abs(flat.placement.x - LEANING.x) > 0.1
+    assert flat.cost_after > 1.05 * registration.cost_after
+
+
+@pytest.mark.parametrize("truth", [TRUTH, LEANING])
 @pytest.mark.parametrize("anchor", ["as_modelled", "rest_on_table", "centred"])
-def test_a_part_file_can_say_where_the_part_lies(scene: Scene, shared_bench, anchor: str) -> None:
+def test_a_part_file_can_say_where_the_part_lies(scene: Scene, shared_bench, anchor: str, truth: Placement) -> None:
     text = shared_bench.part.read_text(encoding="utf-8")
     was = "placement: {anchor: rest_on_table, translate_mm: [0, 0, 0]}"
     assert was in text
@@ -90,10 +135,10 @@ def test_a_part_file_can_say_where_the_part_lies(scene: Scene, shared_bench, anc
 
     nominal = built(there[1], there[0])
     file = PlacementConfig(anchor=anchor, rotate_deg=there[1], translate_mm=there[0])
-    found = part_file_placement(nominal, TRUTH, file)
+    found = part_file_placement(nominal, truth, file)
     said = built(found.rotate_deg, found.translate_mm)
     path.unlink()
-    np.testing.assert_allclose(said.mesh.vertices, place_part(nominal, TRUTH).mesh.vertices, atol=1e-3, rtol=0.0)
+    np.testing.assert_allclose(said.mesh.vertices, place_part(nominal, truth).mesh.vertices, atol=1e-3, rtol=0.0)
 
 
 @pytest.mark.slow

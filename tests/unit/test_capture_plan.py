@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 
 import pytest
 
@@ -186,3 +187,17 @@ def test_many_postures_are_visited_in_a_good_order():
     assert sorted(map(str, order)) == sorted(map(str, postures))
     assert total(order, start) < 0.45 * total(postures, start)
     assert order == travel_order(postures, start=start, time=seconds)
+
+
+def test_a_seed_is_for_a_simulated_camera(tmp_path):
+    root = Path(__file__).parents[2] / "configs"
+    part = load_part(root / "parts" / "cover-knob.yaml")
+    text = (root / "rigs" / "four-panel.yaml").read_text(encoding="utf-8")
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(text, encoding="utf-8")
+    assert make_plan(load_rig(rig), part, CaptureOptions(seed=2)).options.as_dict()["seed"] == 2
+    serial = load_rig(root / "rigs" / "four-panel-serial.yaml")
+    camera = serial.hardware.camera.model_copy(update={"driver": "aravis"})
+    real = serial.model_copy(update={"hardware": serial.hardware.model_copy(update={"camera": camera})})
+    with pytest.raises(InputError, match="option 'seed'"):
+        make_plan(real, part, CaptureOptions(seed=2))

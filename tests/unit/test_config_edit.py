@@ -36,6 +36,29 @@ def test_a_key_is_added_to_a_mapping_of_either_style():
     assert "  - gain: 0.9\n    name: three\n    distance_mm: 330\n" in done
 
 
+def test_keys_are_removed_with_the_comments_beside_them():
+    done = with_values(
+        TEXT,
+        {
+            ("reflectance", "R_d"): None,
+            ("reflectance", "full_scale"): "255",
+            ("lights", 0, "gain"): None,
+            ("lights", 2, "name"): None,
+            ("lights", 2, "not there"): None,
+        },
+    )
+    assert "reflectance:            # of the paper\n  full_scale: 255\n  R_s: 12500\n" in done
+    assert "- {name: one}   # the first" in done
+    assert "  - distance_mm: 330\n" in done
+
+
+def test_a_mapping_takes_the_place_of_another_and_a_key_of_the_top_goes_to_the_end():
+    done = with_values(
+        "camera:\n  pose:\n    a: 1  # one\n    b: [2, 3]\n  size: 3\n", {("camera", "pose"): "{c: 4}", ("d",): "5"}
+    )
+    assert done == "camera:\n  pose: {c: 4}\n  size: 3\nd: 5\n"
+
+
 def test_a_mapping_that_is_not_there_is_refused():
     with pytest.raises(InputError, match=r"camera\.sensor"):
         with_values(TEXT, {("camera", "sensor", "black_level"): "3"})

@@ -62,7 +62,7 @@ from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight
 from lightopt.optics import Sensor
 from lightopt.rendering import PatchTable, SurfacePoints, panel_to_shade, shade_variants, surface_variants
-from lightopt.scene import Scene, project, surface_footprint, view_from_part
+from lightopt.scene import Scene, lens_share, project, surface_footprint, view_from_part
 
 UNITS_OF_IMAGE = 3
 """Most units of evidence that an image counts for."""
@@ -266,6 +266,8 @@ class PatchEvidence:
         self._image = image.in_order(self._order)
         self._surface, self._class = surface.take(self._order), classes[self._order]
         surface = self._surface
+        share = lens_share(camera, *project(camera, surface.points)[:2])
+        self._passed = 1.0 if share is None else share
         self._references = tangent_axis(surface.normals, right[self._order])
         self._stencils = detection.stencils(footprint).in_cells(image.cell)
         self._limits = detection.limits(float(areas.sum()), footprint)
@@ -315,10 +317,11 @@ class PatchEvidence:
             caster=blocker,
             dtype=np.float32,
         )
+        passed = self._passed
         levels = np.empty_like(shaded.plain)
-        levels[self._order] = shaded.plain
-        varied = shaded.varied.astype(np.float32, copy=False)
-        return levels, [self._units(shaded.good, varied, exposure) for exposure in exposures]
+        levels[self._order] = shaded.plain * np.float32(passed)
+        good, varied = shaded.good * passed, (shaded.varied * passed).astype(np.float32, copy=False)
+        return levels, [self._units(good, varied, exposure) for exposure in exposures]
 
     def _units(self, good: Float64, varied: Float32, exposure: float) -> Words:
         sensor, image = self._detection.sensor, self._image

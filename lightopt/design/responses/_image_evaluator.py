@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from lightopt.core.arrays import Float32, Index, UInt8
+from lightopt.core.arrays import Float32, Float64, Index, UInt8
 from lightopt.core.errors import InputError, counted
 from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import Task, available_processors, run_all
@@ -36,7 +36,7 @@ from lightopt.geometry import RayCaster, face_normals
 from lightopt.lights import PanelLight
 from lightopt.optics import expose
 from lightopt.rendering import PatchTable, SurfacePoints, converged_panel, shade_converged, shade_points, shadow_targets
-from lightopt.scene import Scene, view_from_part
+from lightopt.scene import Scene, lens_share, project, view_from_part
 
 BLOCK_PATCHES = 1 << 12  # patches whose levels, under all hypotheses, are in the processor's caches together
 BLOCKS_AT_ONCE = 8  # that a thread works on before it takes others
@@ -190,13 +190,18 @@ class ImageEvaluator:
         blocks = [
             (start, surface.take(slice(start, start + BLOCK_PATCHES))) for start in range(0, len(seen), BLOCK_PATCHES)
         ]
+        camera = view_from_part(scene, posture).camera
+        shares = {start: lens_share(camera, *project(camera, block.points)[:2]) for start, block in blocks}
+        passed = {start: 1.0 if share is None else share for start, share in shares.items()}
         # the candidates as the part sees them
         moved = view_from_part(replace(scene, lights=tuple(flat)), posture).lights
         blocker = caster if self.shadows else None
 
         def shade(at: int, panel: PanelLight, some: Sequence[tuple[int, SurfacePoints]]) -> None:
             for start, block in some:
-                store(at, slice(start, start + len(block)), _levels(scene, block, panel, caster, blocker))
+                store(
+                    at, slice(start, start + len(block)), _levels(scene, block, panel, caster, blocker, passed[start])
+                )
 
         def find_evidence(at: int, panel: PanelLight) -> None:
             assert evidence is not None
@@ -379,7 +384,12 @@ def patch_points(scene: Scene, table: PatchTable, posture: Posture) -> tuple[Sur
 
 
 def _levels(
-    scene: Scene, surface: SurfacePoints, panel: PanelLight, caster: RayCaster, blocker: RayCaster | None
+    scene: Scene,
+    surface: SurfacePoints,
+    panel: PanelLight,
+    caster: RayCaster,
+    blocker: RayCaster | None,
+    passed: Float64 | float,
 ) -> Float32:
     reflectance = scene.reflectance
     if panel.points == "auto":
@@ -395,7 +405,7 @@ def _levels(
     else:
         diffuse, specular = shade_points(surface, panel, points=panel.points, sigma=reflectance.sigma, caster=blocker)
     # images are stored as float32, and a level is rounded from what is stored
-    return (reflectance.R_d * diffuse + reflectance.R_s * specular).astype(np.float32)
+    return (passed * (reflectance.R_d * diffuse + reflectance.R_s * specular)).astype(np.float32)
 
 
 def scattered_flags(matrices: Sequence[LuminanceMatrix], patches: Index, *, light: int, place: int) -> Words:

@@ -17,7 +17,7 @@ from lightopt.estimate.registration import Observation
 from lightopt.geometry import RayCaster
 from lightopt.optics import Sensor
 from lightopt.rendering import UNLIT, WHOLE, LightLayer, PosturePixels, light_layer, panel_visibility, trace_pixels
-from lightopt.scene import Scene
+from lightopt.scene import Scene, lens_share
 
 FIRST_OCTAVE_RAD = 0.001
 # pixels are kept by octave of the least angle between normal and half vector: up to 1 mrad, 2 mrad, … so that a lobe of
@@ -44,6 +44,7 @@ class SampleGroup:
     row: Int32
     column: Int32
     weight: Float64
+    passed: Float64 | float = 1.0
 
     def __len__(self) -> int:
         return len(self.row)
@@ -51,7 +52,7 @@ class SampleGroup:
     @property
     def diffuse(self) -> Float64:
         """Light per unit of R_d, shape (n,)."""
-        return np.zeros(len(self)) if self.layer is None else self.layer.diffuse
+        return np.zeros(len(self)) if self.layer is None else self.passed * self.layer.diffuse
 
     @property
     def deflection(self) -> Float64:
@@ -60,7 +61,9 @@ class SampleGroup:
 
     def specular(self, sigma: float, threads: int | None) -> Float64:
         """Light per unit of R_s, shape (n,)."""
-        return np.zeros(len(self)) if self.layer is None else self.layer.specular(sigma, threads=threads)
+        if self.layer is None:
+            return np.zeros(len(self))
+        return self.passed * self.layer.specular(sigma, threads=threads)
 
 
 class ImageFacts(NamedTuple):
@@ -175,6 +178,7 @@ def subsample(samples: Samples, budget: int) -> Samples:
                 row=group.row[keep],
                 column=group.column[keep],
                 weight=group.weight[keep] / share,
+                passed=group.passed[keep] if isinstance(group.passed, np.ndarray) else group.passed,
             )
         )
     pixels = np.concatenate(indices)
@@ -220,6 +224,7 @@ def _choose(
     keep, share = _by_octave(angle, budget, (posture, light))
     few, few_share = _by_octave(np.full(len(unlit), np.pi), max(1, int(UNLIT_SHARE * budget)), (posture, light))
     lit = layer.take(keep)
+    passed = lens_share(pixels.view.camera, pixels.column + 0.5, pixels.row + 0.5)
     return [
         SampleGroup(
             light=light,
@@ -228,6 +233,7 @@ def _choose(
             row=pixels.row[index],
             column=pixels.column[index],
             weight=1.0 / kept,
+            passed=1.0 if passed is None else passed[index],
         )
         for layer_, index, kept in ((lit, whole[keep], share), (None, unlit[few], few_share))
         if len(index)

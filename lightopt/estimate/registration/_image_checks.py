@@ -16,6 +16,7 @@ from lightopt.core.arrays import Bool, Index
 from lightopt.core.errors import InputError, counted
 from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._pixels import PixelSet, light_at, view_of_placed
+from lightopt.estimate.registration._placement import Placement
 from lightopt.geometry import RayCaster
 from lightopt.scene import Scene
 
@@ -72,7 +73,7 @@ def refuse_useless_images(
     images = counted(len(observations), "image")
     shown: list[Bool] = []
     for pixels in sets:
-        view = view_of_placed(scene, pixels.posture, 0.0, 0.0, 0.0)
+        view = view_of_placed(scene, pixels.posture, Placement())
         light, _ = light_at(scene, pixels, view, caster, threads=threads)
         shown.append(~np.isfinite(light) | (light > 0.0))
     if not any(lit.any() for lit in shown):

@@ -9,11 +9,12 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.threads import in_threads
-from lightopt.core.transforms import Posture, rotation_z
+from lightopt.core.transforms import Posture
 from lightopt.estimate.registration._observations import Observation
+from lightopt.estimate.registration._placement import Placement
 from lightopt.geometry import RayCaster
 from lightopt.rendering import UNLIT, WHOLE, PosturePixels, light_layer, panel_visibility, trace_samples
-from lightopt.scene import PartView, Scene, view_from_part
+from lightopt.scene import PartView, Scene, lens_share, view_from_part
 
 _LATTICE = np.array([0.7548776662466927, 0.5698402909980532])
 # additive recurrences that fill a pixel evenly: Roberts's R₂, by the plastic number, and quadratic irrationals
@@ -63,15 +64,15 @@ class PixelSet:
         return (self.column[:, None] + (x + along) % 1.0).ravel(), (self.row[:, None] + (y + down) % 1.0).ravel()
 
 
-def view_of_placed(scene: Scene, posture: Posture, x: float, y: float, turn: float) -> PartView:
-    """Camera and lights as a part sees them that was shifted by x, y [mm] and turned [rad] on the stage.
+def view_of_placed(scene: Scene, posture: Posture, placement: Placement) -> PartView:
+    """Camera and lights as a part sees them that was moved on the stage.
 
     The part's own frame stays, so that one ray caster serves all placements.
     """
     view = view_from_part(scene, posture)
-    # x_placed = pivot + R·(x − pivot) + t, inverted
-    back = rotation_z(turn).T
-    shift = scene.pivot - back @ (scene.pivot + np.array([x, y, 0.0]))
+    # x_placed = R·x + t, inverted
+    back = placement.rotation.T
+    shift = -back @ placement.shift(scene.pivot)
     return PartView(
         camera=view.camera.moved(back, shift),
         lights=tuple(light.moved(back, shift) for light in view.lights),
@@ -124,6 +125,9 @@ def light_at(
                 light[:, i, hits.ray] = found
 
     in_threads(shade, range(len(names)), threads)
+    passed = lens_share(view.camera, columns, rows)
+    if passed is not None:
+        light *= passed
     if pixels.rays > 1:
         light = light.reshape(*light.shape[:2], len(pixels.row), -1).mean(axis=3)
     return light[0], light[1:]

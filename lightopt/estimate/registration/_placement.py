@@ -9,7 +9,7 @@ import numpy as np
 
 from lightopt.config import PlacementConfig
 from lightopt.core.arrays import Float64
-from lightopt.core.transforms import rotation_z
+from lightopt.core.transforms import rotation_from_vector, rotation_z
 from lightopt.scene import Scene, move_part, pixel_footprint
 
 GREATEST_SHIFT_MM = 5.0
@@ -17,8 +17,20 @@ GREATEST_TURN_RAD = math.radians(6.0)
 # reach of the search from the file placement: along x and y the larger of both, and about the vertical axis
 GREATEST_SHIFT_PX = 16.0
 
+GREATEST_LIFT_MM, GREATEST_TILT_RAD = 3.0, math.radians(3.0)
+# the same in z and in tilt: it lies on the stage
+
+LIFT_PIXELS = 8.0  # a shift along the view changes the image by parallax and by highlights alone
+
+MOST_LIFT_ERROR_MM = 0.5
 MOST_ERROR_PX = 1.0
 MOST_TURN_ERROR_RAD = math.radians(0.5)  # a shift or a rotation is determined where its standard error is below this
+
+
+NAMES = ("x", "y", "turn", "z", "tilt_x", "tilt_y")
+"""The degrees of freedom of a part; the first three keep it on the stage's plate."""
+
+_LENGTHS = ("x", "y", "z")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,35 +39,51 @@ class Placement:
 
     x, y: Shift in the plane of the stage's plate, world axes at posture (0, 0) [mm].
     turn: About the stage's own axis [rad].
-    errors: Standard errors of the three, in the same order; 0 where not known.
-    observable: Whether the images determine each of the three; what they do not is as in the part file. Where they
-        leave a direction between two of them open, these have large errors.
+    z: Shift along that axis [mm].
+    tilt_x, tilt_y: Rotation vector of the part's tilt after its turn, about the pivot [rad].
+    errors: Standard errors of the first three or of all six, in the order of `NAMES`; 0 where not known.
+    observable: Whether the images determine each of them; what they do not is as in the part file. Where they leave a
+        direction between two of them open, these have large errors.
     """
 
     x: float = 0.0
     y: float = 0.0
     turn: float = 0.0
-    errors: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    observable: tuple[bool, bool, bool] = (True, True, True)
+    z: float = 0.0
+    tilt_x: float = 0.0
+    tilt_y: float = 0.0
+    errors: tuple[float, ...] = (0.0, 0.0, 0.0)
+    observable: tuple[bool, ...] = (True, True, True)
+
+    @property
+    def rotation(self) -> Float64:
+        """R of the part's motion p' = R·p + t, shape (3, 3)."""
+        turn = rotation_z(self.turn)
+        if self.tilt_x == 0.0 == self.tilt_y:
+            return turn
+        return rotation_from_vector(np.array([self.tilt_x, self.tilt_y, 0.0])) @ turn
+
+    def shift(self, pivot: Float64) -> Float64:
+        """T of the part's motion, shape (3,) [mm]; pivot: of the stage, shape (3,)."""
+        return pivot - self.rotation @ pivot + np.array([self.x, self.y, self.z])
 
     def as_dict(self) -> dict[str, float | list[str]]:
-        names = ("x", "y", "turn")
-        return {
-            "observable": [name for name, seen in zip(names, self.observable, strict=True) if seen],
-            "x_mm": float(f"{self.x:.6g}"),
-            "y_mm": float(f"{self.y:.6g}"),
-            "turn_deg": float(f"{math.degrees(self.turn):.6g}"),
-            "x_error_mm": float(f"{self.errors[0]:.3g}"),
-            "y_error_mm": float(f"{self.errors[1]:.3g}"),
-            "turn_error_deg": float(f"{math.degrees(self.errors[2]):.3g}"),
+        names = NAMES[: len(self.observable)]
+        found: dict[str, float | list[str]] = {
+            "observable": [name for name, seen in zip(names, self.observable, strict=True) if seen]
         }
+        values = {name: getattr(self, name) for name in names}
+        known = dict(zip(names, self.errors, strict=True))
+        for digits, suffix, numbers in ((6, "", values), (3, "_error", known)):
+            for name in names:
+                unit, value = ("mm", numbers[name]) if name in _LENGTHS else ("deg", math.degrees(numbers[name]))
+                found[f"{name}{suffix}_{unit}"] = float(f"{value:.{digits}g}")
+        return found
 
 
 def place_part(scene: Scene, placement: Placement) -> Scene:
     """Move the part of a scene to its placement."""
-    turn = rotation_z(placement.turn)
-    shift = scene.pivot - turn @ scene.pivot + np.array([placement.x, placement.y, 0.0])
-    return move_part(scene, turn, shift)
+    return move_part(scene, placement.rotation, placement.shift(scene.pivot))
 
 
 def part_file_placement(scene: Scene, placement: Placement, file: PlacementConfig) -> PlacementConfig:
@@ -65,8 +93,8 @@ def part_file_placement(scene: Scene, placement: Placement, file: PlacementConfi
 
     scene: With the part at its file placement.
     """
-    turn = rotation_z(placement.turn)
-    turned = scene.mesh.vertices @ turn.T
+    moved = placement.rotation
+    turned = scene.mesh.vertices @ moved.T
     low, high = turned.min(axis=0), turned.max(axis=0)
     middle = 0.5 * (low + high)
     if file.anchor == "rest_on_table":
@@ -74,76 +102,91 @@ def part_file_placement(scene: Scene, placement: Placement, file: PlacementConfi
     elif file.anchor == "centred":
         anchored = middle
     else:
-        anchored = turn @ np.array(file.translate_mm, dtype=np.float64)
-    shift = scene.pivot - turn @ scene.pivot + np.array([placement.x, placement.y, 0.0]) + anchored
+        anchored = moved @ np.array(file.translate_mm, dtype=np.float64)
+    shift = placement.shift(scene.pivot) + anchored
     about_x, about_y, about_z = file.rotate_deg
-    about_z = math.remainder(about_z + math.degrees(placement.turn), 360.0)
-    return file.model_copy(update={"rotate_deg": (about_x, about_y, about_z), "translate_mm": tuple(shift.tolist())})
+    if placement.tilt_x == 0.0 == placement.tilt_y:
+        angles = about_x, about_y, math.remainder(about_z + math.degrees(placement.turn), 360.0)
+    else:
+        # of R = Rz·Ry·Rx
+        r = moved @ scene.placement.rotation
+        about = math.atan2(r[2, 1], r[2, 2]), math.asin(max(-1.0, min(1.0, -r[2, 0]))), math.atan2(r[1, 0], r[0, 0])
+        angles = math.degrees(about[0]), math.degrees(about[1]), math.degrees(about[2])
+    return file.model_copy(update={"rotate_deg": angles, "translate_mm": tuple(shift.tolist())})
 
 
 @dataclass(frozen=True)
 class PoseFrame:
-    """Poses are shifts in x and y of the part's middle [mm] and a rotation about it [rad], from nominal; shape (3,).
+    """Poses are shifts of the part's middle in x and y [mm] and a rotation about it [rad], from nominal, shape (3,).
 
-    A placement rotates the part about the stage's axis. About the part's own middle shift and rotation hardly depend on
-    each other: of a body of revolution that stands off the axis, the rotation alone is undetermined.
+    In six degrees of freedom, shape (6,), they go on with the shift in z [mm] and the two tilts [rad]. A placement
+    rotates the part about the stage's axis. About the part's own middle shift and rotation hardly depend on each other:
+    of a body of revolution that stands off the axis, the rotation alone is undetermined.
 
-    middle: Of the part from the stage's axis, x and y [mm], shape (2,).
-    radius: Of the part about its middle [mm].
+    middle: Of the part from the stage's pivot, shape (3,) [mm].
+    radius: Of the part about its middle, seen along Z [mm].
+    freedoms: 3 or 6.
     """
 
     middle: Float64
     radius: float
     pixel: float
+    freedoms: int = 3
 
     @staticmethod
     def of(scene: Scene) -> PoseFrame:
         """The frame of a scene's part at its file placement."""
-        flat = scene.mesh.vertices[:, :2] - scene.pivot[:2]
-        middle = 0.5 * (flat.min(axis=0) + flat.max(axis=0))
-        radius = float(np.sqrt(np.max(np.sum(np.square(flat - middle), axis=1))))
+        own = scene.mesh.vertices - scene.pivot
+        middle = 0.5 * (own.min(axis=0) + own.max(axis=0))
+        radius = float(np.sqrt(np.max(np.sum(np.square(own[:, :2] - middle[:2]), axis=1))))
         distance = float(np.linalg.norm(scene.camera.position - scene.pivot))
-        return PoseFrame(middle.astype(np.float64), max(radius, 1e-3), pixel_footprint(scene.camera, distance))
+        pixel = pixel_footprint(scene.camera, distance)
+        return PoseFrame(middle.astype(np.float64), max(radius, 1e-3), pixel, scene.freedoms)
 
     @property
     def reach(self) -> Float64:
-        """Greatest distance from nominal, shape (3,)."""
+        """Greatest distance from nominal, shape (freedoms,)."""
         shift = max(GREATEST_SHIFT_MM, GREATEST_SHIFT_PX * self.pixel)
-        return np.array([shift, shift, GREATEST_TURN_RAD])
+        return np.array([shift, shift, GREATEST_TURN_RAD, GREATEST_LIFT_MM, *[GREATEST_TILT_RAD] * 2])[: self.freedoms]
 
     @property
     def pixel_steps(self) -> Float64:
-        """Shifts [mm] and turn [rad] that move the image of the part's rim by a pixel, shape (3,)."""
-        return np.array([self.pixel, self.pixel, self.pixel / self.radius])
+        """Shifts [mm] and rotations [rad] that move the image of the part's rim by a pixel, seen from some side."""
+        turn = self.pixel / self.radius
+        return np.array([self.pixel, self.pixel, turn, LIFT_PIXELS * self.pixel, turn, turn])[: self.freedoms]
 
     @property
     def resolution(self) -> Float64:
-        """Standard errors from which on a pose is not determined, shape (3,)."""
-        return np.array([MOST_ERROR_PX * self.pixel, MOST_ERROR_PX * self.pixel, MOST_TURN_ERROR_RAD])
+        """Standard errors from which on a pose is not determined, shape (freedoms,)."""
+        shift = MOST_ERROR_PX * self.pixel
+        errors = np.array([shift, shift, MOST_TURN_ERROR_RAD, MOST_LIFT_ERROR_MM, *[MOST_TURN_ERROR_RAD] * 2])
+        return errors[: self.freedoms]
 
     def pose(self, placement: Placement) -> Float64:
-        """The pose of a placement, shape (3,)."""
-        x, y = self._turned(placement.turn) - self.middle + np.array([placement.x, placement.y])
-        return np.array([x, y, placement.turn])
+        """The pose of a placement, shape (freedoms,)."""
+        p = placement
+        x, y, z = p.rotation @ self.middle - self.middle + np.array([p.x, p.y, p.z])
+        return np.array([x, y, p.turn, z, p.tilt_x, p.tilt_y])[: self.freedoms]
 
     def placement(self, pose: Float64, covariance: Float64 | None = None) -> Placement:
-        """The placement of a pose, with standard errors where the pose's covariance, shape (3, 3), is given."""
-        turn = float(pose[2])
-        x, y = pose[:2] + self.middle - self._turned(turn)
-        place = Placement(x=float(x), y=float(y), turn=turn)
+        """The placement of a pose, with standard errors where its covariance, shape (freedoms, freedoms), is given."""
+        x, y, turn, z, tilt_x, tilt_y = (*pose.tolist(), *[0.0] * (6 - self.freedoms))
+        place = Placement(turn=turn, tilt_x=tilt_x, tilt_y=tilt_y)
+        rotated = place.rotation @ self.middle
+        x, y, z = (np.array([x, y, z]) + self.middle - rotated).tolist()
+        place = replace(place, x=x, y=y, z=z)
         if covariance is None:
             return place
-        slopes = np.eye(3)
-        slopes[:2, 2] = -self._turned(turn + 0.5 * math.pi)
-        ex, ey, et = np.sqrt(np.maximum(np.diag(slopes @ covariance @ slopes.T), 0.0)).tolist()
-        return replace(place, errors=(ex, ey, et))
+        # rotations move the pivot, too; to first order in the tilts
+        slopes = np.eye(6)
+        along = [0, 1, 3]
+        for column, axis in ((2, 2), (4, 0), (5, 1)):
+            slopes[along, column] = -np.cross(np.eye(3)[axis], rotated)
+        slopes = slopes[: self.freedoms, : self.freedoms]
+        errors = np.sqrt(np.maximum(np.diag(slopes @ covariance @ slopes.T), 0.0))
+        return replace(place, errors=tuple(errors.tolist()))
 
     def distance_px(self, a: Placement, b: Placement) -> float:
         """How far the part's image moves from one placement to another, at most [px]."""
         off = np.abs(self.pose(a) - self.pose(b)) / self.pixel_steps
-        return float(np.hypot(off[0], off[1]) + off[2])
-
-    def _turned(self, turn: float) -> Float64:
-        c, s = math.cos(turn), math.sin(turn)
-        x, y = self.middle
-        return np.array([c * x - s * y, s * x + c * y])
+        return float(np.hypot(off[0], off[1]) + np.sum(off[2:]))

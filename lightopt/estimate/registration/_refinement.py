@@ -37,8 +37,11 @@ DARK_SPREAD = 3.0
 """Lights are about as bright as the rig says, within this share, and black is as black within these sensor levels: only
 images that show it move them."""
 
-# parameters: pose, ln R_d, ln R_s, ln σ, ln of each light's gain, dark level [sensor level]
-POSE, R_D, R_S, SIGMA, GAINS = slice(0, 3), 3, 4, 5, 6
+LYING = (1.0, math.radians(1.0), math.radians(1.0))
+"""A part lies within this of its place in height [mm] and in both tilts [rad]."""
+
+# parameters: ln R_d, ln R_s, ln σ, ln of each light's gain, dark level [sensor level], after the pose
+R_D, R_S, SIGMA, GAINS = 0, 1, 2, 3
 
 _INNER_STEP = 0.5
 # differences are taken so far to both sides [px]: an outline must cross some rays; and over much less, the facets of a
@@ -48,7 +51,7 @@ _OUTLINE_STEP = 0.7
 _SIGMA_STEP = 0.003
 
 _CACHE_PX = 0.1
-# derivatives by the pose, which take six evaluations, are reused for parameters so near to where they were taken
+# derivatives by the pose, which take two evaluations each, are reused for parameters so near to where they were taken
 _CACHE_LOG_SIGMA = 0.02
 
 
@@ -70,7 +73,7 @@ def choose_pixels(
     inner: list[PixelSet] = []
     edges: list[PixelSet] = []
     most = FIRST_INNER_PIXELS if reduced else INNER_PIXELS
-    budget = max(200, min(most, MOST_ENTRIES // (len(images) * (len(scene.lights) + GAINS + 1))))
+    budget = max(200, min(most, MOST_ENTRIES // (len(images) * (len(scene.lights) + GAINS + 4))))
     for posture in dict.fromkeys(o.posture for o in images):
         mine = [o for o in images if o.posture == posture]
         masks = mask_pixels(placed, posture, caster, threads=threads)
@@ -121,6 +124,7 @@ class RefinementProblem:
         threads: int | None = None,
     ) -> None:
         self._scene, self._frame, self._caster, self._threads = scene, frame, caster, threads
+        self._poses = frame.freedoms
         self._sets = [*inner, *edges]
         names = [light.name for light in scene.lights]
         lights = [_per_observation(p, [names.index(o.light) for o in p.images]) for p in self._sets]
@@ -155,53 +159,55 @@ class RefinementProblem:
 
     def slopes(self, x: Float64) -> Float64:
         """Derivatives of the predictions, in standard deviations, shape (n, K)."""
-        light, spread = self._light_at(x), np.exp(x[[R_D, R_S]])
-        gain = self._scale * np.exp(x[GAINS:-1])[self._light]
+        own = x[self._poses :]
+        light, spread = self._light_at(x), np.exp(own[[R_D, R_S]])
+        gain = self._scale * np.exp(own[GAINS:-1])[self._light]
         found = np.zeros((len(self._measured), len(x)))
-        found[:, R_D] = gain * spread[0] * light[0]
-        found[:, R_S] = gain * spread[1] * light[1]
-        found[:, SIGMA] = gain * spread[1] * (light[2] - light[3]) / (2.0 * _SIGMA_STEP)
-        found[np.arange(len(found)), GAINS + self._light] = found[:, R_D] + found[:, R_S]
-        found[:, -1] = 1.0
+        of_light = found[:, self._poses :]
+        of_light[:, R_D] = gain * spread[0] * light[0]
+        of_light[:, R_S] = gain * spread[1] * light[1]
+        of_light[:, SIGMA] = gain * spread[1] * (light[2] - light[3]) / (2.0 * _SIGMA_STEP)
+        of_light[np.arange(len(found)), GAINS + self._light] = of_light[:, R_D] + of_light[:, R_S]
+        of_light[:, -1] = 1.0
         for axis, change in enumerate(self._pose_derivatives(x)):
             found[:, axis] = gain * (spread[0] * change[0] + spread[1] * change[1])
         return found / self._noise[:, None]
 
     def _pose_derivatives(self, x: Float64) -> list[Float64]:
-        # of the light per unit of R_d and of R_s with x, y and turn, each of shape (2, n)
-        place = self._frame.placement(x[POSE])
+        # of the light per unit of R_d and of R_s with each of the pose, of shape (2, n)
+        place, log_sigma = self._frame.placement(x[: self._poses]), float(x[self._poses + SIGMA])
         if self._derivative_cache is not None:
-            at, log_sigma, known = self._derivative_cache
+            at, before, known = self._derivative_cache
             moved = self._frame.distance_px(at, place)
-            if moved < _CACHE_PX and abs(x[SIGMA] - log_sigma) < _CACHE_LOG_SIGMA:
+            if moved < _CACHE_PX and abs(log_sigma - before) < _CACHE_LOG_SIGMA:
                 return known
         steps = self._frame.pixel_steps
         width = np.where(self.correlated, _OUTLINE_STEP, _INNER_STEP)
         found: list[Float64] = []
-        for axis, off in enumerate(np.eye(3)):
+        for axis, off in enumerate(np.eye(self._poses)):
             ahead, behind = (self._light_at(x, sign * off * steps) for sign in (1.0, -1.0))
             found.append((ahead - behind) / (2.0 * width * steps[axis]))
-        self._derivative_cache = place, float(x[SIGMA]), found
+        self._derivative_cache = place, log_sigma, found
         return found
 
     def _levels(self, x: Float64) -> Float64:
-        light = self._light_at(x)
-        gain = self._scale * np.exp(x[GAINS:-1])[self._light]
-        return np.minimum(gain * (math.exp(x[R_D]) * light[0] + math.exp(x[R_S]) * light[1]) + x[-1], self._top)
+        light, own = self._light_at(x), x[self._poses :]
+        gain = self._scale * np.exp(own[GAINS:-1])[self._light]
+        return np.minimum(gain * (math.exp(own[R_D]) * light[0] + math.exp(own[R_S]) * light[1]) + own[-1], self._top)
 
     def _light_at(self, x: Float64, off: Float64 | None = None) -> Float64:
         # per unit of R_d, and of R_s at σ and to both sides of it, shape (4, n); moved, at σ alone, shape (2, n)
         if off is None and self._light_cache is not None and np.array_equal(self._light_cache[0], x):
             return self._light_cache[1]
-        sigma = math.exp(x[SIGMA])
+        sigma = math.exp(x[self._poses + SIGMA])
         sigmas = [sigma]
         if off is None:
             sigmas += [sigma * math.exp(_SIGMA_STEP), sigma * math.exp(-_SIGMA_STEP)]
         parts: list[Float64] = []
         for pixels in self._sets:
             width = _OUTLINE_STEP if pixels.rays > 1 else _INNER_STEP
-            place = self._frame.placement(x[POSE] + (0.0 if off is None else width * off))
-            view = view_of_placed(self._scene, pixels.posture, place.x, place.y, place.turn)
+            place = self._frame.placement(x[: self._poses] + (0.0 if off is None else width * off))
+            view = view_of_placed(self._scene, pixels.posture, place)
             diffuse, specular = light_at(self._scene, pixels, view, self._caster, sigmas=sigmas, threads=self._threads)
             parts.append(np.concatenate([diffuse[None], specular]).reshape(1 + len(sigmas), -1))
         found = np.concatenate(parts, axis=1) if parts else np.zeros((1 + len(sigmas), 0))
@@ -265,14 +271,15 @@ def start_parameters(scene: Scene, frame: PoseFrame, placement: Placement) -> Fl
 def parameter_limits(scene: Scene, frame: PoseFrame, start: Float64) -> Limits:
     """Where the parameters may go: around nominal poses, around the reflectance at the start."""
     lights = len(scene.lights)
+    poses = frame.freedoms
     nominal = start.copy()
-    nominal[POSE] = 0.0
-    nominal[GAINS:] = 0.0
+    nominal[:poses] = 0.0
+    nominal[poses + GAINS :] = 0.0
     steps = 3.0 * frame.pixel_steps
     return Limits(
         nominal=nominal,
         reach=np.array([*frame.reach, 4.0, 6.0, 1.5, *[math.log(4.0)] * lights, 10.0 * DARK_SPREAD]),
         step=np.array([*steps, 0.5, 1.0, 0.3, *[0.3] * lights, DARK_SPREAD]),
-        prior=np.array([np.inf, np.inf, np.inf, 2.0, 3.0, 1.0, *[GAIN_SPREAD] * lights, DARK_SPREAD]),
+        prior=np.array([*[np.inf] * 3, *LYING[: poses - 3], 2.0, 3.0, 1.0, *[GAIN_SPREAD] * lights, DARK_SPREAD]),
         resolution=np.array([*frame.resolution, *[np.inf] * (lights + 4)]),
     )

@@ -27,7 +27,6 @@ from lightopt.estimate.registration._pixels import PixelSet, light_at, sensor_sc
 from lightopt.estimate.registration._placement import Placement, PoseFrame, place_part
 from lightopt.estimate.registration._refinement import (
     OUTLINE_PX,
-    POSE,
     RefinementProblem,
     choose_pixels,
     parameter_limits,
@@ -69,8 +68,8 @@ ALONG_AXIS = 0.9  # a direction is named by a parameter that has this share of i
 class Registration:
     """A placement and how well the images determine it.
 
-    pose_errors: Standard errors of the shift of the part's middle in x and y [mm] and of the turn about it [rad]; those
-        of the placement are larger where the part lies off the stage's axis.
+    pose_errors: Standard errors of the shift of the part's middle in x and y [mm], of the turn about it [rad], and of
+        height [mm] and tilts [rad] where these are searched; those of the placement are larger off the stage's axis.
     converged: Whether a further step would change nothing, the part kept its place in the last stage, and the place is
         none of the furthest allowed.
     cost_before, cost_after: Robust cost per pixel where the last stage began and where it ended.
@@ -78,7 +77,7 @@ class Registration:
     """
 
     placement: Placement
-    pose_errors: tuple[float, float, float]
+    pose_errors: tuple[float, ...]
     converged: bool = True
     iterations: int = 0
     cost_before: float = 0.0
@@ -151,7 +150,8 @@ def _search_placement(scene: Scene, sets: Sequence[PixelSet], caster: RayCaster,
     # and Mead 1965, doi:10.1093/comjnl/7.4.308) within the greatest shift and turn
     from scipy import optimize  # takes long to load, and a capture seldom needs it
 
-    frame, progress = PoseFrame.of(scene), run.stage("registering the part")
+    # height and tilt are left to the refinement
+    frame, progress = replace(PoseFrame.of(scene), freedoms=3), run.stage("registering the part")
     done = 0
 
     def misfit(pose: Float64) -> float:
@@ -163,7 +163,7 @@ def _search_placement(scene: Scene, sets: Sequence[PixelSet], caster: RayCaster,
         lit: list[Float64] = []
         seen: list[Float64] = []
         for pixels in sets:
-            view = view_of_placed(scene, pixels.posture, place.x, place.y, place.turn)
+            view = view_of_placed(scene, pixels.posture, place)
             diffuse, _ = light_at(scene, pixels, view, caster, threads=run.threads)
             scales = np.array([[sensor_scale(scene, image)] for image in pixels.images])
             known = np.isfinite(diffuse)
@@ -221,7 +221,7 @@ def refine_placement(
     run = run or RunContext()
     progress = run.stage("refining the registration")
     frame = PoseFrame.of(scene)
-    x = start_parameters(scene, frame, start)
+    x, own = start_parameters(scene, frame, start), slice(0, frame.freedoms)
     limits = parameter_limits(scene, frame, x)
     solution: Solution | None = None
     outline = False
@@ -231,24 +231,24 @@ def refine_placement(
         inner, edges = choose_pixels(
             scene,
             observations,
-            frame.placement(x[POSE]),
+            frame.placement(x[own]),
             outline=outline,
             reduced=reduced or number == 0,
             threads=run.threads,
         )
         if number == 0:
-            hidden = unobservable_rotation(scene, frame, inner, x[POSE], caster=caster)
+            hidden = unobservable_rotation(scene, frame, inner, x[own], caster=caster)
             limits = replace(limits, undetermined=np.pad(hidden, ((0, 0), (0, len(x) - 3))))
         problem = RefinementProblem(scene, frame, inner, edges, x, caster=caster, threads=run.threads)
         solution = solve(problem, x, limits, most_iterations=STAGE_ITERATIONS)
         iterations += solution.iterations
-        moved = frame.distance_px(frame.placement(x[POSE]), frame.placement(solution.x[POSE]))
+        moved = frame.distance_px(frame.placement(x[own]), frame.placement(solution.x[own]))
         if progress is not None:
             progress((number + 1) / (STAGES + OUTLINE_STAGES))
-        if not outline and np.any(solution.errors[POSE] > OUTLINE_PX * frame.pixel_steps):
+        if not outline and np.any(solution.errors[own] > OUTLINE_PX * frame.pixel_steps):
             # the inner pixels do not determine the place well enough: begin again, with the outline
             outline = True
-            x = np.concatenate([frame.pose(start), solution.x[3:]])
+            x = np.concatenate([frame.pose(start), solution.x[frame.freedoms :]])
             stages = max(stages, number + 1 + OUTLINE_STAGES)
         else:
             x = solution.x
@@ -262,18 +262,18 @@ def refine_placement(
 
 def _result(solution: Solution, frame: PoseFrame, iterations: int, moved: float, *, outline: bool) -> Registration:
     # `moved` by so much in the last stage [px]
-    directions = solution.undetermined[:, POSE]
+    own = slice(0, frame.freedoms)
+    directions = solution.undetermined[:, own]
     share = np.sum(np.square(directions), axis=0)
     # exactly as in the part file, not but for rounding
-    pose = np.where(share > 1.0 - 1e-6, 0.0, solution.x[POSE])
-    not_converged = () if len(directions) == 3 else _convergence_warnings(solution, frame, iterations, moved)
-    known, errors = share <= ALONG_AXIS, solution.errors[POSE]
+    pose = np.where(share > 1.0 - 1e-6, 0.0, solution.x[own])
+    not_converged = (
+        () if len(directions) == frame.freedoms else _convergence_warnings(solution, frame, iterations, moved)
+    )
+    known, errors = share <= ALONG_AXIS, solution.errors[own]
     return Registration(
-        placement=replace(
-            frame.placement(pose, solution.covariance[POSE, POSE]),
-            observable=(bool(known[0]), bool(known[1]), bool(known[2])),
-        ),
-        pose_errors=(float(errors[0]), float(errors[1]), float(errors[2])),
+        placement=replace(frame.placement(pose, solution.covariance[own, own]), observable=tuple(map(bool, known))),
+        pose_errors=tuple(errors.tolist()),
         converged=not not_converged,
         iterations=iterations,
         cost_before=solution.cost_before,
@@ -285,8 +285,10 @@ def _result(solution: Solution, frame: PoseFrame, iterations: int, moved: float,
 
 def _convergence_warnings(solution: Solution, frame: PoseFrame, iterations: int, moved: float) -> tuple[str, ...]:
     # at most one
-    if solution.at_limit[POSE].any():
+    if solution.at_limit[: frame.freedoms].any():
         reach = f"{frame.reach[0]:g} mm and {math.degrees(frame.reach[2]):g}°"
+        if frame.freedoms == 6:
+            reach += f" in the plane, {frame.reach[3]:g} mm in height and {math.degrees(frame.reach[4]):g}° in tilt"
         text = f"the part was searched up to {reach} from its nominal placement, and seems to be further away; "
         return (text + "correct its placement in the part file",)
     if not solution.converged:
@@ -301,14 +303,26 @@ def _convergence_warnings(solution: Solution, frame: PoseFrame, iterations: int,
 def _undetermined_warnings(directions: Float64, share: Float64) -> tuple[str, ...]:
     # one for each direction in which the images do not determine the placement
     end = "cannot be determined from these images; assumed as in the part file"
-    if len(directions) == 3:
+    if len(directions) == len(share):
         return (f"the placement of the part {end}",)
-    names = ("the shift along x", "the shift along y", "the rotation about the rotary axis")
+    names = (
+        "the shift along x",
+        "the shift along y",
+        "the rotation about the rotary axis",
+        "the height",
+        "the tilt about x",
+        "the tilt about y",
+    )[: len(share)]
     named = [name for name, s in zip(names, share, strict=True) if s > ALONG_AXIS]
     if len(named) == len(directions):
         return tuple(f"{name} {end}" for name in named)
     warnings: list[str] = []
-    for x, y, turn in directions:
+    for direction in directions:
+        x, y, turn = direction[:3]
+        if float(np.sum(direction[:3] ** 2)) < ALONG_AXIS:
+            mixed = ", ".join(name for name, part in zip(names, direction, strict=True) if part**2 > 1.0 - ALONG_AXIS)
+            warnings.append(f"a direction between {mixed} {end}")
+            continue
         angle = math.degrees(math.atan2(y, x)) % 180.0
         along = f"the shift along {angle:.0f}° from x"
         warnings.append(f"{along} {end}" if turn**2 < 1.0 - ALONG_AXIS else f"{along} together with a rotation {end}")

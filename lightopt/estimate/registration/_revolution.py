@@ -61,7 +61,8 @@ def unobservable_rotation(
         about, foot = rotation_z(rotation), np.array([*axis, 0.0])
         # the axis stays where the pose has it
         shift = rotation_z(float(pose[2])) @ (foot - about @ foot)
-        rotated = pose + np.array([shift[0], shift[1], rotation])
+        rotated = pose.copy()
+        rotated[:3] += np.array([shift[0], shift[1], rotation])
         return any(
             _differs(before, _trace(scene, frame, pixels, rotated, caster).rotated(about, foot), frame.pixel)
             for pixels, before in zip(sets, nominal, strict=True)
@@ -108,8 +109,8 @@ def _differs(before: _Surface, after: _Surface, pixel: float) -> bool:
 
 def _trace(scene: Scene, frame: PoseFrame, pixels: PixelSet, pose: Float64, caster: RayCaster) -> _Surface:
     # what is seen in a pose by those of the pixels that see the part
-    place, middle = frame.placement(pose), np.array([*(scene.pivot[:2] + frame.middle), 0.0])
-    view = view_of_placed(scene, pixels.posture, place.x, place.y, place.turn)
+    place, middle = frame.placement(pose), np.array([*(scene.pivot + frame.middle)[:2], 0.0])
+    view = view_of_placed(scene, pixels.posture, place)
     hits, surface = trace_samples(caster, scene.mesh, view.camera, *pixels.positions)
     vertices, normals = scene.mesh.vertices, scene.mesh.normals
     assert normals is not None

@@ -74,7 +74,8 @@ def shifted_scene(scene: Scene, placement: Placement, posture: Posture, offset: 
     # it rotates about its own middle, and placements rotate about the pivot
     middle = np.array([placement.x, placement.y, 0.0])
     x, y, _ = middle - rotation_z(turn) @ middle
-    view = view_of_placed(scene, posture, x + float(offset[0]), y + float(offset[1]), turn)
+    offset_place = Placement(x=float(x + offset[0]), y=float(y + offset[1]), turn=turn)
+    view = view_of_placed(scene, posture, offset_place)
     return replace(
         scene,
         camera=view.camera.moved(view.rotation, view.translation),
@@ -193,7 +194,8 @@ class PlacementOffset:
         """The placement of the part, given the predicted placement."""
         x, y, turn = self.offset * difference_steps(scene)
         ex, ey, et = (float(e) for e in self.errors * difference_steps(scene))
-        return replace(before, x=before.x + x, y=before.y + y, turn=before.turn + turn, errors=(ex, ey, et))
+        errors = (ex, ey, et, *before.errors[3:])
+        return replace(before, x=before.x + x, y=before.y + y, turn=before.turn + turn, errors=errors)
 
 
 def sample_pixels(
@@ -276,7 +278,7 @@ def fit_placement_offset(
     a, b, noise, steep = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     if np.count_nonzero(steep) < _LEAST_PIXELS:
         return PlacementOffset(np.full(3, REACH), np.full(3, REACH), converged=False, misfit=np.inf)
-    resolution = np.maximum(PoseFrame.of(scene).resolution / difference_steps(scene), 1.0)
+    resolution = np.maximum(PoseFrame.of(scene).resolution[:3] / difference_steps(scene), 1.0)
     reach = np.array([*[3.0] * n, 10.0 * DARK_SPREAD, *[REACH] * 3])
     limits = Limits(
         nominal=np.array([*[1.0] * n, *[0.0] * 4]),
@@ -286,7 +288,7 @@ def fit_placement_offset(
         resolution=np.array([*[np.inf] * (n + 1), *(resolution if moves else [np.inf] * 3)]),
     )
     # what the images of the first part did not determine stays as it was
-    a[:, n + 1 :] *= np.array(placement.observable)
+    a[:, n + 1 :] *= np.array(placement.observable[:3])
     found = solve(linear_problem(a / noise[:, None], b / noise), limits.nominal, limits, least_spread=1.0)
     misfit = float(np.median(np.abs(b - np.einsum("ij,j->i", a, found.x))[steep] / noise[steep]))
     return PlacementOffset(found.x[n + 1 :], found.errors[n + 1 :], found.converged, misfit)

@@ -21,7 +21,7 @@ from lightopt.rendering import (
     surface_variants,
     trace_pixels,
 )
-from lightopt.scene import Scene, surface_footprint
+from lightopt.scene import Scene, lens_share, surface_footprint
 
 TRACE = 1e-6  # least R_d that is rendered: far below what a camera detects
 
@@ -91,6 +91,9 @@ def _wavy_levels(scene: Scene, posture: Posture, caster: RayCaster, threads: int
         slope=slope, direction=direction, R_d_factor=np.ones(2), sigma_factor=np.ones(2), reflectance=scene.reflectance
     )
 
+    share = lens_share(scene.camera, pixels.column + 0.5, pixels.row + 0.5)
+    passed = 1.0 if share is None else share
+
     def spread(panel: PanelLight) -> Float32:
         shaded = shade_variants(
             surface,
@@ -102,7 +105,7 @@ def _wavy_levels(scene: Scene, posture: Posture, caster: RayCaster, threads: int
             dtype=np.float32,
         )
         image = np.zeros(pixels.shape, np.float32)
-        image[pixels.row, pixels.column] = np.hypot(*(one - shaded.good for one in shaded.varied))
+        image[pixels.row, pixels.column] = np.hypot(*(one - shaded.good for one in shaded.varied)) * passed
         return image
 
     return WavyLevels(

@@ -12,7 +12,7 @@ from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Float64, Int32
 from lightopt.core.run_context import RunContext
 from lightopt.core.threads import side_by_side
-from lightopt.core.transforms import Posture, rotation_z
+from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import (
     Observation,
     Placement,
@@ -160,7 +160,7 @@ def world_to_mesh_file(
     file = scene.placement
     if direction:
         view = view_from_part(scene, posture)
-        return points @ view.rotation @ rotation_z(placement.turn) @ file.rotation
+        return points @ view.rotation @ placement.rotation @ file.rotation
     nominal = _world_to_nominal_part(points, scene, placement, posture)
     return (nominal - file.translation) @ file.rotation
 
@@ -188,5 +188,4 @@ def _world_to_nominal_part(points: Float64, scene: Scene, placement: Placement, 
     # world points of the placed part in the part frame, with the part where its file has it
     view = view_from_part(scene, posture)
     on_stage = (points - view.translation) @ view.rotation
-    shift = np.array([placement.x, placement.y, 0.0])
-    return (on_stage - scene.pivot - shift) @ rotation_z(placement.turn) + scene.pivot
+    return (on_stage - placement.shift(scene.pivot)) @ placement.rotation

@@ -42,7 +42,7 @@ from lightopt.rendering import (
     surface_variants,
     trace_pixels,
 )
-from lightopt.scene import Scene, surface_footprint
+from lightopt.scene import Scene, lens_share, surface_footprint
 
 # a place is tested where a defect of the entry's own size and amplitude is expected to stand out by so much; elsewhere
 # only one several times as strong would be found
@@ -237,7 +237,10 @@ def _templates(
         )
         place = surface.pixels.row[some], surface.pixels.column[some]
         good, noise, limit = (a[i][place].astype(np.float64)[:, None] for a in (view.predicted, deviation, view.limit))
-        off = expected_change(good, good + levels.varied.T - levels.good[:, None], deviation=noise, limit=limit)
+        share = lens_share(scene.camera, place[1] + 0.5, place[0] + 0.5)
+        passed = 1.0 if share is None else share[:, None]
+        change_of_level = passed * (levels.varied.T - levels.good[:, None])
+        off = expected_change(good, good + change_of_level, deviation=noise, limit=limit)
         off *= np.sqrt(count.reshape(-1, lights)[to, i])[:, None]
         change.reshape(-1, lights, len(own.slope))[to, i] = np.rint(off / unit)
 

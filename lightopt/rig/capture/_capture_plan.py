@@ -35,6 +35,7 @@ class CaptureOptions:
     home: Whether the stage seeks its origin first.
     check: Whether each image is checked for being lit by the right light.
     check_repeatability: Whether the stage returns to its first posture at the end, to detect lost steps.
+    seed: Of the virtual bench's noise, instead of the rig file's.
     Raises InputError: A number is out of range or something is given twice.
     """
 
@@ -46,6 +47,7 @@ class CaptureOptions:
     home: bool = False
     check: bool = True
     check_repeatability: bool = False
+    seed: int | None = None
 
     def __post_init__(self) -> None:
         if problems := tuple(self._problems()):
@@ -70,7 +72,8 @@ class CaptureOptions:
     def as_dict(self) -> dict[str, Any]:
         """What changes the files of the set, in JSON form."""
         numbers = {"exposures": list(self.exposures), "average": self.average}
-        return {**numbers, "dark": self.dark, "check": self.check}
+        seed = {} if self.seed is None else {"seed": self.seed}
+        return {**numbers, "dark": self.dark, "check": self.check, **seed}
 
 
 @dataclass(frozen=True)
@@ -231,6 +234,8 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
         problems.append(
             "check of repeatability: expected a stage and two postures or more, so that it returns from another one"
         )
+    if options.seed is not None and not wiring.camera_is_virtual:
+        problems.append("option 'seed': the rig's camera is a real one, whose noise has no seed; leave this out")
     exposures = tuple(sorted(options.exposures, reverse=True))
     problems += exposure_problems(rig, wiring, exposures)
     if problems:

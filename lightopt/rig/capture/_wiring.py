@@ -1,5 +1,6 @@
 """Which device plays which role on a rig: those of its file, or those of a virtual bench, which is started here."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -13,7 +14,9 @@ from lightopt.config import (
     PartConfig,
     RigConfig,
     StageDeviceConfig,
+    load_rig,
 )
+from lightopt.core.errors import InputError
 from lightopt.rig.devices import Axis
 from lightopt.rig.simulated import AxisWire, BenchProcess, BenchTruth, CameraSetup, LightWire
 from lightopt.scene import VIRTUAL_DEG_PER_S
@@ -114,7 +117,9 @@ def start_bench(
 ) -> BenchProcess:
     """Start a virtual bench with the virtual devices of a rig, and with a camera where there is a part.
 
+    truth: Where the bench differs from the files; as the rig file has it by default.
     Raises HardwareError: its process does not start.
+    Raises InputError: the true rig that the rig file names does not fit it.
     """
     hardware = wiring.hardware
     devices = _controllers(wiring)
@@ -125,7 +130,7 @@ def start_bench(
     if part is None:
         return BenchProcess(devices)
     setup = CameraSetup(
-        rig=str(rig.source.path.resolve()),
+        rig=str(_true_rig(rig).source.path.resolve()),
         part=str(part.source.path.resolve()),
         exposure_us=wiring.exposure_us,
         lights=tuple(
@@ -142,10 +147,36 @@ def start_bench(
             axis.name: AxisWire(device=STAGE, axis=axis.device, steps_per_deg=axis.steps_per_deg, zero=axis.zero)
             for axis in axes
         },
-        truth=truth or BenchTruth(),
+        truth=truth or bench_truth(rig),
         gige=wiring.camera_is_gige,
     )
     return BenchProcess(devices, camera=asdict(setup))
+
+
+def bench_truth(rig: RigConfig) -> BenchTruth:
+    """How the virtual bench differs from a rig's file, apart from the rig that it follows."""
+    own = rig.virtual_bench
+    if own is None:
+        return BenchTruth()
+    x, y, z = map(math.radians, own.part_rotation_vector_deg)
+    return BenchTruth(seed=own.seed, part_offset_mm=own.part_offset_mm, part_rotation=(x, y, z))
+
+
+def _true_rig(rig: RigConfig) -> RigConfig:
+    if rig.virtual_bench is None or rig.virtual_bench.rig is None:
+        return rig
+    true = load_rig(rig.source.resolve(rig.virtual_bench.rig))
+    for what, own, there in (
+        ("lights", {light.name for light in rig.lights}, {light.name for light in true.lights}),
+        ("resolution_px", rig.camera.resolution_px, true.camera.resolution_px),
+        ("bit_depth", rig.camera.sensor.bit_depth, true.camera.sensor.bit_depth),
+    ):
+        if own != there:
+            raise InputError(
+                f"{rig.source.at('virtual_bench', 'rig')}: {true.source.path} has other {what} than this file; "
+                "the bench's true rig must have the same"
+            )
+    return true
 
 
 def start_lights(wiring: Wiring) -> BenchProcess:

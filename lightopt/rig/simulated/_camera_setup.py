@@ -20,6 +20,7 @@ class BenchTruth:
     seed: Seed of the noise, and of the waviness of the surface.
     gains: Factor on the brightness of a light, by its name; 1 where none is given.
     part_offset_mm: How far from its place the part lies, world frame at posture (0, 0) [mm].
+    part_rotation: How the part is rotated about the origin before that, a rotation vector [rad].
     dark_level: Added to the sensor's black level [sensor level].
     ambient_level: Light that is always there, everywhere in the image [grey level at exposure 1].
     triggered: Whether the camera's frames begin on request; otherwise they follow one another, and the first after a
@@ -29,6 +30,7 @@ class BenchTruth:
     seed: int = 1
     gains: Mapping[str, float] = field(default_factory=dict[str, float])
     part_offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    part_rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
     dark_level: float = 0.0
     ambient_level: float = 0.0
     triggered: bool = True

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.arrays import Float32, UInt8
-from lightopt.core.transforms import Posture
+from lightopt.core.transforms import Posture, rotation_from_vector
 from lightopt.geometry import RayCaster
 from lightopt.optics import expose
 from lightopt.rendering import cast_rays_at, render_posture
@@ -31,7 +31,11 @@ class BenchOptics:
 
     def __init__(self, scene: Scene, truth: BenchTruth) -> None:
         self.scene = replace(
-            move_part(scene, np.eye(3), np.array(truth.part_offset_mm, np.float64)),
+            move_part(
+                scene,
+                rotation_from_vector(np.array(truth.part_rotation, np.float64)),
+                np.array(truth.part_offset_mm, np.float64),
+            ),
             sensor=replace(scene.sensor, black_level=scene.sensor.black_level + truth.dark_level),
         )
         self._truth = truth
