@@ -233,13 +233,13 @@ def _mask(options: ImportOptions, photographs: Photographs | None, rows: Sequenc
 def _shape(options: ImportOptions, out: Path, pose: Pose | None, turn: Float64) -> PartShape:
     given = [one for one in (options.mesh, options.sphere, options.plate) if one is not None]
     if len(given) != 1:
-        raise InputError(
-            f"expected one of option 'mesh', option 'sphere' and option 'plate', found {len(given)} of them"
-        )
+        raise InputError(f"expected one of option 'mesh', option 'sphere' and option 'plate', found {len(given)}")
     if options.mesh is not None:
         return mesh_part(options.mesh, units=options.mesh_units, folder=out)
     if options.sphere is not None:
         return sphere_part(options.sphere)
     assert options.plate is not None
+    if min(options.plate) <= 0.0:
+        raise InputError(f"option 'plate': expected width and height above 0, found {options.plate}")
     eye = np.array([0.0, 0.0, 1.0]) if pose is None else pose.position
     return plate_part(*options.plate, towards_z=bool((turn.T @ eye)[2] > 0.0))

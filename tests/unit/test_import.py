@@ -303,7 +303,9 @@ def test_formats_and_depths(cli, tmp_path, ball, name, options, bits, level):
     if name == "packed.tif":
         write(ball[1] / name, (grey << 4) | (grey >> 8), 12)
     elif name == "a.exr":
-        write(ball[1] / name, np.full((60, 80), 0.25, np.float32))
+        grey = np.full((60, 80), 0.25, np.float32)
+        grey[30, 40] = 1.0
+        write(ball[1] / name, grey)
     elif name == "a.jpg":
         Image.fromarray(grey.astype(np.uint8)).save(ball[1] / name, quality=95)
     else:
@@ -318,4 +320,4 @@ def test_formats_and_depths(cli, tmp_path, ball, name, options, bits, level):
     full = 2**bits - 1
     expected = 0.25 * 255 / 2 if level is None else level * 255 / full / 2
     assert loaded.levels[27, 44] == pytest.approx(expected, rel=0.01 if name == "a.jpg" else 1e-5)
-    assert not loaded.saturated.any()
+    assert np.argwhere(loaded.saturated).tolist() == ([[30, 40]] if name == "a.exr" else [])

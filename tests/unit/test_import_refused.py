@@ -181,6 +181,7 @@ def test_masks_of_spheres(refused, folder):
     [
         (("--turn-world", "180"), ["--turn-world", "x180"]),
         (("--plate", "20"), ["--plate", "2 numbers"]),
+        (("--plate", "20,-1"), ["--plate", "above 0"]),
         (("--sphere", "5", "--plate", "2,2"), ["--mesh", "--sphere", "found 2"]),
         (("--bits", "12"), ["--bits", "16 bits"]),
         (("--mesh", "absent.stl", "--mesh-units", "mm"), ["absent.stl"]),
