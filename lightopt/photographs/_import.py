@@ -63,7 +63,6 @@ def import_photographs(
     inputs = read_inputs(folder, table, out, options)
     rows, photographs = inputs.rows, inputs.photographs
     placed = place(inputs, options)
-    run.warn(*photographs.notes)
     rig_yaml = rig_text(
         inputs,
         placed,
@@ -81,6 +80,7 @@ def import_photographs(
         header = set_manifest("captured", rig, part, scene, options=_facts(folder, table, inputs, options))
         plan = [(row.light, row.posture, row.exposure) for row in rows]
         writer = ImageSetWriter(out, header, force=force, plan=plan)
+    run.warn(*photographs.notes)
     overlap = None if inputs.mask is None else _overlap(scene, inputs.mask)
     if overlap is not None and overlap < _LEAST_OVERLAP:
         run.warn(
@@ -172,4 +172,4 @@ def _add(
 
 
 def _point(point: Float64) -> str:
-    return f"({', '.join(f'{v + 0.0:.4g}' for v in point)})"
+    return f"({', '.join(f'{round(v, 6) + 0.0:.4g}' for v in point)})"

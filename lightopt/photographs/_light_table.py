@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -20,6 +20,7 @@ _DIRECTION, _POSITION = ("x", "y", "z"), ("x_mm", "y_mm", "z_mm")
 _COLUMNS = ("image", "light", *_DIRECTION, *_POSITION, "exposure", "intensity", "posture")
 _SAME = {"file": "image", "filename": "image", "name": "light", "gain": "intensity"}
 _UNIT_TOLERANCE = 0.05  # a direction whose length is further off 1 is suspected to be a position
+_LEAST = 1e-9  # exposure or intensity
 
 
 @dataclass(frozen=True)
@@ -88,12 +89,12 @@ def _row(where: str, cells: Mapping[str, str | None], problems: list[str]) -> Ta
     def cell(name: str) -> str:
         return (cells.get(name) or "").strip()
 
-    def read(name: str, default: float, expected: str, accepts: Callable[[float], bool]) -> float:
+    def read(name: str, default: float, expected: str, least: float = -math.inf) -> float:
         try:
             value = float(Fraction(cell(name))) if "/" in cell(name) else float(cell(name) or default)
         except (ValueError, ZeroDivisionError):
             value = math.nan
-        if not (math.isfinite(value) and accepts(value)):
+        if not (math.isfinite(value) and value >= least):
             problems.append(f'{where}: column {name}: expected {expected}, found "{cell(name)}"')
         return value
 
@@ -108,15 +109,15 @@ def _row(where: str, cells: Mapping[str, str | None], problems: list[str]) -> Ta
     if len(given) != 1:
         found = "both" if given else "neither: an image without light"
         problems.append(f"{where}: expected a direction (x, y, z) or a position (x_mm, y_mm, z_mm), found {found}")
-    place = np.array([read(name, math.nan, "a number", lambda _: True) for name in (given or [()])[0]])
+    place = np.array([read(name, math.nan, "a number") for name in (given or [()])[0]])
     length = float(np.linalg.norm(place))
     near = given == [_POSITION]
     if given and not near and abs(length - 1.0) > _UNIT_TOLERANCE:
         problems.append(
             f"{where}: expected a direction of length 1, found {length:.4g}; positions in mm belong in x_mm, y_mm, z_mm"
         )
-    exposure = read("exposure", 1.0, "a number or a fraction from 1e-9 to 1e9", lambda v: 1e-9 <= v <= 1e9)
-    intensity = read("intensity", 1.0, "a number above 0", lambda v: v > 0.0)
+    exposure = read("exposure", 1.0, "a number or a fraction above 0, such as 1/16", _LEAST)
+    intensity = read("intensity", 1.0, "a number above 0", _LEAST)
     angles = re.split(r"[,;\s]+", cell("posture") or "0,0")
     try:
         tilt, rotation = (float(angle) for angle in angles)
