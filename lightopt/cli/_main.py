@@ -1,5 +1,6 @@
 import importlib
 import io
+import keyword
 import os
 import signal
 import sys
@@ -28,6 +29,7 @@ _COMMANDS = {
     "init": ("_files", "Write a sample rig, part and mesh to start from."),
     "check": ("_files", "Validate rig and part files and summarise the set-up."),
     "render": ("_render", "Render the images that the camera would take."),
+    "import": ("_import", "Make rig, part and image set from photographs."),
     "capture": ("_capture", "Capture images on the rig or the virtual bench."),
     "defects": ("_files", "Place random defects on a part for testing."),
     "calibrate": ("_calibrate", "Measure a rig from images of targets on its stage."),
@@ -62,7 +64,8 @@ class _MadeOnDemand(UserDict[str, Any]):
         from lightopt.cli._common import HeadedCommand
 
         module, text = _COMMANDS[name]
-        found = getattr(importlib.import_module(f"lightopt.cli.{module}"), name.replace("-", "_"))
+        function = f"{name}_" if keyword.iskeyword(name) else name.replace("-", "_")
+        found = getattr(importlib.import_module(f"lightopt.cli.{module}"), function)
         if not isinstance(found, typer.Typer):
             alone = typer.Typer(add_completion=False, rich_markup_mode=None)
             alone.command(name, short_help=text, cls=HeadedCommand)(found)

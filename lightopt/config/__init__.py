@@ -24,6 +24,7 @@ from lightopt.config._load import (
     load_rig as load_rig,
     load_targets as load_targets,
 )
+from lightopt.config._opencv_file import read_opencv_file as read_opencv_file
 from lightopt.config._part import (
     InspectionConfig as InspectionConfig,
     PartConfig as PartConfig,

@@ -18,6 +18,7 @@ from lightopt.geometry._patches import (
     longest_edges as longest_edges,
     refine as refine,
 )
+from lightopt.geometry._solids import box_stl as box_stl, sphere_stl as sphere_stl
 from lightopt.geometry._topology import merge_rows as merge_rows, mesh_edges as mesh_edges
 from lightopt.geometry._triangle_mesh import (
     TriangleMesh as TriangleMesh,

@@ -42,6 +42,11 @@ from lightopt.images.formats._exr import (
     read_exr_metadata as read_exr_metadata,
     write_exr as write_exr,
 )
+from lightopt.images.formats._photograph import (
+    PhotographFormat as PhotographFormat,
+    photograph_format as photograph_format,
+    read_photograph as read_photograph,
+)
 from lightopt.images.formats._png import (
     read_png as read_png,
     read_png_metadata as read_png_metadata,

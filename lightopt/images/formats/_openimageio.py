@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import threading
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _METADATA_KEY = "lightopt:json"  # the attribute that carries all metadata: the only kind that both EXR and PNG keep
 
 _PROBE_BYTES = 1 << 20
-_FORMAT_NAMES = {"openexr": "an OpenEXR image", "png": "a PNG image"}
+_FORMAT_NAMES = {"openexr": "an OpenEXR image", "png": "a PNG image", "jpeg": "a JPEG image", "tiff": "a TIFF image"}
 
 
 def openimageio() -> Any:
@@ -92,22 +92,24 @@ def write_image(
 
 
 @contextmanager
-def open_input(path: Path, *, file_format: str) -> Generator[OpenImageIO.ImageInput, None, None]:
-    """Open an image of the given format for reading; InputError when it is missing, unreadable or of another format."""
+def open_input(path: Path, *, file_format: str | Sequence[str]) -> Generator[OpenImageIO.ImageInput, None, None]:
+    """Open an image for reading; InputError when it is missing, unreadable or of none of the formats given."""
     OpenImageIO = openimageio()
+    formats = (file_format,) if isinstance(file_format, str) else tuple(file_format)
+    expected = " or ".join(_FORMAT_NAMES[name] for name in formats)
     try:
         path.open("rb").close()
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-    source = OpenImageIO.ImageInput.open(str(path))
+    hints = OpenImageIO.ImageSpec()
+    hints.attribute("oiio:UnassociatedAlpha", 1)  # else colours are multiplied by a PNG's transparency
+    source = OpenImageIO.ImageInput.open(str(path), hints)
     if source is None:
         reason = OpenImageIO.geterror().strip()
-        raise InputError(
-            f"{path}: expected {_FORMAT_NAMES[file_format]}, found something else or a damaged file: {reason}"
-        )
+        raise InputError(f"{path}: expected {expected}, found something else or a damaged file: {reason}")
     try:
-        if source.format_name() != file_format:
-            raise InputError(f"{path}: expected {_FORMAT_NAMES[file_format]}, found {source.format_name()}")
+        if source.format_name() not in formats:
+            raise InputError(f"{path}: expected {expected}, found {source.format_name()}")
         yield source
     finally:
         source.close()
