@@ -14,7 +14,7 @@ import numpy as np
 from lightopt import build_scene, load_part, load_rig, render
 from lightopt.core.transforms import Posture, rotation_from_vector
 from lightopt.estimate.rig_calibration import BoardImage, CharucoBoard, board_mesh, find_corners, fit_board
-from lightopt.geometry import write_mesh
+from lightopt.geometry import stl_bytes
 from lightopt.report import board_sheet
 
 RIG = Path(__file__).parents[1] / "configs" / "rigs" / "four-panel.yaml"
@@ -31,7 +31,7 @@ reflectance: {R_d: 200, R_s: 0, sigma_rad: 0.2}
 def main(folder: Path) -> None:
     folder.mkdir(exist_ok=True)
     board_sheet(BOARD, folder / "board.pdf", paper="a4")
-    write_mesh(folder / "board.stl", board_mesh(BOARD, margin=2.0))
+    (folder / "board.stl").write_bytes(stl_bytes(board_mesh(BOARD, margin=2.0)))
     (folder / "part.yaml").write_text(PART)
     nominal = build_scene(load_rig(RIG), load_part(folder / "part.yaml"))
     postures = [Posture(tilt, turn) for tilt in (-35.0, 0.0, 35.0) for turn in (10.0, 100.0, 190.0, 280.0)]

@@ -9,7 +9,6 @@ import io
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -317,17 +316,11 @@ def _fans(polygons: Int64) -> Int64:
     return np.stack([polygons[:, (0, k, k + 1)] for k in range(1, corners - 1)], axis=1).reshape(-1, 3)
 
 
-def write_mesh(path: str | Path, mesh: TriangleMesh) -> None:
-    """Write a mesh [mm] as a file of the kind that its name ends with: .stl, .ply or .obj; normals are not kept.
-
-    Raises InputError: Another kind
-    """
-    import trimesh
-
-    path = Path(path)
-    kind = path.suffix.lower().removeprefix(".")
-    if kind not in ("stl", "ply", "obj"):
-        raise InputError(f"{path}: expected a name that ends with .stl, .ply or .obj")
-    shape = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    exported: Any = shape.export(file_type=kind)
-    path.write_bytes(exported.encode("utf-8") if isinstance(exported, str) else exported)
+def stl_bytes(mesh: TriangleMesh) -> bytes:
+    """A mesh [mm] as a binary STL file; normals are those of the facets."""
+    corners = mesh.vertices[mesh.faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    triangles = np.zeros(len(corners), _STL_TRIANGLE)
+    triangles["vertices"] = corners
+    triangles["normal"] = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
+    return bytes(80) + len(corners).to_bytes(4, "little") + triangles.tobytes()

@@ -11,7 +11,7 @@ import numpy as np
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.units import MM_PER_UNIT
-from lightopt.geometry import UNITLESS_SUFFIXES, box_stl, load_mesh, sphere_stl
+from lightopt.geometry import UNITLESS_SUFFIXES, box_mesh, load_mesh, sphere_mesh, stl_bytes
 
 _THICKNESS = 0.02  # of a plate, as a share of its longer side
 
@@ -50,11 +50,13 @@ def mesh_part(path: Path, *, units: str | None, folder: Path) -> PartShape:
 def sphere_part(radius: float) -> PartShape:
     """A sphere about the origin of its mesh; radius [mm]."""
     corners = np.array([[-radius] * 3, [radius] * 3])
-    return PartShape(name="sphere", file="sphere.stl", units="mm", content=sphere_stl(radius), corners=corners)
+    return PartShape(
+        name="sphere", file="sphere.stl", units="mm", content=stl_bytes(sphere_mesh(radius)), corners=corners
+    )
 
 
 def plate_part(width: float, height: float, *, towards_z: bool) -> PartShape:
     """A plate [mm] with the middle of its face at the origin, seen from above (`towards_z`) or from below."""
     depth = _THICKNESS * max(width, height) * np.array([-1.0, 0.0] if towards_z else [0.0, 1.0])
     corners = np.stack([0.5 * width * np.array([-1, 1]), 0.5 * height * np.array([-1, 1]), depth], axis=1)
-    return PartShape(name="plate", file="plate.stl", units="mm", content=box_stl(corners), corners=corners)
+    return PartShape(name="plate", file="plate.stl", units="mm", content=stl_bytes(box_mesh(corners)), corners=corners)

@@ -4,7 +4,7 @@ Entry: ``plan_calibration(rig, folder)`` says what to capture, ``calibrate_rig(r
 ``write_calibration`` writes the calibrated rig. Its steps:
 
 - Board: ``fit_board(views, board, camera=...) -> BoardFit`` gives camera and stage axes, with views from
-  ``find_corners`` (images of a ChArUco board) or ``read_corners`` (corners that another program found).
+  ``find_corners`` (images of a ChArUco board) or a list of corners that another program found.
 - Mirror ball: ``_ball_images`` measures the mirrored panels, ``_ball_fit`` gives their poses.
 - Matt plate: ``_plate_fit`` gives the panels' light and the lens's vignetting.
 - Pairs of frames: ``_photon_transfer`` gives the sensor.
@@ -22,14 +22,10 @@ from lightopt.estimate.rig_calibration._charuco import (
     board_mesh as board_mesh,
     white_areas as white_areas,
 )
-from lightopt.estimate.rig_calibration._corner_lists import read_corners as read_corners
 from lightopt.estimate.rig_calibration._files import (
     REPORT_NAME as REPORT_NAME,
     figures as figures,
     write_calibration as write_calibration,
 )
 from lightopt.estimate.rig_calibration._measured import Measured as Measured
-from lightopt.estimate.rig_calibration._plan import (
-    CalibrationPlan as CalibrationPlan,
-    plan_calibration as plan_calibration,
-)
+from lightopt.estimate.rig_calibration._plan import plan_calibration as plan_calibration

@@ -18,12 +18,16 @@ from lightopt.estimate.rig_calibration._ball_images import measure_ball
 from lightopt.estimate.rig_calibration._board_fit import BoardFit, fit_board
 from lightopt.estimate.rig_calibration._board_images import BoardImage, find_corners
 from lightopt.estimate.rig_calibration._charuco import CharucoBoard
+from lightopt.estimate.rig_calibration._corner_lists import read_corners
 from lightopt.estimate.rig_calibration._photon_transfer import FramePair, PhotonTransfer, photon_transfer
 from lightopt.estimate.rig_calibration._plan import BALL, BOARD, PLATE, SENSOR, TARGETS_NAME
 from lightopt.estimate.rig_calibration._plate_fit import Plate, PlateFit, fit_plate, plate_cells
 from lightopt.images import ImageSet, dark_name, read_image_set, read_png
 from lightopt.lights import PanelLight
 from lightopt.scene import PinholeCamera, Stage, build_camera, build_lights, build_sensor, build_stage
+
+CORNERS_NAME = "board.json"
+"""Corners of the board that another program found, in place of its image set."""
 
 CELL_SHARE = 1 / 40  # side of a plate's cell, of the image's width
 
@@ -71,7 +75,9 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
     if rig.source.path.resolve().parent == folder.resolve() and rig.source.path.name == "rig.calibrated.yaml":
         raise InputError(f"{rig.source.path}: this is the result; give the rig file that was captured with")
     targets = load_targets(folder / TARGETS_NAME)
-    sets = {name: folder / name for name in (BOARD, BALL, PLATE, *SENSOR) if (folder / name).is_dir()}
+    sets = {name for name in (BOARD, BALL, PLATE, *SENSOR) if (folder / name).is_dir()}
+    if (folder / CORNERS_NAME).is_file():
+        sets.add(BOARD)
     if not sets:
         raise InputError(
             f"{folder}: no image set of a calibration; expected some of {', '.join((BOARD, BALL, PLATE, *SENSOR))}; "
@@ -160,8 +166,26 @@ def _board(
         dictionary=target.dictionary,
         legacy_pattern=target.legacy_pattern,
     )
+    grid = printed.grid(
+        pitch=target.square_mm,
+        pitch_error=target.square_error,
+        height=target.height_mm,
+        height_error=target.height_error_mm,
+    )
+    if (folder / CORNERS_NAME).is_file():
+        views = read_corners(folder / CORNERS_NAME)
+    else:
+        images = _board_images(rig, folder, run)
+        views, problems = find_corners(images, printed, full_scale=float(build_sensor(rig.camera).saturated_from))
+        warnings += [f"board {one.name}: {one.message}" for one in problems]
+    fit = fit_board(views, grid, camera=camera, stage=stage, angle_error_deg=targets.reading_error_deg)
+    warnings += [f"board {name}: this view does not fit the others; look at its image" for name in fit.faulty]
+    return fit
+
+
+def _board_images(rig: RigConfig, folder: Path, run: RunContext) -> list[BoardImage]:
     _, observations = _observations(rig, folder, BOARD, run)
-    images = [
+    return [
         BoardImage(
             str(posture),
             posture,
@@ -169,17 +193,6 @@ def _board(
         )
         for posture in dict.fromkeys(o.posture for o in observations)
     ]
-    views, problems = find_corners(images, printed, full_scale=build_sensor(rig.camera).saturated_from)
-    warnings += [f"board {one.name}: {one.message}" for one in problems]
-    grid = printed.grid(
-        pitch=target.square_mm,
-        pitch_error=target.square_error,
-        height=target.height_mm,
-        height_error=target.height_error_mm,
-    )
-    fit = fit_board(views, grid, camera=camera, stage=stage, angle_error_deg=targets.reading_error_deg)
-    warnings += [f"board {name}: this view does not fit the others; look at its image" for name in fit.faulty]
-    return fit
 
 
 def rig_deviations(board: BoardFit) -> list[tuple[PinholeCamera, Stage]]:

@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 from lightopt.config import RigConfig, TargetsConfig, load_targets
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.estimate.rig_calibration._charuco import CharucoBoard, board_mesh
-from lightopt.geometry import TriangleMesh, write_mesh
-from lightopt.images import make_folder, write_text_atomic
+from lightopt.geometry import TriangleMesh, box_mesh, sphere_mesh, stl_bytes
+from lightopt.images import make_folder, write_bytes_atomic, write_text_atomic
 from lightopt.optics import Reflectance
 from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.scene import Scene, build_camera, build_lights, build_sensor, build_stage, view_size
@@ -26,8 +25,10 @@ BOARD, BALL, PLATE, SENSOR = "board", "ball", "plate", ("sensor-a", "sensor-b")
 SQUARES = (12, 9)
 BOARD_SHARE = 0.9  # of the view that the board fills
 BOARD_TILTS_DEG, BOARD_TURNS = (0.0, 40.0, -40.0), 5
+FIRST_TURN_DEG = 10.0  # a board in line with the pixels has uneven edges
 BALL_TILTS_DEG, BALL_TURNS, BALL_SHARE = (20.0, -20.0), 4, 0.2
 PLATE_TILTS_DEG = (0.0, 25.0, -25.0)
+PLATE_THICKNESS_MM = 1.0  # on the virtual bench
 SENSOR_EXPOSURES = (1.0, 1 / 2, 1 / 3, 1 / 4, 1 / 6, 1 / 8, 1 / 12, 1 / 16, 1 / 24)
 
 # light of the parts that stand for the targets at exposure 1, of 255: of white, of a panel in the ball, of the ball
@@ -89,20 +90,15 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
     if targets.ball is not None:
         postures = _postures(rig, BALL_TILTS_DEG, BALL_TURNS)
         r = targets.ball.radius_mm
-        sphere = trimesh.creation.icosphere(subdivisions=6, radius=r)
         # off the rotary axis, which shows where the axis is
-        place = np.array([0.3 * r, 0.2 * r, r])
-        mesh = TriangleMesh(
-            vertices=np.asarray(sphere.vertices, np.float64) + place, faces=np.asarray(sphere.faces, np.int32)
-        )
-        smooth = replace(mesh, normals=np.asarray(sphere.vertices, np.float64) / r)
-        shine = {"R_d": BODY, "R_s": float(f"{MIRRORED / _plateau(rig, smooth, postures[0]):.4g}"), "sigma_rad": SIGMA}
+        sphere = sphere_mesh(r)
+        mesh = replace(sphere, vertices=sphere.vertices + np.array([0.3 * r, 0.2 * r, r]))
+        shine = {"R_d": BODY, "R_s": float(f"{MIRRORED / _plateau(rig, mesh, postures[0]):.4g}"), "sigma_rad": SIGMA}
         files += _write_part(folder, BALL, mesh, 0.0, postures, shine, force)
         captured.append((BALL, "", postures, len(lights)))
     if targets.plate is not None:
         x, y = targets.plate.size_mm
-        corners = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0]]) * [x, y, 1.0]
-        mesh = TriangleMesh(vertices=corners, faces=np.array([[0, 1, 2], [0, 2, 3]], np.int32))
+        mesh = box_mesh(np.array([[-0.5 * x, -0.5 * y, -PLATE_THICKNESS_MM], [0.5 * x, 0.5 * y, 0.0]]))
         postures = _postures(rig, PLATE_TILTS_DEG, 1)
         files += _write_part(folder, PLATE, mesh, targets.plate.height_mm, postures, white, force)
         captured.append((PLATE, "", postures, len(lights)))
@@ -113,7 +109,8 @@ def plan_calibration(rig: RigConfig, folder: Path, *, force: bool = False) -> Ca
     ]
     if targets.plate is not None:
         levels = ",".join(f"1/{round(1 / exposure)}" if exposure < 1.0 else "1" for exposure in SENSOR_EXPOSURES)
-        seeds = ("", " --seed 2") if rig.hardware is None else ("", "")
+        own = 1 if rig.virtual_bench is None else rig.virtual_bench.seed
+        seeds = ("", f" --seed {own + 1}") if rig.hardware is None else ("", "")  # another noise
         commands += [
             f"lightopt capture {name} {_quoted(folder / PLATE)}.yaml -o {_quoted(folder / kind)} --posture 0,0 "
             f"--light {lights[0]} --exposures {levels} --dark{seed}"
@@ -157,12 +154,16 @@ def _postures(rig: RigConfig, tilts: Sequence[float], turns: int) -> list[Postur
     # within the rig's ranges
     low, high = rig.stage.elevation_range_deg
     first, last = rig.stage.rotation_range_deg
-    step = min(360.0 / turns, (last - first) / max(1, turns - 1)) if last - first < 360.0 else 360.0 / turns
-    elevations = list(dict.fromkeys(float(np.clip(tilt, low, high)) for tilt in tilts))
+    if last - first >= 360.0:
+        start = 0.0 if first <= 0.0 and last >= 360.0 else first
+        rotations = start + FIRST_TURN_DEG + 360.0 / turns * np.arange(turns)
+    else:
+        rotations = np.linspace(first, last, turns) if turns > 1 else np.array([first])
+    elevations = dict.fromkeys(float(np.clip(tilt, low, high)) for tilt in tilts)
     return [
-        Posture(elevation_deg=tilt, rotation_deg=round(first + k * step, 3))
+        Posture(elevation_deg=tilt, rotation_deg=round(float(rotation), 3))
         for tilt in elevations
-        for k in range(turns)
+        for rotation in rotations
     ]
 
 
@@ -216,7 +217,7 @@ reflectance: {{{light}}}
 postures:
 {entries}
 """
-    write_mesh(shape, mesh)
+    write_bytes_atomic(shape, stl_bytes(mesh), overwrite=force)
     write_text_atomic(part, text, overwrite=force)
     return [part, shape]
 
