@@ -1,0 +1,277 @@
+"""Measured and predicted levels at some blocks of pixels, and how faults change what is predicted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import special
+
+from lightopt.core.arrays import Bool, Float64, Int32
+from lightopt.core.transforms import Posture
+from lightopt.estimate.registration import Observation
+from lightopt.estimate.registration._pixels import PixelSet, light_at, sensor_scale
+from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction
+from lightopt.estimate.verification._parameters import SIGMA_STEP, Parameters
+from lightopt.geometry import RayCaster
+from lightopt.scene import Scene
+
+MOST_ENTRIES = 2_500_000  # of the matrix of derivatives
+PIXELS = 1500  # blocks of each posture, if there are not too many images
+BACKGROUND_PIXELS = 300
+
+MISFIT_SHARE = 0.01  # of the predicted level: models are no better than that, even of the right part
+
+CLEAR = 4.0  # blocks that the model has this many standard deviations of a pixel below saturation are used
+
+# the background shows the black level if its mean is the same in all images, and even, to so many sensor levels
+EVEN_LEVELS = 0.3
+_EVEN_CELLS = 4
+
+LEAST_NOISE = 0.3  # noise below this many levels would make the mean of rounded levels a staircase
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rows:
+    """The blocks of all images, n of them; levels in sensor levels, black level included.
+
+    image: Which image each is of, shape (n,).
+    place: Its place among the blocks of its posture, −1 for one that shows the background, shape (n,).
+    """
+
+    image: Int32
+    place: Int32
+    measured: Float64
+    top: Float64
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """The model at some parameters: n rows, K parameters.
+
+    residual: Measured minus predicted [standard deviation], shape (n,).
+    slope: Derivatives of what is predicted [standard deviation], shape (n, K).
+    used: Rows that count, shape (n,).
+    """
+
+    residual: Float64
+    slope: Float64
+    used: Bool
+
+
+class Model:
+    """What the rig with some faults shows at the chosen blocks."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        parameters: Parameters,
+        images: Sequence[CoarseImage],
+        predictions: Mapping[Posture, CoarsePrediction],
+        *,
+        caster: RayCaster,
+        side: int,
+        threads: int | None = None,
+    ) -> None:
+        self._side = side
+        self.scene, self.parameters, self._caster, self._threads = scene, parameters, caster, threads
+        self.images = tuple(images)
+        sensor = scene.sensor
+        self._light = np.array([parameters.lights.index(i.source.light) for i in images], np.intp)
+        self._scale = np.array([sensor_scale(scene, i.source) for i in images])
+        self._count = np.array([float(i.count) for i in images])
+        self.correction = np.zeros(0)
+        budget = int(min(PIXELS, max(200, MOST_ENTRIES // (len(images) * parameters.size))))
+        self._sets: list[PixelSet] = []
+        self._numbers: list[list[int]] = []
+        for posture, prediction in predictions.items():
+            numbers = [n for n, image in enumerate(images) if image.source.posture == posture]
+            row, column = some_blocks(prediction.clean, budget)
+            if not len(row):
+                continue
+            sources: list[Observation] = [images[n].source for n in numbers]
+            self._sets.append(
+                PixelSet(
+                    posture=posture, row=row, column=column, images=tuple(sources),
+                    levels=np.stack([images[n].levels[row, column] for n in numbers]).astype(np.float64),
+                    saturated=np.stack([images[n].saturated[row, column] for n in numbers]),
+                )
+            )  # fmt: skip
+            self._numbers.append(numbers)
+        self.rows, self._open = self._join(predictions)
+
+    def _join(self, predictions: Mapping[Posture, CoarsePrediction]) -> tuple[Rows, Bool]:
+        parts: list[tuple[Int32, Int32, Float64, Float64, Bool]] = []
+        for pixels, numbers in zip(self._sets, self._numbers, strict=True):
+            for own, n in enumerate(numbers):
+                at = pixels.row, pixels.column
+                count = len(pixels.row)
+                parts.append(
+                    (
+                        np.full(count, n, np.int32),
+                        np.arange(count, dtype=np.int32),
+                        pixels.levels[own],
+                        self.images[n].top[at].astype(np.float64),
+                        ~pixels.saturated[own],
+                    )
+                )
+        for n, levels in self._background(predictions):
+            none = np.full(len(levels), -1, np.int32)
+            top = np.full(len(levels), np.inf)
+            parts.append((np.full(len(levels), n, np.int32), none, levels, top, np.ones(len(levels), np.bool_)))
+        image, place, measured, top, unsaturated = (np.concatenate(some) for some in zip(*parts, strict=True))
+        return Rows(image=image, place=place, measured=measured, top=top), unsaturated
+
+    def _background(self, predictions: Mapping[Posture, CoarsePrediction]) -> list[tuple[int, Float64]]:
+        # levels of blocks off the part, if they show nothing but black
+        found: list[tuple[int, Float64]] = []
+        means: list[float] = []
+        for n, image in enumerate(self.images):
+            row, column = some_blocks(predictions[image.source.posture].background, BACKGROUND_PIXELS)
+            if len(row) < BACKGROUND_PIXELS // 4 or not isinstance(image.source.subtracted, float):
+                return []
+            levels = image.levels[row, column].astype(np.float64)
+            # in four directions about the part
+            cell = 2 * (row > np.median(row)) + (column > np.median(column))
+            cells = [float(levels[cell == c].mean()) for c in range(_EVEN_CELLS) if np.any(cell == c)]
+            means += cells
+            found.append((n, levels))
+        return found if max(means) - min(means) < EVEN_LEVELS else []
+
+    @cached_property
+    def cells(self) -> Int32:
+        """For each row the number of a cell of neighbouring blocks of its image, shape (n,)."""
+        cell = np.zeros(len(self.rows.image), np.int64)
+        side = max(8, self.scene.camera.width // 24)
+        for pixels, numbers in zip(self._sets, self._numbers, strict=True):
+            own = (pixels.row // side).astype(np.int64) * 1000 + pixels.column // side
+            for n in numbers:
+                cell[(self.rows.image == n) & (self.rows.place >= 0)] = own
+        keys = self.rows.image.astype(np.int64) * 10_000_000 + np.where(self.rows.place >= 0, cell, 9_999_999)
+        return np.unique(keys, return_inverse=True)[1].astype(np.int32)
+
+    def levels(self, theta: Float64, *, exact: bool = True) -> tuple[Float64, Float64, Float64]:
+        """Grey level of each row at exposure 1, its specular part, and the level with a lobe wider by SIGMA_STEP.
+
+        Each of shape (n,); 0 off the part, NaN where only some of a panel is seen.
+
+        exact: Whether it is the mean over the block, and not the level in its middle.
+        """
+        # the mean of a cubic over the centres of n pixels is that of its values at two points
+        off = math.sqrt((1.0 - 1.0 / self._side**2) / 12.0)
+        if not exact or off == 0.0:
+            return self._levels(theta, 0.0, 0.0)
+        some = [self._levels(theta, x, y) for x in (-off, off) for y in (-off, off)]
+        level, specular, wider = (sum(parts) / len(some) for parts in zip(*some, strict=True))
+        return level, specular, wider
+
+    def _levels(self, theta: Float64, x: float, y: float) -> tuple[Float64, Float64, Float64]:
+        # so far off the middle of each block [block]
+        own = self.scene.reflectance
+        scale_s, scale_sigma = np.exp(theta[self.parameters.nuisance])
+        sigma = own.sigma * scale_sigma
+        out = np.zeros((3, len(self.rows.image)))
+        first = 0
+        for pixels, numbers in zip(self._sets, self._numbers, strict=True):
+            view = self.parameters.view(self.scene, pixels.posture, theta)
+            column, row = view.camera.axis_px
+            view = replace(view, camera=replace(view.camera, principal_point=(column - x, row - y)))
+            diffuse, specular = light_at(
+                self.scene, pixels, view, self._caster, sigmas=(sigma, sigma * (1.0 + SIGMA_STEP)), threads=self._threads
+            )
+            size = len(numbers) * len(pixels.row)
+            own_rows = slice(first, first + size)
+            out[1, own_rows] = own.R_s * scale_s * specular[0].ravel()
+            out[0, own_rows] = own.R_d * diffuse.ravel() + out[1, own_rows]
+            out[2, own_rows] = own.R_d * diffuse.ravel() + own.R_s * scale_s * specular[1].ravel()
+            first += size
+        return out[0], out[1], out[2]
+
+    def delivered(self, theta: Float64, level: Float64) -> tuple[Float64, Float64, Float64]:
+        """What the camera delivers of grey levels, its change per sensor level of light, and its noise; shape (n,)."""
+        p, sensor = self.parameters, self.scene.sensor
+        gains = np.array([theta[p.group("gain", name).first] for name in p.lights])
+        bright = np.exp(theta[p.group("exposure").first] + gains)[self._light] * self._scale
+        signal = bright[self.rows.image] * level
+        black = sensor.black_level + float(theta[p.group("black").first])
+        mean, share = clipped_mean(signal + black, sensor.read_noise_levels)
+        noise = sensor.noise_variance(signal) / self._count[self.rows.image] + np.square(MISFIT_SHARE * signal)
+        if len(self.correction):
+            noise = noise + sensor.noise_variance(signal) / self._count[self.rows.image]
+        return mean, share, np.sqrt(noise)
+
+    def predicted(self, theta: Float64) -> tuple[Float64, Float64]:
+        """Level of each row with the correction by a baseline, and its noise [sensor level], shape (n,)."""
+        mean, _, noise = self.delivered(theta, self.levels(theta)[0])
+        return (mean + self.correction if len(self.correction) else mean), noise
+
+    def correct(self, measured: Float64, theta: Float64) -> None:
+        """Let the prediction at some parameters be what was measured of a known good set, shape (n,)."""
+        self.correction = measured - self.predicted(theta)[0]
+
+    def linearise(self, theta: Float64) -> Linearised:
+        """Residuals and derivatives at some parameters."""
+        p = self.parameters
+        level, specular, wider = self.levels(theta)
+        middle = self.levels(theta, exact=False)[0]
+        mean, share, noise = self.delivered(theta, level)
+        if len(self.correction):
+            mean = mean + self.correction
+        on = self.rows.image
+        gains = np.array([theta[p.group("gain", name).first] for name in p.lights])
+        bright = (np.exp(theta[p.group("exposure").first] + gains)[self._light] * self._scale)[on]
+        unit = share * bright  # sensor level delivered per grey level
+        slope = np.zeros((len(on), p.size))
+        light = self._light[on]
+        for group in p.groups:
+            own = light == p.lights.index(group.light) if group.light else np.ones(len(on), np.bool_)
+            if group.kind in ("exposure", "gain"):
+                slope[own, group.first] = (unit * level)[own]
+            elif group.kind == "black":
+                slope[:, group.first] = share
+        # panels are moved all at once: each image is of one of them
+        of_panels = [[g for g in p.groups if g.kind == kind] for kind in ("panel_shift", "panel_turn")]
+        moves = [*([g] for g in p.groups if g.step > 0.0 and not g.light), *of_panels]
+        for together in moves:
+            for axis in range(together[0].size):
+                there = theta.copy()
+                there[[g.first + axis for g in together]] += together[0].step
+                change = unit * (self.levels(there, exact=False)[0] - middle) / together[0].step
+                for group in together:
+                    own = light == p.lights.index(group.light) if group.light else np.ones(len(on), np.bool_)
+                    slope[own, group.first + axis] = change[own]
+        slope[:, p.nuisance[0]] = unit * specular
+        slope[:, p.nuisance[1]] = unit * (wider - level) / math.log1p(SIGMA_STEP)
+        sensor = self.scene.sensor
+        single = np.sqrt(sensor.noise_variance(np.maximum(mean - sensor.black_level, 0.0)))
+        used = self._open & (mean + CLEAR * single < self.rows.top)
+        used &= np.isfinite(mean) & np.isfinite(slope).all(axis=1)
+        residual = np.where(used, (self.rows.measured - np.where(used, mean, 0.0)) / noise, 0.0)
+        return Linearised(residual, np.where(used[:, None], slope, 0.0) / np.where(used, noise, 1.0)[:, None], used)
+
+
+def clipped_mean(level: Float64, noise: float) -> tuple[Float64, Float64]:
+    """Mean of noisy levels that are rounded, and none of which is below 0, and its slope; both of the level's shape.
+
+    level: Without noise [sensor level]; noise: Standard deviation, above 0.
+    """
+    noise = max(noise, LEAST_NOISE)
+    mean, slope = level.copy(), np.ones(len(level))
+    low = np.flatnonzero(level < 6.0 * noise)
+    # the mean is the sum over k of the probability that the rounded level is k or more
+    z = (level[low, None] + 0.5 - np.arange(1.0, 12.0 * noise + 2.0)) / noise
+    mean[low] = special.ndtr(z).sum(axis=1)
+    slope[low] = np.exp(-0.5 * np.square(z)).sum(axis=1) / (noise * math.sqrt(2.0 * math.pi))
+    return mean, slope
+
+
+def some_blocks(mask: Bool, most: int) -> tuple[Int32, Int32]:
+    """Rows and columns of so many blocks of a mask, at random but the same each time."""
+    index = np.flatnonzero(mask)
+    if len(index) > most:
+        index = np.sort(np.random.default_rng(0).choice(index, most, replace=False))
+    row, column = np.unravel_index(index, mask.shape)
+    return row.astype(np.int32), column.astype(np.int32)
