@@ -52,12 +52,14 @@ class CoarsePrediction:
     """What the model has in a posture; levels at exposure 1 [grey level], arrays of shape (h, w).
 
     levels: By light.
+    hit: Of the part.
     clean: Off silhouettes, creases and grazing views.
     background: Well off the part.
     points, normals: World frame, shape (h, w, 3).
     """
 
     levels: dict[str, Float32]
+    hit: Bool
     clean: Bool
     background: Bool
     points: Float32
@@ -129,6 +131,7 @@ def predict_coarse(
     inner = np.asarray(ndimage.binary_erosion(masks.clean & images.geometry.hit, border_value=1), np.bool_)
     return CoarsePrediction(
         levels={image.light: image.level for image in images.lights},
+        hit=images.geometry.hit,
         clean=inner,
         background=~near,
         points=images.geometry.points,

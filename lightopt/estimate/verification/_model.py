@@ -208,9 +208,29 @@ class Model:
         mean, _, noise = self.delivered(theta, self.levels(theta)[0])
         return (mean + self.correction if len(self.correction) else mean), noise
 
-    def correct(self, measured: Float64, theta: Float64) -> None:
-        """Let the prediction at some parameters be what was measured of a known good set, shape (n,)."""
+    def correct(self, good: Model, theta: Float64) -> None:
+        """Let the prediction at some parameters be what a known good set shows at the same blocks."""
+        same = len(good.rows.measured) == len(self.rows.measured)  # else only one of them has a black background
+        on_part = [model.rows.place >= 0 for model in (self, good)]
+        measured = np.full(len(self.rows.measured), np.nan)
+        own, there = (slice(None), slice(None)) if same else on_part
+        measured[own] = good.rows.measured[there]
+        self._open[own] &= good._open[there]
         self.correction = measured - self.predicted(theta)[0]
+
+    def with_black_level(self, theta: Float64) -> Float64:
+        """Parameters with the black level that the background shows, if it shows one."""
+        none = self.rows.place < 0
+        if not none.any():
+            return theta
+        level = float(self.rows.measured[none].mean())
+        # the mean of clipped levels has no simple inverse
+        trials = np.linspace(-5.0, level + 1.0, 2000)
+        shown, _ = clipped_mean(trials, self.scene.sensor.read_noise_levels)
+        black = float(np.interp(level, shown, trials)) - self.scene.sensor.black_level
+        theta = theta.copy()
+        theta[self.parameters.group("black").first] = black
+        return theta
 
     def linearise(self, theta: Float64) -> Linearised:
         """Residuals and derivatives at some parameters."""

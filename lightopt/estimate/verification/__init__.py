@@ -1,0 +1,14 @@
+"""Verification of a rig: predicted against captured images, and the causes of what differs, with their sizes.
+
+Entry: ``verify_set(rig, part, image_set, ...) -> Verification``.
+"""
+
+from lightopt.estimate.verification._findings import Finding as Finding
+from lightopt.estimate.verification._lights import LightComparison as LightComparison
+from lightopt.estimate.verification._limits import VerifyLimits as VerifyLimits, plan_limits as plan_limits
+from lightopt.estimate.verification._spots import Spot as Spot
+from lightopt.estimate.verification._verify import (
+    Verification as Verification,
+    verify_observations as verify_observations,
+    verify_set as verify_set,
+)
