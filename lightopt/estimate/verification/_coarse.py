@@ -5,6 +5,7 @@ Blocks have less noise, and there are fewer rays to cast. A coarse image is that
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -108,6 +109,7 @@ def predict_coarse(
     posture: Posture,
     caster: RayCaster,
     *,
+    side: int,
     threads: int | None = None,
 ) -> CoarsePrediction:
     """Render a posture of the rig with some faults; gains, exposure and black level are left out.
@@ -115,7 +117,7 @@ def predict_coarse(
     scene: With the coarse camera.
     """
     view = parameters.view(scene, posture, theta)
-    scale_s, scale_sigma = np.exp(theta[parameters.nuisance])
+    scale_s, scale_sigma = np.exp(theta[parameters.nuisance[:2]])
     own = scene.reflectance
     world = replace(
         scene,
@@ -129,8 +131,9 @@ def predict_coarse(
     masks = mask_pixels(world, posture, caster, threads=threads)
     near = np.asarray(ndimage.binary_dilation(images.geometry.hit, iterations=4), np.bool_)
     inner = np.asarray(ndimage.binary_erosion(masks.clean & images.geometry.hit, border_value=1), np.bool_)
+    blur = math.sqrt(max(float(theta[parameters.nuisance[2]]), 0.0)) / side
     return CoarsePrediction(
-        levels={image.light: image.level for image in images.lights},
+        levels={i.light: i.level if blur == 0.0 else ndimage.gaussian_filter(i.level, blur) for i in images.lights},
         hit=images.geometry.hit,
         clean=inner,
         background=~near,

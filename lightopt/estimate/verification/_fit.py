@@ -29,11 +29,14 @@ from lightopt.scene import Scene, project
 MOST_STEPS = 6
 SETTLED = 0.05  # a step is the last if it changes no parameter by more than this share of its limit
 
+PANEL_MM = 10.0  # a panel that has moved by this is as bad as a part that has moved by a block
 STALE_BLOCKS = 0.5  # blocks are chosen anew, and images rendered, where the part's image has moved by more than this
-SAME_BLOCKS, SAME_SHARE = 0.02, 0.005  # rigs that differ by less have the same images: in place, and in reflectance
+# rigs that differ by less have the same images: in place [block], reflectance and blur [px²]
+SAME_BLOCKS, SAME_SHARE, SAME_BLUR = 0.02, 0.005, 0.2
 
 # an excess residual of more than this share of the level is not explained: the part may lie elsewhere
 UNEXPLAINED_SHARE = 0.15
+FAR_BLOCKS = 4.0  # the same where the part's image has moved by more than this
 
 
 class Work:
@@ -49,11 +52,14 @@ class Work:
     def predict(self, theta: Float64, *, within: float = SAME_BLOCKS) -> dict[Posture, CoarsePrediction]:
         """Images of the rig with some faults; of one that was rendered before if it differs by less [block]."""
         for there, kept in self._kept:
-            same = np.abs(theta - there)[self.parameters.nuisance].max() < SAME_SHARE
+            *lobe, blur = np.abs(theta - there)[self.parameters.nuisance]
+            same = max(lobe) < SAME_SHARE and blur < SAME_BLUR
             if same and self.moved_blocks(theta, there) <= within:
                 return kept
         found = {
-            posture: predict_coarse(self.coarse, self.parameters, theta, posture, self.caster, threads=self.run.threads)
+            posture: predict_coarse(
+                self.coarse, self.parameters, theta, posture, self.caster, side=self.side, threads=self.run.threads
+            )
             for posture in self.scene.postures
         }
         self._kept.append((theta, found))
@@ -62,8 +68,8 @@ class Work:
     def moved_blocks(self, a: Float64, b: Float64) -> float:
         """By how much the images of two rigs differ, at most [block]: of the part, or of what it mirrors."""
         p = self.parameters
-        panels = [g for g in p.groups if g.kind.startswith("panel")]
-        most = max(float(np.abs(a - b)[g.where].max()) / g.limit for g in panels)
+        panels = [g for g in p.groups if g.kind == "panel_shift"]
+        most = max(float(np.abs(a - b)[g.where].max()) / PANEL_MM for g in panels)
         vertices = self.scene.mesh.vertices
         some = vertices[:: max(1, len(vertices) // 500)]
         for posture in self.scene.postures:
@@ -102,7 +108,8 @@ def fit_faults(
     images = coarse_images(work.scene, observations, work.side, threads=work.run.threads)
     origin = np.zeros(work.parameters.size) if good is None else good.theta
     fit = _descend(work, images, good, origin, origin)
-    if register and fit.left.share > UNEXPLAINED_SHARE:
+    lost = fit.left.share > UNEXPLAINED_SHARE or work.moved_blocks(fit.theta, origin) > FAR_BLOCKS
+    if register and lost:
         found = register_part(work.scene, observations, caster=work.caster, reduced=True, run=work.run)
         start = work.parameters.at_placement(work.scene, found.placement)
         other = replace(_descend(work, images, good, origin, start), registered=True)

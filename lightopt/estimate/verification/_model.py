@@ -6,9 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
-from scipy import special
+from scipy import ndimage, special
 
 from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.transforms import Posture
@@ -23,6 +24,8 @@ MOST_ENTRIES = 2_500_000  # of the matrix of derivatives
 PIXELS = 1500  # blocks of each posture, if there are not too many images
 BACKGROUND_PIXELS = 300
 
+BLUR_PX = 1.5  # blur for the difference
+
 MISFIT_SHARE = 0.01  # of the predicted level: models are no better than that, even of the right part
 
 CLEAR = 4.0  # blocks that the model has this many standard deviations of a pixel below saturation are used
@@ -30,6 +33,10 @@ CLEAR = 4.0  # blocks that the model has this many standard deviations of a pixe
 # the background shows the black level if its mean is the same in all images, and even, to so many sensor levels
 EVEN_LEVELS = 0.3
 _EVEN_CELLS = 4
+
+# blocks that change this many times as much as nine of ten do lie across the edge of a shadow: few of them would
+# outweigh all others
+STEEP = 15.0
 
 LEAST_NOISE = 0.3  # noise below this many levels would make the mean of rounded levels a staircase
 
@@ -102,6 +109,7 @@ class Model:
             )  # fmt: skip
             self._numbers.append(numbers)
         self.rows, self._open = self._join(predictions)
+        self._blurred = self._blur_slopes(predictions)
 
     def _join(self, predictions: Mapping[Posture, CoarsePrediction]) -> tuple[Rows, Bool]:
         parts: list[tuple[Int32, Int32, Float64, Float64, Bool]] = []
@@ -141,6 +149,19 @@ class Model:
             found.append((n, levels))
         return found if max(means) - min(means) < EVEN_LEVELS else []
 
+    def _blur_slopes(self, predictions: Mapping[Posture, CoarsePrediction]) -> Float64:
+        # change of the grey level of each row per px² of variance of a blur
+        slopes: list[Float64] = []
+        for pixels, numbers in zip(self._sets, self._numbers, strict=True):
+            for n in numbers:
+                level = predictions[pixels.posture].levels[self.images[n].source.light]
+                change = ndimage.gaussian_filter(level, BLUR_PX / self._side) - level
+                slopes.append(change[pixels.row, pixels.column].astype(np.float64) / BLUR_PX**2)
+        found = np.zeros(len(self.rows.image))
+        joined = np.concatenate(slopes)
+        found[: len(joined)] = joined
+        return found
+
     @cached_property
     def cells(self) -> Int32:
         """For each row the number of a cell of neighbouring blocks of its image, shape (n,)."""
@@ -162,16 +183,17 @@ class Model:
         """
         # the mean of a cubic over the centres of n pixels is that of its values at two points
         off = math.sqrt((1.0 - 1.0 / self._side**2) / 12.0)
-        if not exact or off == 0.0:
+        if not exact:
             return self._levels(theta, 0.0, 0.0)
-        some = [self._levels(theta, x, y) for x in (-off, off) for y in (-off, off)]
+        some = [self._levels(theta, x, y) for x, y in dict.fromkeys(product((-off, off), repeat=2))]
         level, specular, wider = (sum(parts) / len(some) for parts in zip(*some, strict=True))
-        return level, specular, wider
+        blur = theta[self.parameters.nuisance[-1]] * self._blurred
+        return level + blur, specular, wider + blur
 
     def _levels(self, theta: Float64, x: float, y: float) -> tuple[Float64, Float64, Float64]:
         # so far off the middle of each block [block]
         own = self.scene.reflectance
-        scale_s, scale_sigma = np.exp(theta[self.parameters.nuisance])
+        scale_s, scale_sigma = np.exp(theta[self.parameters.nuisance[:2]])
         sigma = own.sigma * scale_sigma
         out = np.zeros((3, len(self.rows.image)))
         first = 0
@@ -265,10 +287,15 @@ class Model:
                     slope[own, group.first + axis] = change[own]
         slope[:, p.nuisance[0]] = unit * specular
         slope[:, p.nuisance[1]] = unit * (wider - level) / math.log1p(SIGMA_STEP)
+        slope[:, p.nuisance[2]] = unit * self._blurred
         sensor = self.scene.sensor
         single = np.sqrt(sensor.noise_variance(np.maximum(mean - sensor.black_level, 0.0)))
         used = self._open & (mean + CLEAR * single < self.rows.top)
         used &= np.isfinite(mean) & np.isfinite(slope).all(axis=1)
+        for group in p.groups:
+            if group.step > 0.0 and used.any():
+                size = np.abs(slope[:, group.where]).max(axis=1)
+                used &= ~(size > STEEP * np.quantile(size[used], 0.9))
         residual = np.where(used, (self.rows.measured - np.where(used, mean, 0.0)) / noise, 0.0)
         return Linearised(residual, np.where(used[:, None], slope, 0.0) / np.where(used, noise, 1.0)[:, None], used)
 

@@ -64,10 +64,9 @@ _COMMON = {
 }
 _OF_LIGHT = {"gain": (1, 0.0, 0.3), "panel_shift": (3, 0.5, 15.0), "panel_turn": (2, 0.3 * _DEG, 5.0 * _DEG)}
 
-SPECULAR, SIGMA = "ln R_s", "ln sigma"
-NUISANCE = {SPECULAR: 0.03, SIGMA: 0.03}
-"""What a calibrated reflectance may still be off, with the standard deviations; R_d is that of the part file, since a
-change of both coefficients is a change of the exposure."""
+NUISANCE = {"ln R_s": 0.03, "ln sigma": 0.03, "blur [px²]": 2.0}
+"""What a calibrated reflectance may still be off, and the focus, with the standard deviations. R_d is that of the part
+file, since a change of both coefficients is a change of the exposure. The blur is measured at the outline."""
 
 SIGMA_STEP = 0.01
 
@@ -123,8 +122,8 @@ class Parameters:
 
     @property
     def nuisance(self) -> list[int]:
-        """Places of ln R_s and ln σ."""
-        return [self.size - 2, self.size - 1]
+        """Places of ln R_s, ln σ and the blur."""
+        return list(range(self.size - len(NUISANCE), self.size))
 
     def group(self, kind: str, light: str = "") -> Group:
         """A group by its kind and light."""
