@@ -3,6 +3,13 @@
 Entry: ``verify_set(rig, part, image_set, ...) -> Verification``.
 """
 
+from lightopt.estimate.verification._files import (
+    REPORT_NAME as REPORT_NAME,
+    History as History,
+    VerifyFolder as VerifyFolder,
+    append_history as append_history,
+    verify_provenance as verify_provenance,
+)
 from lightopt.estimate.verification._findings import Finding as Finding
 from lightopt.estimate.verification._lights import LightComparison as LightComparison
 from lightopt.estimate.verification._limits import VerifyLimits as VerifyLimits, plan_limits as plan_limits

@@ -92,7 +92,7 @@ def coarse_images(
     def one(number: int) -> CoarseImage:
         o = observations[number]
         share = _blocks(o.saturated.astype(np.float32), side)
-        subtracted = o.subtracted if isinstance(o.subtracted, float) else _blocks(o.subtracted, side)
+        subtracted = _blocks(np.broadcast_to(np.float32(o.subtracted), o.levels.shape), side)
         levels = _blocks(o.levels, side)
         top = np.broadcast_to(np.float32(scene.sensor.saturated_from - subtracted), levels.shape)
         return CoarseImage(
@@ -133,13 +133,18 @@ def predict_coarse(
     inner = np.asarray(ndimage.binary_erosion(masks.clean & images.geometry.hit, border_value=1), np.bool_)
     blur = math.sqrt(max(float(theta[parameters.nuisance[2]]), 0.0)) / side
     return CoarsePrediction(
-        levels={i.light: i.level if blur == 0.0 else ndimage.gaussian_filter(i.level, blur) for i in images.lights},
+        levels={i.light: i.level if blur == 0.0 else blurred(i.level, blur) for i in images.lights},
         hit=images.geometry.hit,
         clean=inner,
         background=~near,
         points=images.geometry.points,
         normals=images.geometry.normals,
     )
+
+
+def blurred(image: Float32, width: float) -> Float32:
+    """An image after a Gaussian blur of this standard deviation [pixel of the image]."""
+    return np.asarray(ndimage.gaussian_filter(image, width), np.float32)
 
 
 def _blocks(image: Float32, side: int) -> Float32:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -123,16 +124,14 @@ def fit_faults(
     return fit
 
 
-def _descend(
-    work: Work, images: tuple[CoarseImage, ...], good: Fit | None, origin: Float64, start: Float64
-) -> Fit:
+def _descend(work: Work, images: tuple[CoarseImage, ...], good: Fit | None, origin: Float64, start: Float64) -> Fit:
     p = work.parameters
     limits = np.concatenate([np.full(g.size, g.limit) for g in p.groups])
     report = work.run.stage("comparing with the prediction")
     at, predictions = start, work.predict(start)
     model = _model(work, images, good, predictions)
     theta = model.with_black_level(start) if good is None else start
-    for step in range(MOST_STEPS):
+    for step in itertools.count():
         if report is not None:
             report(step / MOST_STEPS)
         if step and work.moved_blocks(theta, at) > STALE_BLOCKS:
@@ -143,7 +142,7 @@ def _descend(
         _, found, covariance = evidence.solve(chosen)
         change = np.abs(origin + found - theta)[: len(limits)] / limits
         theta = origin + found
-        if change.max() < SETTLED:
+        if change.max() < SETTLED or step + 1 == MOST_STEPS:
             break
     mean, noise = model.predicted(theta)
     black = work.scene.sensor.black_level

@@ -11,8 +11,7 @@ from scipy import ndimage, stats
 
 from lightopt.core.arrays import Bool, Float64
 from lightopt.core.transforms import Posture
-from lightopt.estimate.registration import Observation
-from lightopt.estimate.registration._pixels import PixelSet, light_at, sensor_scale
+from lightopt.estimate.registration import Observation, PixelSet, light_at, sensor_scale
 from lightopt.estimate.verification._coarse import CoarsePrediction
 from lightopt.estimate.verification._model import some_blocks
 from lightopt.estimate.verification._parameters import Parameters
@@ -88,7 +87,9 @@ def outline_blur(
     at = int(np.clip(np.argmin(cost), 1, len(WIDTHS) - 2))
     squares = np.square(WIDTHS[at - 1 : at + 2])
     bend, slope, _ = np.polyfit(squares, cost[at - 1 : at + 2], 2)
-    best = float(np.clip(-0.5 * slope / bend, 0.0, WIDTHS[-1] ** 2)) if bend > 0.0 else WIDTHS[int(np.argmin(cost))] ** 2
+    best = (
+        float(np.clip(-0.5 * slope / bend, 0.0, WIDTHS[-1] ** 2)) if bend > 0.0 else WIDTHS[int(np.argmin(cost))] ** 2
+    )
     return math.sqrt(best)
 
 

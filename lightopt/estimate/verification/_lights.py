@@ -11,7 +11,7 @@ import numpy as np
 
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.transforms import Posture
-from lightopt.estimate.registration._pixels import sensor_scale
+from lightopt.estimate.registration import sensor_scale
 from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction
 from lightopt.estimate.verification._model import MISFIT_SHARE, clipped_mean
 from lightopt.estimate.verification._parameters import Parameters
@@ -99,11 +99,7 @@ def compare_image(
 
 
 def _delivered(
-    scene: Scene,
-    parameters: Parameters,
-    theta: Float64,
-    image: CoarseImage,
-    prediction: CoarsePrediction,
+    scene: Scene, parameters: Parameters, theta: Float64, image: CoarseImage, prediction: CoarsePrediction
 ) -> tuple[Float64, Float64, Bool]:
     # predicted sensor levels, the noise of the means of blocks, and where a pixel would be saturated
     sensor, o = scene.sensor, image.source
@@ -173,5 +169,3 @@ def _rms(some: Sequence[Compared]) -> float:
     squares = [np.square(one.difference[one.known] / one.noise[one.known]) for one in some]
     joined = np.concatenate(squares) if squares else np.zeros(0)
     return float(np.sqrt(joined.mean())) if joined.size else 0.0
-
-

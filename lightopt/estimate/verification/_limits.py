@@ -40,7 +40,7 @@ class VerifyLimits:
 
     def __post_init__(self) -> None:
         problems = [
-            f"option '{one.name}': expected a number above 0, found {value:g}"
+            f"limit {one.name}: expected a number above 0, found {value:g}"
             for one in fields(self)
             if isinstance(value := getattr(self, one.name), (int, float)) and not (0.0 < value < math.inf)
         ]
@@ -51,6 +51,11 @@ class VerifyLimits:
         """Limit of a shift of a panel's centre [mm], whose distance from the origin is given [mm]."""
         angle = self.light_deg.get(light)
         return self.panel_mm if angle is None else distance * math.tan(math.radians(angle))
+
+    @staticmethod
+    def names() -> tuple[str, ...]:
+        """Limits that are numbers."""
+        return tuple(one.name for one in fields(VerifyLimits) if one.name != "light_deg")
 
     def as_dict(self) -> dict[str, Any]:
         return {**asdict(self), "light_deg": dict(self.light_deg)}
@@ -81,7 +86,7 @@ def plan_limits(path: Path) -> dict[str, Any]:
     part = [degrees for what, _, degrees in widest if what == "part"]
     if zero := [name for name, degrees in (*lights.items(), *(("part", d) for d in part)) if degrees <= 0.0]:
         raise InputError(
-            f"{path}: the plan has a tolerance of 0° for {', '.join(dict.fromkeys(zero))}: no rig keeps that; plan with "
-            "a lower tolerance target, or leave out the plan and give limits"
+            f"{path}: the plan has a tolerance of 0° for {', '.join(dict.fromkeys(zero))}: no rig keeps that; plan "
+            "with a lower tolerance target, or leave out the plan and give limits"
         )
     return {"light_deg": lights, **({"part_deg": min(part)} if part else {})}

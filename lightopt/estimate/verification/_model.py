@@ -9,13 +9,12 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
-from scipy import ndimage, special
+from scipy import special
 
 from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.core.transforms import Posture
-from lightopt.estimate.registration import Observation
-from lightopt.estimate.registration._pixels import PixelSet, light_at, sensor_scale
-from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction
+from lightopt.estimate.registration import Observation, PixelSet, light_at, sensor_scale
+from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction, blurred
 from lightopt.estimate.verification._parameters import SIGMA_STEP, Parameters
 from lightopt.geometry import RayCaster
 from lightopt.scene import Scene
@@ -86,7 +85,6 @@ class Model:
         self._side = side
         self.scene, self.parameters, self._caster, self._threads = scene, parameters, caster, threads
         self.images = tuple(images)
-        sensor = scene.sensor
         self._light = np.array([parameters.lights.index(i.source.light) for i in images], np.intp)
         self._scale = np.array([sensor_scale(scene, i.source) for i in images])
         self._count = np.array([float(i.count) for i in images])
@@ -155,7 +153,7 @@ class Model:
         for pixels, numbers in zip(self._sets, self._numbers, strict=True):
             for n in numbers:
                 level = predictions[pixels.posture].levels[self.images[n].source.light]
-                change = ndimage.gaussian_filter(level, BLUR_PX / self._side) - level
+                change = blurred(level, BLUR_PX / self._side) - level
                 slopes.append(change[pixels.row, pixels.column].astype(np.float64) / BLUR_PX**2)
         found = np.zeros(len(self.rows.image))
         joined = np.concatenate(slopes)
@@ -184,14 +182,15 @@ class Model:
         # the mean of a cubic over the centres of n pixels is that of its values at two points
         off = math.sqrt((1.0 - 1.0 / self._side**2) / 12.0)
         if not exact:
-            return self._levels(theta, 0.0, 0.0)
+            level, specular, wider = self._levels(theta, 0.0, 0.0)
+            return level, specular, wider
         some = [self._levels(theta, x, y) for x, y in dict.fromkeys(product((-off, off), repeat=2))]
-        level, specular, wider = (sum(parts) / len(some) for parts in zip(*some, strict=True))
+        level, specular, wider = np.mean(some, axis=0)
         blur = theta[self.parameters.nuisance[-1]] * self._blurred
         return level + blur, specular, wider + blur
 
-    def _levels(self, theta: Float64, x: float, y: float) -> tuple[Float64, Float64, Float64]:
-        # so far off the middle of each block [block]
+    def _levels(self, theta: Float64, x: float, y: float) -> Float64:
+        # as `levels`, so far off the middle of each block [block]; shape (3, n)
         own = self.scene.reflectance
         scale_s, scale_sigma = np.exp(theta[self.parameters.nuisance[:2]])
         sigma = own.sigma * scale_sigma
@@ -202,7 +201,12 @@ class Model:
             column, row = view.camera.axis_px
             view = replace(view, camera=replace(view.camera, principal_point=(column - x, row - y)))
             diffuse, specular = light_at(
-                self.scene, pixels, view, self._caster, sigmas=(sigma, sigma * (1.0 + SIGMA_STEP)), threads=self._threads
+                self.scene,
+                pixels,
+                view,
+                self._caster,
+                sigmas=(sigma, sigma * (1.0 + SIGMA_STEP)),
+                threads=self._threads,
             )
             size = len(numbers) * len(pixels.row)
             own_rows = slice(first, first + size)
@@ -210,7 +214,7 @@ class Model:
             out[0, own_rows] = own.R_d * diffuse.ravel() + out[1, own_rows]
             out[2, own_rows] = own.R_d * diffuse.ravel() + own.R_s * scale_s * specular[1].ravel()
             first += size
-        return out[0], out[1], out[2]
+        return out
 
     def delivered(self, theta: Float64, level: Float64) -> tuple[Float64, Float64, Float64]:
         """What the camera delivers of grey levels, its change per sensor level of light, and its noise; shape (n,)."""

@@ -102,9 +102,7 @@ class Parameters:
         first = 0
         for kind, light, (size, step, prior) in named:
             limit = limits.panel(light, distances[light]) if kind == "panel_shift" else fixed[kind]
-            groups.append(
-                Group(kind=kind, light=light, first=first, size=size, step=step, prior=prior, limit=limit)
-            )
+            groups.append(Group(kind=kind, light=light, first=first, size=size, step=step, prior=prior, limit=limit))
             first += size
         low, high = scene.mesh.bounds
         return Parameters(tuple(light.name for light in scene.lights), tuple(groups), 0.5 * (low + high))
@@ -150,7 +148,9 @@ class Parameters:
         )
         lights = tuple(
             _moved_panel(
-                light, theta[self.group("panel_shift", light.name).where], theta[self.group("panel_turn", light.name).where]
+                light,
+                theta[self.group("panel_shift", light.name).where],
+                theta[self.group("panel_turn", light.name).where],
             )
             for light in scene.lights
         )

@@ -89,7 +89,8 @@ def gather(parameters: Parameters, model: Linearised, theta: Float64, cells: Int
     counted = expected > 3.0
     ratio = np.square(sums[counted]) / expected[counted]
     inflation = max(1.0, float(np.mean(ratio)) if ratio.size else 1.0)
-    return Evidence(parameters, *weighted_sums(slope, weight, target), inflation, weight, spread)
+    normal, toward = weighted_sums(slope, weight, target)
+    return Evidence(parameters, normal, toward, inflation, weight, spread)
 
 
 def choose(evidence: Evidence) -> tuple[Group, ...]:

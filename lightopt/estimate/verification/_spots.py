@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from lightopt.core.arrays import Float32, Float64
+from lightopt.core.arrays import Float32, Float64, Int32
 from lightopt.core.transforms import Posture
 from lightopt.estimate.verification._coarse import CoarsePrediction
 from lightopt.estimate.verification._parameters import Parameters
@@ -75,7 +75,9 @@ def find_spots(
     spots: list[Spot] = []
     explained: list[tuple[Posture, float, float]] = []
     for one in sorted(candidates, key=lambda c: -abs(c.score)):
-        if any(p == one.posture and max(abs(y - one.row), abs(x - one.column)) <= 2 * NEAR_BLOCKS for p, y, x in explained):
+        if any(
+            p == one.posture and max(abs(y - one.row), abs(x - one.column)) <= 2 * NEAR_BLOCKS for p, y, x in explained
+        ):
             continue
         world = predictions[one.posture].points[one.row, one.column].astype(np.float64)
         own = view_from_part(scene, one.posture)
@@ -85,7 +87,9 @@ def find_spots(
         for p in scores:
             x, y, _ = project(parameters.view(scene, p, theta).camera, point[None])
             moved[p] = float(y[0]) - 0.5, float(x[0]) - 0.5
-        again = {name: _seen_again(one, places, scores, predictions) for name, places in (("lens", fixed), ("part", moved))}
+        again = {
+            name: _seen_again(one, places, scores, predictions) for name, places in (("lens", fixed), ("part", moved))
+        }
         visible = {name: len(seen) for name, seen in again.items()}
         share = {name: sum(seen) / max(len(seen), 1) for name, seen in again.items()}
         if not any(visible.values()):
@@ -127,7 +131,8 @@ def _score(residuals: Sequence[Float32], prediction: CoarsePrediction) -> Float3
 def _candidates(posture: Posture, score: Float32) -> list[_Candidate]:
     found: list[_Candidate] = []
     for sign in (-1.0, 1.0):
-        labels, _ = ndimage.label(sign * score > 0.5 * LEAST_SCORE, structure=np.ones((3, 3)))
+        labels: Int32 = np.empty(score.shape, np.int32)
+        ndimage.label(sign * score > 0.5 * LEAST_SCORE, structure=np.ones((3, 3)), output=labels)
         for number, box in enumerate(ndimage.find_objects(labels), start=1):
             inside = labels[box] == number
             best = float((sign * score[box])[inside].max())

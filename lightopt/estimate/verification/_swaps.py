@@ -8,8 +8,7 @@ from scipy import optimize
 
 from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture
-from lightopt.estimate.registration import Observation
-from lightopt.estimate.registration._pixels import sensor_scale
+from lightopt.estimate.registration import Observation, sensor_scale
 from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction
 from lightopt.scene import Scene
 
@@ -47,7 +46,9 @@ def exchanged_lights(
     if not changed:
         return {}
     at = [names.index(name) for name in changed]
-    gain = sum(total[names.index(a), names.index(b)] - total[names.index(a), names.index(a)] for a, b in changed.items())
+    gain = sum(
+        total[names.index(a), names.index(b)] - total[names.index(a), names.index(a)] for a, b in changed.items()
+    )
     return changed if gain > LEAST_GAIN * len(at) * len(predictions) else {}
 
 

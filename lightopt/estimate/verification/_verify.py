@@ -159,9 +159,7 @@ def _matching(
     return tuple(by_key[key] for key in keys)
 
 
-def _report(
-    work: Work, fit: Fit, good: Fit | None, exchanged: Mapping[str, str], limits: VerifyLimits
-) -> Verification:
+def _report(work: Work, fit: Fit, good: Fit | None, exchanged: Mapping[str, str], limits: VerifyLimits) -> Verification:
     p, theta = work.parameters, fit.theta
     origin = np.zeros(p.size) if good is None else good.theta
     # the rig file with the part where it was found
