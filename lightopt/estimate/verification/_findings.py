@@ -60,7 +60,7 @@ class Finding:
     parts: Its components by axis, signed, in the same unit; empty for those that have none.
     error: Standard error of `size`.
     limit: Within tolerance up to this size; None for what is reported only.
-    alternatives: What explains the images as well, in words.
+    alternatives: What explains the images as well: kinds and lights.
     remedy: What would tell; empty where nothing needs to.
     """
 
@@ -70,7 +70,7 @@ class Finding:
     parts: dict[str, float]
     error: float = 0.0
     limit: float | None = None
-    alternatives: tuple[str, ...] = ()
+    alternatives: tuple[tuple[str, str], ...] = ()
     remedy: str = ""
     detail: str = ""
 
@@ -82,7 +82,7 @@ class Finding:
     @property
     def cause(self) -> str:
         """The fault in words, or all that it may be."""
-        return ", or ".join((_NAMES[self.kind].format(self.light), *self.alternatives))
+        return ", or ".join(_NAMES[kind].format(light) for kind, light in ((self.kind, self.light), *self.alternatives))
 
     @property
     def amount(self) -> str:
@@ -123,7 +123,7 @@ class Finding:
             "standard_error": round(self.error, 6),
             "limit": self.limit,
             "exceeds_limit": self.exceeds,
-            "cannot_tell_from": list(self.alternatives),
+            "cannot_tell_from": [_NAMES[kind].format(light) for kind, light in self.alternatives],
             "what_would_tell": self.remedy,
         }
 
@@ -153,7 +153,7 @@ def group_finding(
         parts=dict(zip(axes_of(group), value.tolist(), strict=True)),
         error=float(np.sqrt(along @ spread @ along)),
         limit=limit,
-        alternatives=tuple(_NAMES[other.kind].format(other.light) for other in alternatives),
+        alternatives=tuple((other.kind, other.light) for other in alternatives),
         remedy=telling(group.kind, [other.kind for other in alternatives]),
         detail=detail,
     )
@@ -192,7 +192,7 @@ def spot_findings(spots: Sequence[Spot]) -> list[Finding]:
         some = [spot for spot in spots if spot.where == where]
         if some:
             places = "; ".join(f"column {s.column:.0f}, row {s.row:.0f}" for s in some[:3])
-            others = (_NAMES["dust_lens"],) if where == "unknown" else ()
+            others = (("dust_lens", ""),) if where == "unknown" else ()
             found.append(
                 Finding(
                     kind=kind, size=float(len(some)), parts={}, limit=limit, alternatives=others,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -131,7 +130,8 @@ def _descend(work: Work, images: tuple[CoarseImage, ...], good: Fit | None, orig
     at, predictions = start, work.predict(start)
     model = _model(work, images, good, predictions)
     theta = model.with_black_level(start) if good is None else start
-    for step in itertools.count():
+    step = 0
+    while True:
         if report is not None:
             report(step / MOST_STEPS)
         if step and work.moved_blocks(theta, at) > STALE_BLOCKS:
@@ -142,7 +142,8 @@ def _descend(work: Work, images: tuple[CoarseImage, ...], good: Fit | None, orig
         _, found, covariance = evidence.solve(chosen)
         change = np.abs(origin + found - theta)[: len(limits)] / limits
         theta = origin + found
-        if change.max() < SETTLED or step + 1 == MOST_STEPS:
+        step += 1
+        if change.max() < SETTLED or step == MOST_STEPS:
             break
     mean, noise = model.predicted(theta)
     black = work.scene.sensor.black_level
