@@ -14,10 +14,11 @@ from lightopt.estimate.verification import History, Verification
 from lightopt.report._charts import COLOURS, MARK, chart, label_whole_numbers, name_lines
 from lightopt.report._drawing import figure_image, fixed_style
 from lightopt.report._fit_pictures import diverging
-from lightopt.report._images import png_bytes, write_picture
+from lightopt.report._images import png_bytes, shrunk, write_picture
 from lightopt.report._page import Answer, Facts, Gallery, Note, Page, Picture, Section, Table, Warnings, page_html
 
 FULL_COLOUR = 10.0  # standard deviations
+MOST_PX = 300  # no side of a picture is longer
 
 
 def findings_table(result: Verification) -> Table:
@@ -109,7 +110,7 @@ def _gallery(result: Verification, number: int, what: str) -> Gallery:
 def _picture(difference: Float32 | None, number: int, light: str) -> Picture | None:
     if difference is None:
         return None
-    pixels = diverging(np.clip(difference[number] / FULL_COLOUR, -1.0, 1.0))
+    pixels = shrunk(diverging(np.clip(difference[number] / FULL_COLOUR, -1.0, 1.0)), limit=MOST_PX)
     return Picture(png=png_bytes(Image.fromarray(pixels)), alt=f"captured minus predicted, {light}")
 
 
