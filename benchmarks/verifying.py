@@ -277,7 +277,11 @@ def unmodelled(seeds: int, first: int) -> list[Table]:
     cases: list[tuple[str, Scene, bool]] = [
         ("finer tessellation", build_scene(rig, finer), False),
         ("lobe 5 % wider", replace(scene, reflectance=replace(own, sigma=1.05 * own.sigma)), False),
-        ("waviness 0.1° over 1 mm", replace(scene, waviness=Waviness(slope=math.radians(0.1), length=1.0, seed=3)), False),
+        (
+            "waviness 0.1° over 1 mm",
+            replace(scene, waviness=Waviness(slope=math.radians(0.1), length=1.0, seed=3)),
+            False,
+        ),
         ("rig with poses off, baseline", scene, True),
     ]
     tables: list[Table] = []

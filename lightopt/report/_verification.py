@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from lightopt.core.arrays import Float32
-from lightopt.estimate.verification import History, Verification
+from lightopt.estimate.verification import Finding, History, LightComparison, Verification
 from lightopt.report._charts import COLOURS, MARK, chart, label_whole_numbers, name_lines
 from lightopt.report._drawing import figure_image, fixed_style
 from lightopt.report._fit_pictures import diverging
@@ -23,11 +23,11 @@ MOST_PX = 300  # no side of a picture is longer
 
 def findings_table(result: Verification) -> Table:
     """Causes with their sizes and limits, those that exceed them first."""
-    return Table(
-        header=["cause", "size", "limit", ""],
-        rows=[[f.cause, f.amount, f.limit_text, "beyond" if f.exceeds else "within"] for f in result.findings],
-        numbers_from=4,
-    )
+
+    def cells(one: Finding) -> list[str]:
+        return [one.cause, one.amount, one.limit_text, "beyond" if one.exceeds else "within"]
+
+    return Table(header=["cause", "size", "limit", ""], rows=[cells(one) for one in result.findings], numbers_from=4)
 
 
 def lights_table(result: Verification) -> Table:
@@ -36,18 +36,15 @@ def lights_table(result: Verification) -> Table:
     def text(value: float | None, digits: int) -> str:
         return "-" if value is None else f"{value:.{digits}f}"
 
+    def cells(one: LightComparison) -> list[str]:
+        rest = (one.offset_px, one.offset_deg, one.residual, one.explained)
+        return [one.light, text(one.overlap, 3), *(text(value, 2) for value in rest)]
+
     return Table(
         header=["light", "overlap (IoU)", "offset [px]", "offset [°]", "residual/noise", "explained"],
-        rows=[
-            [
-                one.light,
-                text(one.overlap, 3),
-                *(text(value, 2) for value in (one.offset_px, one.offset_deg, one.residual, one.explained)),
-            ]
-            for one in result.lights
-        ],
+        rows=[cells(one) for one in result.lights],
         caption="Overlap of saturated areas; offset of the highlights, in the image and as a direction of light; "
-        "residual over noise, and what the causes leave of it.",
+        "residual over noise, and the same with the causes in the prediction.",
     )
 
 

@@ -14,7 +14,6 @@ from lightopt.estimate.verification._findings import Finding as Finding
 from lightopt.estimate.verification._lights import LightComparison as LightComparison
 from lightopt.estimate.verification._limits import VerifyLimits as VerifyLimits, plan_limits as plan_limits
 from lightopt.estimate.verification._parameters import Parameters as Parameters
-from lightopt.estimate.verification._spots import Spot as Spot
 from lightopt.estimate.verification._verify import (
     Verification as Verification,
     verify_observations as verify_observations,
