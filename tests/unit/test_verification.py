@@ -155,6 +155,14 @@ def test_against_a_known_good_set(scene):
     assert result.findings[0].parts[""] == pytest.approx(-0.05, abs=0.005)
 
 
+def test_frames_without_light_show_the_black_level(scene, images):
+    dark = np.full(next(iter(images.values())).shape, 2.0, np.float32)
+    some = [replace(o, levels=o.levels - dark, subtracted=dark) for o in observed(scene, images, seed=1, black=2.0)]
+    result = verify_observations(scene, some)
+    assert alarms(result) == {("black", "")}
+    assert result.findings[0].amount == "+2.00 levels in frames without light"
+
+
 def test_limits_decide(scene):
     found = images_of(scene, rig_with(scene, **{"gain light1": [math.log(0.95)]}))
     assert verified(scene, found, limits=VerifyLimits(gain=0.06)).within_tolerances

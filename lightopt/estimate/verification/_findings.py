@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from lightopt.core.arrays import Float64
+from lightopt.estimate.registration import Observation
 from lightopt.estimate.verification._parameters import Group, axes_of
 from lightopt.estimate.verification._spots import Spot
 
@@ -46,6 +47,9 @@ _TELLING = (
     ({"black", "gain"}, "a dark frame (lightopt capture --dark)"),
     ({"dust_part", "dust_lens"}, "images of another posture, with the stage rotated"),
 )
+
+
+LEAST_DARK = 0.1  # a dark level that is off by less is not reported [sensor level]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,6 +182,23 @@ def swap_findings(exchanged: Mapping[str, str]) -> list[Finding]:
         return []
     text = ", ".join(f"images of {name} show {other}" for name, other in exchanged.items())
     return [Finding(kind="swap", light=text, size=float(len(exchanged)), parts={}, limit=0.0)]
+
+
+def dark_findings(images: Sequence[Observation], good: Sequence[Observation], limit: float) -> list[Finding]:
+    """A finding of the level of frames without light, if a set has them: it is subtracted from the images.
+
+    good: Images of a known good set; empty without one.
+    """
+
+    def level(some: Sequence[Observation]) -> float | None:
+        found = [float(np.mean(o.subtracted)) for o in some if not isinstance(o.subtracted, float)]
+        return float(np.median(found)) if found else None
+
+    own, before = level(images), level(good)
+    if own is None or abs(own - (before or 0.0)) <= LEAST_DARK:
+        return []
+    off = own - (before or 0.0)
+    return [Finding(kind="black", size=abs(off), parts={"": off}, limit=limit, detail=" in frames without light")]
 
 
 def focus_findings(blur: float | None, limit: float) -> list[Finding]:

@@ -18,6 +18,7 @@ from lightopt.estimate.registration import Observation, observed_postures, read_
 from lightopt.estimate.verification._coarse import CoarsePrediction, coarse_images
 from lightopt.estimate.verification._findings import (
     Finding,
+    dark_findings,
     focus_findings,
     group_finding,
     group_name,
@@ -183,6 +184,9 @@ def _report(work: Work, fit: Fit, good: Fit | None, exchanged: Mapping[str, str]
                 distance=distances.get(group.light, 0.0),
             )
             for group in fit.chosen
+        ),
+        *dark_findings(
+            [image.source for image in fit.images], [i.source for i in good.images] if good else (), limits.black
         ),
         *focus_findings(blur, limits.blur_px),
         *spot_findings(spots),
