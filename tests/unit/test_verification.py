@@ -13,7 +13,7 @@ from verified import images_of, observed, parameters_of, rig_with, small_scene
 
 from lightopt.core.errors import InputError
 from lightopt.estimate.verification import VerifyLimits, append_history, plan_limits, verify_observations
-from lightopt.estimate.verification._model import clipped_mean
+from lightopt.optics import clipped_mean
 from lightopt.scene import project, view_from_part
 
 
@@ -173,6 +173,14 @@ def test_images_of_something_else_are_refused(scene, images):
     other = {key: noise.uniform(0.0, 200.0, level.shape).astype(np.float32) for key, level in images.items()}
     with pytest.raises(InputError, match="do not look like this part on this rig"):
         verified(scene, other, register=False)
+
+
+def test_images_that_show_nothing_are_refused(scene, images):
+    for factor, words in ((0.0, "are black"), (1e4, "saturated")):
+        with pytest.raises(InputError, match=words):
+            verified(
+                scene, {key: level * np.float32(factor) + np.float32(factor > 1.0) for key, level in images.items()}
+            )
 
 
 def test_mean_of_clipped_levels():

@@ -11,7 +11,13 @@ from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
-from lightopt.estimate.registration import Agreement, Observation, agreement, register as register_part
+from lightopt.estimate.registration import (
+    Agreement,
+    Observation,
+    agreement,
+    refuse_useless_images,
+    register as register_part,
+)
 from lightopt.estimate.verification._coarse import (
     CoarseImage,
     CoarsePrediction,
@@ -33,6 +39,8 @@ PANEL_MM = 10.0  # a panel that has moved by this is as bad as a part that has m
 STALE_BLOCKS = 0.5  # blocks are chosen anew, and images rendered, where the part's image has moved by more than this
 # rigs that differ by less have the same images: in place [block], reflectance and blur [px²]
 SAME_BLOCKS, SAME_SHARE, SAME_BLUR = 0.02, 0.005, 0.2
+
+LEAST_ROWS = 300  # fewer blocks of all images determine nothing
 
 # an excess residual of more than this share of the level is not explained: the part may lie elsewhere
 UNEXPLAINED_SHARE = 0.15
@@ -103,8 +111,9 @@ def fit_faults(
 ) -> Fit:
     """Find the faults that explain images, from those of a known good set or from the rig file.
 
-    Raises InputError: no faults explain the images.
+    Raises InputError: images that show nothing, or that no faults explain.
     """
+    refuse_useless_images(work.scene, observations, caster=work.caster, threads=work.run.threads)
     images = coarse_images(work.scene, observations, work.side, threads=work.run.threads)
     origin = np.zeros(work.parameters.size) if good is None else good.theta
     fit = _descend(work, images, good, origin, origin)
@@ -114,6 +123,11 @@ def fit_faults(
         start = work.parameters.at_placement(work.scene, found.placement)
         other = replace(_descend(work, images, good, origin, start), registered=True)
         fit = min(fit, other, key=lambda one: one.left.residual)
+    if (evaluable := int(np.count_nonzero(fit.evidence.weight))) < LEAST_ROWS:
+        raise InputError(
+            f"{where}: only {evaluable} places of all images are neither saturated nor at an edge, expected at least "
+            f"{LEAST_ROWS}; capture them with a shorter exposure, or of a larger part"
+        )
     if fit.left.mismatch:
         raise InputError(
             f"{where}: the images do not look like this part on this rig: measured minus predicted is "
@@ -137,7 +151,7 @@ def _descend(work: Work, images: tuple[CoarseImage, ...], good: Fit | None, orig
         if step and work.moved_blocks(theta, at) > STALE_BLOCKS:
             at, predictions = theta, work.predict(theta)
             model = _model(work, images, good, predictions)
-        evidence = gather(p, model.linearise(theta), theta - origin, model.cells)
+        evidence = gather(p, model.linearise(theta), theta - origin, model.rows.cell)
         chosen = choose(evidence)
         _, found, covariance = evidence.solve(chosen)
         change = np.abs(origin + found - theta)[: len(limits)] / limits
@@ -147,7 +161,7 @@ def _descend(work: Work, images: tuple[CoarseImage, ...], good: Fit | None, orig
             break
     mean, noise = model.predicted(theta)
     black = work.scene.sensor.black_level
-    known = (model.rows.place >= 0) & np.isfinite(mean) & (evidence.weight > 0.0)
+    known = ~model.rows.background & np.isfinite(mean) & (evidence.weight > 0.0)
     left = agreement(model.rows.measured[known] - black, mean[known] - black, noise[known])
     return Fit(images, theta, covariance, chosen, evidence, work.predict(theta), left)
 

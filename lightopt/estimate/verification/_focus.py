@@ -12,8 +12,7 @@ from scipy import ndimage, stats
 from lightopt.core.arrays import Bool, Float64
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, PixelSet, light_at, sensor_scale
-from lightopt.estimate.verification._coarse import CoarsePrediction
-from lightopt.estimate.verification._model import some_blocks
+from lightopt.estimate.verification._coarse import CoarsePrediction, some_blocks
 from lightopt.estimate.verification._parameters import Parameters
 from lightopt.geometry import RayCaster
 from lightopt.scene import Scene

@@ -13,8 +13,9 @@ from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import sensor_scale
 from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction
-from lightopt.estimate.verification._model import MISFIT_SHARE, clipped_mean
+from lightopt.estimate.verification._model import MISFIT_SHARE
 from lightopt.estimate.verification._parameters import Parameters
+from lightopt.optics import clipped_mean
 from lightopt.scene import Scene
 
 LEAST_BLOCKS = 12  # saturated areas smaller than this have no centre
@@ -106,10 +107,11 @@ def _delivered(
     log = theta[parameters.group("exposure").first] + theta[parameters.group("gain", o.light).first]
     signal = prediction.levels[o.light].astype(np.float64) * (sensor_scale(scene, o) * math.exp(log))
     black = sensor.black_level + float(theta[parameters.group("black").first])
-    mean, _ = clipped_mean((signal + black).ravel(), sensor.read_noise_levels)
+    mean = np.zeros_like(signal)
+    mean[prediction.clean], _ = clipped_mean(signal[prediction.clean] + black, sensor.read_noise_levels)
     noise = np.sqrt(sensor.noise_variance(signal) / image.count)
     expected = signal + black >= image.top - 0.5
-    return mean.reshape(signal.shape), noise, expected
+    return mean, noise, expected
 
 
 def compare_lights(

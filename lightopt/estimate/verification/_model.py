@@ -5,53 +5,29 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import product
 
 import numpy as np
-from scipy import special
 
-from lightopt.core.arrays import Bool, Float64, Int32
+from lightopt.core.arrays import Bool, Float64
 from lightopt.core.transforms import Posture
-from lightopt.estimate.registration import Observation, PixelSet, light_at, sensor_scale
-from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction, blurred
+from lightopt.estimate.registration import light_at, sensor_scale
+from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction
 from lightopt.estimate.verification._parameters import SIGMA_STEP, Parameters
+from lightopt.estimate.verification._rows import choose_rows
 from lightopt.geometry import RayCaster
+from lightopt.optics import clipped_mean
 from lightopt.scene import Scene
 
 MOST_ENTRIES = 2_500_000  # of the matrix of derivatives
-PIXELS = 1500  # blocks of each posture, if there are not too many images
-BACKGROUND_PIXELS = 300
-
-BLUR_PX = 1.5  # blur for the difference
-
+BLOCKS = 1500  # blocks of each posture, if there are not too many images
 MISFIT_SHARE = 0.01  # of the predicted level: models are no better than that, even of the right part
 
 CLEAR = 4.0  # blocks that the model has this many standard deviations of a pixel below saturation are used
 
-# the background shows the black level if its mean is the same in all images, and even, to so many sensor levels
-EVEN_LEVELS = 0.3
-_EVEN_CELLS = 4
-
 # blocks that change this many times as much as nine of ten do lie across the edge of a shadow: few of them would
 # outweigh all others
 STEEP = 15.0
-
-LEAST_NOISE = 0.3  # noise below this many levels would make the mean of rounded levels a staircase
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rows:
-    """The blocks of all images, n of them; levels in sensor levels, black level included.
-
-    image: Which image each is of, shape (n,).
-    place: Its place among the blocks of its posture, −1 for one that shows the background, shape (n,).
-    """
-
-    image: Int32
-    place: Int32
-    measured: Float64
-    top: Float64
 
 
 @dataclass(frozen=True)
@@ -89,88 +65,9 @@ class Model:
         self._scale = np.array([sensor_scale(scene, i.source) for i in images])
         self._count = np.array([float(i.count) for i in images])
         self.correction = np.zeros(0)
-        budget = int(min(PIXELS, max(200, MOST_ENTRIES // (len(images) * parameters.size))))
-        self._sets: list[PixelSet] = []
-        self._numbers: list[list[int]] = []
-        for posture, prediction in predictions.items():
-            numbers = [n for n, image in enumerate(images) if image.source.posture == posture]
-            row, column = some_blocks(prediction.clean, budget)
-            if not len(row):
-                continue
-            sources: list[Observation] = [images[n].source for n in numbers]
-            self._sets.append(
-                PixelSet(
-                    posture=posture, row=row, column=column, images=tuple(sources),
-                    levels=np.stack([images[n].levels[row, column] for n in numbers]).astype(np.float64),
-                    saturated=np.stack([images[n].saturated[row, column] for n in numbers]),
-                )
-            )  # fmt: skip
-            self._numbers.append(numbers)
-        self.rows, self._open = self._join(predictions)
-        self._blurred = self._blur_slopes(predictions)
-
-    def _join(self, predictions: Mapping[Posture, CoarsePrediction]) -> tuple[Rows, Bool]:
-        parts: list[tuple[Int32, Int32, Float64, Float64, Bool]] = []
-        for pixels, numbers in zip(self._sets, self._numbers, strict=True):
-            for own, n in enumerate(numbers):
-                at = pixels.row, pixels.column
-                count = len(pixels.row)
-                parts.append(
-                    (
-                        np.full(count, n, np.int32),
-                        np.arange(count, dtype=np.int32),
-                        pixels.levels[own],
-                        self.images[n].top[at].astype(np.float64),
-                        ~pixels.saturated[own],
-                    )
-                )
-        for n, levels in self._background(predictions):
-            none = np.full(len(levels), -1, np.int32)
-            top = np.full(len(levels), np.inf)
-            parts.append((np.full(len(levels), n, np.int32), none, levels, top, np.ones(len(levels), np.bool_)))
-        image, place, measured, top, unsaturated = (np.concatenate(some) for some in zip(*parts, strict=True))
-        return Rows(image=image, place=place, measured=measured, top=top), unsaturated
-
-    def _background(self, predictions: Mapping[Posture, CoarsePrediction]) -> list[tuple[int, Float64]]:
-        # levels of blocks off the part, if they show nothing but black
-        found: list[tuple[int, Float64]] = []
-        means: list[float] = []
-        for n, image in enumerate(self.images):
-            row, column = some_blocks(predictions[image.source.posture].background, BACKGROUND_PIXELS)
-            if len(row) < BACKGROUND_PIXELS // 4 or not isinstance(image.source.subtracted, float):
-                return []
-            levels = image.levels[row, column].astype(np.float64)
-            # in four directions about the part
-            cell = 2 * (row > np.median(row)) + (column > np.median(column))
-            cells = [float(levels[cell == c].mean()) for c in range(_EVEN_CELLS) if np.any(cell == c)]
-            means += cells
-            found.append((n, levels))
-        return found if max(means) - min(means) < EVEN_LEVELS else []
-
-    def _blur_slopes(self, predictions: Mapping[Posture, CoarsePrediction]) -> Float64:
-        # change of the grey level of each row per px² of variance of a blur
-        slopes: list[Float64] = []
-        for pixels, numbers in zip(self._sets, self._numbers, strict=True):
-            for n in numbers:
-                level = predictions[pixels.posture].levels[self.images[n].source.light]
-                change = blurred(level, BLUR_PX / self._side) - level
-                slopes.append(change[pixels.row, pixels.column].astype(np.float64) / BLUR_PX**2)
-        found = np.zeros(len(self.rows.image))
-        joined = np.concatenate(slopes)
-        found[: len(joined)] = joined
-        return found
-
-    @cached_property
-    def cells(self) -> Int32:
-        """For each row the number of a cell of neighbouring blocks of its image, shape (n,)."""
-        cell = np.zeros(len(self.rows.image), np.int64)
-        side = max(8, self.scene.camera.width // 24)
-        for pixels, numbers in zip(self._sets, self._numbers, strict=True):
-            own = (pixels.row // side).astype(np.int64) * 1000 + pixels.column // side
-            for n in numbers:
-                cell[(self.rows.image == n) & (self.rows.place >= 0)] = own
-        keys = self.rows.image.astype(np.int64) * 10_000_000 + np.where(self.rows.place >= 0, cell, 9_999_999)
-        return np.unique(keys, return_inverse=True)[1].astype(np.int32)
+        budget = int(min(BLOCKS, max(200, MOST_ENTRIES // (len(images) * parameters.size))))
+        self.rows = choose_rows(images, predictions, budget=budget, side=side)
+        self._open = self.rows.unsaturated.copy()
 
     def levels(self, theta: Float64, *, exact: bool = True) -> tuple[Float64, Float64, Float64]:
         """Grey level of each row at exposure 1, its specular part, and the level with a lobe wider by SIGMA_STEP.
@@ -186,7 +83,7 @@ class Model:
             return level, specular, wider
         some = [self._levels(theta, x, y) for x, y in dict.fromkeys(product((-off, off), repeat=2))]
         level, specular, wider = np.mean(some, axis=0)
-        blur = theta[self.parameters.nuisance[-1]] * self._blurred
+        blur = theta[self.parameters.nuisance[-1]] * self.rows.blur
         return level + blur, specular, wider + blur
 
     def _levels(self, theta: Float64, x: float, y: float) -> Float64:
@@ -196,7 +93,7 @@ class Model:
         sigma = own.sigma * scale_sigma
         out = np.zeros((3, len(self.rows.image)))
         first = 0
-        for pixels, numbers in zip(self._sets, self._numbers, strict=True):
+        for pixels, numbers in zip(self.rows.sets, self.rows.numbers, strict=True):
             view = self.parameters.view(self.scene, pixels.posture, theta)
             column, row = view.camera.axis_px
             view = replace(view, camera=replace(view.camera, principal_point=(column - x, row - y)))
@@ -237,7 +134,7 @@ class Model:
     def correct(self, good: Model, theta: Float64) -> None:
         """Let the prediction at some parameters be what a known good set shows at the same blocks."""
         same = len(good.rows.measured) == len(self.rows.measured)  # else only one of them has a black background
-        on_part = [model.rows.place >= 0 for model in (self, good)]
+        on_part = [~model.rows.background for model in (self, good)]
         measured = np.full(len(self.rows.measured), np.nan)
         own, there = (slice(None), slice(None)) if same else on_part
         measured[own] = good.rows.measured[there]
@@ -246,7 +143,7 @@ class Model:
 
     def with_black_level(self, theta: Float64) -> Float64:
         """Parameters with the black level that the background shows, if it shows one."""
-        none = self.rows.place < 0
+        none = self.rows.background
         if not none.any():
             return theta
         level = float(self.rows.measured[none].mean())
@@ -291,7 +188,7 @@ class Model:
                     slope[own, group.first + axis] = change[own]
         slope[:, p.nuisance[0]] = unit * specular
         slope[:, p.nuisance[1]] = unit * (wider - level) / math.log1p(SIGMA_STEP)
-        slope[:, p.nuisance[2]] = unit * self._blurred
+        slope[:, p.nuisance[2]] = unit * self.rows.blur
         sensor = self.scene.sensor
         single = np.sqrt(sensor.noise_variance(np.maximum(mean - sensor.black_level, 0.0)))
         used = self._open & (mean + CLEAR * single < self.rows.top)
@@ -302,27 +199,3 @@ class Model:
                 used &= ~(size > STEEP * np.quantile(size[used], 0.9))
         residual = np.where(used, (self.rows.measured - np.where(used, mean, 0.0)) / noise, 0.0)
         return Linearised(residual, np.where(used[:, None], slope, 0.0) / np.where(used, noise, 1.0)[:, None], used)
-
-
-def clipped_mean(level: Float64, noise: float) -> tuple[Float64, Float64]:
-    """Mean of noisy levels that are rounded, and none of which is below 0, and its slope; both of the level's shape.
-
-    level: Without noise [sensor level]; noise: Standard deviation, above 0.
-    """
-    noise = max(noise, LEAST_NOISE)
-    mean, slope = level.copy(), np.ones(len(level))
-    low = np.flatnonzero(level < 6.0 * noise)
-    # the mean is the sum over k of the probability that the rounded level is k or more
-    z = (level[low, None] + 0.5 - np.arange(1.0, 12.0 * noise + 2.0)) / noise
-    mean[low] = special.ndtr(z).sum(axis=1)
-    slope[low] = np.exp(-0.5 * np.square(z)).sum(axis=1) / (noise * math.sqrt(2.0 * math.pi))
-    return mean, slope
-
-
-def some_blocks(mask: Bool, most: int) -> tuple[Int32, Int32]:
-    """Rows and columns of so many blocks of a mask, at random but the same each time."""
-    index = np.flatnonzero(mask)
-    if len(index) > most:
-        index = np.sort(np.random.default_rng(0).choice(index, most, replace=False))
-    row, column = np.unravel_index(index, mask.shape)
-    return row.astype(np.int32), column.astype(np.int32)
