@@ -44,7 +44,8 @@ LEAST_ROWS = 300  # fewer blocks of all images determine nothing
 
 # an excess residual of more than this share of the level is not explained: the part may lie elsewhere
 UNEXPLAINED_SHARE = 0.15
-FAR_BLOCKS = 4.0  # the same where the part's image has moved by more than this
+# the same where its image has moved by more than this, and the residual is still so many times the noise
+FAR_BLOCKS, FAR_RESIDUAL = 4.0, 2.0
 
 
 class Work:
@@ -56,6 +57,10 @@ class Work:
         self.coarse = replace(scene, camera=coarse_camera(scene.camera, self.side))
         self.caster = cast_rays_at(scene)
         self._kept: list[tuple[Float64, dict[Posture, CoarsePrediction]]] = []
+
+    def blocks(self, observations: Sequence[Observation]) -> tuple[CoarseImage, ...]:
+        """Block means of images."""
+        return coarse_images(self.scene, observations, self.side, threads=self.run.threads)
 
     def predict(self, theta: Float64, *, within: float = SAME_BLOCKS) -> dict[Posture, CoarsePrediction]:
         """Images of the rig with some faults; of one that was rendered before if it differs by less [block]."""
@@ -107,18 +112,21 @@ class Fit:
 
 
 def fit_faults(
-    work: Work, observations: Sequence[Observation], good: Fit | None = None, *, where: str, register: bool
+    work: Work, images: tuple[CoarseImage, ...], good: Fit | None = None, *, where: str, register: bool
 ) -> Fit:
     """Find the faults that explain images, from those of a known good set or from the rig file.
 
+    where: The set, for messages.
+    register: Whether the part is searched for where it does not lie near its nominal placement.
+
     Raises InputError: images that show nothing, or that no faults explain.
     """
+    observations = [image.source for image in images]
     refuse_useless_images(work.scene, observations, caster=work.caster, threads=work.run.threads)
-    images = coarse_images(work.scene, observations, work.side, threads=work.run.threads)
     origin = np.zeros(work.parameters.size) if good is None else good.theta
     fit = _descend(work, images, good, origin, origin)
-    lost = fit.left.share > UNEXPLAINED_SHARE or work.moved_blocks(fit.theta, origin) > FAR_BLOCKS
-    if register and lost:
+    far = work.moved_blocks(fit.theta, origin) > FAR_BLOCKS and fit.left.residual > FAR_RESIDUAL * fit.left.noise
+    if register and (far or fit.left.share > UNEXPLAINED_SHARE):
         found = register_part(work.scene, observations, caster=work.caster, reduced=True, run=work.run)
         start = work.parameters.at_placement(work.scene, found.placement)
         other = replace(_descend(work, images, good, origin, start), registered=True)

@@ -8,7 +8,7 @@ from scipy import optimize
 
 from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture
-from lightopt.estimate.registration import Observation, sensor_scale
+from lightopt.estimate.registration import sensor_scale
 from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction
 from lightopt.scene import Scene
 
@@ -52,9 +52,12 @@ def exchanged_lights(
     return changed if gain > LEAST_GAIN * len(at) * len(predictions) else {}
 
 
-def renamed(observations: Sequence[Observation], exchanged: Mapping[str, str]) -> tuple[Observation, ...]:
+def renamed(images: Sequence[CoarseImage], exchanged: Mapping[str, str]) -> tuple[CoarseImage, ...]:
     """The images with the names of the lights that they show."""
-    return tuple(replace(o, light=exchanged.get(o.light, o.light)) for o in observations)
+    return tuple(
+        replace(image, source=replace(image.source, light=exchanged.get(image.source.light, image.source.light)))
+        for image in images
+    )
 
 
 def _correlation(a: Float64, b: Float64) -> float:

@@ -15,7 +15,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, observed_postures, read_observations
-from lightopt.estimate.verification._coarse import CoarsePrediction, coarse_images
+from lightopt.estimate.verification._coarse import CoarsePrediction
 from lightopt.estimate.verification._findings import (
     Finding,
     dark_findings,
@@ -135,12 +135,12 @@ def verify_observations(
     """
     run, limits = run or RunContext(), limits or VerifyLimits()
     work = Work(scene, Parameters.of(scene, limits), run)
-    good = None if baseline is None else fit_faults(work, baseline, where=where, register=register)
-    nothing = np.zeros(work.parameters.size)
-    exchanged = exchanged_lights(
-        work.coarse, coarse_images(scene, observations, work.side, threads=run.threads), work.predict(nothing)
-    )
-    found = fit_faults(work, renamed(observations, exchanged), good, where=where, register=register)
+    good = None
+    if baseline is not None:
+        good = fit_faults(work, work.blocks(baseline), where="the known good set", register=register)
+    images = work.blocks(observations)
+    exchanged = exchanged_lights(work.coarse, images, work.predict(np.zeros(work.parameters.size)))
+    found = fit_faults(work, renamed(images, exchanged), good, where=where, register=register)
     return _report(work, found, good, exchanged, limits)
 
 
