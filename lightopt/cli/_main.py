@@ -37,6 +37,7 @@ _COMMANDS = {
     "fit-specular": ("_fit", "Fit specular coefficient and roughness to images."),
     "optimize": ("_optimize", "Find the best light positions by exact search."),
     "inspect": ("_inspect", "Find defects in images and locate them on the part."),
+    "verify": ("_verify", "Name what has changed on the rig since its file, or a known good set, was made."),
     "overlap": ("_image_sets", "Report where saturated regions of images overlap."),
     "compare": ("_image_sets", "Compare new images or image sets with golden ones."),
     "schema": ("_files", "Print the JSON schema of a rig or part file."),

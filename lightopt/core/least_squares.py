@@ -305,7 +305,7 @@ class _Solver:
         if here.normal is None:
             slopes, unit = self._slopes(here.x), self._units()
             weight = self._weight * self._loss.weight(here.residual / unit) / np.square(unit)
-            normal, pull = _weighted_sums(slopes, weight, here.residual)
+            normal, pull = weighted_sums(slopes, weight, here.residual)
             pull -= self._precision @ (here.x - self._limits.nominal)
             here.normal = normal + self._precision, pull
         return here.normal
@@ -410,11 +410,11 @@ class _Solver:
         # rows that are off together are not bent one by one
         correlated = self._problem.correlated
         bend = weight * np.where(correlated, self._loss.weight(u), self._loss.bend(u)) / np.square(unit)
-        inner = _weighted_sums(slopes, bend, here.residual)[0] + self._precision
+        inner = weighted_sums(slopes, bend, here.residual)[0] + self._precision
         observed = np.square(weight * self._loss.weight(u) * u / unit)
         expected = weight * self._loss.weight(u) / np.square(unit)
         scatter = np.where(correlated, expected, observed)
-        middle = _weighted_sums(slopes, scatter, here.residual)[0] + self._precision
+        middle = weighted_sums(slopes, scatter, here.residual)[0] + self._precision
         basis = self._basis(here.x, np.zeros_like(pull))
         covariance = np.zeros((self._size, self._size))
         if basis.shape[1]:
@@ -442,9 +442,12 @@ class _Solver:
 
 
 @kernel
-def _weighted_sums(slopes: Float64, weight: Float64, residual: Float64) -> tuple[Float64, Float64]:
-    # Sᵀ·W·S and Sᵀ·W·r. Not by BLAS, whose threads take longer to meet than such slim matrices take, and whose sums
-    # depend on how many there are
+def weighted_sums(slopes: Float64, weight: Float64, residual: Float64) -> tuple[Float64, Float64]:
+    """Sᵀ·W·S, shape (K, K), and Sᵀ·W·r, shape (K,), of slopes (n, K), weights (n,) and residuals (n,).
+
+    Not by BLAS, whose threads take longer to meet than such slim matrices take, and whose sums depend on how many there
+    are.
+    """
     rows, size = slopes.shape
     normal, pull = np.zeros((size, size)), np.zeros(size)
     for i in range(rows):

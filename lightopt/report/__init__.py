@@ -26,3 +26,9 @@ from lightopt.report._surface import (
     SurfaceClass as SurfaceClass,
     SurfaceLayer as SurfaceLayer,
 )
+from lightopt.report._verification import (
+    findings_table as findings_table,
+    history_chart as history_chart,
+    lights_table as lights_table,
+    verification_report as verification_report,
+)
