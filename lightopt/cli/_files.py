@@ -73,14 +73,13 @@ def _schema_text(kind: Literal["rig", "part"]) -> str:
 
 def check(
     rig: common.RigFile,
-    part: Annotated[
-        Path | None, typer.Argument(metavar="PART", help="Part file (YAML); without it only the rig is checked.")
-    ] = None,
+    part: Path | None = typer.Argument(
+        None, metavar="PART", help="Part file (YAML); without it only the rig is checked."
+    ),
     json_file: common.JsonFile = None,
-    drawing: Annotated[
-        Path | None,
-        common.output_option(metavar="FILE", help="Draw rig and PART with coordinate frames and angles (PNG)."),
-    ] = None,
+    drawing: Path | None = common.output_option(
+        None, metavar="FILE", help="Draw rig and PART with coordinate frames and angles (PNG)."
+    ),
     force: common.Force = False,
     quiet: common.Quiet = False,
     verbose: common.Verbose = False,
