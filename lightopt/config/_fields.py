@@ -46,9 +46,14 @@ Complaint = tuple[tuple[str | int, ...], object, PydanticCustomError]
 
 
 class Frozen(BaseModel):
-    """Base of all configuration: unknown keys are errors, nothing is converted, numbers are finite."""
+    """Base of all configuration: unknown keys are errors, nothing is converted, numbers are finite.
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    The text below a key describes it in the schema and in messages.
+    """
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
 
 class FileConfig(Frozen):
@@ -231,5 +236,7 @@ FileName = Annotated[
 class PostureConfig(Frozen):
     """One posture of the stage."""
 
-    elevation_deg: Tilt = Field(description="Tilt of the cradle about X [deg].")
-    rotation_deg: Azimuth = Field(description="Rotation of the part about the stage's own axis [deg].")
+    elevation_deg: Tilt
+    """Tilt of the cradle about X [deg]."""
+    rotation_deg: Azimuth
+    """Rotation of the part about the stage's own axis [deg]."""

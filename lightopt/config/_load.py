@@ -169,6 +169,7 @@ def json_schema(kind: Literal["rig", "part"]) -> dict[str, Any]:
     for model in (schema, *schema["$defs"].values()):
         for field in model["properties"].values():
             field.pop("title", None)  # only the key again, in capitals
+            field["description"] = " ".join(field["description"].split())
         if "pose" in model["properties"]:
             model["required"] = [key for key in model["required"] if key not in POSE_REPLACES]
     schema["title"] = f"lightopt {kind}"
