@@ -1,4 +1,3 @@
-
 from lightopt.cli import _common as common
 from lightopt.cli._terminal import echo, echo_warning, show_progress
 from lightopt.core.errors import counted

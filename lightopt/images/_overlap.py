@@ -13,10 +13,10 @@ from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
 from lightopt.images._file_names import posture_folder
+from lightopt.images._image_files import write_png
 from lightopt.images._manifest import ImageEntry
 from lightopt.images._result_folder import ResultFolder
 from lightopt.images._set_reader import ImageSet
-from lightopt.images.formats._png import write_png
 
 ONE_COLOUR = (70, 110, 190)
 SEVERAL_COLOUR = (230, 60, 40)

@@ -16,9 +16,8 @@ from lightopt.core.provenance import differences, file_sha256
 from lightopt.core.transforms import Posture
 from lightopt.images import _file_names as file_names
 from lightopt.images._atomic import make_folder, remove_file, write_bytes_atomic, write_npz_atomic, write_text_atomic
+from lightopt.images._image_files import write_exr, write_png
 from lightopt.images._manifest import GeometryEntry, ImageEntry, Manifest, read_manifest
-from lightopt.images.formats._exr import write_exr
-from lightopt.images.formats._png import write_png
 
 _PATCHES_NAME = "patches.npz"
 

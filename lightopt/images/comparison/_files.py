@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lightopt.core.arrays import Bool
 from lightopt.core.errors import InputError
-from lightopt.images import read_exr, read_exr_metadata, read_png, read_png_metadata
+from lightopt.images import read_exr, read_metadata, read_png
 from lightopt.images.comparison._channels import ChannelDifference, ComparisonThresholds, compare_arrays
 
 LEVELS = "levels"  # name given to a grey PNG's only channel
@@ -59,7 +59,7 @@ def load_file(path: Path) -> LoadedFile:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     if magic == _EXR_MAGIC:
-        full_scale = _number(read_exr_metadata(path).get("full_scale"), _DEFAULT_FULL_SCALE)
+        full_scale = _number(read_metadata(path).get("full_scale"), _DEFAULT_FULL_SCALE)
         return LoadedFile(channels=dict(read_exr(path)), kind="EXR of floats", saturation=full_scale)
     if magic != _PNG_MAGIC:
         raise InputError(f"{path}: expected an EXR or PNG image, found neither")
@@ -67,7 +67,7 @@ def load_file(path: Path) -> LoadedFile:
     grey = pixels.ndim == 2
     channels = {LEVELS: pixels} if grey else {name: pixels[..., i] for i, name in enumerate("RGB")}
     top = float(np.iinfo(pixels.dtype).max)
-    metadata = read_png_metadata(path)
+    metadata = read_metadata(path)
     saturation = _number(metadata.get("saturation_level"), top)
     black = _number(metadata.get("black_level"), 0.0)
     return LoadedFile(dict(channels), f"PNG of {pixels.dtype}", saturation, black)

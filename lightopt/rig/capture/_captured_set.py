@@ -21,8 +21,8 @@ from lightopt.images import (
     dark_name,
     make_folder,
     read_manifest,
+    read_metadata,
     read_png,
-    read_png_metadata,
     remove_file,
     resumable_manifest,
 )
@@ -190,7 +190,7 @@ class CapturedSet:
 
     def _read_exposure(self, light: str, posture: Posture, exposure: float) -> ExposureImage:
         path = self._png(light, posture, exposure)
-        facts: dict[str, Any] = read_png_metadata(path).get("capture", {})
+        facts: dict[str, Any] = read_metadata(path).get("capture", {})
         held = facts.get("exposure_us", {}).get("read", self._plan.exposure_us(exposure))
         frame = FrameMean(self._scene.sensor)
         frame.add(read_png(path))
