@@ -1,7 +1,5 @@
 """Kinds of values in the files, each with a description of what is expected, and how errors are reported."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path

@@ -5,8 +5,6 @@ schema of YAML 1.2 (YAML 1.2.2, section 10.3.2): PyYAML follows YAML 1.1, where 
 `1:30` is ninety.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -81,7 +79,7 @@ class Document:
 class _Node:
     line: int
     event: yaml.NodeEvent
-    children: list[_Node] = field(default_factory=list["_Node"])  # of a mapping: key, value, key, value, …
+    children: "list[_Node]" = field(default_factory=list["_Node"])  # of a mapping: key, value, key, value, …
 
 
 def parse(text: str) -> Document:
@@ -141,7 +139,7 @@ class _Reader:
                 raise YamlError(self.line, "a second document starts here (---); expected one per file")
         return root
 
-    def node(self, event: yaml.Event, depth: int) -> _Node:
+    def node(self, event: yaml.Event, depth: int) -> "_Node":
         self.count += 1
         if self.count > MAX_NODES:
             raise YamlError(self.line, f"more than {MAX_NODES} values; this is not a configuration file")

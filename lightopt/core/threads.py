@@ -1,7 +1,5 @@
 """How many threads there are to use, and work spread over them, which ends soon where it is stopped."""
 
-from __future__ import annotations
-
 import itertools
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -85,7 +83,7 @@ class BackgroundTasks:
         self._pool = _Pool(1)
         self._failed = False
 
-    def __enter__(self) -> BackgroundTasks:
+    def __enter__(self) -> "BackgroundTasks":
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:

@@ -1,7 +1,5 @@
 """Directions, local frames and rotations in the world frame (right-handed, +Z up, column vectors)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -97,7 +95,7 @@ class Posture:
         return rotation_x(math.radians(self.elevation_deg)) @ rotation_z(math.radians(self.rotation_deg))
 
     @staticmethod
-    def from_dict(facts: Mapping[str, float]) -> Posture:
+    def from_dict(facts: Mapping[str, float]) -> "Posture":
         """From what :meth:`as_dict` gives."""
         return Posture(facts["elevation_deg"], facts["rotation_deg"])
 

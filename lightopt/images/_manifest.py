@@ -1,7 +1,5 @@
 """The manifest of an image set: what was imaged, under which light, posture and exposure, into which file."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterator, Mapping
@@ -240,7 +238,7 @@ class _Fields:
         if not isinstance(data, dict):
             self.problem("", "an object", data)
 
-    def inner(self, key: str, value: object) -> _Fields:
+    def inner(self, key: str, value: object) -> "_Fields":
         return _Fields(self.path, value, self.place(key), self.problems)
 
     def place(self, key: str) -> str:
@@ -292,7 +290,7 @@ class _Fields:
         inner = self.inner(key, self.data.get(key) or {})
         return {name: inner.text(name) for name in inner.data}
 
-    def items(self, key: str, *, required: bool = False) -> Iterator[_Fields]:
+    def items(self, key: str, *, required: bool = False) -> "Iterator[_Fields]":
         value = self.data.get(key, None if required else [])
         if not isinstance(value, list):
             self.problem(key, "a list", value)

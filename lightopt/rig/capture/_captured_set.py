@@ -1,7 +1,5 @@
 """The captured image set on disk: which images exist, which are missing, and how they are written."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -35,7 +33,7 @@ from lightopt.scene import Scene, build_scene
 
 def open_set(
     folder: Path, rig: RigConfig, part: PartConfig, scene: Scene, plan: CapturePlan, *, resume: bool, force: bool
-) -> CapturedSet:
+) -> "CapturedSet":
     """Begin a captured set, or continue one; a set without any image is begun anew.
 
     InputError when the folder holds a set already (without `resume` or `force`), or one of another rig, part or plan.

@@ -1,7 +1,5 @@
 """The opened devices of a rig, safe on every way out."""
 
-from __future__ import annotations
-
 import atexit
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
@@ -82,7 +80,7 @@ class Devices:
         """Number of commands sent again so far."""
         return sum(event.retry for event in self.events())
 
-    def __enter__(self) -> Devices:
+    def __enter__(self) -> "Devices":
         if self._signals is None:
             self._signals = EndSignals()
             self._signals.install()

@@ -1,7 +1,5 @@
 """Take the images of a plan: the order of steps between the devices and the disk."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Generator, Sequence
 from dataclasses import asdict
@@ -50,7 +48,7 @@ class CaptureSession:
         self.taken = 0
         self.warnings: tuple[str, ...] = ()
 
-    def __enter__(self) -> CaptureSession:
+    def __enter__(self) -> "CaptureSession":
         return self
 
     def __exit__(

@@ -1,7 +1,5 @@
 """What the driver of a camera implements (:class:`CameraSdk`): features by their standard names, and frames."""
 
-from __future__ import annotations
-
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -100,7 +98,7 @@ class RawFrame:
     problem: str | None = None
 
     @classmethod
-    def unusable(cls, number: int | None, problem: str) -> RawFrame:
+    def unusable(cls, number: int | None, problem: str) -> "RawFrame":
         """A frame of which there are no pixels."""
         return cls(data=np.zeros(0, np.uint8), width=0, height=0, number=number, problem=problem)
 

@@ -1,7 +1,5 @@
 """Light controllers whatever their protocol: settings, the base class of the drivers, and all lights off."""
 
-from __future__ import annotations
-
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -52,7 +50,7 @@ class LightSettings:
     max_levels: Mapping[int, int] = field(default_factory=dict[int, int])
 
 
-def all_off(controllers: Mapping[str, LightController], *, lit: Mapping[str, Collection[int]] | None = None) -> None:
+def all_off(controllers: Mapping[str, "LightController"], *, lit: Mapping[str, Collection[int]] | None = None) -> None:
     """Darken every channel of every controller, each of them even if others fail; no controller waits for another.
 
     lit: Channels that are known to be lit, by controller: they come first.
@@ -78,7 +76,7 @@ def all_off(controllers: Mapping[str, LightController], *, lit: Mapping[str, Col
         )
 
 
-def _darken_all(controller: LightController, first: Collection[int]) -> dict[str, list[int]]:
+def _darken_all(controller: "LightController", first: Collection[int]) -> dict[str, list[int]]:
     """Switch every channel off, some of them first; those where that failed, by reason."""
     channels = range(1, controller.channels + 1)
     reasons = {channel: _darken(controller, channel) for channel in sorted(channels, key=lambda c: c not in first)}
@@ -89,7 +87,7 @@ def _darken_all(controller: LightController, first: Collection[int]) -> dict[str
     return found
 
 
-def _darken(controller: LightController, channel: int) -> str | None:
+def _darken(controller: "LightController", channel: int) -> str | None:
     """Switch a channel off; why that failed, or None.
 
     A driver asks again by itself where it knows how its device fails; any other exception is a reason to try again.
@@ -138,7 +136,7 @@ class LightController(ABC):
         self._reads = False  # whether levels can be read back, which each protocol finds out in its own way
 
     @classmethod
-    def open(cls, settings: LightSettings, log: SerialLog | None = None) -> LightController:
+    def open(cls, settings: LightSettings, log: SerialLog | None = None) -> "LightController":
         """Open the link of a controller and let its driver talk first; a link on which that fails is closed."""
         link = SerialLink(
             settings.port,

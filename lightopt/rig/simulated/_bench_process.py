@@ -1,7 +1,5 @@
 """The virtual bench from outside: its process, its ports, and the requests to it."""
 
-from __future__ import annotations
-
 import json
 import os
 import socket
@@ -148,7 +146,7 @@ class BenchProcess:
             self.kill()
         self._errors.close()
 
-    def __enter__(self) -> BenchProcess:
+    def __enter__(self) -> "BenchProcess":
         return self
 
     def __exit__(self, *exception: object) -> None:

@@ -1,7 +1,5 @@
 """What the virtual bench's camera looks at: files, wiring, and where the bench differs from them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -78,7 +76,7 @@ class CameraSetup:
     gige: bool = False
 
     @classmethod
-    def of(cls, data: Mapping[str, Any]) -> CameraSetup:
+    def of(cls, data: Mapping[str, Any]) -> "CameraSetup":
         parts: dict[str, Any] = {
             "lights": tuple(LightWire(**wire) for wire in data["lights"]),
             "truth": BenchTruth(**data["truth"]),
