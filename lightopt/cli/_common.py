@@ -110,7 +110,6 @@ def _parse_posture(text: str) -> Posture:
 
 
 def parse_exposures(text: str) -> tuple[float, ...]:
-    """Read numbers and fractions with commas between them."""
     return tuple(parse_exposure(one, option="--exposures") for one in text.split(","))
 
 
@@ -146,7 +145,6 @@ def _number(text: str) -> float:
 
 
 def parse_points(text: str | None) -> int | Literal["auto"] | None:
-    """Read the number of point lights of a panel."""
     if text is None or text == "auto":
         return text
     try:

@@ -152,7 +152,6 @@ def report_unexpected(error: BaseException) -> None:
 
 
 def _written(text: str) -> str:
-    """Path of a new file with a traceback, and with what it takes to find its cause."""
     import tempfile  # which takes longer to load than the rest of the module
 
     from lightopt import __version__

@@ -39,7 +39,6 @@ FLAGS = {
 
 
 def flag(name: str) -> str:
-    """The flag of a library's option."""
     return FLAGS.get(name, f"--{name.replace('_', '-')}")
 
 
@@ -85,7 +84,6 @@ def show_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers_
 
 
 def show_page_table(table: Table, *, most: int | None = None) -> None:
-    """A table of a report, or its first rows, on standard output."""
     show_table(table.header, table.rows[:most], numbers_from=table.numbers_from)
 
 

@@ -61,12 +61,10 @@ class FileConfig(Frozen):
 
     @property
     def source(self) -> Source:
-        """The file that this was read from."""
         return self._source
 
 
 def complaint(reason: str) -> PydanticCustomError:
-    """Error with this message."""
     return PydanticCustomError("complaint", "{reason}", {"reason": reason})
 
 

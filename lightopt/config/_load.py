@@ -254,7 +254,6 @@ def _document(text: str) -> object:
 
 
 def _readable(model: type[Entry], entries: Mapping[str, object]) -> dict[str, Entry]:
-    """The entries that fit the model once keys that it does not know are left out."""
     read: dict[str, Entry] = {}
     for name, entry in entries.items():
         known = {key: value for key, value in mapping(entry).items() if key in model.model_fields}

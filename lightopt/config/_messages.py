@@ -28,7 +28,6 @@ _UNITS = {
 
 
 def describe(value: object) -> str:
-    """Write a value as in the file, shortened."""
     if value is None:
         return "nothing"
     if isinstance(value, Mapping):

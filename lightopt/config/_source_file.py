@@ -8,7 +8,6 @@ Keys = tuple[str | int, ...]
 
 
 def dotted(keys: Keys) -> str:
-    """Write a path of keys the way people read it: ``("lights", 2, "gain")`` is ``lights[2].gain``."""
     text = ""
     for key in keys:
         if isinstance(key, int):

@@ -221,7 +221,6 @@ class _Expansion:
 
 
 def _explain(error: yaml.MarkedYAMLError) -> tuple[int, str]:
-    """Line and message of a syntax error."""
     mark = error.problem_mark or error.context_mark
     line = mark.line + 1 if mark else 1
     column = f" (column {mark.column + 1})" if mark else ""
@@ -241,7 +240,6 @@ def _explain(error: yaml.MarkedYAMLError) -> tuple[int, str]:
 
 
 def is_number(text: str) -> bool:
-    """Whether the text, unquoted, would be a number."""
     return any(pattern.fullmatch(text) for pattern in (*_INTEGERS.values(), _FLOAT))
 
 

@@ -147,7 +147,6 @@ class Manifest:
 
     @property
     def saturated_from(self) -> float:
-        """Sensor level from which a pixel counts as saturated."""
         return float(self.max_level) if self.saturation_level is None else self.saturation_level
 
     @property

@@ -41,16 +41,13 @@ class ImageSet:
 
     @property
     def images(self) -> tuple[ImageEntry, ...]:
-        """The images, in the manifest's order."""
         return self.manifest.images
 
     @property
     def geometry(self) -> tuple[GeometryEntry, ...]:
-        """The geometry images, in the manifest's order."""
         return self.manifest.geometry
 
     def path(self, name: str) -> Path:
-        """Where a file that the manifest names lies."""
         return self.folder / name
 
     @cached_property

@@ -69,7 +69,6 @@ class CheckedRig:
     lights: tuple[PanelLight, ...]
 
     def at(self, *keys: str | int) -> str:
-        """File, line and key of a setting of the rig."""
         return self.rig.source.at(*keys)
 
 
@@ -96,5 +95,4 @@ class CheckedScene:
     samples: tuple[PostureSamples, ...]
 
     def at_posture(self, index: int) -> str:
-        """File, line and key of a posture of the part."""
         return self.part.source.at("postures", index)

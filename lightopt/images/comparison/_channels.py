@@ -78,7 +78,6 @@ class ChannelDifference:
 
     @property
     def passed(self) -> bool:
-        """Whether the channel is close enough."""
         return not self.reasons
 
     def as_dict(self) -> dict[str, Any]:

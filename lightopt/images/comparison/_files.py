@@ -38,7 +38,6 @@ class LoadedFile:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """(H, W)."""
         return next(iter(self.channels.values())).shape
 
     @property
@@ -87,7 +86,6 @@ class Comparison:
 
     @property
     def passed(self) -> bool:
-        """Whether they are close enough."""
         return not self.reasons
 
     def as_dict(self) -> dict[str, Any]:

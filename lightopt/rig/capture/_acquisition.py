@@ -66,7 +66,6 @@ class AcquiredImage:
 
     @property
     def image(self) -> ExposureImage:
-        """The image of the frames; waits for it."""
         return self.future.result()
 
 
@@ -273,7 +272,6 @@ class AcquisitionEngine:
 
 
 def _holds(held_us: float, wanted_us: float) -> bool:
-    """Whether the camera holds the requested exposure time."""
     return abs(held_us - wanted_us) <= EXPOSURE_TOLERANCE * wanted_us
 
 

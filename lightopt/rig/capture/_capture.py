@@ -157,7 +157,6 @@ def lock_folder(folder: Path) -> Generator[None]:
 
 
 def _open_locked(path: Path) -> IO[str]:
-    """Open and lock the file."""
     make_folder(path.parent)
     try:
         file = path.open("a+", encoding="ascii")

@@ -115,7 +115,6 @@ class CapturePlan:
     pixels: int
 
     def exposure_us(self, exposure: float) -> float:
-        """Exposure time [µs] of a relative exposure."""
         return exposure * self.wiring.exposure_us
 
     @property

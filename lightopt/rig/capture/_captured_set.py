@@ -196,6 +196,5 @@ class CapturedSet:
 
 
 def _facts(acquired: AcquiredImage) -> dict[str, Any]:
-    """How an image was taken, and its saturated share."""
     saturated = acquired.image.saturated
     return {**acquired.facts, "saturated_share": np.count_nonzero(saturated) / saturated.size}

@@ -183,7 +183,6 @@ def _collected(problems: list[str], *, where: str = "") -> Generator[None]:
 def _open_rig_camera(
     rig: RigConfig, wiring: Wiring, *, replay: FolderCamera | None, bench: BenchProcess | None, log: SerialLog
 ) -> Camera:
-    """Open the camera with the rig's settings; no frame is taken."""
     if replay is not None:
         return replay
     config = wiring.hardware.camera

@@ -92,7 +92,6 @@ def open_lights(
 
 
 def open_controller(wiring: Wiring, name: str, *, port: str, log: SerialLog | None) -> LightController:
-    """Open one controller; no light changes."""
     config = wiring.hardware.controllers[name]
     settings = LightSettings(
         name=name,
@@ -108,7 +107,6 @@ def open_controller(wiring: Wiring, name: str, *, port: str, log: SerialLog | No
 
 
 def lights_on(wiring: Wiring, channels: Mapping[str, Iterable[int]]) -> list[str]:
-    """Names of the rig's lights on some channels of controllers."""
     wanted = {(name, number) for name, numbers in channels.items() for number in numbers}
     return [
         light for light, channel in wiring.hardware.lights.items() if (channel.controller, channel.channel) in wanted

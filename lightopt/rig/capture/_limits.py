@@ -36,7 +36,6 @@ def posture_problems(
 
 
 def exposure_problems(rig: RigConfig, wiring: Wiring, exposures: tuple[float, ...]) -> Iterator[str]:
-    """Exposures that the virtual camera cannot hold."""
     if wiring.hardware.camera.driver != VIRTUAL:
         return  # the exposures of a folder are checked when it is read, before anything is opened
     low, high = EXPOSURE_RANGE_US

@@ -20,8 +20,6 @@ _DARKENING_S = 0.3  # a light is switched off so long before it reaches its `max
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceStatus:
-    """One line of a table of devices."""
-
     name: str
     text: str
     failed: bool = False

@@ -148,7 +148,6 @@ class Devices:
         self.check_watchdog(name)
 
     def remaining_on_s(self, name: str) -> float | None:
-        """How long a lit panel may stay lit [s]; None where nothing limits it."""
         return self._watchdog.remaining_s(name)
 
     def check_watchdog(self, name: str) -> None:
@@ -207,14 +206,12 @@ class Devices:
             )
 
     def home(self) -> None:
-        """Let the stage seek its origin."""
         assert self.stage is not None
         with self._moving():
             self.stage.home()
         self._homed = True
 
     def move_to(self, posture: Posture) -> StageState:
-        """Move the stage and verify where it stands."""
         assert self.stage is not None
         if not self._homed:
             self.check_referenced()
@@ -233,7 +230,6 @@ class Devices:
         self._stage_may_move = False
 
     def identities(self) -> dict[str, Any]:
-        """Identities of the devices, in JSON form."""
         return {
             "lights": {name: device.identify().as_dict() for name, device in self.controllers.items()},
             "stage": self.stage.identify().as_dict() if self.stage is not None else None,

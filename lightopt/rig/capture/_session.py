@@ -74,7 +74,6 @@ class CaptureSession:
         return self._started
 
     def _progress_text(self) -> str:
-        """Message about what is on disk and how to go on."""
         there, planned = len(self._records.writer.manifest.images), len(self._plan.keys)
         on_disk = f"{there} of {counted(planned, 'image')} {'is' if planned == 1 else 'are'} on disk"
         if not self.todo():
@@ -95,7 +94,6 @@ class CaptureSession:
         self._run.warn(*texts)
 
     def todo(self) -> list[Posture]:
-        """Postures in which images are missing."""
         records, darks = self._records, self._plan.dark_exposures
         return [
             posture

@@ -58,7 +58,6 @@ class FolderCamera:
         return Identity(driver="folder", port=str(self._set.folder), details={"kind": self._set.manifest.kind})
 
     def set_exposure(self, exposure_us: float) -> float:
-        """Hold what the set's camera held of it, or any other; whether the set has it is known at the frame."""
         same = (e for e in self._entries.values() if math.isclose(e.exposure * self._exposure_us, exposure_us))
         entry = next(same, None)
         self._held_us = exposure_us if entry is None else entry.held_exposure * self._exposure_us

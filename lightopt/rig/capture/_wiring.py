@@ -45,11 +45,9 @@ class Wiring:
     exposure_us: float
 
     def light(self, name: str) -> ChannelConfig:
-        """Where a light is plugged in."""
         return self.hardware.lights[name]
 
     def top_level(self, name: str) -> int:
-        """Highest level that a light may have."""
         channel = self.light(name)
         top = self.hardware.controllers[channel.controller].top_level
         return min(top, channel.max_level or top)
@@ -61,7 +59,6 @@ class Wiring:
 
     @property
     def needs_bench(self) -> bool:
-        """Whether any device is simulated."""
         ports = [controller.port for controller in self.hardware.controllers.values()]
         return VIRTUAL in ports or self.stage_is_virtual or self.camera_is_virtual
 
@@ -99,7 +96,6 @@ def wiring_of(rig: RigConfig) -> Wiring:
 
 
 def stage_axes(rig: RigConfig, stage: StageDeviceConfig) -> list[Axis]:
-    """The axes that a stage has, with the rig's ranges."""
     return [
         Axis(
             name=name,

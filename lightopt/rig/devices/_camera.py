@@ -145,7 +145,6 @@ class MachineCamera:
         return self._exposure.range_us
 
     def identify(self) -> Identity:
-        """What the camera reported about itself when it was opened, and how it is set."""
         details = {**self._sdk.details, "pixel_format": self._format.name}
         details["trigger"] = "software" if self.triggered else "none"
         if self._gain is not None:

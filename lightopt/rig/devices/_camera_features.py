@@ -210,5 +210,4 @@ def _unit_us(sdk: CameraSdk, feature: str) -> float | None:
 
 
 def _first_of(sdk: CameraSdk, *names: str) -> str | None:
-    """The first of several names of a feature that the camera has."""
     return next((name for name in names if sdk.has(name)), None)

@@ -35,7 +35,6 @@ class PixelFormat:
     unpack: Callable[[UInt8, int], Levels]
 
     def size(self, pixels: int) -> int:
-        """Number of bytes that so many pixels take."""
         return -(-pixels * self.stored // 8)
 
 

@@ -58,7 +58,6 @@ class CameraInfo:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What it may be called."""
         return tuple(name for name in (self.serial, self.address, self.identifier) if name)
 
     def __str__(self) -> str:
@@ -99,12 +98,10 @@ class RawFrame:
 
     @classmethod
     def unusable(cls, number: int | None, problem: str) -> "RawFrame":
-        """A frame of which there are no pixels."""
         return cls(data=np.zeros(0, np.uint8), width=0, height=0, number=number, problem=problem)
 
     @property
     def name(self) -> str:
-        """What it is called in messages."""
         return "a frame without a number" if self.number is None else f"frame {self.number}"
 
 

@@ -153,7 +153,6 @@ class LightController(ABC):
             raise
 
     def identify(self) -> Identity:
-        """Query the identity of the device; no light changes."""
         details = {**self._query_identity(), "read_back": "yes" if self._reads else "no"}
         return Identity(self.NAME, self._link.port, details)
 
@@ -211,7 +210,6 @@ class LightController(ABC):
             raise self._link.failure(f"channel {channel} was set to {level} but holds {held}")
 
     def _check(self, channel: int, level: int) -> None:
-        """Refuse what the controller does not have or a channel may not be set to, before anything is sent."""
         device = self._link.device
         if not 1 <= channel <= self.channels:
             raise InputError(f"{device}: expected a channel from 1 to {self.channels}, found {channel}")

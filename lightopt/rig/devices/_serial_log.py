@@ -54,7 +54,6 @@ class SerialLog:
         self._report(problem)
 
     def note(self, event: Event) -> None:
-        """Report an irregularity, and write it down."""
         self.write(event.port, "note", event.what, event.time)
         self._report(f"{event.port}: {event.what}")
 

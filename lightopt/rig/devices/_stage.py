@@ -67,12 +67,10 @@ class Stage:
         self._lost: str | None = None
 
     def identify(self) -> Identity:
-        """Query the identity of the device, without moving it."""
         with self._link.lock:
             return Identity(driver=self._driver, port=self._link.port, details=self._dialogue.identify())
 
     def state(self) -> StageState:
-        """Query where it stands and how it is."""
         with self._link.lock:
             return self._state(self._dialogue.read())
 
@@ -140,7 +138,6 @@ class Stage:
             return self._state(reading)
 
     def home(self) -> None:
-        """Seek the mechanical origin of all axes, and wait for it."""
         with self._link.lock:
             reading = self._dialogue.read()
             if reading.moving:

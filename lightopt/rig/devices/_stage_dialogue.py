@@ -61,7 +61,6 @@ class Axis:
         return [f"stage axis {self.name}: {angle_deg:g}° lies outside the rig's range {span}; nothing was moved"]
 
     def speed_units(self) -> float:
-        """Speed in device units per second."""
         return self.speed_deg_per_s * abs(self.steps_per_deg)
 
 

@@ -93,7 +93,6 @@ def checksum(body: bytes) -> bytes:
 
 
 def frame(device: int, axis: int, number: int, command: str) -> bytes:
-    """A numbered command with its checksum."""
     body = " ".join(part for part in (str(device), str(axis), f"{number:02d}", command) if part).encode("ascii")
     return b"/" + body + b":" + checksum(body) + b"\n"
 
@@ -148,7 +147,6 @@ class ZaberDialogue(Dialogue):
             raise InputError("stage: elevation and rotation are the same axis of the controller")
 
     def identify(self) -> dict[str, str]:
-        """Kind, serial number and firmware of each device."""
         details: dict[str, str] = {}
         for device in self._devices:
             for setting in ("deviceid", "system.serial", "version"):
@@ -272,7 +270,6 @@ class ZaberDialogue(Dialogue):
 
 
 def _address(axis: Axis) -> tuple[int, int]:
-    """Numbers of the device and of its axis."""
     device, _, number = axis.device.rpartition("/")
     return int(device or 1), int(number)
 

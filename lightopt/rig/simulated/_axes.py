@@ -66,7 +66,6 @@ class SimulatedAxis:
         return self.count(now) + self._offset
 
     def moving(self, now: float) -> bool:
-        """Whether the controller reports that it moves."""
         self._advance(now)
         return self._end != self._start or self._stays_busy
 

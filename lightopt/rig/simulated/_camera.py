@@ -112,7 +112,6 @@ class BenchCamera:
             self._unprepared = str(error) or type(error).__name__
 
     def sensor(self) -> tuple[tuple[int, int], int]:
-        """Width and height [pixels], and bits of a level."""
         scene = self._build().scene
         return (scene.camera.width, scene.camera.height), scene.sensor.bit_depth
 

@@ -136,7 +136,6 @@ class GigeCamera:
         self.c.arv_fake_camera_set_fill_pattern(_address(self._device), self._fill_c, None)
 
     def unplug(self) -> None:
-        """Pull its cable, for good."""
         self._device = self._server = None
 
     def lose(self, share: float) -> None:
@@ -251,7 +250,6 @@ class GigeFaults:
 
     @property
     def arrives(self) -> bool:
-        """Whether the frame that was begun will be taken for what it is."""
         return not self._now & _UNSOUND
 
     def seen(self, image: Image) -> Image:

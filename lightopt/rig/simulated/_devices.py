@@ -33,11 +33,9 @@ class Device:
         return bool(self._out) or now - self._received_at < _AWAKE_S
 
     def is_due(self, now: float) -> bool:
-        """Whether it is time to poll it, though it has received nothing."""
         return self.is_awake(now) or now - self._polled_at >= _ASLEEP_S
 
     def receive(self, now: float) -> None:
-        """Take what the client sent, and let the firmware answer."""
         data = self.wire.receive()
         if not data:
             return
@@ -50,7 +48,6 @@ class Device:
             self._reply(self.firmware.feed(data, now), now)
 
     def send(self, now: float) -> None:
-        """Send what is due, what the firmware sends on its own included."""
         self._polled_at = now
         self._reply(self.firmware.poll(now), now)
         self._out.sort(key=lambda sent: sent[0])
@@ -62,7 +59,6 @@ class Device:
                 return
 
     def inject(self, fault: str, options: dict[str, Any], now: float) -> None:
-        """Set a fault of the line or of the device; ``clear`` ends all of both."""
         self._received_at = now
         if fault in LINE_FAULTS or fault == "clear":
             self._line.inject(fault, options)

@@ -80,7 +80,6 @@ def _serve(devices: SimulatedDevices, bell: socket.socket) -> None:
 
 
 def _device_requests(devices: SimulatedDevices, gige: GigeCamera | None) -> dict[str, Handler]:
-    """Requests about the simulated devices, a GigE camera included."""
 
     def state(_: Mapping[str, Any]) -> Response:
         now = time.monotonic()

@@ -102,8 +102,6 @@ _ALTERNATIVE, _END_OF_GROUP = re.compile(r"\|"), re.compile(r"\)")
 
 
 class _Maker:
-    """One walk over a pattern."""
-
     def __init__(self, pattern: str, level: str) -> None:
         self._pattern = pattern
         self._level = level

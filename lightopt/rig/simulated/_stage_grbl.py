@@ -182,7 +182,6 @@ class GrblFirmware(StageFirmware):
         return f"<{'|'.join(fields)}>\r\n".encode()
 
     def _work(self, now: float) -> bytes:
-        """Obey lines while none has to wait."""
         out = b""
         while self._lines and not self._waits(self._lines[0], now):
             text = self._lines.popleft()

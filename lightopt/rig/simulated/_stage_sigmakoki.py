@@ -122,7 +122,6 @@ class _SigmakokiFirmware(StageFirmware):
         return True
 
     def _start(self, now: float) -> bool:
-        """Go where A: or M: said; refused when they did not."""
         if not self._planned:
             return False
         for name, (kind, number) in self._planned.items():
@@ -141,7 +140,6 @@ class _SigmakokiFirmware(StageFirmware):
         return True
 
     def _named(self, word: str) -> list[str]:
-        """Axes that a word names: W is all."""
         return list(self._axes) if word == "W" else [word]
 
 

@@ -159,7 +159,6 @@ class FaultyLine:
         self._faults: list[tuple[str, Trigger, dict[str, Any]]] = []
 
     def inject(self, kind: str, options: Mapping[str, Any]) -> None:
-        """Set a fault from now on; ``clear`` ends all."""
         if kind == "clear":
             self._faults.clear()
             return
