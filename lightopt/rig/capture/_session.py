@@ -11,9 +11,8 @@ from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.images import EVENTS_KEY, REPEATABILITY_KEY
 from lightopt.rig.capture._acquisition import AcquiredImage, AcquisitionEngine, Timing
-from lightopt.rig.capture._background_writer import BackgroundWriter
 from lightopt.rig.capture._capture_plan import CapturePlan
-from lightopt.rig.capture._captured_set import CapturedSet
+from lightopt.rig.capture._captured_set import BackgroundWriter, CapturedSet
 from lightopt.rig.capture._image_checks import ImageChecker
 from lightopt.rig.capture._merged_exposures import ExposureImage
 from lightopt.rig.capture._repeatability import measure_repeatability

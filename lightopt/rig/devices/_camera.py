@@ -7,8 +7,15 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from lightopt.core.errors import HardwareError, LightoptError
-from lightopt.rig.devices._camera_features import ExposureTime, set_gain, set_image, set_trigger, switch_off_corrections
-from lightopt.rig.devices._camera_pixels import Levels, levels_of
+from lightopt.rig.devices._camera_features import (
+    ExposureTime,
+    Levels,
+    levels_of,
+    set_gain,
+    set_image,
+    set_trigger,
+    switch_off_corrections,
+)
 from lightopt.rig.devices._camera_sdk import CameraSdk, CameraSettings, RawFrame
 from lightopt.rig.devices._device import ATTEMPTS, Event, Identity, ReplyError, Retry, now
 

@@ -9,7 +9,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from lightopt.rig.simulated._lamps import LampFirmware
+from lightopt.rig.simulated._firmware import LampFirmware
 
 _COMMAND, _CHECKSUM, _VALUE = 1, 2, 3
 _LONGEST = 64

@@ -7,7 +7,7 @@ There is no terminator but ``#``, and no checksum.
 import re
 from typing import Any
 
-from lightopt.rig.simulated._lamps import LampFirmware
+from lightopt.rig.simulated._firmware import LampFirmware
 
 _LONGEST = 16
 _ACKS = ("upper", "lower", "!")

@@ -5,7 +5,7 @@ import string
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from lightopt.rig.simulated._lamps import LampFirmware
+from lightopt.rig.simulated._firmware import LampFirmware
 
 _LONGEST = 256
 
