@@ -89,10 +89,7 @@ def show_page_table(table: Table, *, most: int | None = None) -> None:
 
 @contextmanager
 def show_progress(*, quiet: bool) -> Generator[StageShare | None]:
-    """A progress bar: the stage of the work, its share that is done, the time that it will take at most.
-
-    None where nobody looks at it.
-    """
+    """A progress bar: stage of the work, share done, time left at most; None where nobody looks at it."""
     if quiet or not sys.stderr.isatty():
         yield None
         return

@@ -132,10 +132,7 @@ def entries(value: object) -> Sequence[object]:
 
 
 def same_names(items: Sequence[object], where: str, key: Callable[[str], str] = str) -> Iterator[Complaint]:
-    """Complaints about entries of the list `where` that have the name of a previous one.
-
-    key: What is the same of names that count as the same
-    """
+    """Complaints about entries of a list with the name of a previous one; `key`: what is the same of equal names."""
     names = [name if isinstance(name := value_of(item, "name"), str) else None for item in items]
     for i, first in repeated(None if name is None else key(name) for name in names):
         why = "" if names[i] == names[first] else " (upper and lower case are not distinguished)"

@@ -42,10 +42,7 @@ def load_rig(path: Path | str) -> RigConfig:
 
 
 def load_part(path: Path | str) -> PartConfig:
-    """Read a part file (``lightopt-part/1``) as :func:`load_rig` does; its mesh file must exist.
-
-    ``source.resolve(part.mesh.file)`` is the path of the mesh.
-    """
+    """Read a part file as :func:`load_rig` does; ``source.resolve(part.mesh.file)`` is its mesh, which must exist."""
     return _load(Path(path), PartConfig, "lightopt-part/1")
 
 
@@ -160,10 +157,7 @@ def input_hashes(rig: RigConfig, part: PartConfig | None) -> dict[str, dict[str,
 
 
 def json_schema(kind: Literal["rig", "part"]) -> dict[str, Any]:
-    """JSON schema (draft 2020-12) of rig or part files, generated from the models.
-
-    Rules that tie keys together are not in it; :func:`load_rig` and :func:`load_part` check those too.
-    """
+    """JSON schema (draft 2020-12) of rig or part files; rules that tie keys together are not in it."""
     models = {"rig": RigConfig, "part": PartConfig}
     schema = models[kind].model_json_schema()
     for model in (schema, *schema["$defs"].values()):

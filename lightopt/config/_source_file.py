@@ -41,10 +41,7 @@ class Source:
     text: str = field(default="", repr=False, compare=False)
 
     def at(self, *keys: str | int) -> str:
-        """Beginning of an error message about a key: ``rig.yaml:12: lights[2].elevation_deg``.
-
-        The line is that of the key, or of the nearest mapping around it that is in the file.
-        """
+        """Beginning of a message about a key: ``rig.yaml:12: lights[2].gain``, with the nearest line that is there."""
         around = (keys[:end] for end in range(len(keys), -1, -1))
         line = next((self.lines[path] for path in around if path in self.lines), None)
         place = str(self.path) if line is None else f"{self.path}:{line}"

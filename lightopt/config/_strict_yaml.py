@@ -83,10 +83,7 @@ class _Node:
 
 
 def parse(text: str) -> Document:
-    """Read one YAML document; `data` is None when there is nothing in it.
-
-    Raises YamlError: Where the text is not YAML, holds several documents, or expands beyond all measure
-    """
+    """Read one YAML document; `data` is None when there is nothing in it. YamlError where it cannot be read."""
     reader = _Reader(text, yaml.SafeLoader)
     try:
         root = _quickly_read(text) or reader.document()

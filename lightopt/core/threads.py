@@ -23,10 +23,7 @@ class _StoppedError(Exception):
 
 
 def end_if_stopped() -> None:
-    """End the task of :func:`run_all` or :func:`in_threads` that calls it, where their work was stopped.
-
-    For tasks that take longer than a person who pressed Ctrl-C should wait: call it now and then.
-    """
+    """End the task of :func:`run_all` or :func:`in_threads` that calls it, where their work was stopped."""
     stopped = _stopped.get()
     if stopped is not None and stopped.is_set():
         raise _StoppedError
@@ -153,10 +150,7 @@ def run_all(tasks: Iterable[Task], *, threads: int, done: Callable[[], None] | N
 
 
 class _Pool:
-    """Threads, and a queue that says which tasks have finished.
-
-    Not futures: an interrupt (Ctrl-C) while one is waited for may leave its lock to a thread that does not hold it.
-    """
+    """Threads and a queue of finished tasks; not futures, whose lock an interrupt may leave to the wrong thread."""
 
     def __init__(self, threads: int) -> None:
         self._threads = ThreadPoolExecutor(threads)

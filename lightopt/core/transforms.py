@@ -48,10 +48,7 @@ def rotation_z(angle: float) -> Float64:
 
 
 def rotation_from_vector(vector: Float64) -> Float64:
-    """Rotation by |vector| [rad] about the vector, shape (3, 3) (Rodrigues' formula).
-
-    vector: Shape (3,)
-    """
+    """Rotation by |vector| [rad] about the vector of shape (3,); shape (3, 3) (Rodrigues' formula)."""
     angle = float(np.linalg.norm(vector))
     if angle == 0.0:
         return np.eye(3)

@@ -125,10 +125,7 @@ def _is_compressible(array: NDArray[Any]) -> bool:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder for results, and those that it is in; one that is there stays as it is.
-
-    Raises InputError: a file is in the way, or the operating system refuses.
-    """
+    """Make a folder for results where there is none; InputError when a file is in the way, or the system refuses."""
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: expected a folder for the results, found a file; choose another name")
     try:

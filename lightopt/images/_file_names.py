@@ -62,10 +62,7 @@ class FileNames:
             )
 
     def claim_images(self, keys: Iterable[ImageKey]) -> None:
-        """Reserve the files of images (light, posture, exposure) and of their postures' geometry.
-
-        Raises InputError: two images would share a file.
-        """
+        """Reserve the files of images and of their postures' geometry; InputError where two would share one."""
         for light, posture, exposure in keys:
             where = posture_folder(posture)
             self.claim(geometry_name(posture), f"the geometry of {where}")

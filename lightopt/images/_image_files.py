@@ -30,10 +30,7 @@ _FORMAT_NAMES = {"openexr": "an OpenEXR image", "png": "a PNG image"}
 
 
 def _openimageio() -> Any:
-    """Import OpenImageIO on first use, so that `--help` does not pay for it.
-
-    An interrupt that reaches OpenImageIO while it is imported aborts the process, so it is held back until then.
-    """
+    """Import OpenImageIO on first use; an interrupt, which would abort the process meanwhile, is held back."""
     if threading.current_thread() is not threading.main_thread():
         import OpenImageIO
 
@@ -115,10 +112,7 @@ def _opened(path: Path, *formats: str) -> Generator[OpenImageIO.ImageInput, None
 
 
 def read_metadata(path: str | Path) -> dict[str, Any]:
-    """Metadata that :func:`write_exr` or :func:`write_png` put into a file; empty for files of other programs.
-
-    Raises InputError: the file is missing or no such image, or its metadata are damaged.
-    """
+    """Metadata that lightopt put into a PNG or EXR, empty for those of others; InputError for a damaged file."""
     with _opened(Path(path), "openexr", "png") as source:
         text = source.spec().getattribute(_METADATA_KEY)
     if text is None:

@@ -55,10 +55,7 @@ class Overlap:
 
 
 def find_overlaps(images: ImageSet) -> tuple[Overlap, ...]:
-    """Overlaps of every posture and exposure of an image set, rendered or captured.
-
-    Raises InputError: a posture with fewer than two lights, or with images of different sizes.
-    """
+    """Overlaps of each posture and exposure of a set; InputError for fewer than two lights, or different sizes."""
     groups: dict[tuple[Posture, float], list[ImageEntry]] = {}
     for entry in images.manifest.images:
         groups.setdefault((entry.posture, entry.exposure), []).append(entry)

@@ -64,10 +64,7 @@ class ImageSet:
         }
 
     def load(self, entry: ImageEntry) -> LoadedImage:
-        """Read an image: its PNG with the manifest's exposure, the EXR only where there is no PNG.
-
-        Raises InputError: the file is missing, damaged, or has levels beyond the manifest's bit depth.
-        """
+        """Read an image, by its PNG where there is one; InputError: missing, damaged, or beyond the bit depth."""
         image = self._load_exr(entry) if entry.png is None else self._load_png(entry, entry.png)
         for array in (image.levels, image.saturated, image.sensor):
             if array is not None:

@@ -128,10 +128,7 @@ class ImageSetWriter:
         return listed
 
     def add_linear(self, light: str, posture: Posture, channels: Mapping[str, Float32]) -> None:
-        """Write the linear image that listed exposures of a light and posture share, then list it with each of them.
-
-        `channels` are (H, W) at exposure 1 [grey level], as :func:`write_exr` takes them.
-        """
+        """Write the linear image (H, W) [grey level at exposure 1] of a light and posture, and list it."""
         first = next((e for e in self.manifest.images if e.key[:2] == (light, posture)), None)
         if first is None:
             raise InputError(f"light {light!r} at {posture}: a linear image needs an image that is listed")
@@ -288,10 +285,7 @@ class ImageSetWriter:
 
 
 def resumable_manifest(folder: Path, header: Manifest) -> Manifest | None:
-    """Manifest to continue, the header's warnings added; None where the folder holds no set.
-
-    Raises InputError: the folder holds the set of another run, or a damaged one.
-    """
+    """Manifest to continue, the header's warnings added; None for no set. InputError for another run's, or damaged."""
     path = folder / file_names.MANIFEST_NAME
     if not path.exists():
         return None

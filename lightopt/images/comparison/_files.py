@@ -94,10 +94,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class FileComparison(Comparison):
-    """Comparison of two files, channel by channel.
-
-    In geometry images the channel ``hit`` is the mask of rays that hit, its `iou` that of the masks.
-    """
+    """Comparison of two files by channel; ``hit`` of geometry images is the mask of rays that hit, with its IoU."""
 
     channels: tuple[ChannelDifference, ...] = ()
 

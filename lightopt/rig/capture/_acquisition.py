@@ -70,11 +70,7 @@ class AcquiredImage:
 
 
 class AcquisitionEngine:
-    """Takes the images of a plan with opened devices.
-
-    InputError when the camera does not have an exposure time of the plan, with the one that it holds instead; nothing
-    was lit or moved. `identities` of the devices are for the manifest.
-    """
+    """Takes the images of a plan; InputError, with nothing lit or moved, where the camera lacks an exposure time."""
 
     def __init__(
         self, devices: Devices, plan: CapturePlan, *, sensor: Sensor, identities: dict[str, Any], timing: Timing

@@ -216,10 +216,7 @@ class CapturePlan:
 
 
 def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None = None) -> CapturePlan:
-    """Plan a capture and check it against what stage, lights and camera can do. Nothing is opened.
-
-    Raises InputError with one message per posture, light or exposure that cannot be.
-    """
+    """Plan a capture and check it against stage, lights and camera (InputError); nothing is opened."""
     options = options or CaptureOptions()
     wiring = wiring_of(rig)
     postures = options.postures or part_postures(part)
@@ -257,10 +254,7 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
 
 @dataclass(frozen=True, kw_only=True)
 class CycleTime:
-    """What capturing one part takes: images, and seconds from the first move to the last image.
-
-    virtual: Whether the times are those of the virtual bench, since the rig file has no hardware section.
-    """
+    """What capturing one part takes: images, and seconds from the first move to the last image; whether on a bench."""
 
     images: int
     seconds: float
@@ -272,10 +266,7 @@ class CycleTime:
 
 
 def cycle_time(rig: RigConfig, part: PartConfig, exposures: Mapping[Posture, tuple[float, ...]]) -> CycleTime:
-    """What capturing one part in postures takes, each at its relative exposures, in the order of least travel.
-
-    Raises InputError: As :func:`make_plan`.
-    """
+    """What capturing one part takes, each posture at its relative exposures, in the order of least travel."""
     groups: dict[tuple[float, ...], list[Posture]] = {}
     for posture, own in exposures.items():
         groups.setdefault(own, []).append(posture)

@@ -52,10 +52,7 @@ def open_set(
 def check_folder(
     folder: Path, rig: RigConfig, part: PartConfig, plan: CapturePlan, *, resume: bool, force: bool
 ) -> None:
-    """Check whether a set could be begun or continued in a folder; nothing is written.
-
-    Raises InputError as :func:`open_set`, and where a file is in the way of the folder.
-    """
+    """Check whether a set could be begun or continued in a folder; errors as :func:`open_set`."""
     if folder.exists() and not folder.is_dir():
         make_folder(folder)  # raises with the reason
     _refuse_set(folder, resume=resume, force=force)
@@ -224,10 +221,7 @@ class BackgroundWriter:
         self._last = self._images.submit(_run_after, self._last, work, *arguments)
 
     def submit_linear(self, work: Callable[..., None], *arguments: object) -> None:
-        """Write a linear image, once its exposures are written.
-
-        Waits while the queue is full; a previous error is raised here.
-        """
+        """Write a linear image, once its exposures are written; waits while the queue is full."""
         with self._timing.spent("writing_s"):
             while len(self._unwritten()) >= MOST_LINEARS:
                 wait(self._queued, return_when=FIRST_COMPLETED)

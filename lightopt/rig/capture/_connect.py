@@ -138,12 +138,7 @@ def connect_devices(
 def check_devices(
     rig: RigConfig, wiring: Wiring, plan: CapturePlan | None = None, *, camera: bool = True
 ) -> FolderCamera | None:
-    """Check what is known of devices before any is opened: ports, axes and speeds, the folder to replay.
-
-    Returns the folder that is replayed, where one is.
-
-    Raises InputError with all that is wrong.
-    """
+    """Check what is known before any device is opened (InputError); returns the folder that is replayed, if any."""
     problems: list[str] = []
     replay: FolderCamera | None = None
     driver = wiring.hardware.camera.driver

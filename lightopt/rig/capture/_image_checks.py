@@ -83,10 +83,7 @@ class LightCheck:
 
 
 def predict(scene: Scene, posture: Posture, caster: RayCaster, *, supersample: int = 1) -> PredictedImages:
-    """Render the image of each light of the scene, one pixel for a cell of pixels.
-
-    `caster` is from :func:`lightopt.rendering.cast_rays_at`, `supersample` the number of rays across a cell.
-    """
+    """Render the image of each light, one pixel for a cell of pixels, with `supersample` rays across it."""
     camera = scene.camera
     cell = max(1, round(camera.width / COARSE_COLUMNS))
     axis = camera.principal_point
@@ -234,10 +231,7 @@ def _dot(a: Float64, b: Float64) -> float:
 
 
 class ImageChecker:
-    """Checks images as they come, with predictions of the latest postures, computed while the stage travels.
-
-    `with_dark`: Whether the set has frames without light, so that ambient light is known.
-    """
+    """Checks images with predictions that are computed while the stage travels; `with_dark`: ambient light is known."""
 
     def __init__(self, scene: Scene, *, check: bool, with_dark: bool) -> None:
         self._with_dark = with_dark
@@ -252,10 +246,7 @@ class ImageChecker:
         return self._caster is None or exposure in self._reference
 
     def predict(self, posture: Posture) -> None:
-        """Predict the images of all lights in a posture, in a thread of its own.
-
-        The prediction of the previous posture is kept: its last frames may not have been checked yet.
-        """
+        """Predict the images of a posture in another thread; those before are kept for frames not yet checked."""
         if self._caster is not None:
             before = list(self._predicted.items())[-1:]
             predicted = self._worker.submit(predict, self._scene, posture, self._caster)
@@ -265,10 +256,7 @@ class ImageChecker:
         self._reference.setdefault(exposure, dark)
 
     def check_dark(self, acquired: AcquiredImage, warn: Callable[[str], None]) -> None:
-        """Check that no light is on in a frame without light; the first one at its exposure becomes the reference.
-
-        HardwareError when it looks like the image of a light.
-        """
+        """Check that no light is on in a frame without light (HardwareError); the first is the reference."""
         if self._caster is None:
             return
         image, first = acquired.image, self._reference.get(acquired.exposure)
@@ -300,10 +288,7 @@ class ImageChecker:
         others: Mapping[float, ExposureImage],
         warn: Callable[[str], None],
     ) -> dict[str, Any] | None:
-        """Check that an image is lit by its light; returns the findings in JSON form.
-
-        HardwareError when it is lit by another light, by two, or by none, or not as at its other exposures.
-        """
+        """Findings in JSON form; HardwareError where an image is not lit by its light alone, or unlike its others."""
         if self._caster is None:
             return None
         light, image, own_dark = acquired.light, acquired.image, self._dark(dark, acquired.exposure)

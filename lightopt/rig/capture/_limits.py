@@ -61,10 +61,7 @@ def light_problems(rig: RigConfig, wiring: Wiring, lights: Iterable[str], *, on_
 
 
 def check_level(wiring: Wiring, rig: RigConfig, name: str, level: int | None) -> int:
-    """Level to light a panel at: the rig's unless one is given.
-
-    Raises InputError for a light that the rig does not have, or a level above what its channel may have.
-    """
+    """Level to light a panel at, the rig's by default; InputError for no such light, or a level above its limit."""
     if name not in wiring.hardware.lights:
         raise InputError(f'no light "{name}" in {rig.source.path}; it has {", ".join(wiring.hardware.lights)}')
     requested = wiring.light(name).level if level is None else level

@@ -28,10 +28,7 @@ class DeviceStatus:
 def device_statuses(
     devices: Devices, rig: RigConfig, unreachable: Mapping[str, LightoptError] | None = None
 ) -> Iterator[DeviceStatus]:
-    """Query the state of every device, without changing anything; a failure is reported and the others are queried.
-
-    `unreachable` has the devices that could not be opened, by name, with why.
-    """
+    """Query the state of every device and change nothing; `unreachable` are those that could not be opened."""
     wiring = devices.wiring
     unreachable = unreachable or {}
     for name in wiring.hardware.controllers:
@@ -80,10 +77,7 @@ def snap(
     posture: Posture | None = None,
     overwrite: bool = False,
 ) -> tuple[int, int, float]:
-    """Take one frame, in the dark or under one light, and write it as PNG; returns lowest, highest and mean level.
-
-    `exposure` is relative to the rig's exposure time, `posture` what a folder camera replays.
-    """
+    """Take one frame at a relative exposure and write it as PNG; returns lowest, highest and mean level."""
     timing = devices.wiring.hardware.timing
     camera = devices.camera
     held = camera.set_exposure(exposure * devices.wiring.exposure_us)

@@ -138,10 +138,7 @@ class Devices:
         return held
 
     def light_off(self, name: str) -> None:
-        """Darken a panel.
-
-        HardwareError when the watchdog had to darken it before, because it had been lit for its `max_on_s`.
-        """
+        """Darken a panel; HardwareError when the watchdog had to darken it before, after its `max_on_s`."""
         self._darken(name)
         self._lit.discard(name)
         self._watchdog.stop(name)
@@ -185,10 +182,7 @@ class Devices:
         return []
 
     def check_referenced(self) -> None:
-        """Refuse a real stage that may not have been homed since it was switched on; moves nothing.
-
-        HardwareError when it reports that it was not, or cannot report it and the rig file does not assume it.
-        """
+        """Refuse (HardwareError) a real stage that may not have been homed since power-up; moves nothing."""
         config = self.wiring.hardware.stage
         if self.stage is None or config is None or config.port == VIRTUAL:
             return

@@ -25,10 +25,7 @@ Dark = dict[float, Float32]  # frames without light of a posture by relative exp
 
 
 class CaptureSession:
-    """Takes the missing images of a plan, and reports what an interrupted run has on disk.
-
-    `taken` is the number of images that it has taken so far, `warnings` those for the manifest.
-    """
+    """Takes the missing images of a plan (`taken` so far), and reports what an interrupted run has on disk."""
 
     def __init__(self, plan: CapturePlan, scene: Scene, records: CapturedSet, timing: Timing, run: RunContext) -> None:
         self._plan = plan
@@ -172,10 +169,7 @@ class CaptureSession:
             writer.add_extra(EVENTS_KEY, [*writer.manifest.extra.get(EVENTS_KEY, ()), *events])
 
     def _finish(self, *, failed: bool, lights: str) -> bool:
-        """Finish writing, whatever happens; returns whether a signal came meanwhile.
-
-        Signals are held back: all writing into the folder must have ended before another capture may begin.
-        """
+        """Finish writing, signals held back as another capture may begin then; returns whether one came meanwhile."""
         signals = EndSignals()
         signals.install()
         try:
@@ -279,10 +273,7 @@ class CaptureSession:
     def _expose(
         self, posture: Posture, exposure: float, *, light: str | None = None, rest: Sequence[float] = ()
     ) -> AcquiredImage:
-        """Take an image once all has settled and the previous one is on disk; a light goes dark if that takes long.
-
-        `rest` are the exposures for which the light is still needed.
-        """
+        """Take an image when all has settled and is on disk; the light, needed for the `rest`, does not wait long."""
         engine = self._engine
         self._report_progress(f"{light or 'dark'} {posture} exposure {exposure:g}")
         engine.set_exposure(exposure)

@@ -74,10 +74,7 @@ class Wiring:
 
 
 def wiring_of(rig: RigConfig) -> Wiring:
-    """The devices of a rig; without a ``hardware`` section the virtual bench.
-
-    The virtual bench has CCS controllers of four channels, a SHOT stage with both axes, and the virtual camera.
-    """
+    """The devices of a rig, or the virtual bench: CCS controllers of four channels, a SHOT stage, a virtual camera."""
     hardware = rig.hardware
     exposure_us = rig.camera.exposure_us or VIRTUAL_EXPOSURE_US
     if hardware is not None:

@@ -40,10 +40,7 @@ class PixelFormat:
 
 
 def levels_of(data: UInt8, pixel_format: PixelFormat, *, width: int, height: int) -> Levels:
-    """Right-aligned levels (H, W) of a frame, uint8 up to 8 bits and uint16 above; not a view of `data`.
-
-    data: UInt8 of the frame, shape (n,); what follows the pixels (padding, chunks) is ignored.
-    """
+    """Right-aligned levels (H, W) of a frame's bytes, uint8 up to 8 bits and uint16 above; padding is ignored."""
     pixels = width * height
     needed = pixel_format.size(pixels)
     if len(data) < needed:

@@ -105,10 +105,7 @@ def check_camera_driver(driver: str, producer: Path | None) -> None:
 
 
 def find_cameras(producer: Path | None = None) -> tuple[list[CameraInfo], list[str]]:
-    """Cameras that answer, by all installed software, and what could not be queried; none is opened.
-
-    producer: GenTL producer to query beside those that installers have named.
-    """
+    """Cameras that answer, by all software and producers, and what could not be queried; none is opened."""
     producers = {*find_producers(), *([] if producer is None else [producer])}
     cameras: list[CameraInfo] = []
     problems: list[str] = []

@@ -88,10 +88,7 @@ def _darken_all(controller: "LightController", first: Collection[int]) -> dict[s
 
 
 def _darken(controller: "LightController", channel: int) -> str | None:
-    """Switch a channel off; why that failed, or None.
-
-    A driver asks again by itself where it knows how its device fails; any other exception is a reason to try again.
-    """
+    """Switch a channel off; why that failed, or None. Errors that no driver foresaw are reasons to try again."""
     reason = None
     for _ in range(_ATTEMPTS):
         try:

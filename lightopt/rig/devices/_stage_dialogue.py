@@ -80,10 +80,7 @@ class Reading:
 
 
 class Dialogue(ABC):
-    """The protocol of a stage on its `link`. Positions are in device units, axes by the device's name of them.
-
-    Each method raises :class:`~lightopt.core.errors.HardwareError` when the device answers no, or not at all.
-    """
+    """Protocol of a stage, in the device's units and names; HardwareError where it refuses or does not answer."""
 
     BAUD: ClassVar[int]
     """The protocol's usual baud rate."""

@@ -76,10 +76,7 @@ class BenchCamera:
         return {"resolution_px": resolution_px, "bit_depth": bit_depth, "triggered": self._setup.truth.triggered}, b""
 
     def expose(self, exposure_us: float, gain_db: float, triggered: bool, counted: bool = True) -> Levels:
-        """Levels of a frame that begins now, or, where it is not triggered, when the one before ended.
-
-        counted: False for a frame that is lost on its way: the next has the noise that it would have had.
-        """
+        """Levels of a frame that begins now, or when the one before ended; not `counted` if it is lost on its way."""
         now = self._state()
         shares, posture = now if triggered or self._seen is None else self._seen
         pixels = self._build().frame(

@@ -88,10 +88,7 @@ _OTHER_FORMAT = 0x0108000B  # BayerBG8
 
 
 class GigeCamera:
-    """A GigE Vision camera at 127.0.0.1, one at a time on a computer; `expose` delivers right-aligned levels (H, W).
-
-    Raises ValueError when Aravis is not there, another such camera runs, or no pixel format has the bit depth.
-    """
+    """A GigE Vision camera at 127.0.0.1; `expose` delivers right-aligned levels (H, W). ValueError without Aravis."""
 
     def __init__(self, expose: Expose, *, resolution_px: tuple[int, int], bit_depth: int) -> None:
         formats = [name for name, (_, bits) in FORMATS.items() if bits == bit_depth]

@@ -59,10 +59,7 @@ class PtyWire:
 
 
 class TcpWire:
-    """A TCP socket on the loopback that serves one client at a time, as controllers with Ethernet do.
-
-    wedges: Whether a client that connects and leaves without a word puts the device out of order, as the PD3-EI does.
-    """
+    """A loopback socket for one client at a time; `wedges`: one that leaves without a word disables it (PD3-EI)."""
 
     def __init__(self, *, wedges: bool = False) -> None:
         self._wedges = wedges
@@ -259,12 +256,7 @@ class Device:
 
 
 class SimulatedDevices:
-    """All devices of a bench, and the brightness of its lights through time.
-
-    Hold `lock` while touching the devices: the wires are served by one thread, requests by others.
-
-    devices: As :class:`BenchProcess` has them.
-    """
+    """All devices of a bench, and its lights through time; hold `lock` while touching them: threads share them."""
 
     def __init__(self, devices: Mapping[str, Mapping[str, Any]]) -> None:
         self.lock = threading.RLock()

@@ -78,10 +78,7 @@ class Firmware(ABC):
         return None
 
     def inject(self, fault: str, options: Mapping[str, Any], now: float) -> None:
-        """Set a fault of the device from now on; ``clear`` ends all. Faults of the line never come here.
-
-        Raises a ValueError that lists the faults that there are.
-        """
+        """Set a fault of the device from now on, none of the line; ``clear`` ends all. ValueError lists the faults."""
         if fault in self.FAULTS:
             own = self.FAULTS[fault]
             values = {**own, **options}

@@ -26,10 +26,7 @@ from lightopt.rig.simulated._firmware import Trigger
 
 
 def run(spec: Mapping[str, Any]) -> None:
-    """Serve a bench: print one JSON line with its ports, and return when standard input ends.
-
-    spec: ``devices`` and, optionally, ``camera``, as :class:`BenchProcess` has them.
-    """
+    """Serve devices and camera of a :class:`BenchProcess`: print their ports as JSON; end with standard input."""
     devices = SimulatedDevices(spec["devices"])
     camera: BenchCamera | None = None
     gige: GigeCamera | None = None

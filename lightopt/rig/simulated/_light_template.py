@@ -11,10 +11,7 @@ _LONGEST = 256
 
 
 class TemplateFirmware(LampFirmware):
-    """A controller that understands the commands of a template, and replies with what their patterns match.
-
-    Commands and patterns are as in the rig file. A command that fault ``ng`` refuses is answered ``?`` with the end.
-    """
+    """A controller that understands a rig file's templates; a command that fault ``ng`` refuses is answered ``?``."""
 
     def __init__(self, *, template: Mapping[str, str | None], **lamps: Any) -> None:
         super().__init__(**lamps)

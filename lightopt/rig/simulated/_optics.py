@@ -24,10 +24,7 @@ _CACHE_BYTES = 512 << 20
 
 
 class BenchOptics:
-    """Renders the part under given light levels in given postures.
-
-    Images add linearly, so that one linear layer per light and posture, cached, serves every level and exposure.
-    """
+    """Renders a part under given light levels: one cached linear layer per light and posture serves all exposures."""
 
     def __init__(self, scene: Scene, truth: BenchTruth) -> None:
         self.scene = replace(
