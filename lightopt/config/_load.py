@@ -172,22 +172,14 @@ def json_schema(kind: Literal["rig", "part"]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class LightsOnly:
-    """The lights of a rig.
+    """The lights of a rig."""
 
-    name: Of the rig, or of its file where that cannot be read
-    rig: The rig; None where anything is wrong with its file
-    hardware: Controllers and lights that can be read, without the stage; None where there is no such section
-    unreadable: Controllers that cannot
-    lights_unknown: Lights of those controllers, or of none that the file has
-    problems: All that is wrong with the file
-    """
-
-    name: str
-    rig: RigConfig | None
-    hardware: HardwareConfig | None
-    unreadable: tuple[str, ...] = ()
-    lights_unknown: tuple[str, ...] = ()
-    problems: tuple[str, ...] = ()
+    name: str  # of the rig, or of its file where that cannot be read
+    rig: RigConfig | None  # None where anything is wrong with its file
+    hardware: HardwareConfig | None  # what can be read, without the stage; None where there is no such section
+    unreadable: tuple[str, ...] = ()  # controllers that cannot be read
+    lights_unknown: tuple[str, ...] = ()  # lights of those controllers, or of none that the file has
+    problems: tuple[str, ...] = ()  # all that is wrong with the file
 
 
 def load_lights(path: Path | str) -> LightsOnly:

@@ -63,16 +63,13 @@ class YamlError(Exception):
 
 @dataclass
 class Document:
-    """Plain data of a YAML document, the line of each path of keys, and the problems met.
-
-    `invalid` are the paths whose value is INVALID, `incomplete` the mappings that lost a key.
-    """
+    """Plain data of a YAML document, the line of each path of keys, and the problems met."""
 
     data: object = None
     lines: dict[Keys, int] = field(default_factory=dict[Keys, int])
     problems: list[Problem] = field(default_factory=list[Problem])
-    invalid: set[Keys] = field(default_factory=set[Keys])
-    incomplete: set[Keys] = field(default_factory=set[Keys])
+    invalid: set[Keys] = field(default_factory=set[Keys])  # paths whose value is INVALID
+    incomplete: set[Keys] = field(default_factory=set[Keys])  # mappings that lost a key
 
 
 @dataclass(frozen=True)

@@ -25,19 +25,14 @@ GREY_SHARE = 0.45  # the images' mean is shown this dim under the colours
 
 @dataclass(frozen=True)
 class Overlap:
-    """Saturated regions of the images of one posture at one exposure.
-
-    saturated, pairs: Number of pixels saturated under each light, and under both lights of a pair.
-    count: Number of images in which each pixel is saturated, shape (H, W).
-    mean: Mean of the levels, as a share of full scale clipped to 1, shape (H, W).
-    """
+    """Saturated regions of the images of one posture at one exposure."""
 
     posture: Posture
     exposure: float
-    saturated: Mapping[str, int]
-    pairs: Mapping[tuple[str, str], int]
-    count: UInt8
-    mean: Float32
+    saturated: Mapping[str, int]  # number of pixels saturated under each light
+    pairs: Mapping[tuple[str, str], int]  # number of pixels saturated under both lights of a pair
+    count: UInt8  # number of images in which each pixel is saturated, shape (H, W)
+    mean: Float32  # mean of the levels, as a share of full scale clipped to 1, shape (H, W)
 
     @property
     def pixels(self) -> int:

@@ -18,18 +18,13 @@ from lightopt.images._manifest import GeometryEntry, ImageEntry, Manifest, read_
 
 @dataclass(frozen=True)
 class LoadedImage:
-    """A loaded image; arrays of shape (H, W), read-only.
+    """A loaded image; arrays of shape (H, W), read-only."""
 
-    levels: float32 [grey level at exposure 1]: linear, black level removed. From a PNG ``(sensor − black level) ·
-        full scale / ((2^b − 1) · exposure)``, so clipped where `saturated`.
-    saturated: Where `levels` is only a lower bound, or where the camera would have been saturated at the entry's
-        exposure.
-    sensor: Sensor levels as delivered, uint8 or uint16; None for an image without PNG.
-    """
-
+    # [grey level at exposure 1] linear, black level removed; from a PNG (sensor − black level) · full scale /
+    # ((2^b − 1) · exposure), so clipped where saturated
     levels: Float32
-    saturated: Bool
-    sensor: UInt8 | NDArray[np.uint16] | None
+    saturated: Bool  # where `levels` is a lower bound, or the camera would be saturated at the entry's exposure
+    sensor: UInt8 | NDArray[np.uint16] | None  # levels as delivered; None for an image without PNG
 
 
 @dataclass(frozen=True)

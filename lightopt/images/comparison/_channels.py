@@ -50,31 +50,22 @@ class ComparisonThresholds:
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelDifference:
-    """Difference of one channel.
-
-    compared: Pixels whose values were compared: not background in both images.
-    max, rms, percentiles: Of |a − b| over the compared pixels where both are finite; None where there are none.
-    differing, share: Pixels beyond the thresholds, and their share of the compared pixels.
-    not_finite_a, not_finite_b: Pixels that are NaN or infinite.
-    saturated_a, saturated_b, iou: Saturated pixels, and intersection over union of the two masks (1 where both are
-        empty); None for channels that do not saturate.
-    reasons: Why the channel fails; empty when it passes.
-    """
+    """Difference of one channel."""
 
     name: str
     pixels: int
-    compared: int
-    max: float | None
-    rms: float | None
-    percentiles: Mapping[str, float] | None
-    differing: int
-    share: float
-    not_finite_a: int
+    compared: int  # pixels whose values were compared: not background in both images
+    max: float | None  # of |a − b| over the compared pixels where both are finite; None where there are none
+    rms: float | None  # the same
+    percentiles: Mapping[str, float] | None  # the same, by their key
+    differing: int  # pixels beyond the thresholds
+    share: float  # of the compared pixels
+    not_finite_a: int  # pixels that are NaN or infinite
     not_finite_b: int
-    saturated_a: int | None = None
+    saturated_a: int | None = None  # saturated pixels; None for channels that do not saturate
     saturated_b: int | None = None
-    iou: float | None = None
-    reasons: tuple[str, ...] = ()
+    iou: float | None = None  # intersection over union of the two masks, 1 where both are empty
+    reasons: tuple[str, ...] = ()  # why the channel fails; empty when it passes
 
     @property
     def passed(self) -> bool:

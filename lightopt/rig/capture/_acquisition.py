@@ -22,21 +22,17 @@ EXPOSURE_TOLERANCE = 0.005
 
 @dataclass
 class Timing:
-    """Time spent on each part of a capture [s].
-
-    opening_s: Reading the mesh, planning, and opening the devices.
-    closing_s: Switching all lights off once more at the end, and closing the devices.
-    """
+    """Time spent on each part of a capture [s]."""
 
     whole_s: float = 0.0
-    opening_s: float = 0.0
+    opening_s: float = 0.0  # reading the mesh, planning, and opening the devices
     moving_s: float = 0.0
     settling_s: float = 0.0
     exposing_s: float = 0.0
     transfer_s: float = 0.0
     lights_s: float = 0.0
     writing_s: float = 0.0
-    closing_s: float = 0.0
+    closing_s: float = 0.0  # switching all lights off once more at the end, and closing the devices
 
     @contextmanager
     def spent(self, name: str) -> Generator[None]:
@@ -50,19 +46,13 @@ class Timing:
 
 @dataclass(frozen=True, kw_only=True)
 class AcquiredImage:
-    """An image as it came from the camera.
+    """An image as it came from the camera."""
 
-    light: None for a frame without light.
-    exposure: Requested relative exposure.
-    future: The image of the frames, which is computed while the light goes out.
-    facts: How it was taken, in JSON form, for the manifest.
-    """
-
-    light: str | None
+    light: str | None  # None for a frame without light
     posture: Posture
-    exposure: float
-    future: Future[ExposureImage]
-    facts: dict[str, Any]
+    exposure: float  # requested relative exposure
+    future: Future[ExposureImage]  # the image of the frames, which is computed while the light goes out
+    facts: dict[str, Any]  # how it was taken, in JSON form, for the manifest
 
     @property
     def image(self) -> ExposureImage:

@@ -78,18 +78,13 @@ class CaptureOptions:
 
 @dataclass(frozen=True)
 class PlanStep:
-    """One step of a plan.
-
-    what: Its object: a posture, a light, an exposure.
-    seconds: Estimated duration [s].
-    light, exposure: Which light is on (None: none), at which relative exposure.
-    """
+    """One step of a plan."""
 
     kind: StepKind
-    what: str
-    seconds: float
-    light: str | None = None
-    exposure: float | None = None
+    what: str  # its object: a posture, a light, an exposure
+    seconds: float  # estimated duration [s]
+    light: str | None = None  # which is on; None for none
+    exposure: float | None = None  # relative
 
     def __str__(self) -> str:
         return f"{self.kind} {self.what}".rstrip()
@@ -97,22 +92,15 @@ class PlanStep:
 
 @dataclass(frozen=True, kw_only=True)
 class CapturePlan:
-    """A capture as data.
-
-    postures: In the order of travel.
-    lights: Lit one after the other in each posture.
-    exposures: Relative, the longest first.
-    home: Whether the stage seeks its origin first.
-    pixels: Number of pixels of a frame.
-    """
+    """A capture as data."""
 
     wiring: Wiring
     options: CaptureOptions
-    postures: tuple[Posture, ...]
-    lights: tuple[str, ...]
-    exposures: tuple[float, ...]
-    home: bool
-    pixels: int
+    postures: tuple[Posture, ...]  # in the order of travel
+    lights: tuple[str, ...]  # lit one after the other in each posture
+    exposures: tuple[float, ...]  # relative, the longest first
+    home: bool  # whether the stage seeks its origin first
+    pixels: int  # number of pixels of a frame
 
     def exposure_us(self, exposure: float) -> float:
         return exposure * self.wiring.exposure_us

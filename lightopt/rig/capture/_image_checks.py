@@ -43,34 +43,22 @@ LEFT_ON = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class PredictedImages:
-    """Coarse prediction of the image of each light in one posture.
+    """Coarse prediction of the image of each light in one posture."""
 
-    cell: Side of a cell [px].
-    levels: Linear level at exposure 1 above black [sensor level] by light, shape (rows, columns) of cells.
-    part: Cells that show the part, shape (rows, columns).
-    """
-
-    cell: int
-    levels: Mapping[str, Float64]
-    part: Bool
+    cell: int  # side of a cell [px]
+    levels: Mapping[str, Float64]  # linear, at exposure 1 above black [sensor level], by light; shape (rows, columns)
+    part: Bool  # cells that show the part, shape (rows, columns)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LightCheck:
-    """Result of the check that an image is lit by its light.
+    """Result of the check that an image is lit by its light."""
 
-    problem: Message about what is wrong; None where nothing is.
-    brightness: Mean brightness of the part above dark, as a share of the prediction.
-    resemblance: Correlation with the prediction of the light.
-    next_best: The other light that the image resembles most, and the correlation with it.
-    undecided: Why the image allows no decision; None where it does.
-    """
-
-    problem: str | None = None
-    brightness: float = 0.0
-    resemblance: float = 0.0
-    next_best: tuple[str, float] | None = None
-    undecided: str | None = None
+    problem: str | None = None  # message about what is wrong
+    brightness: float = 0.0  # mean brightness of the part above dark, as a share of the prediction
+    resemblance: float = 0.0  # correlation with the prediction of the light
+    next_best: tuple[str, float] | None = None  # the other light that it resembles most, and the correlation
+    undecided: str | None = None  # why the image allows no decision
 
     def as_dict(self) -> dict[str, Any]:
         facts: dict[str, Any] = {"brightness": round(self.brightness, 4), "resemblance": round(self.resemblance, 4)}

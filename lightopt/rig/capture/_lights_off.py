@@ -26,16 +26,13 @@ NONE_OF_THE_RIG = "none that the rig names"
 
 @dataclass
 class OpenedLights:
-    """Result of opening the controllers.
-
-    controllers: Those that answered, by name.
-    problems: Why others did not, or did not go dark, by name.
-    may_be_on: Lights that may still be on.
-    """
+    """Result of opening the controllers, by name."""
 
     controllers: dict[str, LightController] = field(default_factory=dict[str, LightController])
-    problems: dict[str, LightoptError] = field(default_factory=dict[str, LightoptError])
-    may_be_on: list[str] = field(default_factory=list[str])
+    problems: dict[str, LightoptError] = field(
+        default_factory=dict[str, LightoptError]
+    )  # why others did not answer or go dark
+    may_be_on: list[str] = field(default_factory=list[str])  # lights that may still be on
 
     def error(self, *others: LightoptError) -> LightoptError:
         """The error for what failed, other devices included, with the lights that may still be on."""

@@ -33,16 +33,11 @@ _VIRTUAL_ROTATION = AxisConfig(axis="2", steps_per_deg=200.0, speed_deg_per_s=VI
 
 @dataclass(frozen=True)
 class Wiring:
-    """The devices of a rig.
+    """The devices of a rig."""
 
-    hardware: From the rig file, or the virtual bench.
-    given: Whether the rig file has it.
-    exposure_us: Exposure time of exposure 1 [µs].
-    """
-
-    hardware: HardwareConfig
-    given: bool
-    exposure_us: float
+    hardware: HardwareConfig  # from the rig file, or the virtual bench
+    given: bool  # whether the rig file has it
+    exposure_us: float  # exposure time of exposure 1 [µs]
 
     def light(self, name: str) -> ChannelConfig:
         return self.hardware.lights[name]

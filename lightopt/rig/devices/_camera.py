@@ -25,18 +25,12 @@ _NEAR = 0x1000  # numbers so near to the end and the beginning of the count are 
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame as the camera delivered it.
+    """A frame as the camera delivered it."""
 
-    levels: Right-aligned sensor levels (H, W), uint8 up to 8 bits and uint16 above.
-    exposure_us: Exposure time [µs] as read back for this frame.
-    number, timestamp_ns: The camera's own number and time stamp [ns]; None where it has none.
-    details: Further properties (gain, temperature, packets lost).
-    """
-
-    levels: Levels
-    exposure_us: float
-    number: int | None
-    timestamp_ns: int | None = None
+    levels: Levels  # right-aligned sensor levels (H, W), uint8 up to 8 bits and uint16 above
+    exposure_us: float  # exposure time [µs] as read back for this frame
+    number: int | None  # the camera's own; None where it has none
+    timestamp_ns: int | None = None  # the camera's own [ns]
     details: dict[str, Any] = field(default_factory=dict[str, Any])
 
 

@@ -21,19 +21,13 @@ Levels = UInt8 | NDArray[np.uint16]
 
 @dataclass(frozen=True, kw_only=True)
 class PixelFormat:
-    """A format of grey levels.
-
-    name, code: Name and number in the naming convention.
-    bits: Bits of a level.
-    stored: Bits that a pixel takes in the frame.
-    unpack: Levels of n pixels from the frame's bytes.
-    """
+    """A format of grey levels."""
 
     name: str
-    code: int
-    bits: int
-    stored: int
-    unpack: Callable[[UInt8, int], Levels]
+    code: int  # number in the naming convention
+    bits: int  # of a level
+    stored: int  # bits that a pixel takes in the frame
+    unpack: Callable[[UInt8, int], Levels]  # levels of n pixels from the frame's bytes
 
     def size(self, pixels: int) -> int:
         return -(-pixels * self.stored // 8)

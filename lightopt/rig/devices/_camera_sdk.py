@@ -80,21 +80,15 @@ def choose_camera(here: list[CameraInfo], settings: CameraSettings) -> CameraInf
 
 @dataclass(frozen=True, kw_only=True)
 class RawFrame:
-    """A frame as it came over the cable.
+    """A frame as it came over the cable; number and time stamp are the camera's own, None where it has none."""
 
-    data: Its bytes, shape (n,).
-    code: Its pixel format as a number of the naming convention; None where the camera does not report it.
-    number, timestamp_ns: The camera's own; None where it has none.
-    problem: Why it is unusable; None when it is whole.
-    """
-
-    data: UInt8
+    data: UInt8  # its bytes, shape (n,)
     width: int
     height: int
     number: int | None
-    code: int | None = None
+    code: int | None = None  # its pixel format in the naming convention; None where the camera does not report it
     timestamp_ns: int | None = None
-    problem: str | None = None
+    problem: str | None = None  # why it is unusable; None when it is whole
 
     @classmethod
     def unusable(cls, number: int | None, problem: str) -> "RawFrame":

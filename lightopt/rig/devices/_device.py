@@ -18,16 +18,11 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class Identity:
-    """Identity of a device.
+    """Identity of a device."""
 
-    driver: Name of the driver, as in the rig file.
-    port: Where it is reached: serial port, URL, camera name or folder.
-    details: What the device answered about itself (version, serial number), by name; may be empty.
-    """
-
-    driver: str
-    port: str
-    details: dict[str, str] = field(default_factory=dict[str, str])
+    driver: str  # as in the rig file
+    port: str  # where it is reached: serial port, URL, camera name or folder
+    details: dict[str, str] = field(default_factory=dict[str, str])  # what it answered about itself, by name
 
     def as_dict(self) -> dict[str, Any]:
         return {"driver": self.driver, "port": self.port, **self.details}

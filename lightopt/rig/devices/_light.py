@@ -28,26 +28,17 @@ class LightsStillOnError(HardwareError):
 
 @dataclass(frozen=True)
 class LightSettings:
-    """What a driver must know to open a light controller.
+    """What a driver must know to open a light controller."""
 
-    name: Name of the controller in the rig file.
-    port: Serial port or pyserial URL.
-    baud: None is the protocol's usual rate.
-    dialect: For driver ccs: ``lan`` or ``serial``.
-    template: For driver template: commands and patterns of replies, by the keys of the rig file.
-    timeout_s: Longest wait for a reply [s].
-    max_levels: Highest allowed intensities by channel; where none is given it is `top_level`.
-    """
-
-    name: str
-    port: str
-    baud: int | None = None
+    name: str  # in the rig file
+    port: str  # serial port or pyserial URL
+    baud: int | None = None  # None is the protocol's usual rate
     channels: int = 4
     top_level: int = 255
-    dialect: str = "lan"
-    template: Mapping[str, str | None] | None = None
-    timeout_s: float = 1.0
-    max_levels: Mapping[int, int] = field(default_factory=dict[int, int])
+    dialect: str = "lan"  # ccs: lan or serial
+    template: Mapping[str, str | None] | None = None  # commands and patterns of replies, by the keys of the rig file
+    timeout_s: float = 1.0  # longest wait for a reply [s]
+    max_levels: Mapping[int, int] = field(default_factory=dict[int, int])  # highest allowed intensities by channel
 
 
 def all_off(controllers: Mapping[str, "LightController"], *, lit: Mapping[str, Collection[int]] | None = None) -> None:

@@ -30,17 +30,12 @@ class Clock:
 
 @dataclass(frozen=True)
 class StageState:
-    """State of a stage.
-
-    posture: Where it stands [°]; an axis that the stage lacks stands at 0.
-    referenced: Whether it knows where its origin is; None where that is unknown.
-    alarm: Message about the device's alarm; None without one.
-    """
+    """State of a stage; an axis that it lacks stands at 0°."""
 
     posture: Posture
     moving: bool
-    referenced: bool | None
-    alarm: str | None = None
+    referenced: bool | None  # whether it knows where its origin is; None where that is unknown
+    alarm: str | None = None  # message about the device's alarm
 
 
 class Stage:

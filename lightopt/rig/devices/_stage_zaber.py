@@ -70,21 +70,15 @@ _REPLY = re.compile(
 
 @dataclass(frozen=True)
 class Reply:
-    """A reply of a device or axis.
-
-    number: Number of the message that it answers; None when it has none.
-    accepted: OK rather than RJ.
-    warning: Flag of the gravest warning; empty without one.
-    data: The answer, or why it was rejected.
-    """
+    """A reply of a device or axis."""
 
     device: int
     axis: int
-    number: int | None
-    accepted: bool
+    number: int | None  # of the message that it answers; None when it has none
+    accepted: bool  # OK rather than RJ
     busy: bool
-    warning: str
-    data: str
+    warning: str  # flag of the gravest warning; empty without one
+    data: str  # the answer, or why it was rejected
 
 
 def checksum(body: bytes) -> bytes:

@@ -59,21 +59,16 @@ class AxisWire:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSetup:
-    """What the camera looks at: files of rig and part, the wiring of lights and axes, and where the bench differs.
-
-    exposure_us: Exposure time of exposure 1 [µs].
-    elevation, rotation: Axes; None: fixed at 0.
-    gige: Whether the camera is a GigE Vision camera on the loopback.
-    """
+    """What the camera looks at: files of rig and part, the wiring of lights and axes, and where the bench differs."""
 
     rig: str
     part: str
-    exposure_us: float
+    exposure_us: float  # exposure time of exposure 1 [µs]
     lights: tuple[LightWire, ...]
-    elevation: AxisWire | None = None
-    rotation: AxisWire | None = None
+    elevation: AxisWire | None = None  # None: fixed at 0
+    rotation: AxisWire | None = None  # None: fixed at 0
     truth: BenchTruth = field(default_factory=BenchTruth)
-    gige: bool = False
+    gige: bool = False  # whether it is a GigE Vision camera on the loopback
 
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> "CameraSetup":
