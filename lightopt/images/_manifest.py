@@ -14,12 +14,8 @@ from lightopt.images._file_names import inside_problem
 _FORMAT = "lightopt-images/1"
 _KINDS = ("simulated", "captured")
 
-REPEATABILITY_KEY = "repeatability"
-"""Manifest key of a captured set: result of the repeatability check."""
-
-EVENTS_KEY = "events"
-"""Manifest key of a captured set: irregularities on the devices' links while no image was taken."""
-
+REPEATABILITY_KEY = "repeatability"  # manifest key of a captured set: result of the repeatability check
+EVENTS_KEY = "events"  # manifest key of a captured set: irregularities on the devices' links while no image was taken
 DARK_CHECKED_KEY = "ended_dark"
 """Manifest key of a captured set: postures after whose images a frame showed that no light stayed on."""
 

@@ -19,31 +19,20 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSettings:
-    """Settings of a camera that the rig needs.
+    """Settings of a camera that the rig needs; what is None stays as the camera has it."""
 
-    where: What messages call it, with file and line.
-    port: Serial number, address or identifier; None: the only camera that there is.
-    producer: genicam: GenTL producer of the maker (a .cti file).
-    pixel_format: Name; None: the camera's that has the bit depth.
-    offset_px: Corner of the image on the sensor, from the left and from the top; None: centred.
-    gain: In the camera's units (mostly dB); None: as the camera has it.
-    trigger: ``software``, ``none``, or ``auto``: software where the camera has it.
-    fixed_exposure_us: Exposure time [µs] of a camera on which it cannot be set; None: it is set.
-    packet_size, packet_delay_ns: GigE: size of packets [bytes] and pause between them [ns]; None: as the camera has it.
-    """
-
-    where: str
+    where: str  # what messages call it, with file and line
     resolution_px: tuple[int, int]
     bit_depth: int
-    port: str | None = None
-    producer: str | None = None
-    pixel_format: str | None = None
-    offset_px: tuple[int, int] | None = None
-    gain: float | None = None
-    trigger: str = "auto"
-    fixed_exposure_us: float | None = None
-    packet_size: int | None = None
-    packet_delay_ns: int | None = None
+    port: str | None = None  # serial number, address or identifier; None: the only camera that there is
+    producer: str | None = None  # genicam: GenTL producer of the maker (a .cti file)
+    pixel_format: str | None = None  # None: the camera's that has the bit depth
+    offset_px: tuple[int, int] | None = None  # corner of the image on the sensor, from left and top; None: centred
+    gain: float | None = None  # in the camera's units (mostly dB)
+    trigger: str = "auto"  # software, none, or auto: software where the camera has it
+    fixed_exposure_us: float | None = None  # exposure time [µs] of a camera on which it cannot be set
+    packet_size: int | None = None  # GigE: size of packets [bytes]
+    packet_delay_ns: int | None = None  # GigE: pause between packets [ns]
 
 
 @dataclass(frozen=True, kw_only=True)

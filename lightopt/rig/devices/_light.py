@@ -104,14 +104,9 @@ class LightController(ABC):
     level_set_s: When [s, monotonic clock] the device had the last intensity, before it was read back.
     """
 
-    NAME: ClassVar[str]
-    """Name of the protocol, as in the rig file."""
-
-    BAUD: ClassVar[int]
-    """The protocol's usual baud rate."""
-
-    GAP_S: ClassVar[float] = 0.0
-    """Least time [s] that the controllers ask for between two commands."""
+    NAME: ClassVar[str]  # name of the protocol, as in the rig file
+    BAUD: ClassVar[int]  # the protocol's usual baud rate
+    GAP_S: ClassVar[float] = 0.0  # least time [s] that the controllers ask for between two commands
 
     def __init__(self, link: SerialLink, settings: LightSettings) -> None:
         self.channels = settings.channels

@@ -69,12 +69,8 @@ class Reading:
 class Dialogue(ABC):
     """Protocol of a stage, in the device's units and names; HardwareError where it refuses or does not answer."""
 
-    BAUD: ClassVar[int]
-    """The protocol's usual baud rate."""
-
-    RTSCTS: ClassVar[bool] = False
-    """Whether the device paces the line by RTS/CTS."""
-
+    BAUD: ClassVar[int]  # the protocol's usual baud rate
+    RTSCTS: ClassVar[bool] = False  # whether the device paces the line by RTS/CTS
     HOMES_TO_END: ClassVar[bool] = False
     """Whether `home` returns when the origins are found, rather than when the search has begun."""
 

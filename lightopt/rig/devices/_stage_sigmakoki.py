@@ -90,8 +90,7 @@ class _SigmakokiDialogue(Dialogue):
     """What the two families share."""
 
     BAUD = 9600
-    SPEEDS: ClassVar[tuple[int, int]]
-    """Slowest and fastest [pulses/s]."""
+    SPEEDS: ClassVar[tuple[int, int]]  # slowest and fastest [pulses/s]
 
     @classmethod
     def check_axes(cls, axes: Sequence[Axis]) -> None:

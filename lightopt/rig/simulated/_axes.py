@@ -137,8 +137,7 @@ class StageFirmware(Firmware):
     of :class:`Trigger` counting moves; ``lost_step`` (it lost ``steps``). ``clear`` ends them.
     """
 
-    DEVICE_FAULTS: ClassVar[tuple[str, ...]] = ()
-    """Further faults of the whole device, for the message."""
+    DEVICE_FAULTS: ClassVar[tuple[str, ...]] = ()  # further faults of the whole device, for the message
 
     def __init__(self, axes: Mapping[str, Mapping[str, float]]) -> None:
         super().__init__()

@@ -4,9 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-CAMERA = "camera"
-"""Name of a GigE camera among the devices of a bench."""
-
+CAMERA = "camera"  # name of a GigE camera among the devices of a bench
 EXPOSURE_RANGE_US = (10.0, 10e6)
 """Shortest and longest exposure time of the virtual camera [µs]; it holds whole microseconds."""
 

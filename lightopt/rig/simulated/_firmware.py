@@ -19,8 +19,7 @@ class Trigger:
     probability, seed: Chance that it strikes at an occasion that `after` and `count` leave to it.
     """
 
-    struck = 0
-    """How often faults struck in this process, those of all triggers together."""
+    struck = 0  # how often faults struck in this process, those of all triggers together
 
     def __init__(self, *, after: int = 0, count: int | None = 1, probability: float = 1.0, seed: int = 0) -> None:
         if after < 0 or (count is not None and count < 1) or not 0 <= probability <= 1:

@@ -28,9 +28,7 @@ class _SigmakokiFirmware(StageFirmware):
     FAULTS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"refuse": {}}
     VERSION: ClassVar[str]
     MOVES: ClassVar[tuple[str, ...]]
-    SPEED: ClassVar[float]
-    """Speed at power-up [pulses/s]."""
-
+    SPEED: ClassVar[float]  # speed at power-up [pulses/s]
     DETACHED: ClassVar[bool] = False
     """Whether a sign stands at the left edge of its column rather than before the digits."""
 
