@@ -59,13 +59,8 @@ def in_threads(work: Callable[[int], T], starts: Sequence[int], threads: int | N
 
 def side_by_side(first: Callable[[], T], second: Callable[[], U]) -> tuple[T, U]:
     """Results of two functions, which run at the same time."""
-    results: dict[str, Any] = {}
-
-    def run(name: str, function: Callable[[], Any]) -> None:
-        results[name] = function()
-
-    run_all([(run, ("first", first)), (run, ("second", second))], threads=2)
-    return results["first"], results["second"]
+    results: list[Any] = in_threads(lambda i: (first, second)[i](), (0, 1), 2)
+    return results[0], results[1]
 
 
 class BackgroundTasks:

@@ -72,17 +72,7 @@ class ImageEntry:
         return self.exposure * share if 0.0 < share < math.inf else self.exposure
 
     def as_dict(self) -> dict[str, Any]:
-        return {
-            "light": self.light,
-            "light_elevation_deg": self.light_elevation_deg,
-            "light_azimuth_deg": self.light_azimuth_deg,
-            "posture": self.posture.as_dict(),
-            "exposure": self.exposure,
-            **({"png": self.png} if self.png is not None else {}),
-            **({"exr": self.exr} if self.exr is not None else {}),
-            **({"sha256": dict(self.sha256)} if self.sha256 else {}),
-            **self.extra,
-        }
+        return _entry_facts(self)
 
 
 @dataclass(frozen=True)
@@ -95,8 +85,12 @@ class GeometryEntry:
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
-        hashes = {"sha256": dict(self.sha256)} if self.sha256 else {}
-        return {"posture": self.posture.as_dict(), "exr": self.exr, **hashes, **self.extra}
+        return _entry_facts(self)
+
+
+def _entry_facts(entry: ImageEntry | GeometryEntry) -> dict[str, Any]:
+    facts = {**vars(entry), "posture": entry.posture.as_dict(), "sha256": dict(entry.sha256) or None, "extra": None}
+    return {**{name: value for name, value in facts.items() if value is not None}, **entry.extra}
 
 
 @dataclass(frozen=True)

@@ -48,8 +48,21 @@ class ComparisonThresholds:
             raise InputError(*problems)
 
 
+class Verdict:
+    """A comparison that passes where there are no reasons why it fails."""
+
+    reasons: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        return not self.reasons
+
+    def as_dict(self) -> dict[str, Any]:
+        return {**vars(self), "passed": self.passed}
+
+
 @dataclass(frozen=True, kw_only=True)
-class ChannelDifference:
+class ChannelDifference(Verdict):
     """Difference of one channel."""
 
     name: str
@@ -65,14 +78,7 @@ class ChannelDifference:
     saturated_a: int | None = None  # saturated pixels; None for channels that do not saturate
     saturated_b: int | None = None
     iou: float | None = None  # intersection over union of the two masks, 1 where both are empty
-    reasons: tuple[str, ...] = ()  # why the channel fails; empty when it passes
-
-    @property
-    def passed(self) -> bool:
-        return not self.reasons
-
-    def as_dict(self) -> dict[str, Any]:
-        return {**vars(self), "passed": self.passed}
+    reasons: tuple[str, ...] = ()
 
 
 def compare_arrays(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lightopt.core.arrays import Bool, Float64, UInt8
 from lightopt.core.errors import InputError
 from lightopt.images import read_exr, read_metadata, read_png, write_png
-from lightopt.images.comparison._channels import ChannelDifference, ComparisonThresholds, compare_arrays
+from lightopt.images.comparison._channels import ChannelDifference, ComparisonThresholds, Verdict, compare_arrays
 
 LEVELS = "levels"  # name given to a grey PNG's only channel
 
@@ -77,19 +77,12 @@ def _number(value: object, default: float) -> float:
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """Comparison of the golden `a` with the new `b`: it fails for the `reasons`, and passes where there are none."""
+class Comparison(Verdict):
+    """Comparison of the golden `a` with the new `b`."""
 
     a: str
     b: str
     reasons: tuple[str, ...] = ()
-
-    @property
-    def passed(self) -> bool:
-        return not self.reasons
-
-    def as_dict(self) -> dict[str, Any]:
-        return {**vars(self), "passed": self.passed}
 
 
 @dataclass(frozen=True)

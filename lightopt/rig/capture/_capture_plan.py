@@ -1,16 +1,16 @@
 """The plan of a capture, as data: every move, every light and every exposure, checked before anything is opened."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, counted
 from lightopt.core.transforms import Posture
-from lightopt.rig.capture._limits import exposure_problems, light_problems, posture_problems
-from lightopt.rig.capture._wiring import Wiring, wiring_of
-from lightopt.scene import part_postures, travel_order, travel_s
+from lightopt.rig.capture._wiring import VIRTUAL, Wiring, wiring_of
+from lightopt.rig.simulated import EXPOSURE_RANGE_US
+from lightopt.scene import angle_outside_range, part_postures, travel_order, travel_s
 
 MOST_FRAMES = 1000  # frames that one image is the mean of, at most
 
@@ -213,7 +213,7 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
     problems = [
         f'no light "{name}" in {rig.source.path}; it has {", ".join(known)}' for name in lights if name not in known
     ]
-    problems += posture_problems(rig, part, wiring, options.postures)
+    problems += _posture_problems(rig, part, wiring, options.postures)
     if options.check_repeatability and (wiring.hardware.stage is None or len(postures) < 2):
         problems.append(
             "check of repeatability: expected a stage and two postures or more, so that it returns from another one"
@@ -234,7 +234,7 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
         pixels=rig.camera.resolution_px[0] * rig.camera.resolution_px[1],
     )
     taken = f"{counted(len(exposures), 'exposure')} of {counted(options.average, 'frame')}"
-    problems += light_problems(rig, wiring, plan.lights, on_s=plan.on_s(), taken=taken)
+    problems += _light_problems(rig, wiring, plan.lights, on_s=plan.on_s(), taken=taken)
     if problems:
         raise InputError(*problems)
     return plan
@@ -274,3 +274,53 @@ def cycle_time(rig: RigConfig, part: PartConfig, exposures: Mapping[Posture, tup
 def _travel_s(wiring: Wiring, start: Posture, end: Posture) -> float:
     stage = wiring.hardware.stage
     return 0.0 if stage is None else travel_s(stage, start, end)
+
+
+def _posture_problems(
+    rig: RigConfig, part: PartConfig, wiring: Wiring, postures: Sequence[Posture] | None
+) -> Iterator[str]:
+    """Postures beyond the stage's range, or that a stage without one of the axes cannot take."""
+    if postures is not None:
+        named = [(posture, "option 'postures'") for posture in postures]
+    else:
+        named = [(posture, part.source.at("postures", i)) for i, posture in enumerate(part_postures(part))]
+    stage = wiring.hardware.stage
+    if stage is None and len(named) > 1:
+        yield (
+            f"{rig.source.at('hardware')}: this rig has no stage, so one run captures one posture; place the part by "
+            f"hand and choose that one; found {len(named)} postures"
+        )
+    for posture, where in named:
+        for name, angle in (("elevation", posture.elevation_deg), ("rotation", posture.rotation_deg)):
+            if (problem := angle_outside_range(rig, name, angle)) is not None:
+                yield f"{where}: {problem}"
+            elif stage is not None and getattr(stage, name) is None and angle != 0.0:
+                yield (
+                    f"{where}: {name} {angle:g}°, but the stage has no {name} axis, which is at 0° "
+                    f"({rig.source.at('hardware', 'stage')})"
+                )
+
+
+def exposure_problems(rig: RigConfig, wiring: Wiring, exposures: tuple[float, ...]) -> Iterator[str]:
+    if wiring.hardware.camera.driver != VIRTUAL:
+        return  # the exposures of a folder are checked when it is read, before anything is opened
+    low, high = EXPOSURE_RANGE_US
+    for exposure in exposures:
+        time_us = exposure * wiring.exposure_us
+        if not low <= time_us <= high:
+            yield (
+                f"exposure {exposure:g} is {time_us:g} µs ({rig.source.at('camera', 'exposure_us')}), outside the "
+                f"camera's {low:g} to {high:g} µs"
+            )
+
+
+def _light_problems(rig: RigConfig, wiring: Wiring, lights: Iterable[str], *, on_s: float, taken: str) -> Iterator[str]:
+    """Lights that would be on longer at a stretch [s] than they may for what is taken."""
+    for name in lights:
+        channel = wiring.light(name)
+        where = rig.source.at("hardware", "lights", name)
+        if channel.max_on_s is not None and on_s > channel.max_on_s:
+            yield (
+                f"{where}: would be on for {on_s:.3g} s without a break (settling and {taken}), longer than max_on_s "
+                f"{channel.max_on_s:g}; take fewer or shorter exposures"
+            )

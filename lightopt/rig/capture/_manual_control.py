@@ -1,4 +1,4 @@
-"""Manual control of single devices: their state, a light, a posture, a frame."""
+"""Manual control of single devices: their state, a light, a posture, a frame; checked before any is opened."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -7,13 +7,15 @@ from functools import partial
 from pathlib import Path
 
 from lightopt.config import ChannelConfig, RigConfig
-from lightopt.core.errors import LightoptError
+from lightopt.core.errors import InputError, LightoptError
 from lightopt.core.transforms import Posture
 from lightopt.images import write_png
+from lightopt.rig.capture._capture_plan import exposure_problems
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._software_cameras import FolderCamera
 from lightopt.rig.capture._wiring import STAGE, Wiring
 from lightopt.rig.devices import now
+from lightopt.scene import angle_outside_range
 
 _DARKENING_S = 0.3  # a light is switched off so long before it reaches its `max_on_s`
 
@@ -42,6 +44,45 @@ def device_statuses(
             yield _status(f"light {light.name}", partial(_light_state, devices, channel))
     if devices.stage is not None or STAGE in unreachable:
         yield _status(STAGE, partial(_stage_state, devices), unreachable.get(STAGE))
+
+
+def check_level(wiring: Wiring, rig: RigConfig, name: str, level: int | None) -> int:
+    """Level to light a panel at, the rig's by default; InputError for no such light, or a level above its limit."""
+    if name not in wiring.hardware.lights:
+        raise InputError(f'no light "{name}" in {rig.source.path}; it has {", ".join(wiring.hardware.lights)}')
+    requested = wiring.light(name).level if level is None else level
+    top = wiring.top_level(name)
+    if not 1 <= requested <= top:
+        where = f" ({rig.source.at('hardware', 'lights', name)})" if wiring.given else ""
+        raise InputError(
+            f"{name}: expected a level from 1 to {top}{where}, found {requested}; "
+            "to switch off, use: lightopt bench off RIG"
+        )
+    return requested
+
+
+def check_angles(rig: RigConfig, *, elevation: float | None, rotation: float | None) -> None:
+    """Check angles [°] against the stage's range; None is not checked. InputError with one message per angle."""
+    requested = (("elevation", elevation), ("rotation", rotation))
+    outside = (angle_outside_range(rig, name, angle) for name, angle in requested if angle is not None)
+    if problems := [problem for problem in outside if problem is not None]:
+        raise InputError(*problems)
+
+
+def check_on_time(wiring: Wiring, rig: RigConfig, name: str, seconds: float) -> None:
+    """Refuse to keep a light on longer [s] than its `max_on_s` (InputError); nothing is opened."""
+    longest = wiring.light(name).max_on_s
+    if longest is not None and seconds > longest:
+        raise InputError(
+            f"{name} would be on for {seconds:.3g} s, longer than its max_on_s of {longest:g} s "
+            f"({rig.source.at('hardware', 'lights', name)}); nothing was opened"
+        )
+
+
+def check_exposure(wiring: Wiring, rig: RigConfig, exposure: float) -> None:
+    """Refuse a relative exposure that the camera is known not to have (InputError); nothing is opened."""
+    if problems := tuple(exposure_problems(rig, wiring, (exposure,))):
+        raise InputError(*problems)
 
 
 def snap_on_s(wiring: Wiring, exposure: float) -> float:

@@ -7,7 +7,7 @@ driver noticing.
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from lightopt.core.errors import HardwareError
 
@@ -75,25 +75,14 @@ def printable(data: bytes) -> str:
     return f'"{text}"'
 
 
-class Repeatable(Protocol):
-    """A link on which a command can be sent again: a serial link, a camera.
-
-    drain: Throw away what is still on its way, so that it is not taken for the reply to the next command.
-    note: Report an irregularity.
-    """
-
-    def drain(self) -> None: ...
-    def note(self, what: str, *, retry: bool = False) -> None: ...
-
-
 class Retry:
     """Sends again when a reply is lost or spoilt; only for what may be repeated: queries, levels, absolute targets.
 
     A device that left all attempts unanswered gets one at a time until it answers: switching off the lights of a dead
-    controller must not take a minute.
+    controller must not take a minute. `link` is a serial link or a camera: it can drain what is on its way, and note.
     """
 
-    def __init__(self, link: Repeatable, *, verb: str = "sent") -> None:
+    def __init__(self, link: Any, *, verb: str = "sent") -> None:
         self._link = link
         self._attempts = ATTEMPTS
         self._verb = verb
