@@ -293,12 +293,7 @@ _REAL_CAMERAS = {*get_args(CameraDeviceConfig.model_fields["driver"].annotation)
 def misfits(
     hardware: object, lights: tuple[str, ...] | None, camera: CameraConfig | None
 ) -> Iterator[fields.Complaint]:
-    """What does not fit together, by the path under ``hardware``; parts that are wrong themselves are passed over.
-
-    hardware: The section as it was read
-    lights: Names of the rig's lights; None where they are wrong themselves
-    camera: The rig's camera; None where it is wrong itself
-    """
+    """What does not fit together, by the path under ``hardware``; None and parts that are wrong are passed over."""
     section = fields.mapping(hardware)
     controllers, channels = (fields.mapping(section.get(key)) for key in ("controllers", "lights"))
     if lights is not None and isinstance(section.get("lights"), Mapping):

@@ -95,12 +95,7 @@ def standing_at(point: object) -> dict[str, float]:
 def with_pose(
     value: object, handler: ValidatorFunctionWrapHandler, *, point: str, what: str, also: Sequence[str] = ()
 ) -> Any:
-    """Validate a mapping that may have a pose instead of other keys, which are filled in from it.
-
-    point: Key of the pose's point
-    what: The thing that the pose is of
-    also: Further keys that the pose takes the place of
-    """
+    """Validate a mapping that may have a pose, by the key `point`, instead of other keys, which are filled in."""
     raw = fields.mapping(value)
     if raw.get("pose") is None:
         return handler(value)

@@ -110,11 +110,7 @@ class BackgroundTasks:
 
 
 def run_all(tasks: Iterable[Task], *, threads: int, done: Callable[[], None] | None = None) -> None:
-    """Call each task's function with its arguments; the first exception stops the rest.
-
-    tasks: Taken up as threads become free, so that a long generator costs no memory
-    done: Called from the calling thread after each task; an exception that it raises stops the rest, too
-    """
+    """Call each task's function as threads become free, and `done` here after each; the first exception stops all."""
     if threads == 1:
         for function, arguments in tasks:
             function(*arguments)

@@ -34,30 +34,21 @@ def connect_devices(
     rig: RigConfig,
     wiring: Wiring,
     *,
-    part: PartConfig | None = None,
-    plan: CapturePlan | None = None,
+    part: PartConfig | None = None,  # on the virtual bench; needed for its camera
+    plan: CapturePlan | None = None,  # the images that a folder camera must have
     camera: bool = True,
-    serial_log: Path | None = None,
-    truth: BenchTruth | None = None,
-    bench: BenchProcess | None = None,
-    touch_lights: bool = True,
-    unreachable: dict[str, LightoptError] | None = None,
-    run: RunContext | None = None,
+    serial_log: Path | None = None,  # gets every byte on the wires
+    truth: BenchTruth | None = None,  # how the virtual bench differs from the files
+    bench: BenchProcess | None = None,  # a virtual bench that runs already; it is left running
+    touch_lights: bool = True,  # False to query the devices only: nothing is switched
+    unreachable: dict[str, LightoptError] | None = None,  # collects what does not answer, with why; None: an error
+    run: RunContext | None = None,  # gets warnings of irregularities on the wires
 ) -> Devices:
     """Open lights, stage and camera; nothing is lit or moved.
 
     Lights are opened first, and each controller goes dark as it opens: after a run that was killed this is the only
     way to darken lights that are on while another device is out of order.
 
-    part: The part on the virtual bench; needed for its camera.
-    plan: The images that a folder camera must have.
-    serial_log: File that gets every byte on the wires.
-    truth: How the virtual bench differs from the files.
-    bench: A virtual bench that runs already; it is left running.
-    touch_lights: False to query the devices only: nothing is switched.
-    unreachable: Collects the controllers and the stage that do not answer, with why; the others are opened. None: an
-        error.
-    run: Gets warnings of irregularities on the wires as they happen, and if the serial log ends early.
     Raises InputError: A port is not there or in use, or a folder lacks images of the plan.
     Raises HardwareError: A device does not answer. By then every controller that can be reached was darkened, unless
         `touch_lights` is false, and the message names the lights that may still be on.
@@ -108,9 +99,9 @@ def connect_devices(
         if camera:
             try:
                 opened_camera = _open_rig_camera(rig, wiring, replay=replay, bench=bench, log=log)
+                stack.callback(opened_camera.close)
             except LightoptError as error:
                 raise (lights.error(error) if touch_lights else error) from error
-            stack.callback(opened_camera.close)
         others = {STAGE: stage, "camera": opened_camera}
         opened = {**lights.controllers, **{name: device for name, device in others.items() if device is not None}}
         _log.info("opened %s", ", ".join(opened))

@@ -48,17 +48,12 @@ def open_lights(
     wiring: Wiring,
     names: Iterable[str],
     *,
-    ports: Mapping[str, str],
+    ports: Mapping[str, str],  # of those that are simulated
     log: SerialLog | None,
-    darken: bool,
-    opened: Callable[[LightController], object],
+    darken: bool,  # False to query the controllers only
+    opened: Callable[[LightController], object],  # called with each before anything is sent to it, from its own thread
 ) -> OpenedLights:
-    """Open controllers in parallel, each even if another fails, and darken each as it opens.
-
-    ports: Ports of those that are simulated.
-    darken: Whether every channel is switched off; False to query the controllers only.
-    opened: Called with each that is open, before anything else is sent to it, from the thread that opened it.
-    """
+    """Open controllers in parallel, each even if another fails, and darken each as it opens."""
 
     def open_one(name: str) -> tuple[LightController | None, LightoptError | None]:
         port = ports.get(name) or wiring.hardware.controllers[name].port

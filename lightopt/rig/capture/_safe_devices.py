@@ -31,13 +31,6 @@ class Devices:
     Entering switches every channel off, because a previous run may have left lights on. On every way out, whatever the
     reason, every channel is switched off, each tried even if another fails; a stage that may move is stopped; then all
     is closed. Signals that end a program wait until that is done.
-
-    stage, camera: None where the rig has none, or none is needed.
-    events: Irregularities on the links so far.
-    closing: Called last, in order: the links' log, the virtual bench.
-    signals: Already installed where devices were opened under their protection.
-    touch_lights: False to query the devices only: lights that are on stay on.
-    dark: Whether every channel has been switched off since it was opened.
     """
 
     def __init__(
@@ -47,11 +40,11 @@ class Devices:
         controllers: Mapping[str, LightController],
         stage: Stage | None = None,
         camera: Camera | None = None,
-        events: Callable[[], Sequence[Event]] = tuple,
-        closing: Sequence[Callable[[], None]] = (),
-        signals: EndSignals | None = None,
-        touch_lights: bool = True,
-        dark: bool = False,
+        events: Callable[[], Sequence[Event]] = tuple,  # irregularities on the links so far
+        closing: Sequence[Callable[[], None]] = (),  # called last, in order: the links' log, the virtual bench
+        signals: EndSignals | None = None,  # already installed where devices were opened under their protection
+        touch_lights: bool = True,  # False to query the devices only: lights that are on stay on
+        dark: bool = False,  # whether every channel has been switched off since it was opened
     ) -> None:
         self.wiring = wiring
         self.controllers = dict(controllers)

@@ -107,8 +107,6 @@ class MachineCamera:
     What would falsify them is switched off: automatic exposure, gain and black level, gamma and look-up table,
     mirrored, binned and left-out pixels, test patterns, and exposure by the width of a trigger. Frames are checked for
     being whole, new and in order; others are taken again, a bounded number of times, each with an event.
-
-    wait_ready: Called before each frame; returns when one can be taken: a simulated camera has to render first.
     """
 
     def __init__(
@@ -118,7 +116,8 @@ class MachineCamera:
         settings: CameraSettings,
         *,
         on_event: Callable[[Event], None] | None = None,
-        wait_ready: Callable[[], object] | None = None,
+        wait_ready: Callable[[], object]
+        | None = None,  # returns when a frame can be taken: one may have to be rendered
     ) -> None:
         self.events: list[Event] = []
         self.resolution_px = settings.resolution_px

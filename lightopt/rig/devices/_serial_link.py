@@ -95,11 +95,11 @@ class SerialLink:
         self,
         port: str,
         *,
-        device: str,
+        device: str,  # what stands behind it, for messages: controller main (ccs)
         baud: int,
         rtscts: bool = False,
-        timeout_s: float = 1.0,
-        gap_s: float = 0.0,
+        timeout_s: float = 1.0,  # deadline [s] of a whole reply where a call names none; of a write, a second at least
+        gap_s: float = 0.0,  # least time [s] between the end of a dialogue and the next command
         log: SerialLog | None = None,
     ) -> None:
         self.port = port

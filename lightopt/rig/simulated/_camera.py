@@ -29,11 +29,7 @@ Positions = Callable[[str], Mapping[str, float]]
 
 
 class BenchCamera:
-    """Takes frames of what the devices do at the moment.
-
-    levels: Brightness of a device's channels at this moment, as a share of its highest intensity.
-    positions: Where a device's axes stand at this moment, in device units.
-    """
+    """Takes frames of what devices do now: `levels` of channels, shares of the highest; `positions` of axes."""
 
     def __init__(self, setup: CameraSetup, levels: Brightness, positions: Positions) -> None:
         self._setup = setup

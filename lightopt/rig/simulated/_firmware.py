@@ -12,12 +12,7 @@ from typing import Any, ClassVar, cast
 
 
 class Trigger:
-    """Decides at each occasion whether a fault strikes.
-
-    after: Occasions that pass unharmed first.
-    count: Occasions that it strikes; None: all that follow.
-    probability, seed: Chance that it strikes at an occasion that `after` and `count` leave to it.
-    """
+    """Decides whether a fault strikes: `after` so many occasions, `count` times (None: always), by a seeded chance."""
 
     struck = 0  # how often faults struck in this process, those of all triggers together
 
