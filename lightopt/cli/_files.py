@@ -41,9 +41,7 @@ def init(
     }
     taken = [name for name in outputs if (folder / name).exists()]
     if taken and not force:
-        raise InputError(
-            f"{folder} already has {', '.join(taken)}; use --force to overwrite them, or choose another folder"
-        )
+        raise InputError(f"{folder} already has {', '.join(taken)}; use --force to overwrite them, or another folder")
     make_folder(folder)
     for name, content in outputs.items():
         write_bytes_atomic(folder / name, content)

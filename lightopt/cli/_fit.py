@@ -179,9 +179,7 @@ def _run(
         for path in (*written, *([chart] if chart else [])):
             echo(f"{path}")
     if not result.converged and not allow_unconverged:
-        raise CheckFailed(
-            "the fit did not converge; its files were written. To accept the result, use --allow-unconverged"
-        )
+        raise CheckFailed("the fit did not converge; its files were written. To accept it, use --allow-unconverged")
 
 
 def _complete(kind: str, options: FitOptions, free: list[str] | None, points: str | None) -> FitOptions:

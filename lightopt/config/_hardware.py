@@ -305,9 +305,7 @@ def misfits(
     yield from _same_port(controllers, fields.mapping(section.get("stage")))
     device = fields.mapping(section.get("camera"))
     if camera is not None and camera.exposure_us is None and device.get("driver") in _REAL_CAMERAS:
-        reason = (
-            "the rig's camera has no exposure_us; add to its section the exposure time [µs] that counts as exposure 1"
-        )
+        reason = "the rig's camera has no exposure_us; add to it the exposure time [µs] that counts as exposure 1"
         yield ("camera",), device, fields.complaint(reason)
 
 

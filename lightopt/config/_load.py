@@ -134,9 +134,7 @@ def _decode(data: bytes, path: Path) -> str:
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         byte = f"0x{data[error.start]:02x}"
-        raise InputError(
-            f"{path}:{line}: byte {byte} is not UTF-8 text; expected a YAML file, saved as UTF-8"
-        ) from None
+        raise InputError(f"{path}:{line}: byte {byte} is not UTF-8 text; expected YAML, saved as UTF-8") from None
     if "\0" in text:
         raise InputError(f"{path}: this is a binary file; expected YAML text")
     return text

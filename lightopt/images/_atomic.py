@@ -42,9 +42,7 @@ def write_atomically(path: str | Path, write: Callable[[Path], object], *, overw
             os.fsync(file.fileno())
         digest = file_sha256(temporary)
         if not overwrite and path.exists() and not (path.is_file() and file_sha256(path) == digest):
-            raise InputError(
-                f"{path}: exists with other content; use option 'force' to replace it, or choose another name"
-            )
+            raise InputError(f"{path}: exists with other content; use option 'force' to replace it, or another name")
         os.replace(temporary, path)  # noqa: PTH105 - one name to patch in fault tests, on every platform
     except BaseException as error:
         with contextlib.suppress(OSError):

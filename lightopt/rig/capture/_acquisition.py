@@ -143,9 +143,7 @@ class AcquisitionEngine:
         self.devices.step = f"setting the exposure to {wanted:g} µs"
         held = self.devices.camera.set_exposure(wanted)
         if not _holds(held, wanted):
-            raise HardwareError(
-                f"the camera holds an exposure of {held:g} µs instead of {wanted:g} µs, which it held before"
-            )
+            raise HardwareError(f"the camera holds an exposure of {held:g} µs instead of {wanted:g} µs as before")
         self._changed = self._changed or held != self._held_us
         self._held_us = held
 
@@ -242,9 +240,7 @@ class AcquisitionEngine:
             )
         if abs(frame.exposure_us - self._held_us) > 1e-3 * self._held_us:
             name = "a frame" if frame.number is None else f"frame {frame.number}"
-            raise HardwareError(
-                f"the camera took {name} at {frame.exposure_us:g} µs, although it held {self._held_us:g} µs"
-            )
+            raise HardwareError(f"the camera took {name} at {frame.exposure_us:g} µs, but held {self._held_us:g} µs")
         return frame
 
     def _remaining_on_s(self) -> float | None:

@@ -179,9 +179,8 @@ class CapturedSet:
             for exposure in self._plan.exposures
         ]
         frames: Sequence[Float32] | None = [dark[e] for e in self._plan.exposures] if dark else None
-        channels = merge_exposures(
-            images, sensor=self._scene.sensor, full_scale=self._scene.reflectance.full_scale, dark=frames
-        )
+        sensor, full_scale = self._scene.sensor, self._scene.reflectance.full_scale
+        channels = merge_exposures(images, sensor=sensor, full_scale=full_scale, dark=frames)
         self.writer.add_linear(light, posture, channels)
 
     def _read_exposure(self, light: str, posture: Posture, exposure: float) -> ExposureImage:

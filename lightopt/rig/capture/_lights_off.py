@@ -100,9 +100,7 @@ def open_controller(wiring: Wiring, name: str, *, port: str, log: SerialLog | No
 
 def lights_on(wiring: Wiring, channels: Mapping[str, Iterable[int]]) -> list[str]:
     wanted = {(name, number) for name, numbers in channels.items() for number in numbers}
-    return [
-        light for light, channel in wiring.hardware.lights.items() if (channel.controller, channel.channel) in wanted
-    ]
+    return [light for light, plug in wiring.hardware.lights.items() if (plug.controller, plug.channel) in wanted]
 
 
 @dataclass(frozen=True)

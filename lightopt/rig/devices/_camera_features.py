@@ -290,9 +290,7 @@ class ExposureTime:
                 if feature is None
                 else f"counts its exposure time ({feature}) in units of unknown length"
             )
-            raise InputError(
-                f"{self._where}: this camera {why}; write fixed_exposure_us, the time that it is set to otherwise"
-            )
+            raise InputError(f"{self._where}: this camera {why}; write fixed_exposure_us, the time it is set to")
         if self._feature is not None and fixed is not None:
             raise InputError(
                 f"{self._where}: this camera's exposure time can be set ({self._feature}); leave out fixed_exposure_us"

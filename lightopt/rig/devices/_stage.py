@@ -155,9 +155,7 @@ class Stage:
             until = self._clock.now() + _HALT_S
             while (reading := self._dialogue.read()).moving:
                 if self._clock.now() > until:
-                    raise self._link.failure(
-                        f"was commanded to stop and still moves {_HALT_S:g} s later: switch it off"
-                    )
+                    raise self._link.failure(f"was told to stop and still moves {_HALT_S:g} s later: switch it off")
                 self._clock.sleep(_POLL_S)
             if reading.alarm is None:
                 self._left_at = dict(reading.units)
@@ -253,9 +251,7 @@ class Stage:
                 moved = True
                 wrong_since = None
                 if now - started > limit_s:
-                    raise self._link.failure(
-                        f"has not found its origin after {limit_s:g} s: look at the limit switches"
-                    )
+                    raise self._link.failure(f"has not found its origin after {limit_s:g} s: check the limit switches")
             else:
                 problem = self._dialogue.homed(reading)
                 if problem is None and (moved or now - started > _SETTLE_S):
