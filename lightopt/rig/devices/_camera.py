@@ -38,30 +38,20 @@ class Camera(Protocol):
     """A monochrome camera.
 
     Every method raises :class:`~lightopt.core.errors.HardwareError` when the camera does not deliver.
-
-    triggered: Whether a frame begins at the call of `grab` (software trigger), so that none need be thrown away.
-    resolution_px: Width and height of the frames [pixels].
-    bit_depth: Bits of a level.
-    exposure_range_us: Shortest and longest exposure time [µs].
-    set_exposure: Set the exposure time [µs] and return what the camera holds. InputError outside `exposure_range_us`;
-        nothing was sent then.
-    grab: Take one frame; a camera without a trigger delivers the next that it completes. All attempts together take
-        `timeout_s` at most.
-    close: Stop and give up the camera; never raises.
     """
 
     @property
-    def triggered(self) -> bool: ...
+    def triggered(self) -> bool: ...  # a frame begins at the call of grab (software trigger): none need be thrown away
     @property
-    def resolution_px(self) -> tuple[int, int]: ...
+    def resolution_px(self) -> tuple[int, int]: ...  # width and height
     @property
     def bit_depth(self) -> int: ...
     @property
-    def exposure_range_us(self) -> tuple[float, float]: ...
+    def exposure_range_us(self) -> tuple[float, float]: ...  # shortest and longest exposure time [µs]
     def identify(self) -> Identity: ...
-    def set_exposure(self, exposure_us: float) -> float: ...
-    def grab(self, *, timeout_s: float) -> Frame: ...
-    def close(self) -> None: ...
+    def set_exposure(self, exposure_us: float) -> float: ...  # what the camera then holds; InputError out of range
+    def grab(self, *, timeout_s: float) -> Frame: ...  # one that begins now, or without a trigger the next completed
+    def close(self) -> None: ...  # never raises
 
 
 class FrameOrder:

@@ -93,31 +93,20 @@ class CameraSdk(Protocol):
 
     Every method raises :class:`~lightopt.core.errors.HardwareError` when the camera does not answer or refuses, and
     :class:`~lightopt.rig.devices.LinkLostError` when it is gone; `close` never raises.
-
-    details: Maker, model, serial number, address, as far as they are known.
-    has: Whether the camera has a feature and it can be used as things are.
-    read, write: Value of a feature: a number, an entry of an enumeration (str), a truth value. A number is written
-        rounded where the feature is whole.
-    bounds: Lowest and highest number, and the step between them (0: any).
-    unit: Unit of a number (us, dB); empty where the camera gives none.
-    entries: Entries of an enumeration that can be chosen.
-    execute: Execute a command.
-    start: Begin an acquisition; no frame of a previous one is delivered afterwards.
-    pop: The next frame, whole or not; None when none came in time.
     """
 
     @property
-    def details(self) -> dict[str, str]: ...
-    def has(self, feature: str) -> bool: ...
+    def details(self) -> dict[str, str]: ...  # maker, model, serial number, address, as far as they are known
+    def has(self, feature: str) -> bool: ...  # and it can be used as things are
     def read(self, feature: str, kind: Callable[[Any], Value]) -> Value: ...
-    def write(self, feature: str, value: float | str | bool) -> None: ...
-    def bounds(self, feature: str) -> tuple[float, float, float]: ...
-    def unit(self, feature: str) -> str: ...
-    def entries(self, feature: str) -> tuple[str, ...]: ...
+    def write(self, feature: str, value: float | str | bool) -> None: ...  # rounded where the feature is whole
+    def bounds(self, feature: str) -> tuple[float, float, float]: ...  # lowest, highest, step between (0: any)
+    def unit(self, feature: str) -> str: ...  # of a number (us, dB); empty where the camera gives none
+    def entries(self, feature: str) -> tuple[str, ...]: ...  # of an enumeration, those that can be chosen
     def execute(self, feature: str) -> None: ...
-    def start(self) -> None: ...
+    def start(self) -> None: ...  # no frame of a previous acquisition is delivered afterwards
     def stop(self) -> None: ...
-    def pop(self, timeout_s: float) -> RawFrame | None: ...
+    def pop(self, timeout_s: float) -> RawFrame | None: ...  # the next, whole or not; None when none came in time
     def close(self) -> None: ...
 
 

@@ -98,10 +98,6 @@ class LightController(ABC):
 
     Every method raises :class:`~lightopt.core.errors.HardwareError` when the device does not answer, answers no, or
     does not hold what was set.
-
-    channels, top_level: Number of channels, and the highest intensity.
-    events: Irregularities on the wire so far.
-    level_set_s: When [s, monotonic clock] the device had the last intensity, before it was read back.
     """
 
     NAME: ClassVar[str]  # name of the protocol, as in the rig file
@@ -110,12 +106,12 @@ class LightController(ABC):
 
     def __init__(self, link: SerialLink, settings: LightSettings) -> None:
         self.channels = settings.channels
-        self.events = link.events
+        self.events = link.events  # irregularities on the wire so far
         self._link = link
         self.top_level = settings.top_level
         self._max_levels = settings.max_levels
         self._retry = Retry(link)
-        self.level_set_s = 0.0
+        self.level_set_s = 0.0  # when [s, monotonic clock] the device had the last intensity, before it was read back
         self._reads = False  # whether levels can be read back, which each protocol finds out in its own way
 
     @classmethod

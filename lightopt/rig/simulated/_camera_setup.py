@@ -11,24 +11,15 @@ EXPOSURE_RANGE_US = (10.0, 10e6)
 
 @dataclass(frozen=True, kw_only=True)
 class BenchTruth:
-    """Where the bench differs from the files: the ground truth of tests.
+    """Where the bench differs from the files: the ground truth of tests."""
 
-    seed: Seed of the noise, and of the waviness of the surface.
-    gains: Factor on the brightness of a light, by its name; 1 where none is given.
-    part_offset_mm: How far from its place the part lies, world frame at posture (0, 0) [mm].
-    part_rotation: How the part is rotated about the origin before that, a rotation vector [rad].
-    dark_level: Added to the sensor's black level [sensor level].
-    ambient_level: Light that is always there, everywhere in the image [grey level at exposure 1].
-    triggered: Whether the camera's frames begin on request; otherwise they follow one another, and the first after a
-        change began before it.
-    """
-
-    seed: int = 1
-    gains: Mapping[str, float] = field(default_factory=dict[str, float])
-    part_offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    part_rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    dark_level: float = 0.0
-    ambient_level: float = 0.0
+    seed: int = 1  # of the noise, and of the waviness of the surface
+    gains: Mapping[str, float] = field(default_factory=dict[str, float])  # factors on the lights by name
+    part_offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)  # from its place, at posture (0, 0) [mm]
+    part_rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rotation vector about the origin before that [rad]
+    dark_level: float = 0.0  # added to the sensor's black level [sensor level]
+    ambient_level: float = 0.0  # light that is always there, everywhere in the image [grey level at exposure 1]
+    # whether frames begin on request; otherwise they follow one another, and the first after a change began before it
     triggered: bool = True
 
 

@@ -116,9 +116,8 @@ class ControlServer:
     """Answers requests on a loopback port, one thread per connection.
 
     The first line of a connection is the token. Each request is a line ``{"do": name, …}``; each answer is a line
-    ``{"ok": true, …, "bytes": n}`` followed by n bytes, or ``{"ok": false, "error": text, "bytes": 0}``.
-
-    token: Secret that a client must know: other users of the computer reach the loopback too.
+    ``{"ok": true, …, "bytes": n}`` followed by n bytes, or ``{"ok": false, "error": text, "bytes": 0}``. The token is
+    a secret, because other users of the computer reach the loopback too.
     """
 
     def __init__(self, handlers: Mapping[str, Handler], token: str) -> None:

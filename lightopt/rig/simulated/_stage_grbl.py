@@ -101,8 +101,6 @@ class GrblFirmware(StageFirmware):
 
     Faults besides those of its axes (``limit`` raises ALARM:1): ``alarm`` (option ``code``; at once), ``refuse``
     (option ``code``: lines are answered by ``error:code``, with the options of :class:`Trigger`).
-
-    settings: Settings other than the usual ones by number: ``{"22": 1}``.
     """
 
     FAULTS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"refuse": {"code": 8}}
@@ -112,7 +110,7 @@ class GrblFirmware(StageFirmware):
         self,
         *,
         axes: Mapping[str, Mapping[str, float]] | None = None,
-        settings: Mapping[str, float] | None = None,
+        settings: Mapping[str, float] | None = None,  # other than the usual ones by number: {"22": 1}
         home_speed: float = 50.0,
     ) -> None:
         given = axes or {}
