@@ -137,7 +137,9 @@ class CameraConfig(fields.Frozen):
         if "image_distance_mm" not in info.data:
             return focal
         if info.data.get("focal_px") is not None:
-            return _only_focal_px(focal, info)
+            if focal is not None or info.data.get("image_distance_mm") is not None:
+                raise fields.complaint("focal_px is given, too; expected only one of the three lengths")
+            return focal
         missing = 'missing key "image_distance_mm" (pinhole to image plane) or "focal_length_mm" (of the lens)'
         fields.exactly_one(focal, info, other="image_distance_mm", missing=missing)
         distance = info.data.get("distance_mm")
@@ -146,12 +148,6 @@ class CameraConfig(fields.Frozen):
                 f"expected less than distance_mm, {distance:g}: a lens of {focal:g} mm cannot focus there"
             )
         return focal
-
-
-def _only_focal_px(focal: float | None, info: ValidationInfo) -> float | None:
-    if focal is not None or info.data.get("image_distance_mm") is not None:
-        raise fields.complaint("focal_px is given, too; expected only one of the three lengths")
-    return focal
 
 
 # of keys that only one driver has: the driver, and the message where it lacks the key

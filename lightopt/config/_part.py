@@ -195,13 +195,12 @@ class PartConfig(fields.FileConfig):
 def _require(folder: Path, file: str) -> None:
     """Raise unless the mesh file exists, with its full path and a file of similar name."""
     path = folder / file
-    try:
+    is_folder, near = False, list[str]()
+    with contextlib.suppress(OSError, ValueError):
         if path.is_file():
             return
         is_folder = path.is_dir()
         near = get_close_matches(path.name, sorted(p.name for p in path.parent.iterdir()), n=1, cutoff=0.5)
-    except (OSError, ValueError):
-        is_folder, near = False, []
     full_path = os.path.normpath(folder.resolve() / file)
     if is_folder:
         raise fields.complaint(f"{full_path} is a folder; expected a file")

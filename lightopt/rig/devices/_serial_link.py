@@ -305,7 +305,9 @@ class SerialLink:
             ) from None
 
     def _preempted(self, sent: bytes) -> HardwareError:
-        return self.failure("broken off, because a light had to be switched off", sent=sent, kind=PreemptedError)
+        return self.failure(
+            "no longer waited for, because a light had to be switched off", sent=sent, kind=PreemptedError
+        )
 
     def _note_discarded(self, entry: LogEntry) -> None:
         count = len(entry.data)

@@ -83,7 +83,9 @@ class BenchProcess:
                 data = self._replies.read(answer["bytes"]) if answer.get("bytes") else b""
             except TimeoutError:
                 self._hang_up()  # what comes later would be taken for the answer to the next question
-                raise self._gone(f"did not answer request {do} within {timeout_s:.3g} s: its process hangs") from None
+                raise self._gone(
+                    f"did not answer the request {do} within {timeout_s:.3g} s: its process hangs"
+                ) from None
             except (OSError, ValueError) as error:
                 raise self._gone(f"cannot take the request {do} ({error})") from None
         if not answer:
