@@ -26,8 +26,6 @@ class Source:
     lines: Line number (1-based) of each path of keys in the file
     text: The file's text as it was read; empty for a configuration that was built in code
 
-    Examples
-    --------
     >>> source = Source(Path("rig.yaml"), "", {("camera",): 3, ("camera", "roll_deg"): 7})
     >>> source.at("camera", "roll_deg")
     'rig.yaml:7: camera.roll_deg'

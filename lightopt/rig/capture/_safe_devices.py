@@ -3,7 +3,6 @@
 import atexit
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
-from types import TracebackType
 from typing import Any
 
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
@@ -87,10 +86,7 @@ class Devices:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        del kind, trace
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         assert self._signals is not None
         try:
             with self._signals.shielded():

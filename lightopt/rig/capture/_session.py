@@ -3,7 +3,6 @@
 import contextlib
 from collections.abc import Generator, Sequence
 from dataclasses import asdict
-from types import TracebackType
 
 from lightopt.core.arrays import Float32
 from lightopt.core.errors import HardwareError, InputError, Interrupted, LightoptError, counted
@@ -47,11 +46,8 @@ class CaptureSession:
     def __enter__(self) -> "CaptureSession":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         """Finish writing, and report what an interrupted run has on disk; its devices are closed already."""
-        del kind, trace
         stopped = isinstance(error, KeyboardInterrupt)
         signalled = self._finish(failed=error is not None, lights="all lights are off; " if stopped else "")
         if error is None and not signalled:

@@ -62,8 +62,6 @@ class LinkLostError(HardwareError):
 def printable(data: bytes) -> str:
     r"""Bytes as messages show them: text as it is, everything else as an escape.
 
-    Examples
-    --------
     >>> printable(b"@00F25582\r\n")
     '"@00F25582\\r\\n"'
     >>> printable(b"")
@@ -108,8 +106,6 @@ class Retry:
 def frame_limit_s(exposure_us: float, wait_s: float) -> float:
     """How long a camera may take for one frame [s]: every attempt exposes again, and the waits share `wait_s`.
 
-    Examples
-    --------
     >>> frame_limit_s(2e6, 5.0)
     11.0
     """

@@ -91,8 +91,6 @@ def parse_report(line: bytes) -> tuple[str, tuple[float, ...]] | None:
 
     Raises ValueError for a status report without a machine position.
 
-    Examples
-    --------
     >>> parse_report(b"<Run|MPos:-1.450,0.000,0.000|FS:175,0>\r\n")
     ('Run', (-1.45, 0.0, 0.0))
     """

@@ -65,8 +65,6 @@ def parse_status(line: bytes) -> Status:
 
     Raises ValueError when it is none, with the reason.
 
-    Examples
-    --------
     >>> parse_status(b"        100,-       20,K,K,R\r\n")
     Status(positions=(100, -20), accepted=True, limit=None, busy=False)
     """

@@ -96,8 +96,6 @@ def parse_reply(line: bytes) -> Reply:
 
     Raises ValueError when it is none, or its checksum is wrong.
 
-    Examples
-    --------
     >>> parse_reply(b"@01 1 OK BUSY WR 0\r\n")
     Reply(device=1, axis=1, number=None, accepted=True, busy=True, warning='WR', data='0')
     """

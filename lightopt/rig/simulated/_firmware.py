@@ -55,6 +55,12 @@ class Firmware(ABC):
         self._buffer = b""
         self._faults: dict[str, tuple[Trigger, Any]] = {}
 
+    def _whole_commands(self, end: bytes, longest: int) -> list[bytes]:
+        """Whole commands in the buffer, without their end; an incomplete one is kept, of no more than so many bytes."""
+        *whole, rest = self._buffer.split(end)
+        self._buffer = rest[-longest:]
+        return whole
+
     @abstractmethod
     def feed(self, data: bytes, now: float) -> bytes:
         """Take bytes off the wire and return the bytes to send; incomplete commands are kept."""

@@ -44,10 +44,8 @@ class _SigmakokiFirmware(StageFirmware):
 
     def feed(self, data: bytes, now: float) -> bytes:
         self._buffer += data
-        *whole, rest = re.split(rb"\r\n", self._buffer)
-        self._buffer = rest[-_LONGEST:]
         replies = b""
-        for line in (line.decode("ascii", "replace") for line in whole):
+        for line in (line.decode("ascii", "replace") for line in self._whole_commands(b"\r\n", _LONGEST)):
             answer = self._question(line, now)
             if answer is None:
                 self._accepted = not self._struck("refuse") and self._obey(line, now)

@@ -50,9 +50,7 @@ class ZaberFirmware(StageFirmware):
 
     def feed(self, data: bytes, now: float) -> bytes:
         self._buffer += data
-        *lines, rest = self._buffer.split(b"\n")
-        self._buffer = rest[-_LONGEST:]
-        return b"".join(self._answer(line.rstrip(b"\r"), now) for line in lines)
+        return b"".join(self._answer(line.rstrip(b"\r"), now) for line in self._whole_commands(b"\n", _LONGEST))
 
     def _suffer(self, fault: str, options: Mapping[str, Any], now: float) -> None:
         if fault == "alarm":
