@@ -77,7 +77,7 @@ def file_sha256(path: str | Path) -> str:
 
 
 def files_sha256(folder: Path, names: Iterable[str]) -> str:
-    """SHA-256 in hex of files by name and content, in order; a missing file counts as such, and fails where read."""
+    """SHA-256 in hex of files by name and content, in order; a missing file is reported where it is read."""
     digest = hashlib.sha256()
     for name in names:
         path = folder / name

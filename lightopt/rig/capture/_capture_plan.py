@@ -242,11 +242,11 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
 
 @dataclass(frozen=True, kw_only=True)
 class CycleTime:
-    """What capturing one part takes: images, and seconds from the first move to the last image; whether on a bench."""
+    """What capturing one part takes: images, and seconds from the first move to the last image."""
 
     images: int
     seconds: float
-    virtual: bool
+    virtual: bool  # times of the virtual bench, since the rig file has no hardware section
 
     def __str__(self) -> str:
         pace = ", at the speed of the virtual bench" * self.virtual

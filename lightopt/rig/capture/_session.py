@@ -165,7 +165,7 @@ class CaptureSession:
             writer.add_extra(EVENTS_KEY, [*writer.manifest.extra.get(EVENTS_KEY, ()), *events])
 
     def _finish(self, *, failed: bool, lights: str) -> bool:
-        """Finish writing, signals held back as another capture may begin then; returns whether one came meanwhile."""
+        """Finish writing, whatever happens, while signals are held back; returns whether one came."""
         signals = EndSignals()
         signals.install()
         try:
@@ -269,7 +269,7 @@ class CaptureSession:
     def _expose(
         self, posture: Posture, exposure: float, *, light: str | None = None, rest: Sequence[float] = ()
     ) -> AcquiredImage:
-        """Take an image when all has settled and is on disk; the light, needed for the `rest`, does not wait long."""
+        """Take an image once all has settled and the previous one is on disk; a light that waits long goes dark."""
         engine = self._engine
         self._report_progress(f"{light or 'dark'} {posture} exposure {exposure:g}")
         engine.set_exposure(exposure)
