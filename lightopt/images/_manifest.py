@@ -93,7 +93,7 @@ def _entry_facts(entry: ImageEntry | GeometryEntry) -> dict[str, Any]:
     return {**{name: value for name, value in facts.items() if value is not None}, **entry.extra}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Manifest:
     """The content of ``manifest.json``.
 
@@ -108,11 +108,11 @@ class Manifest:
     """
 
     kind: str
+    lightopt: str | None = None
     bit_depth: int
     full_scale: float = 255.0
     saturation_level: float | None = None
     black_level: float = 0.0
-    lightopt: str | None = None
     rig: SourceFile | None = None
     part: SourceFile | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
@@ -152,18 +152,13 @@ class Manifest:
         """JSON form; carries no time, so the same run gives the same bytes."""
         return {
             "format": _FORMAT,
-            "kind": self.kind,
-            "lightopt": self.lightopt,
-            "bit_depth": self.bit_depth,
-            "full_scale": self.full_scale,
+            **{name: value for name, value in vars(self).items() if name != "extra"},
             "saturation_level": self.saturated_from,
-            "black_level": self.black_level,
             "rig": self.rig and asdict(self.rig),
             "part": self.part and asdict(self.part),
             "provenance": dict(self.provenance),
             "images": [entry.as_dict() for entry in self.images],
             "geometry": [entry.as_dict() for entry in self.geometry],
-            "patches": self.patches,
             "files": dict(self.files),
             "warnings": list(self.warnings),
             **self.extra,
