@@ -141,12 +141,7 @@ def _decode(data: bytes, path: Path) -> str:
 
 
 def input_hashes(rig: RigConfig, part: PartConfig | None) -> dict[str, dict[str, str]]:
-    """Names, without folders, and SHA-256 of the rig file and the part file as they were read, and that of the mesh.
-
-    Without a part, of the rig file alone.
-
-    Raises OSError: The mesh cannot be read
-    """
+    """Names and SHA-256 of the files as they were read, and that of the mesh, which may raise an OSError."""
     files = {"rig": rig} if part is None else {"rig": rig, "part": part}
     hashes = {kind: {"file": one.source.path.name, "sha256": one.source.sha256} for kind, one in files.items()}
     if part is not None:

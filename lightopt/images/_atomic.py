@@ -67,12 +67,7 @@ def write_text_atomic(path: str | Path, text: str, *, overwrite: bool = True) ->
 
 
 def write_npz_atomic(path: str | Path, arrays: Mapping[str, NDArray[Any]]) -> str:
-    """Write arrays as a compressed ``.npz``, whole or not at all; returns the SHA-256 in hex.
-
-    The same arrays in the same order give the same bytes.
-
-    Raises InputError: the file cannot be written.
-    """
+    """Write a compressed ``.npz`` whole or not at all, same arrays same bytes; returns the SHA-256 in hex."""
     names = list(arrays)
 
     def write(temporary: Path) -> None:

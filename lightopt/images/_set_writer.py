@@ -317,12 +317,7 @@ def remove_set(folder: Path, header: Manifest) -> int:
 
 
 def remove_image_set(folder: Path) -> int:
-    """Remove a simulated image set, that is its listed files and the manifest; returns the number of files.
-
-    A folder without a manifest, with a damaged one or with one of captured images stays as it is.
-
-    Raises InputError: a file cannot be removed.
-    """
+    """Remove a simulated image set (listed files, manifest) and no captured one; returns the number of files."""
     manifest = _readable_manifest(folder)
     if manifest is None or manifest.kind != "simulated":
         return 0

@@ -35,10 +35,7 @@ from lightopt.scene import Scene, build_scene
 def open_set(
     folder: Path, rig: RigConfig, part: PartConfig, scene: Scene, plan: CapturePlan, *, resume: bool, force: bool
 ) -> "CapturedSet":
-    """Begin a captured set, or continue one; a set without any image is begun anew.
-
-    InputError when the folder holds a set already (without `resume` or `force`), or one of another rig, part or plan.
-    """
+    """Begin a captured set or continue one; InputError for another set, or without `resume` or `force`."""
     _refuse_set(folder, resume=resume, force=force)
     header = set_manifest("captured", rig, part, scene, options=plan.as_dict())
     if not (resume or force) and _lists_nothing(folder):

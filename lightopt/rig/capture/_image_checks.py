@@ -166,10 +166,7 @@ def find_light_left_on(
     exposure: float,
     before: NDArray[Any] | None = None,
 ) -> str | None:
-    """Name of the light that a frame without light [sensor level], shape (H, W), shows to be on; None where none is.
-
-    `before` is a previous frame at this exposure that showed none: compared with it, a weaker light shows.
-    """
+    """The light that a dark frame (H, W) [sensor level] shows to be on, or None; `before` is one known to be dark."""
     part = predictions.part
     if int(part.sum()) < LEAST_CELLS:
         return None

@@ -94,11 +94,7 @@ def snap_on_s(wiring: Wiring, exposure: float) -> float:
 def hold_light(
     devices: Devices, name: str, level: int, *, seconds: float | None, wait: Callable[[float | None], None]
 ) -> int | None:
-    """Light a panel for a while, never longer than its channel may; returns the level that the controller held.
-
-    `wait` waits at most so many seconds (None: no limit), or until the user ends it. `seconds` None: until `wait`
-    returns.
-    """
+    """Light a panel until `wait` returns, never longer than its channel may; returns the level that it held."""
     devices.step = f"lighting {name}"
     held = devices.light_on(name, level)
     left_s = devices.remaining_on_s(name)

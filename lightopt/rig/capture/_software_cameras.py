@@ -13,11 +13,7 @@ from lightopt.rig.simulated import EXPOSURE_RANGE_US, BenchProcess
 
 
 class FolderCamera:
-    """A camera that delivers the PNG of the light, posture and exposure that the capture is at.
-
-    `resolution_px` is width and height that the images must have, `exposure_us` the exposure time of exposure 1 [µs].
-    InputError when the folder holds no image set or a damaged one; its files are verified by the manifest's hashes.
-    """
+    """A camera that delivers the PNG of what is shown from an image set; InputError for a damaged set."""
 
     triggered = True
 

@@ -76,11 +76,7 @@ def open_camera(
     on_event: Callable[[Event], None] | None = None,  # called with irregularities, as they happen
     wait_ready: Callable[[], object] | None = None,  # called before each frame; returns when one can be requested
 ) -> MachineCamera:
-    """Open a camera and configure it for the rig; no frame is taken.
-
-    Raises InputError when software or camera are not there, or it cannot be configured for the rig; HardwareError when
-    it does not answer.
-    """
+    """Open a camera and set it up; no frame is taken. InputError where that cannot be, HardwareError: no answer."""
     return MachineCamera(driver, CAMERA_DRIVERS[driver](settings), settings, on_event=on_event, wait_ready=wait_ready)
 
 

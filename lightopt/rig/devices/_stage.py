@@ -86,11 +86,7 @@ class Stage:
             raise InputError(*wrong)
 
     def move_to(self, posture: Posture) -> StageState:
-        """Move, wait and verify; returns where it stands, to the step.
-
-        InputError when the posture lies outside the limits; nothing was sent then. HardwareError when it cannot get
-        there; it is then stopped.
-        """
+        """Move, wait and verify; InputError outside the limits with nothing sent, HardwareError once it is stopped."""
         self.check(posture)
         with self._link.lock:
             try:

@@ -82,11 +82,7 @@ class BenchCamera:
         return pixels
 
     def _prepare(self, _: Mapping[str, Any]) -> Response:
-        """Answer whether the view at the stage's position is rendered, and start to render it if not.
-
-        A camera on a network does not answer while it renders, and one that is silent for seconds counts as gone.
-        So the client waits before it asks for a frame, by asking again, which a hung process does not answer.
-        """
+        """Whether the view is rendered, which is begun if not: a camera that is silent meanwhile counts as gone."""
         posture = self._state()[1]
         with self._preparing:
             if self._unprepared is not None:
