@@ -32,23 +32,17 @@ class SourceFile:
 
 @dataclass(frozen=True)
 class ImageEntry:
-    """One image of a set: light, posture, exposure, and its files.
-
-    exposure: Requested exposure, relative to that of the reflectance's levels.
-    png, exr: Files relative to the set's folder, POSIX style; at least one in a valid set.
-    sha256: SHA-256 in hex by ``png`` and ``exr``; may be empty in sets of other programs.
-    extra: Unknown keys of the JSON object, kept as they are.
-    """
+    """One image of a set: light, posture, exposure, and its files; at least one of those in a valid set."""
 
     light: str
     light_elevation_deg: float
     light_azimuth_deg: float
     posture: Posture
-    exposure: float = 1.0
-    png: str | None = None
-    exr: str | None = None
-    sha256: Mapping[str, str] = field(default_factory=dict)
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    exposure: float = 1.0  # requested, relative to that of the reflectance's levels
+    png: str | None = None  # relative to the set's folder, POSIX style
+    exr: str | None = None  # the same
+    sha256: Mapping[str, str] = field(default_factory=dict)  # in hex, by png and exr; may be empty in sets of others
+    extra: Mapping[str, Any] = field(default_factory=dict)  # unknown keys of the JSON object
 
     @property
     def key(self) -> tuple[str, Posture, float]:

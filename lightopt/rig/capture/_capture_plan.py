@@ -26,28 +26,17 @@ _HOME = Posture(0.0, 0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureOptions:
-    """What to capture.
+    """What to capture; InputError where a number is out of range or something is given twice."""
 
-    lights, postures: Instead of all lights of the rig and the part's own postures.
-    exposures: Relative to the rig's ``camera.exposure_us``; all of them under one light before the next is lit.
-    average: Number of frames that each image is the mean of.
-    dark: Whether frames without light are taken in every posture at every exposure, and subtracted in the EXR.
-    home: Whether the stage seeks its origin first.
-    check: Whether each image is checked for being lit by the right light.
-    check_repeatability: Whether the stage returns to its first posture at the end, to detect lost steps.
-    seed: Of the virtual bench's noise, instead of the rig file's.
-    Raises InputError: A number is out of range or something is given twice.
-    """
-
-    lights: tuple[str, ...] | None = None
-    postures: tuple[Posture, ...] | None = None
-    exposures: tuple[float, ...] = (1.0,)
-    average: int = 1
-    dark: bool = False
-    home: bool = False
-    check: bool = True
-    check_repeatability: bool = False
-    seed: int | None = None
+    lights: tuple[str, ...] | None = None  # instead of all lights of the rig
+    postures: tuple[Posture, ...] | None = None  # instead of the part's own
+    exposures: tuple[float, ...] = (1.0,)  # relative to the rig's camera.exposure_us; all under one light
+    average: int = 1  # number of frames that each image is the mean of
+    dark: bool = False  # whether frames without light are taken in every posture at every exposure, and subtracted
+    home: bool = False  # whether the stage seeks its origin first
+    check: bool = True  # whether each image is checked for being lit by the right light
+    check_repeatability: bool = False  # whether the stage returns to its first posture, to detect lost steps
+    seed: int | None = None  # of the virtual bench's noise, instead of the rig file's
 
     def __post_init__(self) -> None:
         if problems := tuple(self._problems()):

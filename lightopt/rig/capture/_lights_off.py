@@ -26,12 +26,10 @@ NONE_OF_THE_RIG = "none that the rig names"
 
 @dataclass
 class OpenedLights:
-    """Result of opening the controllers, by name."""
+    """Controllers that answered and went dark, by name, and why others did not."""
 
     controllers: dict[str, LightController] = field(default_factory=dict[str, LightController])
-    problems: dict[str, LightoptError] = field(
-        default_factory=dict[str, LightoptError]
-    )  # why others did not answer or go dark
+    problems: dict[str, LightoptError] = field(default_factory=dict[str, LightoptError])  # of those that did not
     may_be_on: list[str] = field(default_factory=list[str])  # lights that may still be on
 
     def error(self, *others: LightoptError) -> LightoptError:
