@@ -26,10 +26,10 @@ NONE_OF_THE_RIG = "none that the rig names"
 
 @dataclass
 class OpenedLights:
-    """Controllers that answered and went dark, by name, and why others did not."""
+    """Controllers that answered, by name, and why others did not, or did not go dark."""
 
     controllers: dict[str, LightController] = field(default_factory=dict[str, LightController])
-    problems: dict[str, LightoptError] = field(default_factory=dict[str, LightoptError])  # of those that did not
+    problems: dict[str, LightoptError] = field(default_factory=dict[str, LightoptError])
     may_be_on: list[str] = field(default_factory=list[str])  # lights that may still be on
 
     def error(self, *others: LightoptError) -> LightoptError:
