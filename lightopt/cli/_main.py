@@ -53,14 +53,11 @@ class _Commands(typer.core.TyperGroup):
         self.commands = _MadeOnDemand()
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
-        """Write their section of ``lightopt --help``."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, text) for name, (_, text) in _COMMANDS.items()])
 
 
 class _MadeOnDemand(UserDict[str, Any]):
-    """Each command by its name."""
-
     def __missing__(self, name: str) -> Any:
         from lightopt.cli._common import HeadedCommand
 
@@ -147,7 +144,6 @@ def run(arguments: list[str]) -> int:
 
 
 def _failed(error: BaseException) -> int:
-    """Say what went wrong; the exit status."""
     if isinstance(error, LightoptError):
         echo_error(*error.messages)
         return error.exit_status

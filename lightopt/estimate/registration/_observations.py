@@ -14,7 +14,7 @@ from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.errors import InputError, counted
 from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
-from lightopt.images import ImageEntry, ImageSet, dark_name, read_png, read_png_metadata
+from lightopt.images import ImageEntry, ImageSet, dark_name, read_metadata, read_png
 from lightopt.optics import Sensor, clipped_mean
 from lightopt.scene import build_sensor
 
@@ -220,7 +220,7 @@ def dark_levels(image_set: ImageSet, entry: ImageEntry, sensor: Sensor) -> Float
         )
     path = image_set.path(name)
     levels = read_png(path).astype(np.float64)
-    mean = read_png_metadata(path).get("mean_level")
+    mean = read_metadata(path).get("mean_level")
     if isinstance(mean, int | float):
         levels += mean - float(levels.mean())  # of several frames the PNG has the rounded mean
     return smoothed(levels, sensor=sensor, frames=frames_of(entry))

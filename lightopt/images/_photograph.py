@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.errors import InputError
-from lightopt.images.formats._openimageio import open_input
+from lightopt.images._image_files import opened
 
 if TYPE_CHECKING:
     import OpenImageIO
@@ -42,7 +42,7 @@ def photograph_format(path: Path) -> PhotographFormat:
     Raises InputError: the file is missing, of another format, of an unknown kind of samples or channels, or stored
         rotated.
     """
-    with open_input(path, file_format=_FORMATS) as source:
+    with opened(path, *_FORMATS) as source:
         return _format(path, source)
 
 
@@ -53,7 +53,7 @@ def read_photograph(path: Path) -> NDArray[Any]:
 
     Raises InputError: as :func:`photograph_format`, or the file is damaged
     """
-    with open_input(path, file_format=_FORMATS) as source:
+    with opened(path, *_FORMATS) as source:
         found, spec = _format(path, source), source.spec()
         pixels = source.read_image("float" if found.bits is None else str(spec.format))
         if pixels is None or source.has_error:
