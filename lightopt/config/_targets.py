@@ -15,42 +15,54 @@ class BoardTargetConfig(fields.Frozen):
 
     squares: Annotated[
         tuple[_Squares, _Squares], Field(strict=False), fields.expecting("[columns, rows], two whole numbers from 3")
-    ] = Field(description="Squares along both sides.")
-    square_mm: fields.Length = Field(description="Side of a square, measured over many squares with a caliper [mm].")
-    marker_mm: fields.Length = Field(description="Side of a marker with its black border [mm].")
-    dictionary: fields.Text = Field(default="DICT_4X4_250", description="Markers, by OpenCV's name.")
-    legacy_pattern: bool = Field(
-        default=False, description="true for boards from before OpenCV 4.6 and of calib.io with an even number of rows."
-    )
-    height_mm: fields.Number = Field(
-        default=0.0, description="Height of the printed face above the table: the board's thickness [mm]."
-    )
-    square_error: _Error = Field(default=1e-4, description="Standard deviation of square_mm, as a share of it.")
-    height_error_mm: _Error = Field(default=0.01, description="Standard deviation of height_mm [mm].")
+    ]
+    """Squares along both sides."""
+    square_mm: fields.Length
+    """Side of a square, measured over many squares with a caliper [mm]."""
+    marker_mm: fields.Length
+    """Side of a marker with its black border [mm]."""
+    dictionary: fields.Text = "DICT_4X4_250"
+    """Markers, by OpenCV's name."""
+    legacy_pattern: bool = False
+    """true for boards from before OpenCV 4.6 and of calib.io with an even number of rows."""
+    height_mm: fields.Number = 0.0
+    """Height of the printed face above the table: the board's thickness [mm]."""
+    square_error: _Error = 1e-4
+    """Standard deviation of square_mm, as a share of it."""
+    height_error_mm: _Error = 0.01
+    """Standard deviation of height_mm [mm]."""
 
 
 class BallTargetConfig(fields.Frozen):
     """A polished bearing ball that is fixed on the stage."""
 
-    radius_mm: fields.Length = Field(description="Radius [mm].")
-    radius_error_mm: _Error = Field(default=0.001, description="Standard deviation of it [mm].")
+    radius_mm: fields.Length
+    """Radius [mm]."""
+    radius_error_mm: _Error = 0.001
+    """Standard deviation of it [mm]."""
 
 
 class PlateTargetConfig(fields.Frozen):
     """A matt white plate that lies flat on the stage, its middle on the rotary axis."""
 
-    size_mm: fields.Size = Field(description="Sides along X and Y at rotation 0 [mm].")
-    height_mm: fields.Number = Field(default=0.0, description="Height of its upper face above the table [mm].")
+    size_mm: fields.Size
+    """Sides along X and Y at rotation 0 [mm]."""
+    height_mm: fields.Number = 0.0
+    """Height of its upper face above the table [mm]."""
 
 
 class TargetsConfig(fields.FileConfig):
     """What was on the stage when a rig was calibrated."""
 
-    format: Literal["lightopt-targets/1"] = Field(description="Kind and version of this file: lightopt-targets/1.")
-    board: BoardTargetConfig | None = Field(default=None, description="The board; absent if none is used.")
-    ball: BallTargetConfig | None = Field(default=None, description="The ball; absent if none is used.")
-    plate: PlateTargetConfig | None = Field(default=None, description="The plate; absent if none is used.")
-    panel_size_error_mm: _Error | None = Field(
-        default=0.1, description="Standard deviation of the rig file's panel sizes [mm]; null if they are not known."
-    )
-    reading_error_deg: _Error = Field(default=0.02, description="Standard deviation of the stage's readings [deg].")
+    format: Literal["lightopt-targets/1"]
+    """Kind and version of this file: lightopt-targets/1."""
+    board: BoardTargetConfig | None = None
+    """The board; absent if none is used."""
+    ball: BallTargetConfig | None = None
+    """The ball; absent if none is used."""
+    plate: PlateTargetConfig | None = None
+    """The plate; absent if none is used."""
+    panel_size_error_mm: _Error | None = 0.1
+    """Standard deviation of the rig file's panel sizes [mm]; null if they are not known."""
+    reading_error_deg: _Error = 0.02
+    """Standard deviation of the stage's readings [deg]."""
