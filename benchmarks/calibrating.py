@@ -1,0 +1,178 @@
+"""Calibrate rigs with hidden errors on the virtual bench, from the plan to the inspection of a part.
+
+``python -m benchmarks.calibrating -o out/calibrating --seeds 1`` captures the targets of `lightopt calibrate --plan`
+under a true rig that differs from the rig file, calibrates, and prints how far off the result is. With ``--inspect`` it
+captures the sample part with random defects and inspects it with the rig as filed, as calibrated, and as it truly is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from lightopt.config import load_rig
+from lightopt.core.arrays import Float64
+from lightopt.core.transforms import rotation_from_vector, vector_of_rotation
+from lightopt.estimate.rig_calibration import calibrate_rig, plan_calibration, write_calibration
+from lightopt.scene import build_camera, build_lights, build_stage
+
+CONFIGS = Path(__file__).parents[1] / "configs"
+RIG, PART = CONFIGS / "rigs" / "four-panel.yaml", CONFIGS / "parts" / "cover-knob.yaml"
+
+CAMERA_DEG, CAMERA_MM, FOCAL_SHARE, CENTRE_PX = 1.0, 2.0, 0.005, 8.0
+AXIS_DEG, AXIS_MM = 0.1, 0.3
+PANEL_MM, PANEL_DEG, GAIN = 3.0, 2.0, 0.08
+RAYS = 3  # along each side of a pixel
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-o", "--out", type=Path, required=True)
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--inspect", type=int, metavar="DEFECTS", default=0)
+    given = parser.parse_args()
+    for seed in range(given.first, given.first + given.seeds):
+        folder = given.out / f"{seed}"
+        hide(folder, seed)
+        calibrate(folder)
+        if given.inspect:
+            inspect(folder, seed, given.inspect)
+
+
+def hide(folder: Path, seed: int) -> None:
+    """Write rig.yaml, the sample rig with even panels, and true.yaml, what the virtual bench has instead."""
+    folder.mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng(seed)
+
+    def turned(degrees: float) -> Float64:
+        return rotation_from_vector(np.radians(degrees) * unit())
+
+    def unit() -> Float64:
+        direction = rng.normal(size=3)
+        return direction / np.linalg.norm(direction)
+
+    filed = load_rig(RIG)
+    camera = build_camera(filed)
+    text = RIG.read_text(encoding="utf-8").replace("points: 4 ", "points: auto ")
+    document: dict[str, Any] = yaml.safe_load(text)
+    own = document["camera"]
+    rotation = turned(CAMERA_DEG) @ np.stack([camera.right, -camera.up, camera.forward], axis=1)
+    # it still looks about at the table's middle
+    position = -rotation[:, 2] * np.linalg.norm(camera.position) + rng.normal(0.0, CAMERA_MM, 3)
+    for key in ("distance_mm", "elevation_deg", "azimuth_deg", "roll_deg", "image_distance_mm"):
+        own.pop(key)
+    focal = 12_500.0 * (1.0 + rng.normal(0.0, FOCAL_SHARE))
+    own |= {
+        "pose": {"position_mm": rounded(position), "rotation_vector_deg": vector(rotation)},
+        "focal_px": rounded([focal, focal]),
+        "principal_point_px": rounded(np.array([800.0, 600.0]) + rng.normal(0.0, CENTRE_PX, 2)),
+        "distortion": {"k1": float(rng.normal(0.0, 0.05))},
+        "vignetting": {"v2": -0.05},
+    }
+    own["sensor"] |= {"black_level": 2.0, "read_noise_levels": 0.9, "electrons_per_level": 55.0}
+    gains = 1.0 + rng.uniform(-GAIN, GAIN, len(filed.lights))
+    for light, panel, gain in zip(document["lights"], build_lights(filed), gains / gains.mean(), strict=True):
+        for key in ("distance_mm", "elevation_deg", "azimuth_deg", "elevation_range_deg"):
+            light.pop(key)
+        axes = turned(PANEL_DEG) @ np.stack([panel.across, panel.along, panel.outward], axis=1)
+        centre = panel.centre + PANEL_MM * unit()
+        light |= {"pose": {"centre_mm": rounded(centre), "rotation_vector_deg": vector(axes)}, "gain": float(gain)}
+    tilt = float(np.tan(np.radians(rng.normal(0.0, AXIS_DEG))))
+    document["stage"]["tilt_axis"] = {
+        "point_mm": rounded([0.0, *rng.normal(0.0, AXIS_MM, 2)]),
+        "direction": [1.0, 0.0, tilt],
+    }
+    (folder / "true.yaml").write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    bench = f"\nvirtual_bench: {{rig: true.yaml, seed: {seed + 1}, rays: {RAYS}}}\n"
+    (folder / "rig.yaml").write_text(text + bench, encoding="utf-8")
+
+
+def rounded(values: Any) -> list[float]:
+    """Plain numbers for YAML."""
+    return [round(float(value), 9) for value in values]
+
+
+def vector(rotation: Float64) -> list[float]:
+    """A rotation's vector [deg]."""
+    return rounded(np.degrees(vector_of_rotation(rotation)))
+
+
+def run(*arguments: object) -> None:
+    """Run the command line."""
+    subprocess.run([sys.executable, "-m", "lightopt", *map(str, arguments)], check=True, stdout=subprocess.DEVNULL)
+
+
+def calibrate(folder: Path) -> None:
+    """Capture and calibrate, and print the errors."""
+    rig, made = load_rig(folder / "rig.yaml"), folder / "calibration"
+    begun = time.monotonic()
+    if not (made / "sensor-b").is_dir():
+        for command in plan_calibration(rig, made, force=True).commands[:-1]:
+            run(*command.split()[1:], "--force")
+    captured = time.monotonic()
+    found = calibrate_rig(rig, made)
+    write_calibration(found, force=True)
+    spent = time.monotonic() - captured
+    true = load_rig(folder / "true.yaml")
+    camera, lights = build_camera(true), build_lights(true)
+    assert found.board is not None
+    focal = found.camera.image_distance / camera.image_distance - 1.0
+    (point, axis), (there, direction) = found.stage.tilt_axis, build_stage(true).tilt_axis
+    print(f"{folder.name}: captured in {captured - begun:.0f} s, calibrated in {spent:.0f} s")
+    print(f"  focal length {100 * focal:+.3f} %, tilt axis {angle(axis, direction):.4f}°,", end=" ")
+    print(f"{np.linalg.norm((point - there)[1:]):.4f} mm; predicted {found.board.predicted_rms:.3f} px")
+    for panel, real in zip(found.lights, lights, strict=True):
+        off, away = panel.centre - real.centre, real.centre / np.linalg.norm(real.centre)
+        far = float(off @ away)
+        print(
+            f"  {panel.name}: {np.linalg.norm(off - far * away):.3f} mm aside, {far:+.3f} mm in range, "
+            f"{angle(panel.outward, real.outward):.2f}°, gain {100 * (panel.gain / real.gain - 1):+.2f} %"
+        )
+    if found.sensor is not None:
+        print(f"  electrons per level {100 * (found.sensor.electrons_per_level.value / 55.0 - 1.0):+.2f} %")
+
+
+def angle(a: Float64, b: Float64) -> float:
+    """Between unit vectors [deg]."""
+    return float(np.degrees(np.arccos(np.clip(a @ b, -1.0, 1.0))))
+
+
+def inspect(folder: Path, seed: int, count: int) -> None:
+    """Inspect the sample part with random defects by the filed, the calibrated and the true rig."""
+    part = folder / "part.yaml"
+    run("defects", folder / "true.yaml", PART, "-o", part, "--seed", seed + 1, "--count", count, "--force")
+    true = folder / "known.yaml"
+    true.write_text(
+        (folder / "true.yaml").read_text(encoding="utf-8") + f"virtual_bench: {{seed: {seed + 1}, rays: {RAYS}}}\n",
+        encoding="utf-8",
+    )
+    rigs = {"filed": folder / "rig.yaml", "calibrated": folder / "calibration" / "rig.calibrated.yaml", "known": true}
+    for name, rig in rigs.items():
+        images, out = folder / f"images-{name}", folder / f"inspected-{name}"
+        run("capture", rig, part, "-o", images, "--exposures", "1,1/16", "--force", "--no-check-lights")
+        done = subprocess.run(
+            [sys.executable, "-m", "lightopt", "inspect", rig, part, images, "-o", out, "--evaluate", "--force"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if not (out / "inspection.json").is_file():
+            print(f"  {name}: {done.stderr.strip().splitlines()[0]}")
+            continue
+        truth = json.loads((out / "inspection.json").read_text(encoding="utf-8"))["evaluation"]
+        print(
+            f"  {name}: found {truth['found']} of {truth['defects']}, {truth['false_alarms_per_posture']:g} false alarms"
+        )
+
+
+if __name__ == "__main__":
+    main()
