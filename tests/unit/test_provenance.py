@@ -100,7 +100,7 @@ def test_the_code_is_read_once():
     provenance.code_sha256.cache_clear()
     first = provenance.computed_by()
     assert provenance.computed_by() == first
-    for cached in (provenance.code_sha256, provenance._versions):
+    for cached in (provenance.code_sha256, provenance.versions):
         assert cached.cache_info().misses == 1
 
 
