@@ -169,9 +169,8 @@ def inspect(folder: Path, seed: int, count: int) -> None:
             print(f"  {name}: {done.stderr.strip().splitlines()[0]}")
             continue
         truth = json.loads((out / "inspection.json").read_text(encoding="utf-8"))["evaluation"]
-        print(
-            f"  {name}: found {truth['found']} of {truth['defects']}, {truth['false_alarms_per_posture']:g} false alarms"
-        )
+        alarms = truth["false_alarms_per_posture"]
+        print(f"  {name}: found {truth['found']} of {truth['defects']}, {alarms:g} false alarms a posture")
 
 
 if __name__ == "__main__":
