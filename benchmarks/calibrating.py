@@ -165,10 +165,10 @@ def inspect(folder: Path, seed: int, count: int) -> None:
             text=True,
             check=False,
         )
-        if not (out / "inspection.json").is_file():
+        if not (out / "truth.json").is_file():
             print(f"  {name}: {done.stderr.strip().splitlines()[0]}")
             continue
-        truth = json.loads((out / "inspection.json").read_text(encoding="utf-8"))["evaluation"]
+        truth = json.loads((out / "truth.json").read_text(encoding="utf-8"))
         alarms = truth["false_alarms_per_posture"]
         print(f"  {name}: found {truth['found']} of {truth['defects']}, {alarms:g} false alarms a posture")
 
