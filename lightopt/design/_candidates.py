@@ -34,8 +34,6 @@ def light_angles(
 
     Both ends of a range are candidates, and from the lower one on every `step_deg`. A light without a range stays at
     that angle. `elevations` replaces those of the light's range, for lights that share their elevation.
-
-    Raises InputError: A step that is not a positive number, or that makes too many positions.
     """
     if not (math.isfinite(step_deg) and step_deg > 0.0):
         raise InputError(f"option 'step_deg': expected degrees above 0, found {step_deg:g}")
@@ -54,10 +52,7 @@ def light_angles(
 
 
 def common_elevations(rig: RigConfig, *, step_deg: float) -> list[float] | None:
-    """The elevations that all lights with an elevation range can share [°]; None where no light has one.
-
-    Raises InputError: Ranges that do not overlap.
-    """
+    """The elevations that all lights with an elevation range can share [°]; None where no light has one."""
     movable = [(light.elevation_range_deg, light.name) for light in rig.lights if light.elevation_range_deg is not None]
     if not movable:
         return None

@@ -110,10 +110,7 @@ def _edited(config: RigConfig | PartConfig, kind: str, what: str, edit: Callable
 
 
 def planned_part_text(part: PartConfig, postures: Sequence[Posture], *, folder: Path, comment: str) -> str:
-    """Text of a part file with other postures, below a comment; the mesh is named relative to `folder`.
-
-    Raises InputError: The part was not read from a file, or its postures cannot be replaced in it.
-    """
+    """Text of a part file with other postures, below a comment; the mesh is named relative to `folder`."""
     entries = [
         f"{{elevation_deg: {degrees_text(p.elevation_deg)}, rotation_deg: {degrees_text(p.rotation_deg)}}}"
         for p in postures

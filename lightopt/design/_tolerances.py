@@ -232,7 +232,7 @@ def _widest_tolerance(
     return WidestTolerance(what=what, angle=angle, degrees=low / STEPS_PER_DEG, open_ended=False)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Setup:
     """Postures that are evaluated together, and the positions of the lights in them.
 
@@ -370,10 +370,6 @@ class ObjectiveAssessment(_Assessment):
             matrix = LuminanceMatrix(
                 levels=tuple(np.stack([levels for levels, _ in some]) for some in images), areas=images[0][0][1]
             )
-            total += self._objective.scores(
-                matrix,
-                self._objective.weights(matrix.areas),
-                self._thresholds,
-                threads=self.evaluator.threads or available_processors(),
-            )
+            threads, weights = self.evaluator.threads or available_processors(), self._objective.weights(matrix.areas)
+            total += self._objective.scores(matrix, weights, self._thresholds, threads, None)
         return total

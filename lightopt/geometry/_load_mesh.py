@@ -148,10 +148,7 @@ def _finish(name: str, raw: RawMesh, unit_mm: float, crease_angle: float | None)
 
 
 def _check_triangles(name: str, raw: RawMesh, unit_mm: float) -> None:
-    """Refuse triangles that cannot be repaired.
-
-    Raises InputError: No triangles, a vertex that is not finite or beyond all reason, or a vertex index out of range
-    """
+    """Refuse triangles that cannot be repaired."""
     if not len(raw.faces):
         raise InputError(f"{name}: the {raw.format} file has no triangles ({len(raw.vertices)} vertices)")
     low, high = int(raw.faces.min()), int(raw.faces.max())

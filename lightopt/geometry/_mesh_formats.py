@@ -61,10 +61,7 @@ class RawMesh:
 
 
 def check_budget(name: str, triangles: int, max_triangles: int) -> None:
-    """Refuse a mesh of more than `max_triangles` before its data is loaded.
-
-    Raises InputError: With both numbers and the memory that loading would take
-    """
+    """Refuse a mesh of more than `max_triangles` before its data is loaded."""
     if triangles > max_triangles:
         gigabytes = triangles * _BYTES_PER_TRIANGLE / 1e9
         raise InputError(
@@ -74,10 +71,7 @@ def check_budget(name: str, triangles: int, max_triangles: int) -> None:
 
 
 def read_stl(name: str, data: bytes, max_triangles: int) -> RawMesh:
-    """Triangles of a binary or ASCII STL file.
-
-    Raises InputError: The file is cut off, is no STL, or has more than `max_triangles`
-    """
+    """Triangles of a binary or ASCII STL file."""
     claimed = int.from_bytes(data[80:84], "little") if len(data) >= 84 else 0
     is_binary = len(data) == 84 + 50 * claimed
     # the header of a binary file may begin with solid as well; text holds no zeros
@@ -129,10 +123,7 @@ def _check_ascii_stl(name: str, data: bytes) -> int:
 
 
 def read_ply(name: str, data: bytes, max_triangles: int) -> RawMesh:
-    """Triangles of an ASCII or binary PLY file; polygons are cut into fans, vertex normals kept.
-
-    Raises InputError: The file is cut off, is no PLY, or has more than `max_triangles`
-    """
+    """Triangles of an ASCII or binary PLY file; polygons are cut into fans, vertex normals kept."""
     end = re.search(rb"^end_header[ \t]*\r?\n", data, re.MULTILINE)
     if not data.startswith(b"ply") or end is None:
         raise InputError(f"{name}: not a PLY file, or cut off in its header: expected 'ply' … 'end_header'")
@@ -206,11 +197,7 @@ def _listed(counts: dict[str, int]) -> str:
 
 
 def read_obj(name: str, data: bytes, max_triangles: int) -> RawMesh:
-    """Triangles of a Wavefront OBJ file; polygons are cut into fans, vertex normals kept where all have them.
-
-    Raises InputError: A face has fewer than three vertices or one numbered 0, the file is no OBJ, or has more than
-        `max_triangles`
-    """
+    """Triangles of a Wavefront OBJ file; polygons are cut into fans, vertex normals kept where all have them."""
     from trimesh.exchange.obj import load_obj
 
     check_budget(name, len(re.findall(rb"^f\s", data, re.MULTILINE)), max_triangles)
@@ -238,8 +225,6 @@ def read_glb(name: str, data: bytes, max_triangles: int) -> RawMesh:
     """Triangles of a binary glTF 2.0 file [m], all nodes of the scene in place, turned from Y up to Z up.
 
     glTF is Y up by its specification: (x, y, z) becomes (x, −z, y).
-
-    Raises InputError: The file is cut off, is no GLB, or has more than `max_triangles`
     """
     import trimesh
 

@@ -39,8 +39,6 @@ def read_step(
 
     chord_tolerance_mm: Largest distance between triangle and surface [mm]
     angular_tolerance: Largest angle between neighbouring tangents along an edge [rad]
-    Raises InputError: The file is cut off or not STEP, the part is over 1 m or under 0.1 mm, a limit was reached, or
-        there are more than `max_triangles`
     """
     name = str(path)
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"ISO-10303-21"):
@@ -136,10 +134,7 @@ class _Tessellation:
         self._folder.cleanup()
 
     def result(self, deadline: float) -> tuple[bytes, str]:
-        """The GLB file that the worker wrote, and what the CAD kernel complained about.
-
-        Raises InputError: The file cannot be read, or the worker reached a limit or crashed
-        """
+        """The GLB file that the worker wrote, and what the CAD kernel complained about."""
         path, what = self._path, self._what
         try:
             written, _ = self._process.communicate(timeout=max(0.01, deadline - time.monotonic()))

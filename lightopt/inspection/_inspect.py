@@ -183,16 +183,11 @@ def inspect_registered(
         bank: TemplateBank = ()
         if catalogue:
             bank = cache.template_bank(registered.scene, view, exposures, catalogue, threads=run.threads)
-        postures.append(_inspect_posture(view, options, registered, bank, calibrated, where, run.threads))
+        place = f"{where}, posture {view.posture}"
+        postures.append(_inspect_posture(view, options, registered, bank, calibrated, place, run.threads))
     expected, found = part_postures(part), registered.registration
-    warnings = inspection_warnings(
-        rig,
-        postures,
-        options,
-        expected=expected,
-        registration=() if found is None else found.warnings,
-        calibrated=calibration is not None,
-    )
+    noted, calibrated = () if found is None else found.warnings, calibration is not None
+    warnings = inspection_warnings(rig, postures, options, expected=expected, registration=noted, calibrated=calibrated)
     surface_map = cache.surface_map(registered.scene, expected, threads=run.threads)
     coverages = [(p.view.posture, p.coverage) for p in postures]
     return InspectionResult(
@@ -234,37 +229,27 @@ def _inspect_posture(
     labels, count = find_regions(scores.unexplained, high)
     if count + len(explained) > MOST_REGIONS:
         raise InputError(
-            f"{where}, posture {view.posture}: {counted(count, 'region')} that differ from a good part, expected at "
+            f"{where}: {counted(count, 'region')} that differ from a good part, expected at "
             f"most {MOST_REGIONS:,}: {REFERENCES[options.reference].remedy}"
         )
     labels, count = split_regions(labels, count, scores.unexplained, found, high)
     labels, count, owners = join_explained(labels, count, explained)
+    scene, placement = registered.nominal, registered.placement
+    detections = measure_regions(
+        labels, count, scores.score, view, found, scene=scene, placement=placement, owners=owners
+    )
+    judged = evaluable(found, view) if options.reference == "good-parts" else found
+    # the synthetic image has no deviations to measure a contrast by: what the residual detector would find
+    residual = threshold(options.false_alarms, pixels, RESIDUAL.tests)
+    least = residual if detector.uses_synthetic else high + scores.handicap
     return InspectedPosture(
         view=view,
         make_synthetic=make_synthetic,
         score=scores.score,
         labels=labels,
         threshold=high,
-        detections=measure_regions(
-            labels,
-            count,
-            scores.score,
-            view,
-            found,
-            scene=registered.nominal,
-            placement=registered.placement,
-            owners=owners,
-        ),
-        coverage=measure_coverage(
-            view,
-            evaluable(found, view) if options.reference == "good-parts" else found,
-            min_images=options.min_images,
-            # the synthetic image has no deviations to measure a contrast by: what the residual detector would find
-            high=threshold(options.false_alarms, pixels, RESIDUAL.tests)
-            if detector.uses_synthetic
-            else high + scores.handicap,
-            threads=threads,
-        ),
+        detections=detections,
+        coverage=measure_coverage(view, judged, min_images=options.min_images, high=least, threads=threads),
     )
 
 
@@ -285,8 +270,7 @@ def _compare(
         return view, subtract_systematic(found, calibrated.systematic, nominal)
     learned = learned_view(view, found, calibrated.systematic, nominal)
     pixels = some_pixels(learned.clean)
-    place = f"{where}, posture {view.posture}"
-    refuse_mismatch(learned.level, learned.predicted, learned.limit, learned.deviation, pixels, place)
+    refuse_mismatch(learned.level, learned.predicted, learned.limit, learned.deviation, pixels, where)
     found = whiten_texture(subtract_mean(found, calibrated.systematic, nominal), threads=threads)
     return learned, divide_spread(found, calibrated.systematic, nominal)
 
@@ -306,11 +290,8 @@ def inspection_warnings(
     for one in postures:
         warnings += [f"posture {one.view.posture}: {text}" for text in _posture_warnings(rig, one, options)]
     there = {one.view.posture for one in postures}
-    warnings += [
-        f"posture {posture}: no images; surface that only this posture shows was not inspected"
-        for posture in expected
-        if posture not in there
-    ]
+    missing = [posture for posture in expected if posture not in there]
+    warnings += [f"posture {one}: no images; surface that only this posture shows was not inspected" for one in missing]
     return tuple(warnings)
 
 

@@ -84,13 +84,7 @@ class PaperObjective(Objective):
         return int(((middle - thresholds.black) * usable * weights).sum())
 
     def scores(
-        self,
-        matrix: LuminanceMatrix,
-        weights: Int64,
-        thresholds: LevelThresholds,
-        *,
-        threads: int,
-        progress: Share | None = None,
+        self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds, threads: int, progress: Share | None
     ) -> Int64:
         """By tables of minima or combination by combination; `weights` are those of :meth:`weights`, all 1."""
         levels = matrix.levels

@@ -259,7 +259,6 @@ def plan_exposures(
     exposures: Further exposures to choose from; 1 is taken anyway.
     gain_points: The least gain [hundredths of the pairs].
     target: Share of the pairs that is to be shown.
-    Raises InputError: More images than memory is meant for.
     """
     further = [exposure for exposure in exposures if exposure != 1.0]
     most = max(map(len, lights))

@@ -45,9 +45,6 @@ def choose_with_exposures(
     gain_points: What a further exposure has to add [hundredths of the pairs].
     Returns the choice of the planned images; bounds and all candidates' share hold for any of the exposures. Where a
     target cannot be reached, what was chosen for all exposures, without brackets.
-
-    Raises InputError: As :func:`lightopt.design.choose_postures` and
-        :func:`lightopt.design.postures._exposures.plan_exposures`.
     """
     levels = tuple(dict.fromkeys((1.0, *exposures)))
     if len(levels) == 1:

@@ -232,11 +232,7 @@ def _reasons(lost: Mapping[int, float], choice: PostureChoice) -> str:
 def plan_postures(
     rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, run: RunContext
 ) -> ChosenPostures:
-    """Choose the postures, and the light positions that go with them.
-
-    Raises InputError: Whatever is wrong with the files or the options.
-    Raises CheckFailed: A target that cannot be reached, or no defect that any posture shows.
-    """
+    """Choose the postures, and the light positions that go with them."""
     candidates = candidates_of(rig, options)
     scene = build_scene(rig, part, points=options.points, defects=False)
     grid = posture_grid(rig, part, step_deg=plan.posture_step_deg)

@@ -31,7 +31,7 @@ from lightopt.design.postures._light_positions import (
     position_counts_fit,
 )
 from lightopt.design.postures._posture_choice import Cover, Lights, PostureChoice, PostureRequest, Solution
-from lightopt.design.responses._image_evaluator import FlagCache, ImageCache, ImageEvaluator
+from lightopt.design.responses._image_evaluator import ImageCache, ImageEvaluator
 from lightopt.design.responses._packed_bits import Counts
 from lightopt.lights import PanelLight
 
@@ -218,7 +218,7 @@ class _MultiStartSearch:
 
     def __post_init__(self) -> None:
         search = partial(AlternatingSearch, postures=self.postures, candidates=self.candidates, run=self.run)
-        self.drawn_cache = FlagCache(CACHED_BYTES)  # lights and postures come back from pass to pass
+        self.drawn_cache = ImageCache(CACHED_BYTES)  # lights and postures come back from pass to pass
         self.images = ImageCache(CACHED_BYTES)  # the chosen postures are looked at again when they are found
         self.full_search = self.drawn_search = search(self.whole, where="all patches", prove=True, images=self.images)
         if self.drawn.table is not self.whole.table:

@@ -329,23 +329,11 @@ class PatchEvidence:
         varied, leant = varied[: variants[-1]], varied[variants[-1] :]
         codes = np.zeros((len(varied), len(good) + 1), np.int16)
         bounds = np.zeros((len(self._correlated), len(good) + 1, 3), np.float32)
-        _fill_changes(
-            good,
-            varied,
-            leant,
-            self._correlated,
-            variants if len(bounds) > 1 else variants[[0, -1]],
-            image.column,
-            image.row,
-            image.owner,
-            image.cell,
-            exposure * sensor.max_level / self._detection.full_scale,
-            sensor.saturated_from - sensor.black_level,
-            sensor.read_noise_levels,
-            sensor.electrons_per_level or math.inf,
-            codes,
-            bounds,
-        )
+        first = variants if len(bounds) > 1 else variants[[0, -1]]
+        scale = exposure * sensor.max_level / self._detection.full_scale
+        limit = sensor.saturated_from - sensor.black_level
+        noise = sensor.read_noise_levels, sensor.electrons_per_level or math.inf
+        _fill_changes(good, varied, leant, self._correlated, first, image, scale, limit, noise, codes, bounds)
         words = np.zeros((UNITS_OF_IMAGE, len(good), -(-len(self._planned.entry) // 64)), np.uint64)
         add_evidence(codes, bounds, image, self._class, self._angle, self._planned, self._stencils, self._limits, words)
         in_table = np.empty_like(words)
@@ -406,14 +394,10 @@ def _fill_changes(
     leant: Float32,
     correlated: Float64,
     first: Int32,
-    column: Float32,
-    row: Float32,
-    owner: Int32,
-    cell: float,
+    image: ImagePatches,
     scale: float,
     limit: float,
-    read_noise: float,
-    electrons: float,
+    noise_of: tuple[float, float],
     codes: Int16,
     bounds: Float32,
 ) -> None:
@@ -421,6 +405,7 @@ def _fill_changes(
     # clipped, not those that are mixed. `bounds` are the least and the greatest change that it delivers, and the change
     # that is none: see expected_change. Levels are above black. The waviness of good parts is noise by what `leant`
     # variants change, `correlated` times in each set of bounds, which is of the variants from `first`
+    (column, row, owner, cell), (read_noise, electrons) = image, noise_of
     levels, variances, wavy = np.empty(len(good)), np.empty(len(good)), np.zeros(len(good))
     for p in range(len(good)):
         level = min(scale * good[p], limit)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from lightopt.core.arrays import Float64
-from lightopt.estimate.reflectance._likelihood import LOG_R_S, LOG_SIGMA, R_D, Criterion, outlier_share
+from lightopt.estimate.reflectance._likelihood import LOG_R_S, LOG_SIGMA, R_D, Criterion, outlier_share, significant
 from lightopt.estimate.reflectance._newton import Maximum
 
 Interval = tuple[float | None, float | None]  # 95 %; None for an end that the images do not bound
@@ -73,7 +73,7 @@ class Optimum(_Reflectance):
 
     def as_dict(self) -> dict[str, Any]:
         names = ("start_sigma", "sigma", "R_d", "R_s", "value")
-        return {**{name: float(f"{getattr(self, name):.8g}") for name in names}, "converged": self.converged}
+        return {**{name: significant(getattr(self, name), 8) for name in names}, "converged": self.converged}
 
 
 def optimum_of(start_sigma: float, top: Maximum, criterion: Criterion | None) -> Optimum:

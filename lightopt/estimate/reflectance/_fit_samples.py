@@ -57,7 +57,6 @@ def fit_reflectance(
     """Fit R_d, R_s and σ, and what else is freed, to samples.
 
     held: Values (R_d, R_s, σ) of those that are not freed; required for those.
-    Raises InputError: every pixel is saturated or black.
     """
     run = run or RunContext()
     scan = scan_sigma(samples, freed or FreeParameters(), held, part_of(run.stage("scanning σ"), 0.0, 0.5))
@@ -75,10 +74,7 @@ def fit_reflectance(
 def least_squares_reflectance(
     samples: Samples, reflectance: Reflectance, *, freed: FreeParameters | None = None
 ) -> Reflectance:
-    """R_d, R_s and σ by least squares alone, without intervals: good enough to find a part by.
-
-    Raises InputError: every pixel is saturated or black.
-    """
+    """R_d, R_s and σ by least squares alone, without intervals: good enough to find a part by."""
     x = scan_sigma(samples, freed or FreeParameters(), None).best.x
     return replace(reflectance, R_d=float(x[R_D]), R_s=math.exp(x[LOG_R_S]), sigma=math.exp(x[LOG_SIGMA]))
 

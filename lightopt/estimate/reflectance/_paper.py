@@ -15,6 +15,7 @@ import numpy as np
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share
+from lightopt.estimate.reflectance._likelihood import significant
 from lightopt.estimate.reflectance._samples import Samples
 
 MOST_ITERATIONS = 500
@@ -126,7 +127,7 @@ class PaperSpecular:
     def as_dict(self) -> dict[str, Any]:
         steps = [
             {
-                "sigma_rad": float(f"{step.sigma:.6g}"),
+                "sigma_rad": significant(step.sigma, 6),
                 "R_s": step.R_s,
                 "reached": step.reached,
                 "brightness_ratio": step.brightness,
@@ -154,10 +155,7 @@ class PaperSpecular:
 
 
 def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
-    """R_d from the mean brightness of the pixels without specular reflection (paper, section 4.2).
-
-    Raises InputError: no image has a pixel that is diffuse only, or the iteration does not end.
-    """
+    """R_d from the mean brightness of the pixels without specular reflection (paper, section 4.2)."""
     if problems := options.problems():
         raise InputError(*problems)
     plain = (samples.deflection[samples.sample] >= options.away) & ~samples.saturated
@@ -196,11 +194,7 @@ def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
 def paper_specular(
     samples: Samples, options: PaperOptions, *, R_d: float, progress: Share | None = None
 ) -> PaperSpecular:
-    """R_s and σ from the saturated pixels and the total specular brightness of one image (paper, section 4.3).
-
-    Raises InputError: impossible options, no saturated pixel, or no σ with which as many pixels are saturated and as
-        bright.
-    """
+    """R_s and σ from the saturated pixels and the total specular brightness of one image (paper, section 4.3)."""
     if problems := options.problems():
         raise InputError(*problems)
     counts = np.bincount(samples.image[samples.saturated], minlength=len(samples.images))

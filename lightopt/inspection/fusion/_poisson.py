@@ -93,7 +93,6 @@ class PoissonGrid:
 
         gx, gy: differences to the pixel to the right, shape (H, W − 1), and below, shape (H − 1, W).
         level: shape (H, W).
-        Raises LightoptError: gradients that are not finite.
         """
         b = divergence(_edges(gx, self.window, 1), _edges(gy, self.window, 0), self._wx, self._wy)
         try:
