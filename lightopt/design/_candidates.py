@@ -171,16 +171,13 @@ def find_candidates(
     angles_left = tuple(tuple(possible[i][k][0] for k in row) for i, row in enumerate(rows))
     sizes = tuple(len(row) for row in rows)
     left_clashes = {(i, j): clash[np.ix_(rows[i], rows[j])] for (i, j), clash in clashes.items()}
+    left_clashes = {pair: clash for pair, clash in left_clashes.items() if clash.any()}
     return Candidates(
         names=tuple(light.name for light in rig.lights),
         angles=angles_left,
         panels=tuple(tuple(possible[i][k][1] for k in row) for i, row in enumerate(rows)),
         left_out=tuple(left_out),
-        space=CombinationSpace(
-            sizes=sizes,
-            groups=_groups(rig, angles_left, sizes, shared),
-            clashes={pair: clash for pair, clash in left_clashes.items() if clash.any()},
-        ),
+        space=CombinationSpace(sizes=sizes, groups=_groups(rig, angles_left, sizes, shared), clashes=left_clashes),
     )
 
 
@@ -283,12 +280,11 @@ def _groups(
     if shared is None:
         return (tuple(np.arange(n) for n in sizes),)
     groups: list[Rows] = []
+    fixed = [light.elevation_range_deg is None for light in rig.lights]
     for elevation in shared:
         rows = tuple(
-            np.array(
-                [k for k, at in enumerate(some) if light.elevation_range_deg is None or at[0] == elevation], np.int64
-            )
-            for light, some in zip(rig.lights, angles, strict=True)
+            np.flatnonzero([stays or at == elevation for at, _ in some])
+            for stays, some in zip(fixed, angles, strict=True)
         )
         if all(len(row) for row in rows):
             groups.append(rows)

@@ -269,15 +269,9 @@ def _complete(
         if problem.defects is None:
             # exposures are planned for defects, whatever the objective
             inspected = replace(shares_on, table=problem.cut_patches(edges=False, threads=run.threads))
-        brackets = plan_exposures(
-            inspected,
-            lights.postures,
-            [lights.panels(i) for i in range(len(lights.postures))],
-            plan.exposures,
-            gain_points=plan.exposure_gain,
-            target=plan.target,
-            progress=run.stage("exposures"),
-        )
+        panels, progress = [lights.panels(i) for i in range(len(angles))], run.stage("exposures")
+        request = plan.exposures, plan.exposure_gain, plan.target
+        brackets = plan_exposures(inspected, lights.postures, panels, *request, progress=progress)
     if brackets is not None:
         lights = replace(lights, exposures=tuple(map(brackets.of, lights.postures)))
     if plan.tolerances is not None:
@@ -289,16 +283,9 @@ def _complete(
     planned = PlanResult(chosen=chosen, brackets=brackets, tolerances=tolerances, commands=commands)
     if problem.defects is None:
         return planned, ()
-    visibility = planned_visibility(
-        evaluator,
-        lights,
-        candidates if chosen is None else candidates_of(problem.rig, options),
-        all_exposures=plan.all_exposures,
-        thresholds=problem.thresholds,
-        least=options.min_images,
-        progress=run.stage("blind spots"),
-    )
-    return planned, visibility
+    free = candidates if chosen is None else candidates_of(problem.rig, options)
+    goal, progress = (problem.thresholds, options.min_images), run.stage("blind spots")
+    return planned, planned_visibility(evaluator, lights, free, plan.all_exposures, *goal, progress)
 
 
 def _placed_tolerances(
@@ -321,13 +308,7 @@ def _placed_tolerances(
             single, levels = replace(group, exposures=((1.0,),) * len(group.postures)), replace(drawn, detection=None)
             score = ObjectiveAssessment(levels, single, objective=objective, thresholds=problem.thresholds)
         progress = matrices.run.stage(f"tolerances, {', '.join(map(str, group.postures))}")
-        found.append(
-            ToleranceResult(
-                postures=group.postures,
-                robustness=analyse_tolerances(score, names, tolerances, progress=progress),
-                unit=objective.unit,
-                patches=len(drawn.patches),
-                grain=drawn.table.grain,
-            )
-        )
+        robustness = analyse_tolerances(score, names, tolerances, progress=progress)
+        patches, grain = len(drawn.patches), drawn.table.grain
+        found.append(ToleranceResult(group.postures, robustness, objective.unit, patches=patches, grain=grain))
     return tuple(found)

@@ -43,7 +43,6 @@ Offset = tuple[float, float]  # elevation and azimuth of a light, or tilt and ro
 ScoreFunction = Callable[[Offset, Sequence[Sequence[Offset]]], Int64]
 
 EXACT: Offset = (0.0, 0.0)
-
 DEFAULT_TOLERANCE_TARGET = 0.95  # share of the score that the widest tolerances keep by default
 LARGEST_TOLERANCE = 16.0  # the widest tolerance that is tried, and the largest that may be requested [°]
 
@@ -311,13 +310,10 @@ class _Assessment(ABC):
     def _table(self, posture: Posture, at: int) -> PatchTable:
         table = self.evaluator.table
         visible, grazing = np.zeros((2, 1, len(table.patches)), np.bool_)
-        visible[0, self.patches], grazing[0, self.patches] = camera_visibility(
-            table.patches.centroids[self.patches],
-            table.patches.normals[self.patches],
-            self._facets,
-            view_from_part(self.evaluator.scene, posture),
-            self.evaluator.caster,
-        )
+        points, normals = table.patches.centroids[self.patches], table.patches.normals[self.patches]
+        view = view_from_part(self.evaluator.scene, posture)
+        sight = camera_visibility(points, normals, self._facets, view, self.evaluator.caster)
+        visible[0, self.patches], grazing[0, self.patches] = sight
         # edges hardly move within the tolerances
         nominal = table.postures.index(self.setup.postures[at])
         return replace(table, postures=(posture,), visible=visible, grazing=grazing | table.grazing[nominal])

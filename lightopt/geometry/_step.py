@@ -108,17 +108,9 @@ class _Tessellation:
         )
         self._folder = tempfile.TemporaryDirectory(prefix="lightopt-step-")
         self._glb = Path(self._folder.name) / "part.glb"
+        files, numbers = (str(path.resolve()), str(self._glb)), (repr(linear), repr(angular), str(int(relative)))
         self._process = subprocess.Popen(  # noqa: S603  our own worker, no shell
-            [
-                sys.executable,
-                _step_worker.__file__,
-                str(path.resolve()),
-                str(self._glb),
-                repr(linear),
-                repr(angular),
-                "1" if relative else "0",
-                str(int(MEMORY_GB * 1e9)),
-            ],
+            [sys.executable, _step_worker.__file__, *files, *numbers, str(int(MEMORY_GB * 1e9))],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

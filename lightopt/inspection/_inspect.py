@@ -44,7 +44,6 @@ from lightopt.scene import build_catalogue, part_postures, place_defects
 MOST_REGIONS = 1000
 
 LEAST_SENSITIVE = 0.5  # texture that hides the reference defect on more of the surface than the rest is reported
-
 MOST_DARK_SHARE = 0.01  # a black level that is further off than this share of the sensor's range is reported
 
 
@@ -156,12 +155,9 @@ def find_defects(
     run: RunContext,
 ) -> InspectionResult:
     """As :func:`inspect_set`, with options and calibration that are checked; warnings are in the result only."""
-    registered = register_set(
-        rig, part, image_set, register=options.register, reference=options.reference, cache=cache, run=run
-    )
-    return inspect_registered(
-        rig, part, registered, str(image_set.folder), options=options, cache=cache, calibration=calibration, run=run
-    )
+    search, reference, where = options.register, options.reference, str(image_set.folder)
+    registered = register_set(rig, part, image_set, register=search, reference=reference, cache=cache, run=run)
+    return inspect_registered(rig, part, registered, where, options, cache, calibration, run)
 
 
 def inspect_registered(
@@ -169,7 +165,6 @@ def inspect_registered(
     part: PartConfig,
     registered: RegisteredSet,
     where: str,
-    *,
     options: InspectOptions,
     cache: PredictionCache,
     calibration: Calibration | None,

@@ -296,11 +296,10 @@ def planned_visibility(
     evaluator: ImageEvaluator,
     setup: Setup,
     candidates: Candidates | None,
-    *,
     all_exposures: tuple[float, ...],
     thresholds: LevelThresholds,
     least: int,
-    progress: Share | None = None,
+    progress: Share | None,
 ) -> tuple[PostureVisibility, ...]:
     """Visibility of defects in each posture: `least` images must show one.
 

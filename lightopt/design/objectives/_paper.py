@@ -142,12 +142,8 @@ def _tables(sizes: Sequence[int]) -> list[tuple[tuple[int, ...], int, Int64]]:
     lights = len(sizes)
     if lights > MOST_LIGHTS_IN_SETS:
         return []
-    sets = [
-        (chosen, coefficient)
-        for count, coefficient in enumerate(_coefficients(lights), start=1)
-        if coefficient
-        for chosen in itertools.combinations(range(lights), count)
-    ]
+    counted = [(count, c) for count, c in enumerate(_coefficients(lights), start=1) if c]
+    sets = [(chosen, c) for count, c in counted for chosen in itertools.combinations(range(lights), count)]
     if sum(math.prod(sizes[i] for i in chosen) for chosen, _ in sets) > DIRECT_COST * math.prod(sizes):
         return []
     return [(chosen, c, np.zeros(tuple(sizes[i] for i in chosen), np.int64)) for chosen, c in sets]

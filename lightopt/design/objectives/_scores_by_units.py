@@ -35,7 +35,6 @@ CHUNK_PATCHES = 1 << 12  # patches of one task of a thread: some 0.01 s
 MOST_NODES = 1 << 18
 
 _TRIES_PER_NODE = 4  # of the last light's changes hardly more than a fourth goes with a product of the others
-
 LEAST_NODES = 1 << 10  # however few combinations there are
 
 # words that a task of plain additions reads, at most: some 0.1 s of a thread, so that Ctrl-C is heard

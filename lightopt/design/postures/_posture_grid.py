@@ -19,7 +19,6 @@ DEFAULT_POSTURE_STEP = 22.5
 DEFAULT_OUTSIDE_PX = 10.0
 
 MOST_POSTURES = 2000  # more candidate postures are refused
-
 _SIDES = ("left", "top", "right", "bottom")
 
 

@@ -81,12 +81,8 @@ class AlternatingSearch:
             return replace(solution, converged=True)
         for _ in range(most):
             positions = self.lights(solution.cover.chosen, request)
-            solution = replace(
-                solution,
-                exact=solution.exact and positions.exact,
-                iterations=solution.iterations + 1,
-                converged=positions.covered <= solution.cover.covered,
-            )
+            exact, converged = solution.exact and positions.exact, positions.covered <= solution.cover.covered
+            solution = replace(solution, exact=exact, iterations=solution.iterations + 1, converged=converged)
             if positions.candidates == solution.lights:
                 return solution
             panels = self.candidates.panels_at(positions.candidates)
@@ -131,12 +127,13 @@ class AlternatingSearch:
         key = tuple(sorted(chosen))
         if key not in self._positions:
             self._passes += 1
+            evaluator = replace(self.evaluator, images=self.images, keeps_images=True)
+            postures, progress = (
+                [(self.postures[i], evaluator.exposures) for i in key],
+                self._stage("lights for postures"),
+            )
             self._positions[key], counts = best_positions(
-                replace(self.evaluator, images=self.images, keeps_images=True),
-                [(self.postures[i], self.evaluator.exposures) for i in key],
-                self.candidates,
-                limit=request.limit,
-                progress=self._stage("lights for postures"),
+                evaluator, postures, self.candidates, limit=request.limit, progress=progress
             )
             small = sum(one.nbytes for one in counts) <= CACHED_BYTES
             self._last_counts = (key, counts) if small else None

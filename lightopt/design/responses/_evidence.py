@@ -18,11 +18,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
 
-from lightopt.core.arrays import Float32, Float64, Int16, Int32, Int64
+from lightopt.core.arrays import Float32, Float64, Int16, Int32
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
 from lightopt.core.transforms import Posture
@@ -157,15 +158,7 @@ def _greatest_of_segments(own: DefectHypotheses) -> float:
 
 
 def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> Stencils:
-    right: list[Float64] = []
-    down: list[Float64] = []
-    variant: list[Int64] = []
-    share: list[Float64] = []
-    pieces: list[Int64] = []
-    ratios: list[float] = []
-    squares: list[float] = []
-    counts: list[int] = [0]
-    along: list[Float64] = []
+    groups: list[tuple[Any, ...]] = []
     before = 0
     for own in catalogue.entries:
         long = own.entry.shape.kind == "scratch"
@@ -189,18 +182,14 @@ def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> Stencils:
                 # those that see most of the defect come first: soon there is enough
                 order = np.argsort(-total, kind="stable")
                 by_pixel = np.argsort(np.argsort(order)[number], kind="stable")
-                right.append(ratio * pixels[0, order])
-                down.append(ratio * pixels[1, order])
-                pieces.append(np.bincount(number)[order])
-                variant.append(before + seen.variant[by_pixel].astype(np.int64))
-                share.append(seen.weight[by_pixel])
-                ratios.append(sides)
-                squares.append(max(1e-9, float((total**2).sum())))
-                counts.append(len(order))
-                along.append(ratio * step * to_image @ axis)
+                right, down = ratio * pixels[:, order]
+                variant, share = before + seen.variant[by_pixel].astype(np.int64), seen.weight[by_pixel]
+                square, along = max(1e-9, float((total**2).sum())), ratio * step * to_image @ axis
+                groups.append((along, right, down, np.bincount(number)[order], variant, share, sides, square))
         before += len(own.slope)
+    along, right, down, pieces, variant, share, ratios, squares = zip(*groups, strict=True)
     return Stencils(
-        first=np.cumsum(counts).astype(np.int32),
+        first=np.cumsum([0, *map(len, right)]).astype(np.int32),
         along=np.stack(along).astype(np.float32),
         right=np.concatenate(right).astype(np.float32),
         down=np.concatenate(down).astype(np.float32),
@@ -361,12 +350,8 @@ def _locate(scene: Scene, table: PatchTable, posture: Posture, areas: Float64) -
     none = -2
     owner = np.full(shape, none, np.int32)
     owner[y, x] = own[order]
-    return ImagePatches(
-        column=in_cells(columns[own >= 0], cell),
-        row=in_cells(rows[own >= 0], cell),
-        owner=_filled(owner, none),
-        cell=cell,
-    )
+    column, row = (in_cells(places[own >= 0], cell) for places in (columns, rows))
+    return ImagePatches(column, row, _filled(owner, none), cell)
 
 
 def _filled(owner: Int32, none: int) -> Int32:

@@ -16,7 +16,6 @@ from lightopt.defects import FORESHORTENINGS
 from lightopt.design.responses._packed_bits import Words
 
 CODES_PER_DEVIATION = 16  # changes are stored as whole numbers of 16 bits: of walls that glint, many deviations
-
 _MANY = 255  # code of changes that are bounded by nothing
 _AT_ONCE = 256  # patches whose evidence is added up together
 _ROUNDING = 1.001  # bounds are this much greater than needed: sums are rounded

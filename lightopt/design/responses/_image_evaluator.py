@@ -89,7 +89,7 @@ class ImageCache:
                 self._images[_image_key(posture, exposures, panel)] = tuple(array.copy() for array in arrays)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class ImageEvaluator:
     """A part, its patches, and the defects that its images are tested for.
 
@@ -327,9 +327,7 @@ def luminance_matrix(
     progress: Share | None = None,
 ) -> LuminanceMatrix:
     """Delivered levels of the inspectable patches at exposure 1: see :meth:`ImageEvaluator.matrices`."""
-    evaluator = ImageEvaluator(
-        scene=scene, table=table, caster=caster, detection=detection, shadows=shadows, threads=threads
-    )
+    evaluator = ImageEvaluator(scene, table, caster, detection, shadows=shadows, threads=threads)
     return evaluator.matrices(posture, panels, progress=progress)[0]
 
 

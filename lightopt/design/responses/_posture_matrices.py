@@ -7,7 +7,7 @@ import hashlib
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -187,15 +187,9 @@ class PostureMatrices:
 
     def evaluator(self, detection: DetectionModel | None) -> ImageEvaluator:
         """The part and its patches; `detection` as for :class:`ImageEvaluator`."""
-        return ImageEvaluator(
-            scene=self.problem.scene,
-            table=self.patches(),
-            caster=self.problem.caster,
-            detection=detection,
-            images=None if detection is None else self.images,
-            shadows=self.problem.options.shadows,
-            threads=self.run.threads,
-        )
+        scene, caster, shadows = self.problem.scene, self.problem.caster, self.problem.options.shadows
+        evaluator = ImageEvaluator(scene, self.patches(), caster, detection, shadows=shadows, threads=self.run.threads)
+        return evaluator if detection is None else replace(evaluator, images=self.images)
 
 
 def _matrix_facts(problem: Problem, detection: DetectionModel | None) -> dict[str, Any]:

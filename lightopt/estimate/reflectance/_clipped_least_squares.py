@@ -38,7 +38,6 @@ NODES = 121
 WINDOW = 5
 
 LEAST_MEAN_SQUARE = 1.0 / 12.0  # that of rounding to whole levels: no model can be nearer
-
 RINGS = 3
 # pixels of one exposure are compared with those of a like geometry: rings per octave of the angle from the mirror
 # direction, and steps of the diffuse light

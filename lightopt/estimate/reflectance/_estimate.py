@@ -56,6 +56,12 @@ class ScanPoint(_Reflectance):
     value: float
     drop: float
 
+    def as_dict(self, best: float) -> dict[str, float]:
+        """JSON form; `best` is the greatest value of the profile."""
+        values = {"sigma_rad": self.sigma, "R_d": self.R_d, "R_s": self.R_s}
+        below = significant(2.0 * (best - self.value), 6)
+        return {n: significant(v, 8) for n, v in values.items()} | {"twice_log_likelihood_below_best": below}
+
 
 @dataclass(frozen=True, kw_only=True)
 class Optimum(_Reflectance):

@@ -54,7 +54,6 @@ HIGHLIGHT_LEVEL = 0.1  # pixels that a highlight lights by less than this are di
 WIDENINGS = (2.0, 1.5, 1.2, 1.0)
 
 LEAST_PIXELS = 200  # so many pixels must be left
-
 LEAST_R_S = 1e-3
 
 # second opinions: their pixels per octave, light and posture, the least change of ln R_s or ln σ to report, and the

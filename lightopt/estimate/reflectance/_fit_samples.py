@@ -176,12 +176,8 @@ def leave_groups_out(criterion: LeastSquares, x: Float64, free: Sequence[int]) -
     if groups is by_block or all(place < FIRST_GAIN for place in free):
         return found
     blocks = _scatter(criterion, x, free, *by_block)
-    return Jackknife(
-        covariance=upper_covariance(found.covariance, blocks.covariance),
-        of=f"{found.of} and {blocks.of}",
-        quantile=found.quantile,
-        refits=found.refits + blocks.refits,
-    )
+    covariance = upper_covariance(found.covariance, blocks.covariance)
+    return replace(found, covariance=covariance, of=f"{found.of} and {blocks.of}", refits=found.refits + blocks.refits)
 
 
 def upper_covariance(covariance: Float64, other: Float64) -> Float64:
@@ -233,9 +229,6 @@ def _groups(samples: Samples) -> list[tuple[Index, str]]:
     light = samples.facts.light[samples.image]
     postures = list(dict.fromkeys(image.posture for image in samples.images))
     posture = np.array([postures.index(image.posture) for image in samples.images])[samples.image]
-    labels = {
-        "lights": light,
-        "lights and postures": light * len(postures) + posture,
-        "pieces of the images": samples.block[samples.sample],
-    }
+    both, block = light * len(postures) + posture, samples.block[samples.sample]
+    labels = {"lights": light, "lights and postures": both, "pieces of the images": block}
     return [(np.unique(label, return_inverse=True)[1], name) for name, label in labels.items()]

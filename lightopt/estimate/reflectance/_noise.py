@@ -20,7 +20,6 @@ CLEAR_OF_ENDS = 4.0
 TRIM, TRIMMED_VARIANCE = 3.0, 0.97334
 
 _WINDOW = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]])
-
 SIGNIFICANT = 3.0
 WELL_KNOWN = 0.3  # a figure is determined where its standard error is no more than this share of it
 

@@ -21,7 +21,6 @@ from lightopt.estimate.reflectance._samples import Samples
 MOST_ITERATIONS = 500
 MOST_R_S = 1e15
 MOST_STEPS = 1000
-
 WIDE_RANGE = 1.5  # where the σ of the sweep within λ_s2 reach over more than this factor, it is reported
 
 
@@ -109,8 +108,13 @@ class SigmaStep:
     brightness: float
     iterations: tuple[tuple[float, int], ...]
 
+    def as_dict(self) -> dict[str, Any]:
+        rounds = [{"R_s": r_s, "N_s": n_s} for r_s, n_s in self.iterations]
+        facts = {"sigma_rad": significant(self.sigma, 6), "R_s": self.R_s, "reached": self.reached}
+        return {**facts, "brightness_ratio": self.brightness, "iterations": rounds}
 
-@dataclass(frozen=True, kw_only=True)
+
+@dataclass(frozen=True)
 class PaperSpecular:
     """R_s and σ by section 4.3.
 
@@ -125,24 +129,9 @@ class PaperSpecular:
     matching_sigmas: tuple[float, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        steps = [
-            {
-                "sigma_rad": significant(step.sigma, 6),
-                "R_s": step.R_s,
-                "reached": step.reached,
-                "brightness_ratio": step.brightness,
-                "iterations": [{"R_s": r_s, "N_s": n_s} for r_s, n_s in step.iterations],
-            }
-            for step in self.steps
-        ]
-        return {
-            "R_s": self.R_s,
-            "sigma_rad": self.sigma,
-            "image": self.image,
-            "N_m": self.saturated,
-            "alike_sigma_rad": list(self.matching_sigmas),
-            "sweep": steps,
-        }
+        facts = {"R_s": self.R_s, "sigma_rad": self.sigma, "image": self.image, "N_m": self.saturated}
+        sweep = [step.as_dict() for step in self.steps]
+        return {**facts, "alike_sigma_rad": list(self.matching_sigmas), "sweep": sweep}
 
     def warnings(self) -> Iterator[str]:
         """Warn where the procedure hardly determines σ."""
@@ -232,16 +221,9 @@ def paper_specular(
             f"{100.0 * abs(best.brightness - 1.0):.1f} % to the measured one (σ = {best.sigma:g} rad), and "
             f"λ_s2 = {options.lambda_s2:g}; raise it, or use the default method"
         )
-    return PaperSpecular(
-        R_s=best.R_s,
-        sigma=best.sigma,
-        image=samples.images[image].name,
-        saturated=measured,
-        steps=tuple(steps),
-        matching_sigmas=tuple(
-            sorted(step.sigma for step in reached if abs(step.brightness - 1.0) <= options.lambda_s2)
-        ),
-    )
+    alike = sorted(step.sigma for step in reached if abs(step.brightness - 1.0) <= options.lambda_s2)
+    name = samples.images[image].name
+    return PaperSpecular(best.R_s, best.sigma, name, measured, tuple(steps), matching_sigmas=tuple(alike))
 
 
 def _sweep(options: PaperOptions) -> list[float]:

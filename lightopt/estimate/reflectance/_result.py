@@ -17,7 +17,7 @@ from lightopt.estimate.registration import Placement, Registration
 from lightopt.scene import Scene
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class FittedValue:
     """A coefficient and its uncertainty.
 
@@ -148,15 +148,7 @@ class FitResult:
             "pixels": self.pixels,
             "quality": facts(self.quality),
             "warnings": list(self.warnings),
-            "ridge": [
-                {
-                    "sigma_rad": significant(point.sigma, 8),
-                    "R_d": significant(point.R_d, 8),
-                    "R_s": significant(point.R_s, 8),
-                    "twice_log_likelihood_below_best": significant(2.0 * (best - point.value), 6),
-                }
-                for point in scan
-            ],
+            "ridge": [point.as_dict(best) for point in scan],
             "left_out": [left.as_dict() for left in self.left_out],
             "not_left_out": list(self.not_left_out) if self.left_out else [],
             "by_points": [row.as_dict() for row in self.rows],
@@ -195,13 +187,8 @@ def _fitted(
     if place not in found.free:
         return FittedValue(name=name, value=value)
     regions = tuple(bounded(ends, of) for ends in profile_regions(found, place))
-    return FittedValue(
-        name=name,
-        value=value,
-        standard_error=slope * found.standard_error(place),
-        interval=(regions[0][0], regions[-1][1]),
-        regions=regions if len(regions) > 1 else (),
-    )
+    error, interval = slope * found.standard_error(place), (regions[0][0], regions[-1][1])
+    return FittedValue(name, value, error, interval, regions=regions if len(regions) > 1 else ())
 
 
 def fitted_values(found: Estimate, *, full_scale: float) -> tuple[FittedValue, ...]:

@@ -26,9 +26,7 @@ from lightopt.rendering import render_posture
 from lightopt.scene import Scene
 
 BUDGET = 1500  # pixels per octave, light and posture that the fits without a light use
-
 MOST_BORDER_PIXELS = 4000
-
 POOR_SHARE = 5.0 / 255.0  # a prediction that is further off than this share of the sensor's full scale is reported
 
 # gets each image that was left out and the sensor levels that were predicted for it

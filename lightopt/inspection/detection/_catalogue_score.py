@@ -25,9 +25,7 @@ LEAST_SCORE = 3.0  # defects of lower scores are not sought
 LEAST_MIDDLE = 3.0
 
 MARGIN_PX = 2  # pixels around what an accepted defect explains are explained, too: models of defects are not exact
-
 MOST_DEFECTS = 2000  # that are accepted or refused; beyond, the model does not describe the part
-
 _ROWS = 16  # rows of places that a thread works on at once
 
 

@@ -26,7 +26,6 @@ CONTRASTS: Final = (0.05, 0.1, 0.2, 0.4)
 """Shares of the light that a defect takes away, for which the sensitivity is reported."""
 
 REFERENCE_DISC_PX = 5.0  # diameter of the even disc that it is reported for
-
 REFERENCE_CONTRAST: Final = 0.2
 REFERENCE_DEFECT: Final = (
     f"a disc of {REFERENCE_DISC_PX:g} px that changes the light by {100.0 * REFERENCE_CONTRAST:g} %"

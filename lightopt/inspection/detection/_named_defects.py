@@ -26,7 +26,6 @@ from lightopt.inspection.prediction._registered_set import world_to_mesh_file
 from lightopt.scene import Scene
 
 NORMAL_95: Final = 1.959964
-
 GAP_PX = 3  # what is this near to each other is one defect: segments of a scratch, or two walls of a dent
 
 # deviations that go beyond explained defects by more than this share of their pixels are not described by them

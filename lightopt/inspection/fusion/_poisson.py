@@ -27,7 +27,6 @@ from lightopt.core.kernels import kernel
 from lightopt.inspection._image_blocks import mask_window
 
 TOLERANCE = 1e-10  # residual that is left, as a share of the right side's
-
 MOST_STEPS = 400
 SMALLEST_SIDE = 3
 COARSEST_SWEEPS = 12
