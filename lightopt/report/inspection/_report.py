@@ -76,6 +76,8 @@ def _facts(result: InspectionResult, verdict: Verdict, provenance: Mapping[str, 
         "inspected"
     )
     shows = f"a defect must show in {counted(min_images, 'image')}"
+    without = {"file": "none; the threshold follows from the sensor's noise"}
+    calibration = inputs.get("calibration", without)["file"]
     rows = [
         ("rig", f"{inputs['rig']['file']}, sha256 {inputs['rig']['sha256'][:16]}"),
         ("part", f"{inputs['part']['file']}, sha256 {inputs['part']['sha256'][:16]}"),
@@ -84,10 +86,7 @@ def _facts(result: InspectionResult, verdict: Verdict, provenance: Mapping[str, 
         ("image without highlights", options["fusion"] or "none"),
         ("false-alarm rate", alarms),
         ("limits", counting),
-        (
-            "calibration",
-            inputs.get("calibration", {"file": "none; the threshold follows from the sensor's noise"})["file"],
-        ),
+        ("calibration", calibration),
     ]
     if result.placement is not None:
         place = placement_text(result.placement) or "cannot be determined; assumed as in the part file"
@@ -110,17 +109,9 @@ def batch_report(
     """
     good = sum(row.verdict is not None and row.verdict.good for row in rows)
     refused = sum(row.verdict is None for row in rows)
-    header = [
-        "set",
-        "verdict",
-        "reasons",
-        "defects",
-        "that count",
-        "inspected",
-        f"finds {100 * REFERENCE_CONTRAST:g} %",
-    ]
+    finds = f"finds {100 * REFERENCE_CONTRAST:g} %"
     table = Table(
-        header=[*header, f"finds {100 * REFERENCE_CONTRAST:g} %", "only glints"],
+        header=["set", "verdict", "reasons", "defects", "that count", "inspected", finds, "only glints"],
         rows=[_cells(row) for row in rows],
         numbers_from=3,
         caption="A set's name leads to its own report. Inspected: share of the surface that the part's postures show. "
