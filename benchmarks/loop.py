@@ -1,13 +1,15 @@
 """Does the loop close: lights planned for defects, defects captured under them, and what ``inspect`` finds of them.
 
-``python -m benchmarks.loop [--finish polished] [--waviness 0.1] [--lobe 1.05] [--seeds N] [--plot PNG]``. For each part
+``python -m benchmarks.loop [--finish polished] [--waviness 0.1] [--lobe 1.05] [--rays 3] [--seeds N]
+[--plot PNG]``. For each part
 the lights are placed once by ``optimize --objective detectability`` and once by ``--objective paper``. Random defects
 of the built-in catalogue are placed on the part, the same ones for both rigs, the simulated rig captures it 0.4 and 0.3
 mm off its place with noise of its own for each seed, and the inspection with the part's catalogue is held against the
 defects that the part's file names.
 
 With ``--waviness`` the part's file has so much, and each captured part has a surface of its own. With ``--lobe`` the
-parts have a lobe so much wider than their file says, and the inspection is calibrated on good parts.
+parts have a lobe so much wider than their file says, and the inspection is calibrated on good parts. With ``--rays``
+the simulated camera's pixels show the mean of so many rays along each side, as a real camera's do.
 
 Two shares are set beside what was found, kind by kind:
 
@@ -173,9 +175,9 @@ class Prediction:
         return bool(self.found[distance.argmin(), own[round(turn / math.pi * len(own)) % len(own)]])
 
 
-def take(rig: RigConfig, part: PartConfig, folder: Path, seed: int) -> ImageSet:
-    """Capture a part on the simulated rig, off its place and with noise of a seed."""
-    truth = BenchTruth(seed=seed, part_offset_mm=OFF_MM)
+def take(rig: RigConfig, part: PartConfig, folder: Path, seed: int, *, rays: int = 1) -> ImageSet:
+    """Capture a part on the simulated rig, off its place and with noise of a seed; `rays` along a side of a pixel."""
+    truth = BenchTruth(seed=seed, part_offset_mm=OFF_MM, rays=rays)
     with start_bench(rig, wiring_of(rig), part=part, truth=truth) as bench:
 
         def connect(plan: CapturePlan) -> Devices:
@@ -215,7 +217,13 @@ def close_loop(folder: Path, name: str, options: argparse.Namespace) -> Iterator
         calibrations: dict[int, Calibration] = {}
         if options.lobe != 1.0:
             good = [
-                take(rig, as_made(part_file, options.lobe), folder / f"{name}-{objective}-good-{seed}", 1000 + seed)
+                take(
+                    rig,
+                    as_made(part_file, options.lobe),
+                    folder / f"{name}-{objective}-good-{seed}",
+                    1000 + seed,
+                    rays=options.rays,
+                )
                 for seed in range(sets_needed(options.false_alarms))
             ]
             calibrations = {k: calibrate(rig, nominal, good, options=one) for k, one in inspections.items()}
@@ -223,7 +231,8 @@ def close_loop(folder: Path, name: str, options: argparse.Namespace) -> Iterator
         cache = PredictionCache()
         for seed, path in enumerate(placed, 1):
             part = load_part(path)
-            image_set = take(rig, as_made(path, options.lobe), folder / f"{name}-{objective}-{seed}", seed)
+            made = as_made(path, options.lobe)
+            image_set = take(rig, made, folder / f"{name}-{objective}-{seed}", seed, rays=options.rays)
             for min_images, own in counts.items():
                 result = inspect_set(
                     rig,
@@ -352,6 +361,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--waviness", type=float, default=0.0, help="of the parts: root mean square slope [°]")
     parser.add_argument("--waviness-mm", type=float, default=1.5, help="and its correlation length [mm]")
     parser.add_argument("--lobe", type=float, default=1.0, help="of the parts: its width, as a multiple of the file's")
+    parser.add_argument("--rays", type=int, default=1, help="of the simulated camera, along a side of a pixel")
     parser.add_argument("--false-alarms", type=float, default=DEFAULT_FALSE_ALARMS, help="per posture of a good part")
     parser.add_argument("--seeds", type=int, default=34, help="sets of defects per part")
     parser.add_argument("--count", type=int, default=42, help="defects per set")

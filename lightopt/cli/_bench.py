@@ -45,13 +45,12 @@ def status(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
 def light(
     rig: common.RigFile,
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the light in RIG.")],
-    level: Annotated[
-        int | None,
-        typer.Argument(metavar="LEVEL", help="Intensity level of the controller.", show_default="the level in RIG"),
-    ] = None,
-    seconds: Annotated[
-        float | None, typer.Option(metavar="S", min=0.0, help="Time [s].", show_default="until Enter is pressed")
-    ] = None,
+    level: int | None = typer.Argument(
+        None, metavar="LEVEL", help="Intensity level of the controller.", show_default="the level in RIG"
+    ),
+    seconds: float | None = typer.Option(
+        None, metavar="S", min=0.0, help="Time [s].", show_default="until Enter is pressed"
+    ),
     serial_log: common.SerialLog = None,
 ) -> None:
     """Switch a light on, until Enter is pressed or for the time given by --seconds.
@@ -117,11 +116,9 @@ def home(rig: common.RigFile, serial_log: common.SerialLog = None) -> None:
 @bench.command(cls=common.HeadedCommand)
 def move(
     rig: common.RigFile,
-    elevation: Annotated[float | None, typer.Option(metavar="θ", help="Tilt [deg].", show_default="unchanged")] = None,
-    rotation: Annotated[
-        float | None, typer.Option(metavar="φ", help="Rotation [deg].", show_default="unchanged")
-    ] = None,
-    home: Annotated[bool, typer.Option("--home", help="Home the stage first.")] = False,
+    elevation: float | None = typer.Option(None, metavar="θ", help="Tilt [deg].", show_default="unchanged"),
+    rotation: float | None = typer.Option(None, metavar="φ", help="Rotation [deg].", show_default="unchanged"),
+    home: bool = typer.Option(False, "--home", help="Home the stage first."),
     serial_log: common.SerialLog = None,
 ) -> None:
     """Move the stage and verify its position.
@@ -153,13 +150,13 @@ def move(
 def snap(
     rig: common.RigFile,
     file: Annotated[Path, typer.Argument(metavar="FILE", help="PNG file to write.")],
-    light: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Switch this light on for the frame.", show_default="no light")
-    ] = None,
-    exposure: Annotated[str, typer.Option(metavar="X", help="Relative exposure time, such as 1 or 1/16.")] = "1",
-    part: Annotated[
-        Path | None, typer.Option(metavar="PART", help="Part file (YAML); required with the virtual camera only.")
-    ] = None,
+    light: str | None = typer.Option(
+        None, metavar="NAME", help="Switch this light on for the frame.", show_default="no light"
+    ),
+    exposure: str = typer.Option("1", metavar="X", help="Relative exposure time, such as 1 or 1/16."),
+    part: Path | None = typer.Option(
+        None, metavar="PART", help="Part file (YAML); required with the virtual camera only."
+    ),
     serial_log: common.SerialLog = None,
     force: common.Force = False,
 ) -> None:
@@ -192,9 +189,9 @@ def snap(
 
 @bench.command("devices", cls=common.HeadedCommand)
 def list_devices(
-    rig: Annotated[
-        Path | None, typer.Argument(metavar="RIG", help="Rig file (YAML); also print which of its devices are present.")
-    ] = None,
+    rig: Path | None = typer.Argument(
+        None, metavar="RIG", help="Rig file (YAML); also print which of its devices are present."
+    ),
 ) -> None:
     """List the serial ports, and the cameras that answer; open no port."""
     from lightopt.rig.devices import serial_ports

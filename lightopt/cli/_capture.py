@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -18,43 +18,32 @@ if TYPE_CHECKING:
 def capture(
     rig: common.RigFile,
     part: common.PartFile,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", metavar="DIR", help="Output folder; created if missing. Optional with --dry-run."),
-    ] = None,
+    out: Path | None = typer.Option(
+        None, "--out", "-o", metavar="DIR", help="Output folder; created if missing. Optional with --dry-run."
+    ),
     light: common.Lights = None,
     posture: common.Postures = None,
     exposures: common.Exposures = "1",
-    average: Annotated[int, common.selection_option(metavar="N", min=1, help="Average N frames per image.")] = 1,
-    seed: Annotated[
-        int | None,
-        common.selection_option(
-            metavar="N", min=0, help="Seed of the virtual bench's noise.", show_default="as the rig file says, or 1"
-        ),
-    ] = None,
-    dark: Annotated[
-        bool, common.selection_option("--dark", help="Also capture dark frames, and subtract them in the EXR.")
-    ] = False,
-    home: Annotated[bool, common.hardware_option("--home", help="Home the stage first.")] = False,
-    check_lights: Annotated[
-        bool,
-        common.hardware_option(
-            "--check-lights/--no-check-lights", help="Verify that each image is lit by its own light."
-        ),
-    ] = True,
-    check_repeatability: Annotated[
-        bool,
-        common.hardware_option(
-            "--check-repeatability",
-            help="Repeat the first image at the end and compare, to detect lost steps of the stage.",
-        ),
-    ] = False,
-    dry_run: Annotated[
-        bool, common.hardware_option("--dry-run", help="Print every step with its time; open no device.")
-    ] = False,
-    resume: Annotated[
-        bool, common.output_option("--resume", help="Capture only the images missing from an existing set.")
-    ] = False,
+    average: int = common.selection_option(1, metavar="N", min=1, help="Average N frames per image."),
+    seed: int | None = common.selection_option(
+        None, metavar="N", min=0, help="Seed of the virtual bench's noise.", show_default="as the rig file says, or 1"
+    ),
+    dark: bool = common.selection_option(
+        False, "--dark", help="Also capture dark frames, and subtract them in the EXR."
+    ),
+    home: bool = common.hardware_option(False, "--home", help="Home the stage first."),
+    check_lights: bool = common.hardware_option(
+        True, "--check-lights/--no-check-lights", help="Verify that each image is lit by its own light."
+    ),
+    check_repeatability: bool = common.hardware_option(
+        False,
+        "--check-repeatability",
+        help="Repeat the first image at the end and compare, to detect lost steps of the stage.",
+    ),
+    dry_run: bool = common.hardware_option(False, "--dry-run", help="Print every step with its time; open no device."),
+    resume: bool = common.output_option(
+        False, "--resume", help="Capture only the images missing from an existing set."
+    ),
     sheet: common.Sheet = False,
     serial_log: common.SerialLog = None,
     force: common.Force = False,

@@ -110,7 +110,6 @@ def _parse_posture(text: str) -> Posture:
 
 
 def parse_exposures(text: str) -> tuple[float, ...]:
-    """Read numbers and fractions with commas between them."""
     return tuple(parse_exposure(one, option="--exposures") for one in text.split(","))
 
 
@@ -126,10 +125,7 @@ def parse_exposure(text: str, *, option: str = "--exposure") -> float:
 
 
 def parse_share(text: str, *, option: str, expected: str, limits: tuple[float, float] = (-math.inf, math.inf)) -> float:
-    """Read a number, a fraction such as 10/255, or per cent such as 95%.
-
-    expected: What it is a share of and an example, for the message
-    """
+    """Read a number, a fraction such as 10/255, or per cent such as 95%; `expected` says of what, with an example."""
     number, percents, rest = text.partition("%")
     value = _number(number) / (100.0 if percents else 1.0)
     if rest or not math.isfinite(value) or not limits[0] <= value <= limits[1]:
@@ -146,7 +142,6 @@ def _number(text: str) -> float:
 
 
 def parse_points(text: str | None) -> int | Literal["auto"] | None:
-    """Read the number of point lights of a panel."""
     if text is None or text == "auto":
         return text
     try:

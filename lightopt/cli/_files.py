@@ -41,9 +41,7 @@ def init(
     }
     taken = [name for name in outputs if (folder / name).exists()]
     if taken and not force:
-        raise InputError(
-            f"{folder} already has {', '.join(taken)}; use --force to overwrite them, or choose another folder"
-        )
+        raise InputError(f"{folder} already has {', '.join(taken)}; use --force to overwrite them, or another folder")
     make_folder(folder)
     for name, content in outputs.items():
         write_bytes_atomic(folder / name, content)
@@ -73,14 +71,13 @@ def _schema_text(kind: Literal["rig", "part"]) -> str:
 
 def check(
     rig: common.RigFile,
-    part: Annotated[
-        Path | None, typer.Argument(metavar="PART", help="Part file (YAML); without it only the rig is checked.")
-    ] = None,
+    part: Path | None = typer.Argument(
+        None, metavar="PART", help="Part file (YAML); without it only the rig is checked."
+    ),
     json_file: common.JsonFile = None,
-    drawing: Annotated[
-        Path | None,
-        common.output_option(metavar="FILE", help="Draw rig and PART with coordinate frames and angles (PNG)."),
-    ] = None,
+    drawing: Path | None = common.output_option(
+        None, metavar="FILE", help="Draw rig and PART with coordinate frames and angles (PNG)."
+    ),
     force: common.Force = False,
     quiet: common.Quiet = False,
     verbose: common.Verbose = False,

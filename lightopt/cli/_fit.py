@@ -53,15 +53,13 @@ def fit_diffuse(
     free: Free = None,
     points: common.Points = None,
     pixels: Pixels = 1_500_000,
-    lambda_d: Annotated[float, paper_option(metavar="LEVEL", help="λ_d: tolerance of the mean brightness.")] = 0.01,
-    start_rd: Annotated[float, paper_option(metavar="LEVEL", help="Starting value of R_d.")] = 10.0,
-    highlight_margin: Annotated[
-        float,
-        paper_option(
-            metavar="DEG",
-            help="Minimum angle between the normal of a pixel that is used and any normal that mirrors a panel.",
-        ),
-    ] = 20.0,
+    lambda_d: float = paper_option(0.01, metavar="LEVEL", help="λ_d: tolerance of the mean brightness."),
+    start_rd: float = paper_option(10.0, metavar="LEVEL", help="Starting value of R_d."),
+    highlight_margin: float = paper_option(
+        20.0,
+        metavar="DEG",
+        help="Minimum angle between the normal of a pixel that is used and any normal that mirrors a panel.",
+    ),
     write_noise: WriteNoise = False,
     allow_unconverged: AllowUnconverged = False,
     force: common.Force = False,
@@ -93,36 +91,25 @@ def fit_specular(
     images: common.Images,
     out: common.Out,
     method: Method = "likelihood",
-    joint: Annotated[
-        bool, common.model_option("--joint", help="Fit R_d as well, instead of taking it from PART.")
-    ] = False,
+    joint: bool = common.model_option(False, "--joint", help="Fit R_d as well, instead of taking it from PART."),
     register: common.Register = False,
     free: Free = None,
-    points: Annotated[
-        str | None,
-        common.model_option(
-            metavar="M,…",
-            help="Point lights per panel: 1, 4, 9, 16, … or auto (continuous panel). With a list such as 1,4,9, fit "
-            "each number and select the best.",
-            show_default="as the rig file says",
-        ),
-    ] = None,
+    points: str | None = common.model_option(
+        None,
+        metavar="M,…",
+        help="Point lights per panel: 1, 4, 9, 16, … or auto (continuous panel). With a list such as 1,4,9, fit "
+        "each number and select the best.",
+        show_default="as the rig file says",
+    ),
     pixels: Pixels = 1_500_000,
-    validate: Annotated[
-        bool,
-        common.model_option(
-            "--validate/--no-validate", help="Cross-validate: predict each light from the other lights."
-        ),
-    ] = True,
-    lambda_s1: Annotated[
-        float, paper_option(metavar="SHARE", help="λ_s1: tolerance of the number of saturated pixels.")
-    ] = 0.005,
-    lambda_s2: Annotated[
-        float, paper_option(metavar="SHARE", help="λ_s2: tolerance of the total specular brightness.")
-    ] = 0.05,
-    start_rs: Annotated[float, paper_option(metavar="LEVEL", help="Starting value of R_s.")] = 255.0,
-    start_sigma: Annotated[float, paper_option(metavar="RAD", help="Starting value of σ.")] = 0.01,
-    sigma_step: Annotated[float, paper_option(metavar="RAD", help="σ_step: increment of σ.")] = 0.0025,
+    validate: bool = common.model_option(
+        True, "--validate/--no-validate", help="Cross-validate: predict each light from the other lights."
+    ),
+    lambda_s1: float = paper_option(0.005, metavar="SHARE", help="λ_s1: tolerance of the number of saturated pixels."),
+    lambda_s2: float = paper_option(0.05, metavar="SHARE", help="λ_s2: tolerance of the total specular brightness."),
+    start_rs: float = paper_option(255.0, metavar="LEVEL", help="Starting value of R_s."),
+    start_sigma: float = paper_option(0.01, metavar="RAD", help="Starting value of σ."),
+    sigma_step: float = paper_option(0.0025, metavar="RAD", help="σ_step: increment of σ."),
     write_noise: WriteNoise = False,
     allow_unconverged: AllowUnconverged = False,
     force: common.Force = False,
@@ -192,9 +179,7 @@ def _run(
         for path in (*written, *([chart] if chart else [])):
             echo(f"{path}")
     if not result.converged and not allow_unconverged:
-        raise CheckFailed(
-            "the fit did not converge; its files were written. To accept the result, use --allow-unconverged"
-        )
+        raise CheckFailed("the fit did not converge; its files were written. To accept it, use --allow-unconverged")
 
 
 def _complete(kind: str, options: FitOptions, free: list[str] | None, points: str | None) -> FitOptions:

@@ -25,12 +25,9 @@ MOST_ROWS, MOST_NOTES = 8, 3  # shown without `--verbose`
 
 def overlap(
     images: common.Images,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out", "-o", metavar="DIR", help="Output folder for maps (PNG) and overlap.json; created if missing."
-        ),
-    ] = None,
+    out: Path | None = typer.Option(
+        None, "--out", "-o", metavar="DIR", help="Output folder for maps (PNG) and overlap.json; created if missing."
+    ),
     force: common.Force = False,
     quiet: common.Quiet = False,
     _verbose: common.Verbose = False,
@@ -60,41 +57,30 @@ def compare(
         Path, typer.Argument(metavar="A", help="Golden EXR, PNG or image set (folder or manifest.json).")
     ],
     new: Annotated[Path, typer.Argument(metavar="B", help="New EXR, PNG or image set.")],
-    absolute: Annotated[
-        float,
-        threshold_option(
-            metavar="LEVEL",
-            help="A pixel differs if B deviates from A by more than this plus --relative times the level of A.",
-        ),
-    ] = 0.05,
-    relative: Annotated[
-        float, threshold_option(metavar="SHARE", help="Relative part of the threshold; see --absolute.")
-    ] = 0.001,
-    max_share: Annotated[
-        float,
-        threshold_option(metavar="SHARE", help="Share that may differ of the pixels that show the part in A or B."),
-    ] = 0.001,
-    geometry_absolute: Annotated[
-        float, threshold_option(metavar="MM", help="Threshold for geometry images (normals: no unit) and patch tables.")
-    ] = 0.001,
-    min_iou: Annotated[
-        float | None,
-        threshold_option(metavar="IOU", help="Minimum IoU of the saturated areas.", show_default="not checked"),
-    ] = None,
-    saturation: Annotated[
-        float | None,
-        threshold_option(
-            metavar="LEVEL", help="Level from which a pixel is saturated.", show_default="as the files say"
-        ),
-    ] = None,
-    diff: Annotated[
-        Path | None,
-        common.output_option(
-            metavar="PATH",
-            help="Write a difference picture (PNG), or a folder of them for image sets. Red: B is higher; blue: lower; "
-            "green: saturated in A only; magenta: in B only.",
-        ),
-    ] = None,
+    absolute: float = threshold_option(
+        0.05,
+        metavar="LEVEL",
+        help="A pixel differs if B deviates from A by more than this plus --relative times the level of A.",
+    ),
+    relative: float = threshold_option(0.001, metavar="SHARE", help="Relative part of the threshold; see --absolute."),
+    max_share: float = threshold_option(
+        0.001, metavar="SHARE", help="Share that may differ of the pixels that show the part in A or B."
+    ),
+    geometry_absolute: float = threshold_option(
+        0.001, metavar="MM", help="Threshold for geometry images (normals: no unit) and patch tables."
+    ),
+    min_iou: float | None = threshold_option(
+        None, metavar="IOU", help="Minimum IoU of the saturated areas.", show_default="not checked"
+    ),
+    saturation: float | None = threshold_option(
+        None, metavar="LEVEL", help="Level from which a pixel is saturated.", show_default="as the files say"
+    ),
+    diff: Path | None = common.output_option(
+        None,
+        metavar="PATH",
+        help="Write a difference picture (PNG), or a folder of them for image sets. Red: B is higher; blue: lower; "
+        "green: saturated in A only; magenta: in B only.",
+    ),
     json_file: common.JsonFile = None,
     force: common.Force = False,
     quiet: common.Quiet = False,

@@ -32,61 +32,45 @@ def inspect(
         list[Path], typer.Argument(metavar="IMAGES", help="Image sets of one part each: folder or manifest.json.")
     ],
     out: common.Out,
-    detector: Annotated[
-        str,
-        common.model_option(
-            metavar="residual|catalogue|template",
-            help="residual: measured minus predicted level; catalogue: the same, and the defects of the part's "
-            "catalogue as whole shapes; template: dots and lines in the synthetic image.",
-        ),
-    ] = "catalogue",
-    reference: Annotated[
-        str,
-        common.model_option(
-            metavar="model|good-parts|self",
-            help="What the images are compared with. model: mesh and reflectance; good-parts: levels that a "
-            "calibration learned from good parts; self: the smooth neighbourhood of each place in the images.",
-        ),
-    ] = "model",
-    fusion: Annotated[
-        str,
-        common.model_option(
-            metavar="paper|median|minimum|second-largest|none",
-            help="Rule that combines images into the synthetic image without highlights.",
-        ),
-    ] = "paper",
-    false_alarms: Annotated[
-        float | None,
-        common.model_option(
-            metavar="N",
-            help="Expected false alarms per posture from noise alone, from 1e-9 to 1. With --calibrate or "
-            "--calibration: share of good parts with a false alarm in a posture.",
-            show_default="0.05",
-        ),
-    ] = None,
+    detector: str = common.model_option(
+        "catalogue",
+        metavar="residual|catalogue|template",
+        help="residual: measured minus predicted level; catalogue: the same, and the defects of the part's "
+        "catalogue as whole shapes; template: dots and lines in the synthetic image.",
+    ),
+    reference: str = common.model_option(
+        "model",
+        metavar="model|good-parts|self",
+        help="What the images are compared with. model: mesh and reflectance; good-parts: levels that a "
+        "calibration learned from good parts; self: the smooth neighbourhood of each place in the images.",
+    ),
+    fusion: str = common.model_option(
+        "paper",
+        metavar="paper|median|minimum|second-largest|none",
+        help="Rule that combines images into the synthetic image without highlights.",
+    ),
+    false_alarms: float | None = common.model_option(
+        None,
+        metavar="N",
+        help="Expected false alarms per posture from noise alone, from 1e-9 to 1. With --calibrate or "
+        "--calibration: share of good parts with a false alarm in a posture.",
+        show_default="0.05",
+    ),
     min_images: common.MinImages = 2,
     register: common.Register = True,
-    calibrate: Annotated[
-        bool,
-        calibration_option(
-            "--calibrate", help="Write calibration.json from IMAGES of good parts; do not inspect them."
-        ),
-    ] = False,
-    calibration: Annotated[
-        Path | None,
-        calibration_option(metavar="FILE", help="Use this calibration.json; its false-alarm rate becomes the default."),
-    ] = None,
-    evaluate: Annotated[
-        bool,
-        common.output_option(
-            "--evaluate",
-            help="Compare with ground truth (labels of the sets, or defects of their part file) and write truth.json: "
-            "recall, false alarms, ROC, detection curve.",
-        ),
-    ] = False,
-    fail_on_defect: Annotated[
-        bool, common.output_option("--fail-on-defect", help="Exit status 1 if a part is NG.")
-    ] = False,
+    calibrate: bool = calibration_option(
+        False, "--calibrate", help="Write calibration.json from IMAGES of good parts; do not inspect them."
+    ),
+    calibration: Path | None = calibration_option(
+        None, metavar="FILE", help="Use this calibration.json; its false-alarm rate becomes the default."
+    ),
+    evaluate: bool = common.output_option(
+        False,
+        "--evaluate",
+        help="Compare with ground truth (labels of the sets, or defects of their part file) and write truth.json: "
+        "recall, false alarms, ROC, detection curve.",
+    ),
+    fail_on_defect: bool = common.output_option(False, "--fail-on-defect", help="Exit status 1 if a part is NG."),
     report: common.Report = True,
     force: common.Force = False,
     threads: common.Threads = None,

@@ -1,5 +1,6 @@
 import importlib
 import io
+import keyword
 import os
 import signal
 import sys
@@ -28,12 +29,15 @@ _COMMANDS = {
     "init": ("_files", "Write a sample rig, part and mesh to start from."),
     "check": ("_files", "Validate rig and part files and summarise the set-up."),
     "render": ("_render", "Render the images that the camera would take."),
+    "import": ("_import", "Make rig, part and image set from photographs."),
     "capture": ("_capture", "Capture images on the rig or the virtual bench."),
     "defects": ("_files", "Place random defects on a part for testing."),
+    "calibrate": ("_calibrate", "Measure a rig from images of targets on its stage."),
     "fit-diffuse": ("_fit", "Fit the diffuse coefficient to images."),
     "fit-specular": ("_fit", "Fit specular coefficient and roughness to images."),
     "optimize": ("_optimize", "Find the best light positions by exact search."),
     "inspect": ("_inspect", "Find defects in images and locate them on the part."),
+    "verify": ("_verify", "Name what has changed on the rig since its file, or a known good set, was made."),
     "overlap": ("_image_sets", "Report where saturated regions of images overlap."),
     "compare": ("_image_sets", "Compare new images or image sets with golden ones."),
     "schema": ("_files", "Print the JSON schema of a rig or part file."),
@@ -49,19 +53,17 @@ class _Commands(typer.core.TyperGroup):
         self.commands = _MadeOnDemand()
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:  # noqa: ARG002
-        """Write their section of ``lightopt --help``."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, text) for name, (_, text) in _COMMANDS.items()])
 
 
 class _MadeOnDemand(UserDict[str, Any]):
-    """Each command by its name."""
-
     def __missing__(self, name: str) -> Any:
         from lightopt.cli._common import HeadedCommand
 
         module, text = _COMMANDS[name]
-        found = getattr(importlib.import_module(f"lightopt.cli.{module}"), name.replace("-", "_"))
+        function = f"{name}_" if keyword.iskeyword(name) else name.replace("-", "_")
+        found = getattr(importlib.import_module(f"lightopt.cli.{module}"), function)
         if not isinstance(found, typer.Typer):
             alone = typer.Typer(add_completion=False, rich_markup_mode=None)
             alone.command(name, short_help=text, cls=HeadedCommand)(found)
@@ -142,7 +144,6 @@ def run(arguments: list[str]) -> int:
 
 
 def _failed(error: BaseException) -> int:
-    """Say what went wrong; the exit status."""
     if isinstance(error, LightoptError):
         echo_error(*error.messages)
         return error.exit_status

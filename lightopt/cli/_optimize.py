@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -29,136 +29,98 @@ def optimize(
     part: common.PartFile,
     out: common.Out,
     posture: common.Postures = None,
-    step: Annotated[float, light_option(metavar="DEG", help="Step of the angles within the lights' ranges.")] = 5.0,
-    common_elevation: Annotated[
-        bool, light_option("--common-elevation", help="Use the same elevation for all lights that move in elevation.")
-    ] = False,
-    common_lights: Annotated[
-        bool,
-        light_option(
-            "--common-lights/--lights-per-posture",
-            help="Use the same light positions for all postures, those with the greatest sum of scores over the "
-            "postures; or other positions for each posture, so that the lights have to be moved between postures.",
-        ),
-    ] = True,
-    max_combinations: Annotated[
-        int | None,
-        light_option(
-            metavar="N",
-            help="Stop after about N combinations and report a bound. Each branching step counts as 20000.",
-            show_default="200000000",
-        ),
-    ] = None,
-    objective: Annotated[
-        list[str] | None,
-        objective_option(
-            "--objective",
-            metavar="coverage|paper|detectability",
-            help="Score of a combination of positions; repeatable. The first one determines the light positions.",
-            show_default="coverage, paper",
-        ),
-    ] = None,
-    shade_below: Annotated[
-        str,
-        objective_option(
-            metavar="SHARE", help="A level is shaded if it exceeds black by less than this share of full scale."
-        ),
-    ] = "10/255",
-    min_images: Annotated[
-        int | None,
-        objective_option(
-            metavar="K", min=1, help="detectability: number of images that must show a defect.", show_default="2"
-        ),
-    ] = None,
-    false_alarms: Annotated[
-        float | None,
-        objective_option(
-            metavar="N",
-            help="detectability: expected false alarms per posture that the inspection may have, from 1e-9 to 1.",
-            show_default="0.05",
-        ),
-    ] = None,
-    calibration: Annotated[
-        Path | None,
-        objective_option(
-            metavar="FILE",
-            help="detectability: calibration.json of inspect --calibrate for RIG as it stands; defects count from its "
-            "threshold on, and its false-alarm rate becomes the default.",
-        ),
-    ] = None,
-    choose_postures: Annotated[
-        int | None,
-        posture_option(
-            metavar="N", help="Choose the N postures with the best joint detectability. With --target: at most N."
-        ),
-    ] = None,
-    target: Annotated[
-        str | None,
-        posture_option(
-            metavar="SHARE", help="Choose the fewest postures that reach this detectability, such as 0.95 or 95%."
-        ),
-    ] = None,
-    posture_step: Annotated[
-        float | None, posture_option(metavar="DEG", help="Step of the candidate postures.", show_default="22.5")
-    ] = None,
-    allow_outside: Annotated[
-        float | None,
-        posture_option(
-            metavar="PX",
-            help="Number of pixels by which the part may extend beyond the image in a candidate posture.",
-            show_default="10",
-        ),
-    ] = None,
-    exposures: Annotated[
-        str | None,
-        exposure_option(
-            metavar="X,…", help="Candidate relative exposure times in addition to 1, such as 1/16,1/4,4,16."
-        ),
-    ] = None,
-    exposure_gain: Annotated[
-        float | None,
-        exposure_option(
-            metavar="POINTS",
-            help="Minimum increase of detectability for each exposure that is added [percentage points].",
-            show_default="1",
-        ),
-    ] = None,
-    light_tolerance: Annotated[
-        float | None,
-        tolerance_option(
-            metavar="DEG",
-            help="Report the loss of score if the elevation and azimuth of each light are off by up to this angle.",
-        ),
-    ] = None,
-    pose_tolerance: Annotated[
-        float | None,
-        tolerance_option(
-            metavar="DEG",
-            help="Report the loss of score if the tilt and rotation of the part are off by up to this angle.",
-        ),
-    ] = None,
-    tolerance_target: Annotated[
-        str | None,
-        tolerance_option(
-            metavar="SHARE", help="Report the widest tolerances that keep this share of the score.", show_default="0.95"
-        ),
-    ] = None,
+    step: float = light_option(5.0, metavar="DEG", help="Step of the angles within the lights' ranges."),
+    common_elevation: bool = light_option(
+        False, "--common-elevation", help="Use the same elevation for all lights that move in elevation."
+    ),
+    common_lights: bool = light_option(
+        True,
+        "--common-lights/--lights-per-posture",
+        help="Use the same light positions for all postures, those with the greatest sum of scores over the "
+        "postures; or other positions for each posture, so that the lights have to be moved between postures.",
+    ),
+    max_combinations: int | None = light_option(
+        None,
+        metavar="N",
+        help="Stop after about N combinations and report a bound. Each branching step counts as 20000.",
+        show_default="200000000",
+    ),
+    objective: list[str] | None = objective_option(
+        None,
+        "--objective",
+        metavar="coverage|paper|detectability",
+        help="Score of a combination of positions; repeatable. The first one determines the light positions.",
+        show_default="coverage, paper",
+    ),
+    shade_below: str = objective_option(
+        "10/255", metavar="SHARE", help="A level is shaded if it exceeds black by less than this share of full scale."
+    ),
+    min_images: int | None = objective_option(
+        None, metavar="K", min=1, help="detectability: number of images that must show a defect.", show_default="2"
+    ),
+    false_alarms: float | None = objective_option(
+        None,
+        metavar="N",
+        help="detectability: expected false alarms per posture that the inspection may have, from 1e-9 to 1.",
+        show_default="0.05",
+    ),
+    calibration: Path | None = objective_option(
+        None,
+        metavar="FILE",
+        help="detectability: calibration.json of inspect --calibrate for RIG as it stands; defects count from its "
+        "threshold on, and its false-alarm rate becomes the default.",
+    ),
+    choose_postures: int | None = posture_option(
+        None, metavar="N", help="Choose the N postures with the best joint detectability. With --target: at most N."
+    ),
+    target: str | None = posture_option(
+        None, metavar="SHARE", help="Choose the fewest postures that reach this detectability, such as 0.95 or 95%."
+    ),
+    posture_step: float | None = posture_option(
+        None, metavar="DEG", help="Step of the candidate postures.", show_default="22.5"
+    ),
+    allow_outside: float | None = posture_option(
+        None,
+        metavar="PX",
+        help="Number of pixels by which the part may extend beyond the image in a candidate posture.",
+        show_default="10",
+    ),
+    exposures: str | None = exposure_option(
+        None, metavar="X,…", help="Candidate relative exposure times in addition to 1, such as 1/16,1/4,4,16."
+    ),
+    exposure_gain: float | None = exposure_option(
+        None,
+        metavar="POINTS",
+        help="Minimum increase of detectability for each exposure that is added [percentage points].",
+        show_default="1",
+    ),
+    light_tolerance: float | None = tolerance_option(
+        None,
+        metavar="DEG",
+        help="Report the loss of score if the elevation and azimuth of each light are off by up to this angle.",
+    ),
+    pose_tolerance: float | None = tolerance_option(
+        None,
+        metavar="DEG",
+        help="Report the loss of score if the tilt and rotation of the part are off by up to this angle.",
+    ),
+    tolerance_target: str | None = tolerance_option(
+        None,
+        metavar="SHARE",
+        help="Report the widest tolerances that keep this share of the score.",
+        show_default="0.95",
+    ),
     points: common.Points = None,
     shadows: common.Shadows = True,
     patches: common.Patches = None,
-    keep_matrix: Annotated[
-        bool,
-        common.output_option(
-            "--keep-matrix", help="Write the luminance matrices (matrix.npz), and reuse existing ones."
-        ),
-    ] = False,
-    images: Annotated[
-        bool, common.output_option("--images/--no-images", help="Render images with the best light positions.")
-    ] = True,
+    keep_matrix: bool = common.output_option(
+        False, "--keep-matrix", help="Write the luminance matrices (matrix.npz), and reuse existing ones."
+    ),
+    images: bool = common.output_option(
+        True, "--images/--no-images", help="Render images with the best light positions."
+    ),
     report: common.Report = True,
-    ranking_rows: Annotated[
-        int, common.output_option(metavar="N", help="Rows of ranking.csv per posture and objective.")
-    ] = 100,
+    ranking_rows: int = common.output_option(100, metavar="N", help="Rows of ranking.csv per posture and objective."),
     force: common.Force = False,
     threads: common.Threads = None,
     quiet: common.Quiet = False,

@@ -38,10 +38,7 @@ _GONE = {errno.EPIPE, errno.ECONNRESET, *((errno.EINVAL,) if sys.platform == "wi
 
 
 class _Output(io.FileIO):
-    """Standard output or error. What is written after its reader went away is dropped: it changes no exit status.
-
-    may_fail: Whether other errors, such as a full disk, are raised; of standard error nobody could be told
-    """
+    """Standard output or error; what its reader no longer takes is dropped. `may_fail`: other errors are raised."""
 
     def __init__(self, number: int, *, may_fail: bool) -> None:
         super().__init__(number, "wb", closefd=False)
@@ -152,7 +149,6 @@ def report_unexpected(error: BaseException) -> None:
 
 
 def _written(text: str) -> str:
-    """Path of a new file with a traceback, and with what it takes to find its cause."""
     import tempfile  # which takes longer to load than the rest of the module
 
     from lightopt import __version__

@@ -1,5 +1,3 @@
-from typing import Annotated
-
 from lightopt.cli import _common as common
 from lightopt.cli._terminal import echo, echo_warning, show_progress
 from lightopt.core.errors import counted
@@ -14,19 +12,16 @@ def render(
     posture: common.Postures = None,
     exposures: common.Exposures = "1",
     points: common.Points = None,
-    noise: Annotated[
-        int | None,
-        common.model_option(metavar="SEED", help="Add shot and read noise to the PNGs, with this random seed."),
-    ] = None,
+    noise: int | None = common.model_option(
+        None, metavar="SEED", help="Add shot and read noise to the PNGs, with this random seed."
+    ),
     shadows: common.Shadows = True,
-    defects: Annotated[
-        bool, common.model_option("--defects/--no-defects", help="Render the defects listed in PART.")
-    ] = True,
-    supersample: Annotated[int, common.model_option(metavar="N", min=1, help="Cast N × N rays per pixel.")] = 1,
+    defects: bool = common.model_option(True, "--defects/--no-defects", help="Render the defects listed in PART."),
+    supersample: int = common.model_option(1, metavar="N", min=1, help="Cast N × N rays per pixel."),
     patches: common.Patches = None,
-    layers: Annotated[
-        bool, common.output_option("--layers", help="Also write the EXR channels diffuse.Y and specular.Y.")
-    ] = False,
+    layers: bool = common.output_option(
+        False, "--layers", help="Also write the EXR channels diffuse.Y and specular.Y."
+    ),
     sheet: common.Sheet = False,
     force: common.Force = False,
     threads: common.Threads = None,

@@ -39,7 +39,6 @@ FLAGS = {
 
 
 def flag(name: str) -> str:
-    """The flag of a library's option."""
     return FLAGS.get(name, f"--{name.replace('_', '-')}")
 
 
@@ -85,16 +84,12 @@ def show_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, numbers_
 
 
 def show_page_table(table: Table, *, most: int | None = None) -> None:
-    """A table of a report, or its first rows, on standard output."""
     show_table(table.header, table.rows[:most], numbers_from=table.numbers_from)
 
 
 @contextmanager
 def show_progress(*, quiet: bool) -> Generator[StageShare | None]:
-    """A progress bar: the stage of the work, its share that is done, the time that it will take at most.
-
-    None where nobody looks at it.
-    """
+    """A progress bar: stage of the work, share done, time left at most; None where nobody looks at it."""
     if quiet or not sys.stderr.isatty():
         yield None
         return

@@ -22,7 +22,9 @@ from lightopt.config._load import (
     load_lights as load_lights,
     load_part as load_part,
     load_rig as load_rig,
+    load_targets as load_targets,
 )
+from lightopt.config._opencv_file import read_opencv_file as read_opencv_file
 from lightopt.config._part import (
     InspectionConfig as InspectionConfig,
     PartConfig as PartConfig,
@@ -31,3 +33,4 @@ from lightopt.config._part import (
 from lightopt.config._pose import standing_at as standing_at
 from lightopt.config._rig import LightConfig as LightConfig, RigConfig as RigConfig
 from lightopt.config._source_file import Source as Source
+from lightopt.config._targets import BoardTargetConfig as BoardTargetConfig, TargetsConfig as TargetsConfig

@@ -43,11 +43,16 @@ _Focal = Annotated[
 class DistortionConfig(fields.Frozen):
     """Lens distortion in OpenCV's model: x to the right, y down, in units of the image distance."""
 
-    k1: _Distortion = Field(default=0.0, description="Radial coefficient of r².")
-    k2: _Distortion = Field(default=0.0, description="Radial coefficient of r⁴.")
-    p1: _Distortion = Field(default=0.0, description="First tangential coefficient.")
-    p2: _Distortion = Field(default=0.0, description="Second tangential coefficient.")
-    k3: _Distortion = Field(default=0.0, description="Radial coefficient of r⁶.")
+    k1: _Distortion = 0.0
+    """Radial coefficient of r²."""
+    k2: _Distortion = 0.0
+    """Radial coefficient of r⁴."""
+    p1: _Distortion = 0.0
+    """First tangential coefficient."""
+    p2: _Distortion = 0.0
+    """Second tangential coefficient."""
+    k3: _Distortion = 0.0
+    """Radial coefficient of r⁶."""
 
 
 _Dimming = Annotated[float, Field(ge=-0.9, le=1.0), fields.expecting("a number from -0.9 to 1")]
@@ -56,32 +61,26 @@ _Dimming = Annotated[float, Field(ge=-0.9, le=1.0), fields.expecting("a number f
 class VignettingConfig(fields.Frozen):
     """How the lens dims the image away from the optical axis: by the factor 1 + v2·ρ² + v4·ρ⁴."""
 
-    v2: _Dimming = Field(
-        default=0.0, description="Coefficient of ρ², ρ the distance from the principal point in half diagonals."
-    )
-    v4: _Dimming = Field(default=0.0, description="Coefficient of ρ⁴.")
+    v2: _Dimming = 0.0
+    """Coefficient of ρ², ρ the distance from the principal point in half diagonals."""
+    v4: _Dimming = 0.0
+    """Coefficient of ρ⁴."""
 
 
 class SensorConfig(fields.Frozen):
     """How the sensor turns light into levels."""
 
-    bit_depth: Annotated[
-        Literal[8, 10, 12, 14, 16], BeforeValidator(_whole), fields.expecting("8, 10, 12, 14 or 16")
-    ] = Field(description="Bits per pixel: 8, 10, 12, 14 or 16. The full scale is 2^bits - 1 levels.")
-    saturation_level: Annotated[int, Field(ge=1), fields.expecting("a whole level above 0")] | None = Field(
-        default=None,
-        description="Level [levels] from which a pixel counts as saturated; the full scale unless given. "
-        "Some 12-bit cameras stop at 4080.",
-    )
-    black_level: Annotated[float, Field(ge=0), fields.expecting("a level from 0 up")] = Field(
-        default=0.0, description="Level of an unlit pixel [levels of the sensor]."
-    )
-    read_noise_levels: Annotated[float, Field(ge=0, le=1e5), fields.expecting("a number from 0 up")] = Field(
-        default=0.0, description="Standard deviation of the noise without light [levels of the sensor]."
-    )
-    electrons_per_level: fields.Positive | None = Field(
-        default=None, description="Conversion gain [electrons per level], for shot noise; none unless given."
-    )
+    bit_depth: Annotated[Literal[8, 10, 12, 14, 16], BeforeValidator(_whole), fields.expecting("8, 10, 12, 14 or 16")]
+    """Bits per pixel: 8, 10, 12, 14 or 16. The full scale is 2^bits - 1 levels."""
+    saturation_level: Annotated[int, Field(ge=1), fields.expecting("a whole level above 0")] | None = None
+    """Level [levels] from which a pixel counts as saturated; the full scale unless given. Some 12-bit cameras stop at
+    4080."""
+    black_level: Annotated[float, Field(ge=0), fields.expecting("a level from 0 up")] = 0.0
+    """Level of an unlit pixel [levels of the sensor]."""
+    read_noise_levels: Annotated[float, Field(ge=0, le=1e5), fields.expecting("a number from 0 up")] = 0.0
+    """Standard deviation of the noise without light [levels of the sensor]."""
+    electrons_per_level: fields.Positive | None = None
+    """Conversion gain [electrons per level], for shot noise; none unless given."""
 
     @field_validator("saturation_level")
     @classmethod
@@ -105,52 +104,41 @@ class SensorConfig(fields.Frozen):
 class CameraConfig(fields.Frozen):
     """A pinhole camera that looks at the origin, the centre of the table top, or has a measured pose."""
 
-    distance_mm: fields.Length = Field(description="Distance from the origin to the pinhole [mm].")
-    elevation_deg: fields.Elevation = Field(
-        description="Elevation of the camera above the table plane [deg]; 90 is straight above."
-    )
-    azimuth_deg: fields.Azimuth = Field(
-        default=270.0,
-        description="Azimuth of the camera about Z, from X [deg]; at 270 and elevation 90 the image shows X "
-        "to the right and Y up.",
-    )
-    roll_deg: fields.Azimuth = Field(default=0.0, description="Roll of the camera about its viewing axis [deg].")
-    pose: CameraPoseConfig | None = Field(
-        default=None, description="Measured pose, in place of distance_mm, elevation_deg, azimuth_deg and roll_deg."
-    )
+    distance_mm: fields.Length
+    """Distance from the origin to the pinhole [mm]."""
+    elevation_deg: fields.Elevation
+    """Elevation of the camera above the table plane [deg]; 90 is straight above."""
+    azimuth_deg: fields.Azimuth = 270.0
+    """Azimuth of the camera about Z, from X [deg]; at 270 and elevation 90 the image shows X to the right and Y up."""
+    roll_deg: fields.Azimuth = 0.0
+    """Roll of the camera about its viewing axis [deg]."""
+    pose: CameraPoseConfig | None = None
+    """Measured pose, in place of distance_mm, elevation_deg, azimuth_deg and roll_deg."""
     resolution_px: Annotated[
         tuple[_Pixels, _Pixels],
         Field(strict=False),
         fields.expecting("[width, height], two whole numbers from 1 to 65535"),
-    ] = Field(description="Width and height of the image [pixels].")
-    pixel_size_um: Annotated[float, Field(ge=0.01, le=1000), fields.expecting("a number from 0.01 to 1000")] = Field(
-        description="Edge of a square pixel on the sensor [µm]."
-    )
-    principal_point_px: _Point | None = Field(
-        default=None,
-        description="Column and row where the optical axis meets the image [pixels]; the first pixel's centre is at "
-        "0.5, 0.5. The image's centre if absent.",
-    )
-    focal_px: _Focal | None = Field(
-        default=None,
-        description="Measured focal length in columns and in rows [pixels]. Give this, image_distance_mm or "
-        "focal_length_mm.",
-    )
-    image_distance_mm: fields.Length | None = Field(
-        default=None, description="Distance from the pinhole to the image plane [mm]. Give this or focal_length_mm."
-    )
-    focal_length_mm: fields.Length | None = Field(
-        default=None,
-        description="Focal length of a lens that is focused at distance_mm [mm]: 1/f = 1/a + 1/b. Give this "
-        "or image_distance_mm.",
-        validate_default=True,
-    )
-    distortion: DistortionConfig = Field(default=DistortionConfig(), description="Lens distortion; none unless given.")
-    vignetting: VignettingConfig | None = Field(default=None, description="Measured vignetting; none unless given.")
-    sensor: SensorConfig = Field(description="The sensor, and how it turns light into levels.")
-    exposure_us: fields.Positive | None = Field(
-        default=None, description="Exposure time [µs] that counts as exposure 1 on real hardware."
-    )
+    ]
+    """Width and height of the image [pixels]."""
+    pixel_size_um: Annotated[float, Field(ge=0.01, le=1000), fields.expecting("a number from 0.01 to 1000")]
+    """Edge of a square pixel on the sensor [µm]."""
+    principal_point_px: _Point | None = None
+    """Column and row where the optical axis meets the image [pixels]; the first pixel's centre is at 0.5, 0.5. The
+    image's centre if absent."""
+    focal_px: _Focal | None = None
+    """Measured focal length in columns and in rows [pixels]. Give this, image_distance_mm or focal_length_mm."""
+    image_distance_mm: fields.Length | None = None
+    """Distance from the pinhole to the image plane [mm]. Give this or focal_length_mm."""
+    focal_length_mm: fields.Length | None = Field(default=None, validate_default=True)
+    """Focal length of a lens that is focused at distance_mm [mm]: 1/f = 1/a + 1/b. Give this or image_distance_mm."""
+    distortion: DistortionConfig = DistortionConfig()
+    """Lens distortion; none unless given."""
+    vignetting: VignettingConfig | None = None
+    """Measured vignetting; none unless given."""
+    sensor: SensorConfig
+    """The sensor, and how it turns light into levels."""
+    exposure_us: fields.Positive | None = None
+    """Exposure time [µs] that counts as exposure 1 on real hardware."""
 
     @model_validator(mode="wrap")
     @classmethod
@@ -163,7 +151,9 @@ class CameraConfig(fields.Frozen):
         if "image_distance_mm" not in info.data:
             return focal
         if info.data.get("focal_px") is not None:
-            return _only_focal_px(focal, info)
+            if focal is not None or info.data.get("image_distance_mm") is not None:
+                raise fields.complaint("focal_px is given, too; expected only one of the three lengths")
+            return focal
         missing = 'missing key "image_distance_mm" (pinhole to image plane) or "focal_length_mm" (of the lens)'
         fields.exactly_one(focal, info, other="image_distance_mm", missing=missing)
         distance = info.data.get("distance_mm")
@@ -172,12 +162,6 @@ class CameraConfig(fields.Frozen):
                 f"expected less than distance_mm, {distance:g}: a lens of {focal:g} mm cannot focus there"
             )
         return focal
-
-
-def _only_focal_px(focal: float | None, info: ValidationInfo) -> float | None:
-    if focal is not None or info.data.get("image_distance_mm") is not None:
-        raise fields.complaint("focal_px is given, too; expected only one of the three lengths")
-    return focal
 
 
 # of keys that only one driver has: the driver, and the message where it lacks the key
@@ -192,54 +176,32 @@ _OWNERS = {
 class CameraDeviceConfig(fields.Frozen):
     """The device that takes the images."""
 
-    driver: Literal["virtual", "folder", "aravis", "genicam"] = Field(
-        default="virtual",
-        description="virtual: frames rendered by the virtual bench; folder: frames replayed; aravis: GigE Vision and "
-        "USB3 Vision cameras; genicam: any camera, through its maker's GenTL producer.",
-    )
-    folder: fields.Text | None = Field(
-        default=None,
-        description="folder: an image set whose PNG files are replayed; relative to this file.",
-        validate_default=True,
-    )
-    port: fields.Text | None = Field(
-        default=None,
-        description="aravis, genicam: serial number, address or identifier of the camera, in quotes, as lightopt bench "
-        "devices lists it; if absent, the only camera that answers. aravis: virtual is a GigE Vision camera simulated "
-        "on this computer.",
-    )
-    producer: fields.Text | None = Field(
-        default=None,
-        description="genicam: the maker's GenTL producer, a .cti file; relative to this file.",
-        validate_default=True,
-    )
-    pixel_format: fields.Text | None = Field(
-        default=None,
-        description="aravis, genicam: pixel format, such as Mono12p; one that has the sensor's bit_depth if absent.",
-    )
-    offset_px: _Offset | None = Field(
-        default=None,
-        description="aravis, genicam: where the image begins on the sensor, from the left and from the top [pixels]; "
-        "centred if absent.",
-    )
-    gain: Annotated[float, Field(ge=-100, le=1000), fields.expecting("a gain")] | None = Field(
-        default=None,
-        description="aravis, genicam: gain in the camera's own units, mostly dB; as the camera has it if absent.",
-    )
-    trigger: Literal["auto", "software", "none"] = Field(
-        default="auto",
-        description="aravis, genicam: software: each frame is triggered; none: the camera is free-running and "
-        "timing.discard_frames are discarded after each change; auto: software where the camera has it.",
-    )
-    fixed_exposure_us: fields.Positive | None = Field(
-        default=None, description="aravis, genicam: exposure time [us] of a camera on which it cannot be set."
-    )
-    packet_size: _PacketSize | None = Field(
-        default=None, description="aravis: size of a camera's packets on the network [bytes]; as it is if absent."
-    )
-    packet_delay_ns: _Nanoseconds | None = Field(
-        default=None, description="aravis: pause between a camera's packets [ns]; as it is if absent."
-    )
+    driver: Literal["virtual", "folder", "aravis", "genicam"] = "virtual"
+    """virtual: frames rendered by the virtual bench; folder: frames replayed; aravis: GigE Vision and USB3 Vision
+    cameras; genicam: any camera, through its maker's GenTL producer."""
+    folder: fields.Text | None = Field(default=None, validate_default=True)
+    """folder: an image set whose PNG files are replayed; relative to this file."""
+    port: fields.Text | None = None
+    """aravis, genicam: serial number, address or identifier of the camera, in quotes, as lightopt bench devices lists
+    it; if absent, the only camera that answers. aravis: virtual is a GigE Vision camera simulated on this computer."""
+    producer: fields.Text | None = Field(default=None, validate_default=True)
+    """genicam: the maker's GenTL producer, a .cti file; relative to this file."""
+    pixel_format: fields.Text | None = None
+    """aravis, genicam: pixel format, such as Mono12p; one that has the sensor's bit_depth if absent."""
+    offset_px: _Offset | None = None
+    """aravis, genicam: where the image begins on the sensor, from the left and from the top [pixels]; centred if
+    absent."""
+    gain: Annotated[float, Field(ge=-100, le=1000), fields.expecting("a gain")] | None = None
+    """aravis, genicam: gain in the camera's own units, mostly dB; as the camera has it if absent."""
+    trigger: Literal["auto", "software", "none"] = "auto"
+    """aravis, genicam: software: each frame is triggered; none: the camera is free-running and timing.discard_frames
+    are discarded after each change; auto: software where the camera has it."""
+    fixed_exposure_us: fields.Positive | None = None
+    """aravis, genicam: exposure time [us] of a camera on which it cannot be set."""
+    packet_size: _PacketSize | None = None
+    """aravis: size of a camera's packets on the network [bytes]; as it is if absent."""
+    packet_delay_ns: _Nanoseconds | None = None
+    """aravis: pause between a camera's packets [ns]; as it is if absent."""
 
     @field_validator("folder", "producer", "packet_size", "packet_delay_ns")
     @classmethod

@@ -48,43 +48,35 @@ _OWNERS: Mapping[str, tuple[str, ...]] = {
 class PixelPlaceConfig(fields.Frozen):
     """A place on the part as a pixel of the rig's camera sees it."""
 
-    posture: fields.PostureConfig = Field(description="Posture in which the pixel sees the part.")
+    posture: fields.PostureConfig
+    """Posture in which the pixel sees the part."""
     pixel: Annotated[
         tuple[_PixelIndex, _PixelIndex],
         Field(strict=False),
         fields.expecting("[column, row], two whole numbers from 0 to 65535; the top left pixel is [0, 0]"),
-    ] = Field(description="Column and row of the pixel, counted from 0 at the top left; the defect is at its centre.")
+    ]
+    """Column and row of the pixel, counted from 0 at the top left; the defect is at its centre."""
 
 
 class CatalogueEntryConfig(fields.Frozen):
     """A kind of defect that the inspection is planned for; it may lie anywhere and in any direction."""
 
-    name: fields.Text = Field(description="Name of the defect, for people; no two in the list are the same.")
-    kind: DefectKind = Field(
-        description="scratch (a groove), dent, bump, pit (a steep cone), blister (flat-topped), stain (R_d changed) or "
-        "haze (sigma changed)."
-    )
-    size_mm: _Size = Field(
-        description="Diameter, or [length, width] with the length along the direction, at least the width [mm]. A "
-        "scratch has both."
-    )
-    slope_deg: _Slope | None = Field(
-        default=None,
-        description="Steepest slope of the walls [deg], up to 60. Shapes have this or depth_mm; the other follows.",
-        validate_default=True,
-    )
-    depth_mm: _Depth | None = Field(
-        default=None,
-        description="Depth, or height of bumps and blisters [mm]. Shapes have this or slope_deg; the other follows.",
-        validate_default=True,
-    )
-    R_d_factor: _Factor | None = Field(default=None, description="Stains: factor on R_d; not 1.", validate_default=True)
-    sigma_factor: _WidthFactor | None = Field(
-        default=None,
-        description="Hazes: factor on sigma; not 1. R_s is divided by its square, so that the lobe "
-        "reflects as much light as before.",
-        validate_default=True,
-    )
+    name: fields.Text
+    """Name of the defect, for people; no two in the list are the same."""
+    kind: DefectKind
+    """scratch (a groove), dent, bump, pit (a steep cone), blister (flat-topped), stain (R_d changed) or haze (sigma
+    changed)."""
+    size_mm: _Size
+    """Diameter, or [length, width] with the length along the direction, at least the width [mm]. A scratch has both."""
+    slope_deg: _Slope | None = Field(default=None, validate_default=True)
+    """Steepest slope of the walls [deg], up to 60. Shapes have this or depth_mm; the other follows."""
+    depth_mm: _Depth | None = Field(default=None, validate_default=True)
+    """Depth, or height of bumps and blisters [mm]. Shapes have this or slope_deg; the other follows."""
+    R_d_factor: _Factor | None = Field(default=None, validate_default=True)
+    """Stains: factor on R_d; not 1."""
+    sigma_factor: _WidthFactor | None = Field(default=None, validate_default=True)
+    """Hazes: factor on sigma; not 1. R_s is divided by its square, so that the lobe reflects as much light as
+    before."""
 
     @field_validator("size_mm")
     @classmethod
@@ -153,14 +145,11 @@ class CatalogueEntryConfig(fields.Frozen):
 class PlannedDefectConfig(CatalogueEntryConfig):
     """A kind of defect in a catalogue, of one size and slope or of ranges of them."""
 
-    size_range: _Range = Field(
-        default=(1.0, 1.0), description="Least and greatest size, as multiples of size_mm; all of that size if absent."
-    )
-    slope_range: _Range = Field(
-        default=(1.0, 1.0),
-        description="Least and greatest slope of the walls, as multiples of that of slope_deg or depth_mm; all of that "
-        "slope if absent. Shapes only.",
-    )
+    size_range: _Range = (1.0, 1.0)
+    """Least and greatest size, as multiples of size_mm; all of that size if absent."""
+    slope_range: _Range = (1.0, 1.0)
+    """Least and greatest slope of the walls, as multiples of that of slope_deg or depth_mm; all of that slope if
+    absent. Shapes only."""
 
     @field_validator("size_range", "slope_range")
     @classmethod
@@ -188,21 +177,14 @@ class PlannedDefectConfig(CatalogueEntryConfig):
 class DefectConfig(CatalogueEntryConfig):
     """A defect that is on the part: what it is, and where."""
 
-    at_mm: fields.Coordinates | None = Field(
-        default=None,
-        description="Its centre in the coordinates of the mesh file, in mm; the nearest point of the surface is used, "
-        "which must be close. Give this or at_pixel.",
-    )
-    at_pixel: PixelPlaceConfig | None = Field(
-        default=None,
-        description="Its centre as the pixel of a posture that sees it. Give this or at_mm.",
-        validate_default=True,
-    )
-    direction_deg: _Turn = Field(
-        default=0.0,
-        description="Direction of its length in the tangent plane, counterclockwise seen from outside, from the mesh "
-        "file's X axis projected onto that plane, or from Y where the surface faces along X [deg].",
-    )
+    at_mm: fields.Coordinates | None = None
+    """Its centre in the coordinates of the mesh file, in mm; the nearest point of the surface is used, which must be
+    close. Give this or at_pixel."""
+    at_pixel: PixelPlaceConfig | None = Field(default=None, validate_default=True)
+    """Its centre as the pixel of a posture that sees it. Give this or at_mm."""
+    direction_deg: _Turn = 0.0
+    """Direction of its length in the tangent plane, counterclockwise seen from outside, from the mesh file's X axis
+    projected onto that plane, or from Y where the surface faces along X [deg]."""
 
     @field_validator("at_pixel")
     @classmethod

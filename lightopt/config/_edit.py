@@ -4,6 +4,7 @@ import json
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from functools import reduce
 from operator import itemgetter
 from pathlib import Path
 
@@ -30,8 +31,12 @@ def with_values(text: str, values: Mapping[Keys, str | None]) -> str:
     # a mapping or a list is removed before another takes its place
     removed = [keys for keys, value in values.items() if keys in entries and (value is None or keys not in spans)]
     gone = [_whole_entry(text, *entries[keys]) for keys in removed]
+    following = len(text)
     for start, end in sorted(gone, reverse=True):
-        text = text[:start] + text[end:]
+        before, behind = text[:start], text[min(end, following) :]
+        if re.match(r"\s*}", behind):  # no comma is left before the end of braces
+            before = re.sub(r"\s*,\s*$", "", before)
+        text, following = before + behind, len(before)
     spans, mappings, _ = _index(text)
     places: list[tuple[int, int, str]] = []  # spans to replace; empty ones to insert
     for keys, value in values.items():
@@ -94,38 +99,24 @@ def with_list(text: str, key: str, entries: Sequence[str], *, comment: str, repl
 def _list_span(text: str, key: str) -> tuple[int, int, str] | None:
     # of a key at the top of a file without braces: from the key to the end of the list's last line, and the comment
     # beside the key, or behind a list in brackets, with the blanks before it; None where there is no such key
-    root = yaml.compose(text, Loader=yaml.SafeLoader)
-    if not isinstance(root, yaml.MappingNode) or root.flow_style:
+    start, end, in_braces = _index(text)[2].get((key,), (0, 0, True))
+    if in_braces:
         return None
-    for name, value in root.value:
-        if isinstance(name, yaml.ScalarNode) and name.value == key:
-            start, end = name.start_mark.index, _end(value)
-            if start >= end:
-                raise InputError(f"{key} cannot be replaced: it is an alias; write anchors and aliases out")
-            # behind a list in brackets the comment is of the list, behind a block it is of its last entry
-            rest = end + len(text[end:].split("\n", 1)[0].rstrip("\r"))
-            flow = isinstance(value, yaml.CollectionNode) and value.flow_style
-            after_key = text[name.end_mark.index :].split("\n", 1)[0]
-            comment = after_key[after_key.index(":") + 1 :] if "#" in after_key else ""
-            return start, rest, (text[end:rest] if flow else comment).rstrip()
-    return None
-
-
-def _end(node: yaml.Node) -> int:
-    # a block's own end is where the next thing begins, beyond the comments in between
-    if isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
-        last = node.value[-1]
-        return _end(last[1] if isinstance(node, yaml.MappingNode) else last)
-    return node.end_mark.index
+    if re.search(r"\s\*\S+$", text[start:end]):
+        raise InputError(f"{key} cannot be replaced: it is an alias; write anchors and aliases out")
+    # behind a list in brackets the comment is of the list, behind a block it is of its last entry
+    rest = end + len(text[end:].split("\n", 1)[0].rstrip("\r"))
+    if text[start:end].partition(":")[2].lstrip().startswith(("[", "{")):
+        return start, rest, text[end:rest].rstrip()
+    after_key = text[start:].split("\n", 1)[0].partition(":")[2]
+    return start, rest, after_key.rstrip() if "#" in after_key else ""
 
 
 def _whole_entry(text: str, start: int, end: int, in_braces: bool) -> tuple[int, int]:
     # of a key and its value, from `start` to `end`, what goes with them: the comma in braces, else the line's comment
     if in_braces:
-        if behind := re.match(r"\s*,\s*", text[end:]):
-            return start, end + behind.end()
-        before = re.search(r",\s*$", text[:start])
-        return (before.start() if before else start), end
+        behind = re.match(r"\s*,\s*", text[end:])
+        return start, end + behind.end() if behind else end
     rest = end + len(text[end:].split("\n", 1)[0]) + 1
     line = text.rfind("\n", 0, start) + 1
     if text[line:start].strip():  # behind the dash of a list, which the next key takes over
@@ -181,17 +172,11 @@ def copied_text(config: RigConfig | PartConfig, folder: Path, values: Mapping[Ke
     Raises InputError: As of :func:`with_values`
     """
     changes = dict(values or {})
-    names: dict[Keys, str] = {}
-    if isinstance(config, PartConfig):
-        names["mesh", "file"] = config.mesh.file
-    else:
-        if config.hardware is not None and config.hardware.camera.folder is not None:
-            names["hardware", "camera", "folder"] = config.hardware.camera.folder
-        if config.calibration is not None:
-            names["calibration", "covariance"] = config.calibration.covariance
-        if config.virtual_bench is not None and config.virtual_bench.rig is not None:
-            names["virtual_bench", "rig"] = config.virtual_bench.rig
-    for keys, name in names.items():
+    of_rig = (("hardware", "camera", "folder"), ("calibration", "covariance"), ("virtual_bench", "rig"))
+    for keys in (("mesh", "file"),) if isinstance(config, PartConfig) else of_rig:
+        name: str | None = reduce(lambda value, key: getattr(value, key, None), keys, config)
+        if name is None:
+            continue
         moved = _moved(config.source.resolve(name), name, folder)
         if moved != name:
             changes[keys] = json.dumps(moved, ensure_ascii=False)

@@ -1,7 +1,5 @@
 """Kinds of values in the files, each with a description of what is expected, and how errors are reported."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -46,9 +44,14 @@ Complaint = tuple[tuple[str | int, ...], object, PydanticCustomError]
 
 
 class Frozen(BaseModel):
-    """Base of all configuration: unknown keys are errors, nothing is converted, numbers are finite."""
+    """Base of all configuration: unknown keys are errors, nothing is converted, numbers are finite.
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    The text below a key describes it in the schema and in messages.
+    """
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
 
 class FileConfig(Frozen):
@@ -58,12 +61,10 @@ class FileConfig(Frozen):
 
     @property
     def source(self) -> Source:
-        """The file that this was read from."""
         return self._source
 
 
 def complaint(reason: str) -> PydanticCustomError:
-    """Error with this message."""
     return PydanticCustomError("complaint", "{reason}", {"reason": reason})
 
 
@@ -131,10 +132,7 @@ def entries(value: object) -> Sequence[object]:
 
 
 def same_names(items: Sequence[object], where: str, key: Callable[[str], str] = str) -> Iterator[Complaint]:
-    """Complaints about entries of the list `where` that have the name of a previous one.
-
-    key: What is the same of names that count as the same
-    """
+    """Complaints about entries of a list with the name of a previous one; `key`: what is the same of equal names."""
     names = [name if isinstance(name := value_of(item, "name"), str) else None for item in items]
     for i, first in repeated(None if name is None else key(name) for name in names):
         why = "" if names[i] == names[first] else " (upper and lower case are not distinguished)"
@@ -231,5 +229,7 @@ FileName = Annotated[
 class PostureConfig(Frozen):
     """One posture of the stage."""
 
-    elevation_deg: Tilt = Field(description="Tilt of the cradle about X [deg].")
-    rotation_deg: Azimuth = Field(description="Rotation of the part about the stage's own axis [deg].")
+    elevation_deg: Tilt
+    """Tilt of the cradle about X [deg]."""
+    rotation_deg: Azimuth
+    """Rotation of the part about the stage's own axis [deg]."""

@@ -91,30 +91,21 @@ class TemplateConfig(fields.Frozen):
     width: {level:03d}. In double quotes the escapes for carriage return, line feed and other bytes are understood.
     """
 
-    set: Annotated[Command, AfterValidator(_needs_level)] = Field(
-        description="Command that sets an intensity and lights the channel; has the field {level}."
-    )
-    set_reply: Pattern | None = Field(
-        default=None,
-        description="Regular expression that the whole reply matches, without its end; none: there is no reply.",
-    )
-    off: Command | None = Field(
-        default=None, description="Command that switches a channel off; `set` with level 0 if absent."
-    )
-    off_reply: Pattern | None = Field(
-        default=None, description="Regular expression of the reply to `off`; none: there is no reply."
-    )
-    read: Command | None = Field(
-        default=None,
-        description="Command that queries the intensity, which is 0 when dark; none: it cannot be queried.",
-    )
-    read_reply: Pattern | None = Field(
-        default=None,
-        description="Regular expression of the reply to `read`, with the digits of the intensity in a group named "
-        "level: L1(?P<level>[0-9]+).",
-        validate_default=True,
-    )
-    end: End | None = Field(default=None, description="Bytes that end a reply; silence ends it if absent.")
+    set: Annotated[Command, AfterValidator(_needs_level)]
+    """Command that sets an intensity and lights the channel; has the field {level}."""
+    set_reply: Pattern | None = None
+    """Regular expression that the whole reply matches, without its end; none: there is no reply."""
+    off: Command | None = None
+    """Command that switches a channel off; `set` with level 0 if absent."""
+    off_reply: Pattern | None = None
+    """Regular expression of the reply to `off`; none: there is no reply."""
+    read: Command | None = None
+    """Command that queries the intensity, which is 0 when dark; none: it cannot be queried."""
+    read_reply: Pattern | None = Field(default=None, validate_default=True)
+    """Regular expression of the reply to `read`, with the digits of the intensity in a group named level:
+    L1(?P<level>[0-9]+)."""
+    end: End | None = None
+    """Bytes that end a reply; silence ends it if absent."""
 
     @field_validator("off_reply", "read_reply")
     @classmethod
@@ -135,18 +126,21 @@ class ControllerConfig(fields.Frozen):
 
     driver: Annotated[
         Literal["ccs", "sa", "template"], fields.expecting("ccs, sa or template, which suits devices of other makers")
-    ] = Field(description="Protocol: ccs (@ frames), sa (SA0255# family), or template.")
+    ]
+    """Protocol: ccs (@ frames), sa (SA0255# family), or template."""
     port: fields.Text = Field(description=_PORT)
-    baud: _Baud | None = Field(default=None, description="Baud rate; the protocol's usual one if absent.")
-    channels: _Channel = Field(default=4, description="Number of channels.")
-    top_level: _Level = Field(default=255, description="Highest intensity of the controller.")
-    dialect: Literal["lan", "serial"] = Field(
-        default="lan", description="ccs: frames without (lan) or with (serial) a unit number."
-    )
-    template: TemplateConfig | None = Field(
-        default=None, description="Commands, for driver: template.", validate_default=True
-    )
-    timeout_s: fields.Positive = Field(default=1.0, description="Longest wait for a reply [s].")
+    baud: _Baud | None = None
+    """Baud rate; the protocol's usual one if absent."""
+    channels: _Channel = 4
+    """Number of channels."""
+    top_level: _Level = 255
+    """Highest intensity of the controller."""
+    dialect: Literal["lan", "serial"] = "lan"
+    """ccs: frames without (lan) or with (serial) a unit number."""
+    template: TemplateConfig | None = Field(default=None, validate_default=True)
+    """Commands, for driver: template."""
+    timeout_s: fields.Positive = 1.0
+    """Longest wait for a reply [s]."""
 
     @field_validator("channels", "top_level")
     @classmethod
@@ -174,15 +168,16 @@ class ControllerConfig(fields.Frozen):
 class ChannelConfig(fields.Frozen):
     """Where a light of the rig is plugged in, and at which level it is lit."""
 
-    controller: fields.FileName = Field(description="Name of the controller.")
-    channel: _Channel = Field(description="Channel, counted from 1 as on the device.")
-    level: _Level = Field(description="Intensity at which the light has the brightness that the rig describes.")
-    max_level: _Level | None = Field(
-        default=None, description="Intensity never exceeded; the controller's highest if absent."
-    )
-    max_on_s: fields.Positive | None = Field(
-        default=None, description="Maximum time that the light may be on without a break [s]; no limit if absent."
-    )
+    controller: fields.FileName
+    """Name of the controller."""
+    channel: _Channel
+    """Channel, counted from 1 as on the device."""
+    level: _Level
+    """Intensity at which the light has the brightness that the rig describes."""
+    max_level: _Level | None = None
+    """Intensity never exceeded; the controller's highest if absent."""
+    max_on_s: fields.Positive | None = None
+    """Maximum time that the light may be on without a break [s]; no limit if absent."""
 
 
 _Seconds = Annotated[float, Field(ge=0, le=600), fields.expecting("seconds, from 0 to 600")]
@@ -204,44 +199,41 @@ def _not_zero(number: float) -> float:
 class AxisConfig(fields.Frozen):
     """One axis of the stage."""
 
-    axis: Annotated[fields.Text, fields.expecting('text in quotes, the axis as the device calls it: "1", "X"')] = Field(
-        description='The axis as the device calls it: "1", "2", "X", "Y".'
-    )
+    axis: Annotated[fields.Text, fields.expecting('text in quotes, the axis as the device calls it: "1", "X"')]
+    """The axis as the device calls it: "1", "2", "X", "Y"."""
     steps_per_deg: Annotated[
         float,
         Field(ge=-1e7, le=1e7),
         AfterValidator(_not_zero),
         fields.expecting("a number other than 0, from -1e7 to 1e7"),
-    ] = Field(
-        default=1.0, description="Device units per degree; negative if the device counts against the rig's direction."
-    )
-    zero: Annotated[float, Field(ge=-1e9, le=1e9), fields.expecting("a number")] = Field(
-        default=0.0, description="Device units at which the rig's angle is 0."
-    )
-    home_sense: Annotated[int, Field(ge=-1, le=1), AfterValidator(_not_zero), fields.expecting("1 or -1")] = Field(
-        default=-1, description="gsc: direction of the device's count in which it searches its origin, 1 or -1."
-    )
-    speed_deg_per_s: fields.Positive = Field(default=20.0, description="Speed that is set in the device [deg/s].")
+    ] = 1.0
+    """Device units per degree; negative if the device counts against the rig's direction."""
+    zero: Annotated[float, Field(ge=-1e9, le=1e9), fields.expecting("a number")] = 0.0
+    """Device units at which the rig's angle is 0."""
+    home_sense: Annotated[int, Field(ge=-1, le=1), AfterValidator(_not_zero), fields.expecting("1 or -1")] = -1
+    """gsc: direction of the device's count in which it searches its origin, 1 or -1."""
+    speed_deg_per_s: fields.Positive = 20.0
+    """Speed that is set in the device [deg/s]."""
 
 
 class StageDeviceConfig(fields.Frozen):
     """The device that turns the part."""
 
-    driver: Literal["shot", "gsc", "grbl", "zaber"] = Field(
-        description="Protocol: shot or gsc (SIGMA KOKI / OptoSigma), grbl, zaber."
-    )
+    driver: Literal["shot", "gsc", "grbl", "zaber"]
+    """Protocol: shot or gsc (SIGMA KOKI / OptoSigma), grbl, zaber."""
     port: fields.Text = Field(description=_PORT)
-    baud: _Baud | None = Field(default=None, description="Baud rate; the protocol's usual one if absent.")
-    elevation: AxisConfig | None = Field(default=None, description="The tilt axis; none: fixed at 0.")
-    rotation: AxisConfig | None = Field(
-        default=None, description="The rotary axis; none: fixed at 0.", validate_default=True
-    )
-    timeout_s: fields.Positive = Field(default=1.0, description="Longest wait for a reply [s].")
-    home_timeout_s: fields.Positive = Field(default=180.0, description="Longest time that homing may take [s].")
-    assume_referenced: bool = Field(
-        default=False,
-        description="Whether a stage that cannot report whether it was homed may be moved without homing first.",
-    )
+    baud: _Baud | None = None
+    """Baud rate; the protocol's usual one if absent."""
+    elevation: AxisConfig | None = None
+    """The tilt axis; none: fixed at 0."""
+    rotation: AxisConfig | None = Field(default=None, validate_default=True)
+    """The rotary axis; none: fixed at 0."""
+    timeout_s: fields.Positive = 1.0
+    """Longest wait for a reply [s]."""
+    home_timeout_s: fields.Positive = 180.0
+    """Longest time that homing may take [s]."""
+    assume_referenced: bool = False
+    """Whether a stage that cannot report whether it was homed may be moved without homing first."""
 
     @field_validator("elevation", "rotation")
     @classmethod
@@ -270,22 +262,29 @@ class StageDeviceConfig(fields.Frozen):
 class TimingConfig(fields.Frozen):
     """Waiting times before an exposure."""
 
-    light_ms: _Milliseconds = Field(default=100.0, description="From light on to the exposure [ms].")
-    stage_ms: _Milliseconds = Field(default=200.0, description="From the end of a move to the exposure [ms].")
-    discard_frames: Annotated[int, Field(ge=0, le=20), fields.expecting("a whole number from 0 to 20")] = Field(
-        default=1, description="Frames discarded after a change, if the camera has no software trigger."
-    )
-    frame_timeout_s: _Seconds = Field(default=5.0, description="Longest wait for a frame beyond its exposure [s].")
+    light_ms: _Milliseconds = 100.0
+    """From light on to the exposure [ms]."""
+    stage_ms: _Milliseconds = 200.0
+    """From the end of a move to the exposure [ms]."""
+    discard_frames: Annotated[int, Field(ge=0, le=20), fields.expecting("a whole number from 0 to 20")] = 1
+    """Frames discarded after a change, if the camera has no software trigger."""
+    frame_timeout_s: _Seconds = 5.0
+    """Longest wait for a frame beyond its exposure [s]."""
 
 
 class HardwareConfig(fields.Frozen):
     """The devices of a rig."""
 
-    controllers: dict[fields.FileName, ControllerConfig] = Field(description="The light controllers by name.")
-    lights: dict[fields.FileName, ChannelConfig] = Field(description="Controller and channel of each light of the rig.")
-    stage: StageDeviceConfig | None = Field(default=None, description="The stage; none: the part does not move.")
-    camera: CameraDeviceConfig = Field(description="The camera.")
-    timing: TimingConfig = Field(default=TimingConfig(), description="Waiting times.")
+    controllers: dict[fields.FileName, ControllerConfig]
+    """The light controllers by name."""
+    lights: dict[fields.FileName, ChannelConfig]
+    """Controller and channel of each light of the rig."""
+    stage: StageDeviceConfig | None = None
+    """The stage; none: the part does not move."""
+    camera: CameraDeviceConfig
+    """The camera."""
+    timing: TimingConfig = TimingConfig()
+    """Waiting times."""
 
 
 _REAL_CAMERAS = {*get_args(CameraDeviceConfig.model_fields["driver"].annotation)} - {"virtual"}
@@ -294,12 +293,7 @@ _REAL_CAMERAS = {*get_args(CameraDeviceConfig.model_fields["driver"].annotation)
 def misfits(
     hardware: object, lights: tuple[str, ...] | None, camera: CameraConfig | None
 ) -> Iterator[fields.Complaint]:
-    """What does not fit together, by the path under ``hardware``; parts that are wrong themselves are passed over.
-
-    hardware: The section as it was read
-    lights: Names of the rig's lights; None where they are wrong themselves
-    camera: The rig's camera; None where it is wrong itself
-    """
+    """What does not fit together, by the path under ``hardware``; None and parts that are wrong are passed over."""
     section = fields.mapping(hardware)
     controllers, channels = (fields.mapping(section.get(key)) for key in ("controllers", "lights"))
     if lights is not None and isinstance(section.get("lights"), Mapping):
@@ -311,9 +305,7 @@ def misfits(
     yield from _same_port(controllers, fields.mapping(section.get("stage")))
     device = fields.mapping(section.get("camera"))
     if camera is not None and camera.exposure_us is None and device.get("driver") in _REAL_CAMERAS:
-        reason = (
-            "the rig's camera has no exposure_us; add to its section the exposure time [µs] that counts as exposure 1"
-        )
+        reason = "the rig's camera has no exposure_us; add to it the exposure time [µs] that counts as exposure 1"
         yield ("camera",), device, fields.complaint(reason)
 
 

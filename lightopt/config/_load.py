@@ -22,13 +22,19 @@ from lightopt.config._pose import POSE_REPLACES
 from lightopt.config._rig import RigConfig
 from lightopt.config._source_file import Source, dotted
 from lightopt.config._strict_yaml import Document, Problem, YamlError, parse
+from lightopt.config._targets import TargetsConfig
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256
 
 MAX_BYTES = 1_000_000
-_KINDS = {"lightopt-rig": "a rig", "lightopt-part": "a part", "lightopt-images": "an image set"}
+_KINDS = {
+    "lightopt-rig": "a rig",
+    "lightopt-part": "a part",
+    "lightopt-images": "an image set",
+    "lightopt-targets": "the targets of a calibration",
+}
 
-Config = TypeVar("Config", RigConfig, PartConfig)
+Config = TypeVar("Config", RigConfig, PartConfig, TargetsConfig)
 Entry = TypeVar("Entry", bound=BaseModel)
 
 
@@ -42,11 +48,13 @@ def load_rig(path: Path | str) -> RigConfig:
 
 
 def load_part(path: Path | str) -> PartConfig:
-    """Read a part file (``lightopt-part/1``) as :func:`load_rig` does; its mesh file must exist.
-
-    ``source.resolve(part.mesh.file)`` is the path of the mesh.
-    """
+    """Read a part file as :func:`load_rig` does; ``source.resolve(part.mesh.file)`` is its mesh, which must exist."""
     return _load(Path(path), PartConfig, "lightopt-part/1")
+
+
+def load_targets(path: Path | str) -> TargetsConfig:
+    """Read the targets of a calibration (``lightopt-targets/1``) as :func:`load_rig` does."""
+    return _load(Path(path), TargetsConfig, "lightopt-targets/1")
 
 
 def _load(path: Path, model: type[Config], expected: str) -> Config:
@@ -137,21 +145,14 @@ def _decode(data: bytes, path: Path) -> str:
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         byte = f"0x{data[error.start]:02x}"
-        raise InputError(
-            f"{path}:{line}: byte {byte} is not UTF-8 text; expected a YAML file, saved as UTF-8"
-        ) from None
+        raise InputError(f"{path}:{line}: byte {byte} is not UTF-8 text; expected YAML, saved as UTF-8") from None
     if "\0" in text:
         raise InputError(f"{path}: this is a binary file; expected YAML text")
     return text
 
 
 def input_hashes(rig: RigConfig, part: PartConfig | None) -> dict[str, dict[str, str]]:
-    """Names, without folders, and SHA-256 of the rig file and the part file as they were read, and that of the mesh.
-
-    Without a part, of the rig file alone.
-
-    Raises OSError: The mesh cannot be read
-    """
+    """Names and SHA-256 of the files as they were read, and that of the mesh, which may raise an OSError."""
     files = {"rig": rig} if part is None else {"rig": rig, "part": part}
     hashes = {kind: {"file": one.source.path.name, "sha256": one.source.sha256} for kind, one in files.items()}
     if part is not None:
@@ -160,15 +161,13 @@ def input_hashes(rig: RigConfig, part: PartConfig | None) -> dict[str, dict[str,
 
 
 def json_schema(kind: Literal["rig", "part"]) -> dict[str, Any]:
-    """JSON schema (draft 2020-12) of rig or part files, generated from the models.
-
-    Rules that tie keys together are not in it; :func:`load_rig` and :func:`load_part` check those too.
-    """
+    """JSON schema (draft 2020-12) of rig or part files; rules that tie keys together are not in it."""
     models = {"rig": RigConfig, "part": PartConfig}
     schema = models[kind].model_json_schema()
     for model in (schema, *schema["$defs"].values()):
         for field in model["properties"].values():
             field.pop("title", None)  # only the key again, in capitals
+            field["description"] = " ".join(field["description"].split())
         if "pose" in model["properties"]:
             model["required"] = [key for key in model["required"] if key not in POSE_REPLACES]
     schema["title"] = f"lightopt {kind}"
@@ -177,22 +176,14 @@ def json_schema(kind: Literal["rig", "part"]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class LightsOnly:
-    """The lights of a rig.
+    """The lights of a rig."""
 
-    name: Of the rig, or of its file where that cannot be read
-    rig: The rig; None where anything is wrong with its file
-    hardware: Controllers and lights that can be read, without the stage; None where there is no such section
-    unreadable: Controllers that cannot
-    lights_unknown: Lights of those controllers, or of none that the file has
-    problems: All that is wrong with the file
-    """
-
-    name: str
-    rig: RigConfig | None
-    hardware: HardwareConfig | None
-    unreadable: tuple[str, ...] = ()
-    lights_unknown: tuple[str, ...] = ()
-    problems: tuple[str, ...] = ()
+    name: str  # of the rig, or of its file where that cannot be read
+    rig: RigConfig | None  # None where anything is wrong with its file
+    hardware: HardwareConfig | None  # what can be read, without the stage; None where there is no such section
+    unreadable: tuple[str, ...] = ()  # controllers that cannot be read
+    lights_unknown: tuple[str, ...] = ()  # lights of those controllers, or of none that the file has
+    problems: tuple[str, ...] = ()  # all that is wrong with the file
 
 
 def load_lights(path: Path | str) -> LightsOnly:
@@ -253,7 +244,6 @@ def _document(text: str) -> object:
 
 
 def _readable(model: type[Entry], entries: Mapping[str, object]) -> dict[str, Entry]:
-    """The entries that fit the model once keys that it does not know are left out."""
     read: dict[str, Entry] = {}
     for name, entry in entries.items():
         known = {key: value for key, value in mapping(entry).items() if key in model.model_fields}

@@ -28,7 +28,6 @@ _UNITS = {
 
 
 def describe(value: object) -> str:
-    """Write a value as in the file, shortened."""
     if value is None:
         return "nothing"
     if isinstance(value, Mapping):
@@ -83,7 +82,7 @@ def _message(model: type[BaseModel], error: ErrorDetails, meant: Mapping[Keys, s
     if kind == "missing":
         parent = _model_at(model, loc[:-1])
         field = parent.model_fields[str(loc[-1])] if parent else None
-        return f'missing key "{loc[-1]}"' + (f": {field.description}" if field else "")
+        return f'missing key "{loc[-1]}"' + (f": {' '.join(str(field.description).split())}" if field else "")
     if kind == "extra_forbidden":
         return _unknown_key(model, loc, meant.get(loc))
     if kind == "model_type":

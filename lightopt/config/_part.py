@@ -20,22 +20,15 @@ _Share = Annotated[float, Field(ge=0, le=1), fields.expecting("a number from 0 t
 class InspectionConfig(fields.Frozen):
     """Limits by which `lightopt inspect` judges OK or NG."""
 
-    most_defects: Annotated[int, Field(ge=0, le=10**6), fields.expecting("a whole number from 0 to 1000000")] = Field(
-        default=0, description="A part with more defects than this is NG."
-    )
-    least_size_mm: Annotated[float, Field(ge=0, le=1e3), fields.expecting("a number from 0 to 1000 (mm)")] = Field(
-        default=0.0, description="Defects shorter than this do not count [mm]."
-    )
-    least_contrast: _Share = Field(
-        default=0.0,
-        description="Defects that change the light by less than this share, under the light that shows them best, do "
-        "not count.",
-    )
-    least_inspected: _Share = Field(
-        default=0.0,
-        description="A part is NG if less than this share of its visible surface, over all postures, was inspected. "
-        "Surface inspected only for glints counts.",
-    )
+    most_defects: Annotated[int, Field(ge=0, le=10**6), fields.expecting("a whole number from 0 to 1000000")] = 0
+    """A part with more defects than this is NG."""
+    least_size_mm: Annotated[float, Field(ge=0, le=1e3), fields.expecting("a number from 0 to 1000 (mm)")] = 0.0
+    """Defects shorter than this do not count [mm]."""
+    least_contrast: _Share = 0.0
+    """Defects that change the light by less than this share, under the light that shows them best, do not count."""
+    least_inspected: _Share = 0.0
+    """A part is NG if less than this share of its visible surface, over all postures, was inspected. Surface inspected
+    only for glints counts."""
 
 
 _UNITLESS = (".stl", ".ply", ".obj")
@@ -46,32 +39,24 @@ _SUFFIXES = (*_UNITLESS, ".glb", *_STEP)
 class MeshConfig(fields.Frozen):
     """The file with the part's shape, and how its surface is read."""
 
-    file: fields.Text = Field(
-        description="Mesh or CAD file, relative to this file: .stl, .ply, .obj, .glb, .step or .stp."
-    )
-    units: Literal["um", "mm", "cm", "m", "inch", "ft"] | None = Field(
-        default=None,
-        description="Length unit of the mesh file: um, mm, cm, m, inch or ft. Mandatory for .stl, .ply and "
-        ".obj, which contain none. For .glb (metres) and STEP, only the unit of the file itself.",
-        validate_default=True,
-    )
-    normals: Literal["smooth", "facet"] = Field(
-        default="smooth",
-        description="smooth: normals vary over the facets, except across edges sharper than the crease "
-        "angle; facet: each facet is flat.",
-    )
+    file: fields.Text
+    """Mesh or CAD file, relative to this file: .stl, .ply, .obj, .glb, .step or .stp."""
+    units: Literal["um", "mm", "cm", "m", "inch", "ft"] | None = Field(default=None, validate_default=True)
+    """Length unit of the mesh file: um, mm, cm, m, inch or ft. Mandatory for .stl, .ply and .obj, which contain none.
+    For .glb (metres) and STEP, only the unit of the file itself."""
+    normals: Literal["smooth", "facet"] = "smooth"
+    """smooth: normals vary over the facets, except across edges sharper than the crease angle; facet: each facet is
+    flat."""
     crease_angle_deg: Annotated[
         float, Field(gt=0, le=180), fields.expecting("a number above 0, up to 180 (degrees)")
-    ] = Field(default=30.0, description="Edges where the facets' normals differ by more than this stay sharp [deg].")
-    chord_tolerance_mm: _ChordTolerance | None = Field(
-        default=None,
-        description="STEP: largest distance of the triangles from the CAD surface [mm]. More makes fewer triangles, "
-        "with the CAD surface's normals at their corners; the angle between neighbours follows, from 0.1 rad at 0.01 "
-        "mm with the square root up to 0.5 rad. If absent, the smaller of 0.01 and a fifth of a pixel's footprint.",
-    )
-    max_triangles: Annotated[int, Field(ge=1, le=2**31 - 1), fields.expecting("a whole number above 0")] = Field(
-        default=20_000_000, description="Meshes of more triangles than this are refused."
-    )
+    ] = 30.0
+    """Edges where the facets' normals differ by more than this stay sharp [deg]."""
+    chord_tolerance_mm: _ChordTolerance | None = None
+    """STEP: largest distance of the triangles from the CAD surface [mm]. More makes fewer triangles, with the CAD
+    surface's normals at their corners; the angle between neighbours follows, from 0.1 rad at 0.01 mm with the square
+    root up to 0.5 rad. If absent, the smaller of 0.01 and a fifth of a pixel's footprint."""
+    max_triangles: Annotated[int, Field(ge=1, le=2**31 - 1), fields.expecting("a whole number above 0")] = 20_000_000
+    """Meshes of more triangles than this are refused."""
 
     @property
     def of_step(self) -> bool:
@@ -123,79 +108,69 @@ class MeshConfig(fields.Frozen):
 class PlacementConfig(fields.Frozen):
     """How the part lies in the world at posture (0, 0): turned, then anchored, then shifted."""
 
-    anchor: Literal["as_modelled", "rest_on_table", "centred"] = Field(
-        default="rest_on_table",
-        description="as_modelled: the mesh's own origin; rest_on_table: bounding box centred in X and Y, "
-        "lowest point at Z = 0; centred: bounding box centred at the origin.",
-    )
-    translate_mm: fields.Coordinates = Field(
-        default=(0.0, 0.0, 0.0), description="Shift along X, Y and Z after the anchor [mm]."
-    )
+    anchor: Literal["as_modelled", "rest_on_table", "centred"] = "rest_on_table"
+    """as_modelled: the mesh's own origin; rest_on_table: bounding box centred in X and Y, lowest point at Z = 0;
+    centred: bounding box centred at the origin."""
+    translate_mm: fields.Coordinates = (0.0, 0.0, 0.0)
+    """Shift along X, Y and Z after the anchor [mm]."""
     rotate_deg: Annotated[
         tuple[fields.Azimuth, fields.Azimuth, fields.Azimuth],
         Field(strict=False),
         fields.expecting("[x, y, z], three numbers from -360 to 360 (degrees)"),
-    ] = Field(
-        default=(0.0, 0.0, 0.0), description="Rotation about the fixed X, then Y, then Z axis, before the anchor [deg]."
-    )
-    registration: Literal["plane", "full"] = Field(
-        default="plane",
-        description="What a registration searches. plane: the part rests on the stage's plate, and is shifted and "
-        "rotated on it; full: also its height and its tilt.",
-    )
+    ] = (0.0, 0.0, 0.0)
+    """Rotation about the fixed X, then Y, then Z axis, before the anchor [deg]."""
+    registration: Literal["plane", "full"] = "plane"
+    """What a registration searches. plane: the part rests on the stage's plate, and is shifted and rotated on it; full:
+    also its height and its tilt."""
 
 
 class ReflectanceConfig(fields.Frozen):
     """Reflection of the surface: Lambert's diffuse part and Torrance and Sparrow's specular lobe."""
 
-    R_d: fields.Coefficient = Field(description="Diffuse coefficient [levels of full_scale].")
-    R_s: fields.Coefficient = Field(description="Specular coefficient [levels of full_scale].")
-    sigma_rad: Annotated[float, Field(ge=1e-5, le=0.5), fields.expecting("a number from 0.00001 to 0.5 (radians)")] = (
-        Field(description="Width σ of the specular lobe [rad]: 0.003 is polished chrome, 0.05 satin plating.")
-    )
-    full_scale: fields.Positive = Field(
-        default=255.0, description="Full scale in which R_d and R_s are expressed [levels]."
-    )
+    R_d: fields.Coefficient
+    """Diffuse coefficient [levels of full_scale]."""
+    R_s: fields.Coefficient
+    """Specular coefficient [levels of full_scale]."""
+    sigma_rad: Annotated[float, Field(ge=1e-5, le=0.5), fields.expecting("a number from 0.00001 to 0.5 (radians)")]
+    """Width σ of the specular lobe [rad]: 0.003 is polished chrome, 0.05 satin plating."""
+    full_scale: fields.Positive = 255.0
+    """Full scale in which R_d and R_s are expressed [levels]."""
 
 
 class SurfaceConfig(fields.Frozen):
     """Waviness of good parts (orange peel): by how much their surface departs from the mesh."""
 
-    waviness_deg: Annotated[float, Field(gt=0, le=5), fields.expecting("a number above 0, up to 5 (degrees)")] = Field(
-        description="Root mean square slope of the surface against the mesh [deg]."
-    )
-    waviness_mm: Annotated[float, Field(ge=0.01, le=100), fields.expecting("a number from 0.01 to 100 (mm)")] = Field(
-        description="Correlation length of its height [mm]: about a sixth of the distance of its waves."
-    )
+    waviness_deg: Annotated[float, Field(gt=0, le=5), fields.expecting("a number above 0, up to 5 (degrees)")]
+    """Root mean square slope of the surface against the mesh [deg]."""
+    waviness_mm: Annotated[float, Field(ge=0.01, le=100), fields.expecting("a number from 0.01 to 100 (mm)")]
+    """Correlation length of its height [mm]: about a sixth of the distance of its waves."""
 
 
 class PartConfig(fields.FileConfig):
     """A part to inspect: its shape, how it lies, the postures it is seen in, and its surface."""
 
-    format: Literal["lightopt-part/1"] = Field(description="Kind and version of this file: lightopt-part/1.")
-    name: fields.Text = Field(description="Name of the part, for people.")
-    mesh: MeshConfig = Field(description="The part's shape.")
-    placement: PlacementConfig = Field(
-        default=PlacementConfig(), description="Placement of the part on the table; resting at its centre if absent."
+    format: Literal["lightopt-part/1"]
+    """Kind and version of this file: lightopt-part/1."""
+    name: fields.Text
+    """Name of the part, for people."""
+    mesh: MeshConfig
+    """The part's shape."""
+    placement: PlacementConfig = PlacementConfig()
+    """Placement of the part on the table; resting at its centre if absent."""
+    postures: Annotated[tuple[fields.PostureConfig, ...], Field(strict=False, min_length=1, max_length=1000)] = (
+        fields.PostureConfig(elevation_deg=0.0, rotation_deg=0.0),
     )
-    postures: Annotated[tuple[fields.PostureConfig, ...], Field(strict=False, min_length=1, max_length=1000)] = Field(
-        default=(fields.PostureConfig(elevation_deg=0.0, rotation_deg=0.0),),
-        description="Postures in which the part is inspected; (0, 0) only if absent.",
-    )
-    reflectance: ReflectanceConfig = Field(description="Reflection of the part's surface.")
-    surface: SurfaceConfig | None = Field(
-        default=None, description="Waviness of good parts: renders show it, and it is noise otherwise. None if absent."
-    )
-    defects: Annotated[tuple[DefectConfig, ...], Field(strict=False, max_length=500)] = Field(
-        default=(), description="Defects that are on this part; renders show them. None if absent."
-    )
-    defect_catalogue: _Catalogue | None = Field(
-        default=None, description="Kinds of defect for which the inspection is planned; the built-in ones if absent."
-    )
-    inspection: InspectionConfig = Field(
-        default=InspectionConfig(),
-        description="Limits by which inspections judge OK or NG; no defects allowed if absent.",
-    )
+    """Postures in which the part is inspected; (0, 0) only if absent."""
+    reflectance: ReflectanceConfig
+    """Reflection of the part's surface."""
+    surface: SurfaceConfig | None = None
+    """Waviness of good parts: renders show it, and it is noise otherwise. None if absent."""
+    defects: Annotated[tuple[DefectConfig, ...], Field(strict=False, max_length=500)] = ()
+    """Defects that are on this part; renders show them. None if absent."""
+    defect_catalogue: _Catalogue | None = None
+    """Kinds of defect for which the inspection is planned; the built-in ones if absent."""
+    inspection: InspectionConfig = InspectionConfig()
+    """Limits by which inspections judge OK or NG; no defects allowed if absent."""
 
     @field_validator("postures", mode="wrap")
     @classmethod
@@ -220,13 +195,12 @@ class PartConfig(fields.FileConfig):
 def _require(folder: Path, file: str) -> None:
     """Raise unless the mesh file exists, with its full path and a file of similar name."""
     path = folder / file
-    try:
+    is_folder, near = False, list[str]()
+    with contextlib.suppress(OSError, ValueError):
         if path.is_file():
             return
         is_folder = path.is_dir()
         near = get_close_matches(path.name, sorted(p.name for p in path.parent.iterdir()), n=1, cutoff=0.5)
-    except (OSError, ValueError):
-        is_folder, near = False, []
     full_path = os.path.normpath(folder.resolve() / file)
     if is_folder:
         raise fields.complaint(f"{full_path} is a folder; expected a file")

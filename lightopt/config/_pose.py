@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidatorFunctionWrapHandler, field_validator
 
@@ -17,23 +17,25 @@ POSE_REPLACES = ("distance_mm", "elevation_deg", "azimuth_deg")
 class CameraPoseConfig(fields.Frozen):
     """Where the camera is, as it was measured."""
 
-    frame: Literal["world"] = Field(default="world", description="Frame of the pose: world.")
-    position_mm: fields.Coordinates = Field(description="The pinhole [mm].")
-    rotation_vector_deg: fields.Coordinates = Field(
-        description="Axis of the rotation from the camera's own axes (x right and y down in the image, z ahead) to the "
-        "world's, as long as its angle [deg]."
-    )
+    frame: Literal["world"] = "world"
+    """Frame of the pose: world."""
+    position_mm: fields.Coordinates
+    """The pinhole [mm]."""
+    rotation_vector_deg: fields.Coordinates
+    """Axis of the rotation from the camera's own axes (x right and y down in the image, z ahead) to the world's, as
+    long as its angle [deg]."""
 
 
 class PanelPoseConfig(fields.Frozen):
     """Where a panel is, as it was measured."""
 
-    frame: Literal["world"] = Field(default="world", description="Frame of the pose: world.")
-    centre_mm: fields.Coordinates = Field(description="Centre of the panel [mm].")
-    rotation_vector_deg: fields.Coordinates = Field(
-        description="Axis of the rotation from the panel's own axes (x and y along its sides, z away from where it "
-        "shines) to the world's, as long as its angle [deg]."
-    )
+    frame: Literal["world"] = "world"
+    """Frame of the pose: world."""
+    centre_mm: fields.Coordinates
+    """Centre of the panel [mm]."""
+    rotation_vector_deg: fields.Coordinates
+    """Axis of the rotation from the panel's own axes (x and y along its sides, z away from where it shines) to the
+    world's, as long as its angle [deg]."""
 
 
 _Scale = fields.Positive
@@ -43,12 +45,10 @@ _SCALE = "Degrees that the axis turns per degree of its reading."
 class TiltAxisConfig(fields.Frozen):
     """The axis of the tilt cradle, as it was measured."""
 
-    point_mm: fields.Coordinates | None = Field(
-        default=None, description="A point of the axis, world frame [mm]; pivot_mm if absent."
-    )
-    direction: fields.Coordinates = Field(
-        default=(1.0, 0.0, 0.0), description="Direction of the axis, of any length; the world's X is its projection."
-    )
+    point_mm: fields.Coordinates | None = None
+    """A point of the axis, world frame [mm]; pivot_mm if absent."""
+    direction: fields.Coordinates = (1.0, 0.0, 0.0)
+    """Direction of the axis, of any length; the world's X is its projection."""
     scale: _Scale = Field(default=1.0, description=_SCALE)
 
     @field_validator("direction")
@@ -69,15 +69,16 @@ class RotaryAxisConfig(fields.Frozen):
     scale: _Scale = Field(default=1.0, description=_SCALE)
 
 
+_Interval = Annotated[tuple[fields.Number, fields.Number], Field(strict=False), fields.expecting("[low, high]")]
+
+
 class CalibrationConfig(fields.Frozen):
     """Where the measured values of this file come from."""
 
-    covariance: fields.Text = Field(
-        description="File of the joint covariance of all measured values, .npz; relative to this file."
-    )
-    intervals: dict[str, tuple[fields.Number, fields.Number]] = Field(
-        default={}, description="95 % interval [low, high] of each measured value, by its key.", strict=False
-    )
+    covariance: fields.Text
+    """File of the joint covariance of all measured values, .npz; relative to this file."""
+    intervals: dict[str, _Interval] = Field(default={})
+    """95 % interval [low, high] of each measured value, by its key."""
 
 
 def standing_at(point: object) -> dict[str, float]:
@@ -97,12 +98,7 @@ def standing_at(point: object) -> dict[str, float]:
 def with_pose(
     value: object, handler: ValidatorFunctionWrapHandler, *, point: str, what: str, also: Sequence[str] = ()
 ) -> Any:
-    """Validate a mapping that may have a pose instead of other keys, which are filled in from it.
-
-    point: Key of the pose's point
-    what: The thing that the pose is of
-    also: Further keys that the pose takes the place of
-    """
+    """Validate a mapping that may have a pose, by the key `point`, instead of other keys, which are filled in."""
     raw = fields.mapping(value)
     if raw.get("pose") is None:
         return handler(value)

@@ -19,29 +19,21 @@ _AUTO_SUM = "sum cannot be used with points: auto, a continuous panel; use mean"
 class LightSourceConfig(fields.Frozen):
     """A rectangular panel of light, and the point lights that stand for it."""
 
-    size_mm: fields.Size = Field(description="Size of the panel along the azimuth and along the elevation [mm].")
-    points: fields.Points = Field(
-        description="Point lights of the panel: a square number (1, 4, 9, 16, ...), or auto for the converged panel."
-    )
-    normalisation: _Normalisation = Field(
-        default="mean",
-        description="mean: the points share the output of the panel; sum: each point counts in full, so "
-        "brightness grows with the number of points.",
-        validate_default=True,
-    )
-    falloff: _Falloff = Field(
-        default="none",
-        description="none: brightness does not depend on the distance; inverse_square: it does, and is "
-        "unchanged at reference_distance_mm.",
-    )
-    reference_distance_mm: fields.Length | None = Field(
-        default=None,
-        description="inverse_square: distance at which brightness is unchanged [mm]; of the panel's centre to the "
-        "origin if absent, so that a panel moved away is not dimmer there.",
-    )
-    emission_exponent: _Exponent = Field(
-        default=0.0, description="Exponent n of the panel's emission, cosⁿ of the angle to its axis; 0 is uniform."
-    )
+    size_mm: fields.Size
+    """Size of the panel along the azimuth and along the elevation [mm]."""
+    points: fields.Points
+    """Point lights of the panel: a square number (1, 4, 9, 16, ...), or auto for the converged panel."""
+    normalisation: _Normalisation = Field(default="mean", validate_default=True)
+    """mean: the points share the output of the panel; sum: each point counts in full, so brightness grows with the
+    number of points."""
+    falloff: _Falloff = "none"
+    """none: brightness does not depend on the distance; inverse_square: it does, and is unchanged at
+    reference_distance_mm."""
+    reference_distance_mm: fields.Length | None = None
+    """inverse_square: distance at which brightness is unchanged [mm]; of the panel's centre to the origin if absent, so
+    that a panel moved away is not dimmer there."""
+    emission_exponent: _Exponent = 0.0
+    """Exponent n of the panel's emission, cosⁿ of the angle to its axis; 0 is uniform."""
 
     @field_validator("normalisation")
     @classmethod
@@ -54,42 +46,35 @@ class LightSourceConfig(fields.Frozen):
 class LightConfig(fields.Frozen):
     """One panel light, which faces the origin or has a measured pose; it may have any key of light_source, too."""
 
-    name: fields.FileName = Field(description="Name of the light; it becomes a file name and differs from the others.")
-    distance_mm: fields.Length = Field(description="Distance from the origin to the panel's centre [mm].")
-    elevation_deg: fields.Elevation = Field(
-        description="Elevation of the panel's centre above the table plane [deg]; 90 is straight above."
-    )
-    azimuth_deg: fields.Azimuth = Field(description="Azimuth of the panel's centre about Z, from X [deg].")
-    pose: PanelPoseConfig | None = Field(
-        default=None,
-        description="Measured pose, in place of distance_mm, elevation_deg and azimuth_deg. Where the light has "
-        "ranges, it moves about the origin from there.",
-    )
-    elevation_range_deg: fields.ElevationRange | None = Field(
-        default=None, description="Elevations [low, high] that the light can be moved to [deg]; fixed if absent."
-    )
-    azimuth_range_deg: fields.AzimuthRange | None = Field(
-        default=None, description="Azimuths [low, high] that the light can be moved to [deg]; fixed if absent."
-    )
-    gain: fields.Coefficient = Field(default=1.0, description="Factor on the brightness of this light.")
-    size_mm: fields.Size | None = Field(
-        default=None, description="Size of this panel along azimuth and elevation [mm]; as light_source if absent."
-    )
-    points: fields.Points | None = Field(
-        default=None, description="Point lights of this panel, a square or auto; as light_source if absent."
-    )
-    normalisation: _Normalisation | None = Field(
-        default=None, description="mean or sum for this light; as light_source if absent."
-    )
-    falloff: _Falloff | None = Field(
-        default=None, description="none or inverse_square for this light; as light_source if absent."
-    )
-    reference_distance_mm: fields.Length | None = Field(
-        default=None, description="Distance at which this light's brightness is unchanged [mm]; as light_source."
-    )
-    emission_exponent: _Exponent | None = Field(
-        default=None, description="Emission exponent of this light; as light_source if absent."
-    )
+    name: fields.FileName
+    """Name of the light; it becomes a file name and differs from the others."""
+    distance_mm: fields.Length
+    """Distance from the origin to the panel's centre [mm]."""
+    elevation_deg: fields.Elevation
+    """Elevation of the panel's centre above the table plane [deg]; 90 is straight above."""
+    azimuth_deg: fields.Azimuth
+    """Azimuth of the panel's centre about Z, from X [deg]."""
+    pose: PanelPoseConfig | None = None
+    """Measured pose, in place of distance_mm, elevation_deg and azimuth_deg. Where the light has ranges, it moves about
+    the origin from there."""
+    elevation_range_deg: fields.ElevationRange | None = None
+    """Elevations [low, high] that the light can be moved to [deg]; fixed if absent."""
+    azimuth_range_deg: fields.AzimuthRange | None = None
+    """Azimuths [low, high] that the light can be moved to [deg]; fixed if absent."""
+    gain: fields.Coefficient = 1.0
+    """Factor on the brightness of this light."""
+    size_mm: fields.Size | None = None
+    """Size of this panel along azimuth and elevation [mm]; as light_source if absent."""
+    points: fields.Points | None = None
+    """Point lights of this panel, a square or auto; as light_source if absent."""
+    normalisation: _Normalisation | None = None
+    """mean or sum for this light; as light_source if absent."""
+    falloff: _Falloff | None = None
+    """none or inverse_square for this light; as light_source if absent."""
+    reference_distance_mm: fields.Length | None = None
+    """Distance at which this light's brightness is unchanged [mm]; as light_source."""
+    emission_exponent: _Exponent | None = None
+    """Emission exponent of this light; as light_source if absent."""
 
     @model_validator(mode="wrap")
     @classmethod
@@ -124,63 +109,56 @@ def _auto_sums(lights: Sequence[object], shared: LightSourceConfig | None) -> It
 class StageConfig(fields.Frozen):
     """The stage that turns the part: a rotary axis (about Z) carried by a tilt cradle (about X)."""
 
-    pivot_mm: fields.Coordinates = Field(
-        default=(0.0, 0.0, 0.0), description="Point that both axes pass through, world frame [mm]."
-    )
-    elevation_range_deg: fields.TiltRange = Field(
-        default=(-180.0, 180.0), description="Tilts [low, high] that the stage reaches [deg]."
-    )
-    rotation_range_deg: fields.AzimuthRange = Field(
-        default=(-360.0, 360.0), description="Rotations [low, high] that the stage reaches [deg]."
-    )
-    tilt_axis: TiltAxisConfig | None = Field(
-        default=None, description="Measured axis of the cradle; along X through pivot_mm if absent."
-    )
-    rotary_axis: RotaryAxisConfig | None = Field(default=None, description="Measured scale of the rotary axis.")
+    pivot_mm: fields.Coordinates = (0.0, 0.0, 0.0)
+    """Point that both axes pass through, world frame [mm]."""
+    elevation_range_deg: fields.TiltRange = (-180.0, 180.0)
+    """Tilts [low, high] that the stage reaches [deg]."""
+    rotation_range_deg: fields.AzimuthRange = (-360.0, 360.0)
+    """Rotations [low, high] that the stage reaches [deg]."""
+    tilt_axis: TiltAxisConfig | None = None
+    """Measured axis of the cradle; along X through pivot_mm if absent."""
+    rotary_axis: RotaryAxisConfig | None = None
+    """Measured scale of the rotary axis."""
 
 
 class VirtualBenchConfig(fields.Frozen):
     """What the virtual bench has in place of what its files say; only lightopt capture reads it."""
 
-    rig: fields.Text | None = Field(
-        default=None,
-        description="Rig file with the true camera, lights, stage and sensor, of the same light names and resolution; "
-        "relative to this file.",
-    )
-    seed: Annotated[int, Field(ge=0, le=2**63 - 1), fields.expecting("a whole number from 0 up")] = Field(
-        default=1, description="Seed of the noise, and of the waviness of the part's surface."
-    )
-    part_offset_mm: fields.Coordinates = Field(
-        default=(0.0, 0.0, 0.0), description="How far the part is from its place, world frame at posture (0, 0) [mm]."
-    )
-    part_rotation_vector_deg: fields.Coordinates = Field(
-        default=(0.0, 0.0, 0.0),
-        description="Rotation of the part from its place about the origin, before the offset: its axis, as long as "
-        "its angle [deg].",
-    )
+    rig: fields.Text | None = None
+    """Rig file with the true camera, lights, stage and sensor, of the same light names and resolution; relative to this
+    file."""
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1), fields.expecting("a whole number from 0 up")] = 1
+    """Seed of the noise, and of the waviness of the part's surface."""
+    rays: Annotated[int, Field(ge=1, le=8), fields.expecting("a whole number from 1 to 8")] = 1
+    """Rays along each side of a pixel, which shows their mean; 1 is the pixel's centre alone."""
+    part_offset_mm: fields.Coordinates = (0.0, 0.0, 0.0)
+    """How far the part is from its place, world frame at posture (0, 0) [mm]."""
+    part_rotation_vector_deg: fields.Coordinates = (0.0, 0.0, 0.0)
+    """Rotation of the part from its place about the origin, before the offset: its axis, as long as its angle [deg]."""
 
 
 class RigConfig(fields.FileConfig):
     """A rig: one camera, the lights around the table, and the stage that holds the part."""
 
-    format: Literal["lightopt-rig/1"] = Field(description="Kind and version of this file: lightopt-rig/1.")
-    name: fields.Text = Field(description="Name of the rig, for people.")
-    camera: CameraConfig = Field(description="The camera.")
-    light_source: LightSourceConfig = Field(description="The panel that all lights share.")
-    lights: Annotated[tuple[LightConfig, ...], Field(strict=False, min_length=1, max_length=1000)] = Field(
-        description="The lights, at least one."
-    )
-    stage: StageConfig = Field(default=StageConfig(), description="The stage; unlimited about the origin if absent.")
-    calibration: CalibrationConfig | None = Field(
-        default=None, description="Covariance and intervals of measured values, as lightopt calibrate writes them."
-    )
-    hardware: HardwareConfig | None = Field(
-        default=None, description="The devices behind camera, lights and stage; absent is the virtual bench."
-    )
+    format: Literal["lightopt-rig/1"]
+    """Kind and version of this file: lightopt-rig/1."""
+    name: fields.Text
+    """Name of the rig, for people."""
+    camera: CameraConfig
+    """The camera."""
+    light_source: LightSourceConfig
+    """The panel that all lights share."""
+    lights: Annotated[tuple[LightConfig, ...], Field(strict=False, min_length=1, max_length=1000)]
+    """The lights, at least one."""
+    stage: StageConfig = StageConfig()
+    """The stage; unlimited about the origin if absent."""
+    calibration: CalibrationConfig | None = None
+    """Covariance and intervals of measured values, as lightopt calibrate writes them."""
+    hardware: HardwareConfig | None = None
+    """The devices behind camera, lights and stage; absent is the virtual bench."""
 
-    virtual_bench: VirtualBenchConfig | None = Field(
-        default=None, description="How the virtual bench differs from this file; as the file says if absent."
-    )
+    virtual_bench: VirtualBenchConfig | None = None
+    """How the virtual bench differs from this file; as the file says if absent."""
 
     @field_validator("lights", mode="wrap")
     @classmethod

@@ -8,7 +8,6 @@ Keys = tuple[str | int, ...]
 
 
 def dotted(keys: Keys) -> str:
-    """Write a path of keys the way people read it: ``("lights", 2, "gain")`` is ``lights[2].gain``."""
     text = ""
     for key in keys:
         if isinstance(key, int):
@@ -27,8 +26,6 @@ class Source:
     lines: Line number (1-based) of each path of keys in the file
     text: The file's text as it was read; empty for a configuration that was built in code
 
-    Examples
-    --------
     >>> source = Source(Path("rig.yaml"), "", {("camera",): 3, ("camera", "roll_deg"): 7})
     >>> source.at("camera", "roll_deg")
     'rig.yaml:7: camera.roll_deg'
@@ -42,10 +39,7 @@ class Source:
     text: str = field(default="", repr=False, compare=False)
 
     def at(self, *keys: str | int) -> str:
-        """Beginning of an error message about a key: ``rig.yaml:12: lights[2].elevation_deg``.
-
-        The line is that of the key, or of the nearest mapping around it that is in the file.
-        """
+        """Beginning of a message about a key: ``rig.yaml:12: lights[2].gain``, with the nearest line that is there."""
         around = (keys[:end] for end in range(len(keys), -1, -1))
         line = next((self.lines[path] for path in around if path in self.lines), None)
         place = str(self.path) if line is None else f"{self.path}:{line}"

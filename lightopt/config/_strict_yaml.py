@@ -5,8 +5,6 @@ schema of YAML 1.2 (YAML 1.2.2, section 10.3.2): PyYAML follows YAML 1.1, where 
 `1:30` is ninety.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -65,30 +63,24 @@ class YamlError(Exception):
 
 @dataclass
 class Document:
-    """Plain data of a YAML document, the line of each path of keys, and the problems met.
-
-    `invalid` are the paths whose value is INVALID, `incomplete` the mappings that lost a key.
-    """
+    """Plain data of a YAML document, the line of each path of keys, and the problems met."""
 
     data: object = None
     lines: dict[Keys, int] = field(default_factory=dict[Keys, int])
     problems: list[Problem] = field(default_factory=list[Problem])
-    invalid: set[Keys] = field(default_factory=set[Keys])
-    incomplete: set[Keys] = field(default_factory=set[Keys])
+    invalid: set[Keys] = field(default_factory=set[Keys])  # paths whose value is INVALID
+    incomplete: set[Keys] = field(default_factory=set[Keys])  # mappings that lost a key
 
 
 @dataclass(frozen=True)
 class _Node:
     line: int
     event: yaml.NodeEvent
-    children: list[_Node] = field(default_factory=list["_Node"])  # of a mapping: key, value, key, value, …
+    children: "list[_Node]" = field(default_factory=list["_Node"])  # of a mapping: key, value, key, value, …
 
 
 def parse(text: str) -> Document:
-    """Read one YAML document; `data` is None when there is nothing in it.
-
-    Raises YamlError: Where the text is not YAML, holds several documents, or expands beyond all measure
-    """
+    """Read one YAML document; `data` is None when there is nothing in it. YamlError where it cannot be read."""
     reader = _Reader(text, yaml.SafeLoader)
     try:
         root = _quickly_read(text) or reader.document()
@@ -141,7 +133,7 @@ class _Reader:
                 raise YamlError(self.line, "a second document starts here (---); expected one per file")
         return root
 
-    def node(self, event: yaml.Event, depth: int) -> _Node:
+    def node(self, event: yaml.Event, depth: int) -> "_Node":
         self.count += 1
         if self.count > MAX_NODES:
             raise YamlError(self.line, f"more than {MAX_NODES} values; this is not a configuration file")
@@ -223,7 +215,6 @@ class _Expansion:
 
 
 def _explain(error: yaml.MarkedYAMLError) -> tuple[int, str]:
-    """Line and message of a syntax error."""
     mark = error.problem_mark or error.context_mark
     line = mark.line + 1 if mark else 1
     column = f" (column {mark.column + 1})" if mark else ""
@@ -243,7 +234,6 @@ def _explain(error: yaml.MarkedYAMLError) -> tuple[int, str]:
 
 
 def is_number(text: str) -> bool:
-    """Whether the text, unquoted, would be a number."""
     return any(pattern.fullmatch(text) for pattern in (*_INTEGERS.values(), _FLOAT))
 
 

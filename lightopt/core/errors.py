@@ -92,10 +92,7 @@ class HardwareError(LightoptError):
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C or a signal ended the work, in a known state. Exit status 130.
-
-    *messages: For the user: what state things are in and how to go on; each is shown on a line of its own
-    """
+    """Ctrl-C or a signal ended the work, in the state that the messages describe. Exit status 130."""
 
     def __init__(self, *messages: str) -> None:
         super().__init__(*messages)

@@ -200,10 +200,7 @@ def _keep_on_disk(compiled: Any) -> None:
 
 @cache
 def _load_array_functions() -> None:
-    """Load numba's functions of arrays, but not SciPy's BLAS to see whether it is there: no kernel uses it.
-
-    Without BLAS, numba convolves by loops of its own; all else that needs BLAS still finds it. Under numba's lock.
-    """
+    """Load numba's functions of arrays, under its lock, without SciPy's BLAS, which no kernel uses."""
 
     def refuse() -> None:
         raise ImportError

@@ -64,53 +64,33 @@ class Problem(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """Where parameters may go; arrays of shape (K,).
+    """Where parameters may go; arrays of shape (K,)."""
 
-    nominal: Where a parameter stays that the residuals do not determine.
-    reach: Greatest distance from there.
-    step: Greatest change in one iteration.
-    prior: Standard deviation with which the nominal value is known beforehand; infinite where it is not.
-    resolution: A direction in the space of these parameters is determined where its standard error is below one of
-        these units; infinite for nuisance parameters.
-    undetermined: Directions that the residuals do not determine whatever their slopes are, rows in units of the
-        parameters, shape (u, K).
-    """
-
-    nominal: Float64
-    reach: Float64
-    step: Float64
-    prior: Float64
+    nominal: Float64  # where a parameter stays that the residuals do not determine
+    reach: Float64  # greatest distance from there
+    step: Float64  # greatest change in one iteration
+    prior: Float64  # standard deviation with which the nominal value is known beforehand; infinite where it is not
+    # a direction is determined where its standard error is below one of these units; infinite for nuisance parameters
     resolution: Float64
+    # directions not determined whatever the slopes are, rows in units of the parameters, shape (u, K)
     undetermined: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """Where the robust cost is least; everything is finite.
+    """Where the robust cost is least; everything is finite."""
 
-    x: Parameters, shape (K,).
-    covariance: Of an M-estimate, each row with the variance that it shows, shape (K, K).
-    errors: Standard errors, at most the reach of a parameter, shape (K,).
-    undetermined: Directions that the residuals do not determine, in units of the limits' resolution, orthonormal rows,
-        shape (u, K).
-    at_limit: Parameters at their greatest distance from nominal, shape (K,).
-    rows: Rows that had a prediction at the start.
-    spread: Robust standard deviation of the residuals at the end.
-    cost_before, cost_after: Robust cost per row with that spread: at the start, undetermined directions at nominal, and
-        at the end.
-    """
-
-    x: Float64
-    covariance: Float64
-    errors: Float64
-    undetermined: Float64
-    at_limit: Bool
+    x: Float64  # parameters, shape (K,)
+    covariance: Float64  # of an M-estimate, each row with the variance that it shows, shape (K, K)
+    errors: Float64  # standard errors, at most the reach of a parameter, shape (K,)
+    undetermined: Float64  # directions, in units of the limits' resolution, orthonormal rows, shape (u, K)
+    at_limit: Bool  # parameters at their greatest distance from nominal, shape (K,)
     converged: bool
     iterations: int
-    rows: int
-    spread: float
-    cost_before: float
-    cost_after: float
+    rows: int  # that had a prediction at the start
+    spread: float  # robust standard deviation of the residuals at the end
+    cost_before: float  # robust cost per row with that spread, at the start, undetermined directions at nominal
+    cost_after: float  # the same at the end
 
 
 @dataclass(frozen=True)
@@ -305,7 +285,7 @@ class _Solver:
         if here.normal is None:
             slopes, unit = self._slopes(here.x), self._units()
             weight = self._weight * self._loss.weight(here.residual / unit) / np.square(unit)
-            normal, pull = _weighted_sums(slopes, weight, here.residual)
+            normal, pull = weighted_sums(slopes, weight, here.residual)
             pull -= self._precision @ (here.x - self._limits.nominal)
             here.normal = normal + self._precision, pull
         return here.normal
@@ -410,11 +390,11 @@ class _Solver:
         # rows that are off together are not bent one by one
         correlated = self._problem.correlated
         bend = weight * np.where(correlated, self._loss.weight(u), self._loss.bend(u)) / np.square(unit)
-        inner = _weighted_sums(slopes, bend, here.residual)[0] + self._precision
+        inner = weighted_sums(slopes, bend, here.residual)[0] + self._precision
         observed = np.square(weight * self._loss.weight(u) * u / unit)
         expected = weight * self._loss.weight(u) / np.square(unit)
         scatter = np.where(correlated, expected, observed)
-        middle = _weighted_sums(slopes, scatter, here.residual)[0] + self._precision
+        middle = weighted_sums(slopes, scatter, here.residual)[0] + self._precision
         basis = self._basis(here.x, np.zeros_like(pull))
         covariance = np.zeros((self._size, self._size))
         if basis.shape[1]:
@@ -442,9 +422,12 @@ class _Solver:
 
 
 @kernel
-def _weighted_sums(slopes: Float64, weight: Float64, residual: Float64) -> tuple[Float64, Float64]:
-    # Sᵀ·W·S and Sᵀ·W·r. Not by BLAS, whose threads take longer to meet than such slim matrices take, and whose sums
-    # depend on how many there are
+def weighted_sums(slopes: Float64, weight: Float64, residual: Float64) -> tuple[Float64, Float64]:
+    """Sᵀ·W·S, shape (K, K), and Sᵀ·W·r, shape (K,), of slopes (n, K), weights (n,) and residuals (n,).
+
+    Not by BLAS, whose threads take longer to meet than such slim matrices take, and whose sums depend on how many there
+    are.
+    """
     rows, size = slopes.shape
     normal, pull = np.zeros((size, size)), np.zeros(size)
     for i in range(rows):

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from importlib.metadata import version
 from operator import itemgetter
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from lightopt import __version__
@@ -41,7 +42,7 @@ def provenance(inputs: Mapping[str, Any], options: Mapping[str, Any]) -> dict[st
 
 def computed_by() -> dict[str, Any]:
     """What computes: version, hash of the code, versions of the packages."""
-    return {"lightopt": __version__, _CODE_KEY: code_sha256(), "versions": versions()}
+    return {"lightopt": __version__, _CODE_KEY: code_sha256(), "versions": dict(versions())}
 
 
 @functools.cache
@@ -61,13 +62,9 @@ def code_sha256() -> str:
 
 
 @functools.cache
-def _versions() -> tuple[tuple[str, str], ...]:
-    return (("python", platform.python_version()), *((name, version(name)) for name in _PACKAGES))
-
-
-def versions() -> dict[str, str]:
+def versions() -> Mapping[str, str]:
     """Versions of Python and of the packages that results depend on."""
-    return dict(_versions())
+    return MappingProxyType({"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}})
 
 
 def file_sha256(path: str | Path) -> str:
@@ -80,10 +77,7 @@ def file_sha256(path: str | Path) -> str:
 
 
 def files_sha256(folder: Path, names: Iterable[str]) -> str:
-    """SHA-256 in hex of files by name and content; a missing file counts as such, and is reported where it is read.
-
-    names: Relative to it, in their order
-    """
+    """SHA-256 in hex of files by name and content, in order; a missing file is reported where it is read."""
     digest = hashlib.sha256()
     for name in names:
         path = folder / name

@@ -1,7 +1,5 @@
 """What a run needs beside its inputs: threads, and where progress, messages and warnings go."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from copy import copy
@@ -63,7 +61,7 @@ class RunContext:
         _log.info("%s", name)
         return None if self._progress is None else partial(self._progress, name)
 
-    def within(self, name: str) -> RunContext:
+    def within(self, name: str) -> "RunContext":
         """Context of a part of the run, whose stages are reported as "name, stage"."""
         inner, progress = copy(self), self._progress  # with the same warnings
         if progress is not None:

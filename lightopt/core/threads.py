@@ -1,7 +1,5 @@
 """How many threads there are to use, and work spread over them, which ends soon where it is stopped."""
 
-from __future__ import annotations
-
 import itertools
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -25,10 +23,7 @@ class _StoppedError(Exception):
 
 
 def end_if_stopped() -> None:
-    """End the task of :func:`run_all` or :func:`in_threads` that calls it, where their work was stopped.
-
-    For tasks that take longer than a person who pressed Ctrl-C should wait: call it now and then.
-    """
+    """End the task of :func:`run_all` or :func:`in_threads` that calls it, where their work was stopped."""
     stopped = _stopped.get()
     if stopped is not None and stopped.is_set():
         raise _StoppedError
@@ -64,13 +59,8 @@ def in_threads(work: Callable[[int], T], starts: Sequence[int], threads: int | N
 
 def side_by_side(first: Callable[[], T], second: Callable[[], U]) -> tuple[T, U]:
     """Results of two functions, which run at the same time."""
-    results: dict[str, Any] = {}
-
-    def run(name: str, function: Callable[[], Any]) -> None:
-        results[name] = function()
-
-    run_all([(run, ("first", first)), (run, ("second", second))], threads=2)
-    return results["first"], results["second"]
+    results: list[Any] = in_threads(lambda i: (first, second)[i](), (0, 1), 2)
+    return results[0], results[1]
 
 
 class BackgroundTasks:
@@ -85,7 +75,7 @@ class BackgroundTasks:
         self._pool = _Pool(1)
         self._failed = False
 
-    def __enter__(self) -> BackgroundTasks:
+    def __enter__(self) -> "BackgroundTasks":
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
@@ -120,11 +110,7 @@ class BackgroundTasks:
 
 
 def run_all(tasks: Iterable[Task], *, threads: int, done: Callable[[], None] | None = None) -> None:
-    """Call each task's function with its arguments; the first exception stops the rest.
-
-    tasks: Taken up as threads become free, so that a long generator costs no memory
-    done: Called from the calling thread after each task; an exception that it raises stops the rest, too
-    """
+    """Call each task's function as threads become free, and `done` here after each; the first exception stops all."""
     if threads == 1:
         for function, arguments in tasks:
             function(*arguments)
@@ -155,10 +141,7 @@ def run_all(tasks: Iterable[Task], *, threads: int, done: Callable[[], None] | N
 
 
 class _Pool:
-    """Threads, and a queue that says which tasks have finished.
-
-    Not futures: an interrupt (Ctrl-C) while one is waited for may leave its lock to a thread that does not hold it.
-    """
+    """Threads and a queue of finished tasks; not futures, whose lock an interrupt may leave to the wrong thread."""
 
     def __init__(self, threads: int) -> None:
         self._threads = ThreadPoolExecutor(threads)

@@ -1,7 +1,5 @@
 """Directions, local frames and rotations in the world frame (right-handed, +Z up, column vectors)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -50,10 +48,7 @@ def rotation_z(angle: float) -> Float64:
 
 
 def rotation_from_vector(vector: Float64) -> Float64:
-    """Rotation by |vector| [rad] about the vector, shape (3, 3) (Rodrigues' formula).
-
-    vector: Shape (3,)
-    """
+    """Rotation by |vector| [rad] about the vector of shape (3,); shape (3, 3) (Rodrigues' formula)."""
     angle = float(np.linalg.norm(vector))
     if angle == 0.0:
         return np.eye(3)
@@ -97,7 +92,7 @@ class Posture:
         return rotation_x(math.radians(self.elevation_deg)) @ rotation_z(math.radians(self.rotation_deg))
 
     @staticmethod
-    def from_dict(facts: Mapping[str, float]) -> Posture:
+    def from_dict(facts: Mapping[str, float]) -> "Posture":
         """From what :meth:`as_dict` gives."""
         return Posture(facts["elevation_deg"], facts["rotation_deg"])
 

@@ -16,6 +16,7 @@ import numpy as np
 from lightopt.core.arrays import Float32, Float64, Int32, Int64
 from lightopt.core.errors import InputError
 from lightopt.geometry._glb import glb_triangle_count, placed, split_glb
+from lightopt.geometry._triangle_mesh import TriangleMesh
 
 _STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("vertices", "<f4", (3, 3)), ("attributes", "<u2")])
 
@@ -284,3 +285,13 @@ def _fans(polygons: Int64) -> Int64:
     """Triangles (0, k, k+1) of polygons with the same number of corners, shape (m, 3)."""
     corners = polygons.shape[1]
     return np.stack([polygons[:, (0, k, k + 1)] for k in range(1, corners - 1)], axis=1).reshape(-1, 3)
+
+
+def stl_bytes(mesh: TriangleMesh) -> bytes:
+    """A mesh [mm] as a binary STL file; normals are those of the facets."""
+    corners = mesh.vertices[mesh.faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    triangles = np.zeros(len(corners), _STL_TRIANGLE)
+    triangles["vertices"] = corners
+    triangles["normal"] = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
+    return bytes(80) + len(corners).to_bytes(4, "little") + triangles.tobytes()

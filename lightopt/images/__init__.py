@@ -14,6 +14,13 @@ from lightopt.images._file_names import (
     posture_folder as posture_folder,
     sheet_name as sheet_name,
 )
+from lightopt.images._image_files import (
+    read_exr as read_exr,
+    read_metadata as read_metadata,
+    read_png as read_png,
+    write_exr as write_exr,
+    write_png as write_png,
+)
 from lightopt.images._manifest import (
     DARK_CHECKED_KEY as DARK_CHECKED_KEY,
     EVENTS_KEY as EVENTS_KEY,
@@ -30,20 +37,15 @@ from lightopt.images._overlap import (
     write_overlap_map as write_overlap_map,
     write_overlaps as write_overlaps,
 )
+from lightopt.images._photograph import (
+    PhotographFormat as PhotographFormat,
+    photograph_format as photograph_format,
+    read_photograph as read_photograph,
+)
 from lightopt.images._result_folder import ResultFolder as ResultFolder
 from lightopt.images._set_reader import ImageSet as ImageSet, read_image_set as read_image_set
 from lightopt.images._set_writer import (
     ImageSetWriter as ImageSetWriter,
     remove_image_set as remove_image_set,
     resumable_manifest as resumable_manifest,
-)
-from lightopt.images.formats._exr import (
-    read_exr as read_exr,
-    read_exr_metadata as read_exr_metadata,
-    write_exr as write_exr,
-)
-from lightopt.images.formats._png import (
-    read_png as read_png,
-    read_png_metadata as read_png_metadata,
-    write_png as write_png,
 )

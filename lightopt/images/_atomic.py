@@ -42,9 +42,7 @@ def write_atomically(path: str | Path, write: Callable[[Path], object], *, overw
             os.fsync(file.fileno())
         digest = file_sha256(temporary)
         if not overwrite and path.exists() and not (path.is_file() and file_sha256(path) == digest):
-            raise InputError(
-                f"{path}: exists with other content; use option 'force' to replace it, or choose another name"
-            )
+            raise InputError(f"{path}: exists with other content; use option 'force' to replace it, or another name")
         os.replace(temporary, path)  # noqa: PTH105 - one name to patch in fault tests, on every platform
     except BaseException as error:
         with contextlib.suppress(OSError):
@@ -69,12 +67,7 @@ def write_text_atomic(path: str | Path, text: str, *, overwrite: bool = True) ->
 
 
 def write_npz_atomic(path: str | Path, arrays: Mapping[str, NDArray[Any]]) -> str:
-    """Write arrays as a compressed ``.npz``, whole or not at all; returns the SHA-256 in hex.
-
-    The same arrays in the same order give the same bytes.
-
-    Raises InputError: the file cannot be written.
-    """
+    """Write a compressed ``.npz`` whole or not at all, same arrays same bytes; returns the SHA-256 in hex."""
     names = list(arrays)
 
     def write(temporary: Path) -> None:
@@ -125,10 +118,7 @@ def _is_compressible(array: NDArray[Any]) -> bool:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder for results, and those that it is in; one that is there stays as it is.
-
-    Raises InputError: a file is in the way, or the operating system refuses.
-    """
+    """Make a folder for results where there is none; InputError when a file is in the way, or the system refuses."""
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: expected a folder for the results, found a file; choose another name")
     try:

@@ -1,4 +1,4 @@
-"""Names of the files of an image set."""
+"""Names of the files of an image set, relative to its folder."""
 
 from collections.abc import Iterable
 from pathlib import PurePosixPath, PureWindowsPath
@@ -19,22 +19,18 @@ def _number(value: float) -> str:
 
 
 def posture_folder(posture: Posture) -> str:
-    """Folder of a posture's files, relative to the set's."""
     return f"posture_{_number(posture.elevation_deg)}_{_number(posture.rotation_deg)}"
 
 
 def png_name(light: str, posture: Posture, exposure: float) -> str:
-    """File of a camera image, relative to the set's folder."""
     return f"{posture_folder(posture)}/{light}{_exposure_suffix(exposure)}.png"
 
 
 def dark_name(posture: Posture, exposure: float) -> str:
-    """File of a frame without light, relative to the set's folder."""
     return f"{posture_folder(posture)}/dark{_exposure_suffix(exposure)}.png"
 
 
 def sheet_name(exposure: float) -> str:
-    """File of the contact sheet of an exposure, relative to the set's folder."""
     return f"contact-sheet{_exposure_suffix(exposure)}.png"
 
 
@@ -43,12 +39,10 @@ def _exposure_suffix(exposure: float) -> str:
 
 
 def exr_name(light: str, posture: Posture) -> str:
-    """File of a linear image, which all exposures share, relative to the set's folder."""
     return f"{posture_folder(posture)}/{light}.exr"
 
 
 def geometry_name(posture: Posture) -> str:
-    """File of a posture's geometry, relative to the set's folder."""
     return f"{posture_folder(posture)}/geometry.exr"
 
 
@@ -68,10 +62,7 @@ class FileNames:
             )
 
     def claim_images(self, keys: Iterable[ImageKey]) -> None:
-        """Reserve the files of images (light, posture, exposure) and of their postures' geometry.
-
-        Raises InputError: two images would share a file.
-        """
+        """Reserve the files of images and of their postures' geometry; InputError where two would share one."""
         for light, posture, exposure in keys:
             where = posture_folder(posture)
             self.claim(geometry_name(posture), f"the geometry of {where}")

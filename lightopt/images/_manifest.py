@@ -1,7 +1,5 @@
 """The manifest of an image set: what was imaged, under which light, posture and exposure, into which file."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterator, Mapping
@@ -16,12 +14,8 @@ from lightopt.images._file_names import inside_problem
 _FORMAT = "lightopt-images/1"
 _KINDS = ("simulated", "captured")
 
-REPEATABILITY_KEY = "repeatability"
-"""Manifest key of a captured set: result of the repeatability check."""
-
-EVENTS_KEY = "events"
-"""Manifest key of a captured set: irregularities on the devices' links while no image was taken."""
-
+REPEATABILITY_KEY = "repeatability"  # manifest key of a captured set: result of the repeatability check
+EVENTS_KEY = "events"  # manifest key of a captured set: irregularities on the devices' links while no image was taken
 DARK_CHECKED_KEY = "ended_dark"
 """Manifest key of a captured set: postures after whose images a frame showed that no light stayed on."""
 
@@ -38,23 +32,17 @@ class SourceFile:
 
 @dataclass(frozen=True)
 class ImageEntry:
-    """One image of a set: light, posture, exposure, and its files.
-
-    exposure: Requested exposure, relative to that of the reflectance's levels.
-    png, exr: Files relative to the set's folder, POSIX style; at least one in a valid set.
-    sha256: SHA-256 in hex by ``png`` and ``exr``; may be empty in sets of other programs.
-    extra: Unknown keys of the JSON object, kept as they are.
-    """
+    """One image of a set: light, posture, exposure, and its files; at least one of those in a valid set."""
 
     light: str
     light_elevation_deg: float
     light_azimuth_deg: float
     posture: Posture
-    exposure: float = 1.0
-    png: str | None = None
-    exr: str | None = None
-    sha256: Mapping[str, str] = field(default_factory=dict)
-    extra: Mapping[str, Any] = field(default_factory=dict)
+    exposure: float = 1.0  # requested, relative to that of the reflectance's levels
+    png: str | None = None  # relative to the set's folder, POSIX style
+    exr: str | None = None  # the same
+    sha256: Mapping[str, str] = field(default_factory=dict)  # in hex, by png and exr; may be empty in sets of others
+    extra: Mapping[str, Any] = field(default_factory=dict)  # unknown keys of the JSON object
 
     @property
     def key(self) -> tuple[str, Posture, float]:
@@ -78,17 +66,7 @@ class ImageEntry:
         return self.exposure * share if 0.0 < share < math.inf else self.exposure
 
     def as_dict(self) -> dict[str, Any]:
-        return {
-            "light": self.light,
-            "light_elevation_deg": self.light_elevation_deg,
-            "light_azimuth_deg": self.light_azimuth_deg,
-            "posture": self.posture.as_dict(),
-            "exposure": self.exposure,
-            **({"png": self.png} if self.png is not None else {}),
-            **({"exr": self.exr} if self.exr is not None else {}),
-            **({"sha256": dict(self.sha256)} if self.sha256 else {}),
-            **self.extra,
-        }
+        return _entry_facts(self)
 
 
 @dataclass(frozen=True)
@@ -101,11 +79,15 @@ class GeometryEntry:
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
-        hashes = {"sha256": dict(self.sha256)} if self.sha256 else {}
-        return {"posture": self.posture.as_dict(), "exr": self.exr, **hashes, **self.extra}
+        return _entry_facts(self)
 
 
-@dataclass(frozen=True)
+def _entry_facts(entry: ImageEntry | GeometryEntry) -> dict[str, Any]:
+    facts = {**vars(entry), "posture": entry.posture.as_dict(), "sha256": dict(entry.sha256) or None, "extra": None}
+    return {**{name: value for name, value in facts.items() if value is not None}, **entry.extra}
+
+
+@dataclass(frozen=True, kw_only=True)
 class Manifest:
     """The content of ``manifest.json``.
 
@@ -120,11 +102,11 @@ class Manifest:
     """
 
     kind: str
+    lightopt: str | None = None
     bit_depth: int
     full_scale: float = 255.0
     saturation_level: float | None = None
     black_level: float = 0.0
-    lightopt: str | None = None
     rig: SourceFile | None = None
     part: SourceFile | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
@@ -149,7 +131,6 @@ class Manifest:
 
     @property
     def saturated_from(self) -> float:
-        """Sensor level from which a pixel counts as saturated."""
         return float(self.max_level) if self.saturation_level is None else self.saturation_level
 
     @property
@@ -165,18 +146,13 @@ class Manifest:
         """JSON form; carries no time, so the same run gives the same bytes."""
         return {
             "format": _FORMAT,
-            "kind": self.kind,
-            "lightopt": self.lightopt,
-            "bit_depth": self.bit_depth,
-            "full_scale": self.full_scale,
+            **{name: value for name, value in vars(self).items() if name != "extra"},
             "saturation_level": self.saturated_from,
-            "black_level": self.black_level,
             "rig": self.rig and asdict(self.rig),
             "part": self.part and asdict(self.part),
             "provenance": dict(self.provenance),
             "images": [entry.as_dict() for entry in self.images],
             "geometry": [entry.as_dict() for entry in self.geometry],
-            "patches": self.patches,
             "files": dict(self.files),
             "warnings": list(self.warnings),
             **self.extra,
@@ -240,7 +216,7 @@ class _Fields:
         if not isinstance(data, dict):
             self.problem("", "an object", data)
 
-    def inner(self, key: str, value: object) -> _Fields:
+    def inner(self, key: str, value: object) -> "_Fields":
         return _Fields(self.path, value, self.place(key), self.problems)
 
     def place(self, key: str) -> str:
@@ -292,7 +268,7 @@ class _Fields:
         inner = self.inner(key, self.data.get(key) or {})
         return {name: inner.text(name) for name in inner.data}
 
-    def items(self, key: str, *, required: bool = False) -> Iterator[_Fields]:
+    def items(self, key: str, *, required: bool = False) -> "Iterator[_Fields]":
         value = self.data.get(key, None if required else [])
         if not isinstance(value, list):
             self.problem(key, "a list", value)

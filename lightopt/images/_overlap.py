@@ -13,10 +13,10 @@ from lightopt.core.errors import InputError
 from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
 from lightopt.images._file_names import posture_folder
+from lightopt.images._image_files import write_png
 from lightopt.images._manifest import ImageEntry
 from lightopt.images._result_folder import ResultFolder
 from lightopt.images._set_reader import ImageSet
-from lightopt.images.formats._png import write_png
 
 ONE_COLOUR = (70, 110, 190)
 SEVERAL_COLOUR = (230, 60, 40)
@@ -25,19 +25,14 @@ GREY_SHARE = 0.45  # the images' mean is shown this dim under the colours
 
 @dataclass(frozen=True)
 class Overlap:
-    """Saturated regions of the images of one posture at one exposure.
-
-    saturated, pairs: Number of pixels saturated under each light, and under both lights of a pair.
-    count: Number of images in which each pixel is saturated, shape (H, W).
-    mean: Mean of the levels, as a share of full scale clipped to 1, shape (H, W).
-    """
+    """Saturated regions of the images of one posture at one exposure."""
 
     posture: Posture
     exposure: float
-    saturated: Mapping[str, int]
-    pairs: Mapping[tuple[str, str], int]
-    count: UInt8
-    mean: Float32
+    saturated: Mapping[str, int]  # number of pixels saturated under each light
+    pairs: Mapping[tuple[str, str], int]  # number of pixels saturated under both lights of a pair
+    count: UInt8  # number of images in which each pixel is saturated, shape (H, W)
+    mean: Float32  # mean of the levels, as a share of full scale clipped to 1, shape (H, W)
 
     @property
     def pixels(self) -> int:
@@ -55,10 +50,7 @@ class Overlap:
 
 
 def find_overlaps(images: ImageSet) -> tuple[Overlap, ...]:
-    """Overlaps of every posture and exposure of an image set, rendered or captured.
-
-    Raises InputError: a posture with fewer than two lights, or with images of different sizes.
-    """
+    """Overlaps of each posture and exposure of a set; InputError for fewer than two lights, or different sizes."""
     groups: dict[tuple[Posture, float], list[ImageEntry]] = {}
     for entry in images.manifest.images:
         groups.setdefault((entry.posture, entry.exposure), []).append(entry)

@@ -12,25 +12,19 @@ from lightopt.core.arrays import Bool, Float32, UInt8
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256, files_sha256
 from lightopt.images._file_names import MANIFEST_NAME
+from lightopt.images._image_files import read_exr, read_png
 from lightopt.images._manifest import GeometryEntry, ImageEntry, Manifest, read_manifest
-from lightopt.images.formats._exr import read_exr
-from lightopt.images.formats._png import read_png
 
 
 @dataclass(frozen=True)
 class LoadedImage:
-    """A loaded image; arrays of shape (H, W), read-only.
+    """A loaded image; arrays of shape (H, W), read-only."""
 
-    levels: float32 [grey level at exposure 1]: linear, black level removed. From a PNG ``(sensor − black level) ·
-        full scale / ((2^b − 1) · exposure)``, so clipped where `saturated`.
-    saturated: Where `levels` is only a lower bound, or where the camera would have been saturated at the entry's
-        exposure.
-    sensor: Sensor levels as delivered, uint8 or uint16; None for an image without PNG.
-    """
-
+    # [grey level at exposure 1] linear, black level removed; from a PNG (sensor − black level) · full scale /
+    # ((2^b − 1) · exposure), so clipped where saturated
     levels: Float32
-    saturated: Bool
-    sensor: UInt8 | NDArray[np.uint16] | None
+    saturated: Bool  # where `levels` is a lower bound, or the camera would be saturated at the entry's exposure
+    sensor: UInt8 | NDArray[np.uint16] | None  # levels as delivered; None for an image without PNG
 
 
 @dataclass(frozen=True)
@@ -42,16 +36,13 @@ class ImageSet:
 
     @property
     def images(self) -> tuple[ImageEntry, ...]:
-        """The images, in the manifest's order."""
         return self.manifest.images
 
     @property
     def geometry(self) -> tuple[GeometryEntry, ...]:
-        """The geometry images, in the manifest's order."""
         return self.manifest.geometry
 
     def path(self, name: str) -> Path:
-        """Where a file that the manifest names lies."""
         return self.folder / name
 
     @cached_property
@@ -68,10 +59,7 @@ class ImageSet:
         }
 
     def load(self, entry: ImageEntry) -> LoadedImage:
-        """Read an image: its PNG with the manifest's exposure, the EXR only where there is no PNG.
-
-        Raises InputError: the file is missing, damaged, or has levels beyond the manifest's bit depth.
-        """
+        """Read an image, by its PNG where there is one; InputError: missing, damaged, or beyond the bit depth."""
         image = self._load_exr(entry) if entry.png is None else self._load_png(entry, entry.png)
         for array in (image.levels, image.saturated, image.sensor):
             if array is not None:

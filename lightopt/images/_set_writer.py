@@ -16,9 +16,8 @@ from lightopt.core.provenance import differences, file_sha256
 from lightopt.core.transforms import Posture
 from lightopt.images import _file_names as file_names
 from lightopt.images._atomic import make_folder, remove_file, write_bytes_atomic, write_npz_atomic, write_text_atomic
+from lightopt.images._image_files import write_exr, write_png
 from lightopt.images._manifest import GeometryEntry, ImageEntry, Manifest, read_manifest
-from lightopt.images.formats._exr import write_exr
-from lightopt.images.formats._png import write_png
 
 _PATCHES_NAME = "patches.npz"
 
@@ -129,10 +128,7 @@ class ImageSetWriter:
         return listed
 
     def add_linear(self, light: str, posture: Posture, channels: Mapping[str, Float32]) -> None:
-        """Write the linear image that listed exposures of a light and posture share, then list it with each of them.
-
-        `channels` are (H, W) at exposure 1 [grey level], as :func:`write_exr` takes them.
-        """
+        """Write the linear image (H, W) [grey level at exposure 1] of a light and posture, and list it."""
         first = next((e for e in self.manifest.images if e.key[:2] == (light, posture)), None)
         if first is None:
             raise InputError(f"light {light!r} at {posture}: a linear image needs an image that is listed")
@@ -289,10 +285,7 @@ class ImageSetWriter:
 
 
 def resumable_manifest(folder: Path, header: Manifest) -> Manifest | None:
-    """Manifest to continue, the header's warnings added; None where the folder holds no set.
-
-    Raises InputError: the folder holds the set of another run, or a damaged one.
-    """
+    """Manifest to continue, the header's warnings added; None for no set. InputError for another run's, or damaged."""
     path = folder / file_names.MANIFEST_NAME
     if not path.exists():
         return None
@@ -324,12 +317,7 @@ def remove_set(folder: Path, header: Manifest) -> int:
 
 
 def remove_image_set(folder: Path) -> int:
-    """Remove a simulated image set, that is its listed files and the manifest; returns the number of files.
-
-    A folder without a manifest, with a damaged one or with one of captured images stays as it is.
-
-    Raises InputError: a file cannot be removed.
-    """
+    """Remove a simulated image set (listed files, manifest) and no captured one; returns the number of files."""
     manifest = _readable_manifest(folder)
     if manifest is None or manifest.kind != "simulated":
         return 0

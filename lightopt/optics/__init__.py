@@ -15,4 +15,10 @@ from lightopt.optics._reflection_model import (
     specular_lobe as specular_lobe,
 )
 from lightopt.optics._saturated_region import saturated_region as saturated_region
-from lightopt.optics._sensor import Sensor as Sensor, expose as expose, image_rng as image_rng, saturated as saturated
+from lightopt.optics._sensor import (
+    Sensor as Sensor,
+    clipped_mean as clipped_mean,
+    expose as expose,
+    image_rng as image_rng,
+    saturated as saturated,
+)

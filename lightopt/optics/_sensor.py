@@ -85,6 +85,8 @@ Quantised = UInt8 | NDArray[np.uint16]
 # Pixels worked on at a time: bounds the float64 copies. Noise is drawn block by block, so changing it changes noise.
 _BLOCK_PIXELS = 1 << 18
 
+_LEAST_NOISE = 0.3
+
 # means below this are drawn by inversion; of those more than 80 counts have a probability under 1e-20
 _FEW_ELECTRONS, _MOST_OF_FEW = 20.0, 80
 
@@ -164,6 +166,24 @@ def _poisson(mean: Float64, uniform: Float64, normal: Float64) -> Float64:
         probability *= mean[few] / number
     counts[few] = count
     return counts
+
+
+def clipped_mean(level: Float64, noise: float) -> tuple[Float64, Float64]:
+    """Mean of noisy levels that are rounded, and none of which is below 0, and its slope; both of shape (k,).
+
+    level: Without noise, shape (k,) [sensor level]
+    noise: Standard deviation; taken as no less than 0.3 levels, below which the mean is a staircase
+    """
+    from scipy import special  # takes long to load, and a capture seldom needs it
+
+    noise = max(noise, _LEAST_NOISE)
+    mean, slope = level.copy(), np.ones(len(level))
+    low = np.flatnonzero(level < 6.0 * noise)
+    # the mean is the sum over k of the probability that the rounded level is k or more
+    z = (level[low, None] + 0.5 - np.arange(1.0, 14.0 * noise + 2.0)) / noise
+    mean[low] = special.ndtr(z).sum(axis=1)
+    slope[low] = np.exp(-0.5 * np.square(z)).sum(axis=1) / (noise * math.sqrt(2.0 * math.pi))
+    return mean, slope
 
 
 def saturated(quantised: Quantised, sensor: Sensor) -> Bool:

@@ -20,7 +20,8 @@ def check_lens(checked: CheckedRig) -> Iterator[Finding]:
     camera = checked.rig.camera
     a, b = camera.distance_mm, checked.camera.image_distance
     focal = a * b / (a + b)
-    key = "image_distance_mm" if camera.image_distance_mm is not None else "focal_length_mm"
+    keys = ("focal_px", "image_distance_mm", "focal_length_mm")
+    key = next(key for key in keys if getattr(camera, key) is not None)
     text = (
         f"image distance {b:.4g} mm, the same as a lens of focal length {focal:.4g} mm focused at {a:g} mm; "
         f"magnification {b / a:.3g}"

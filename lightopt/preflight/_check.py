@@ -49,10 +49,7 @@ def check_rig(rig: RigConfig) -> CheckResult:
 
 
 def check_scene(rig: RigConfig, part: PartConfig) -> CheckResult:
-    """Check a rig and a part on it, in all the part's postures.
-
-    Raises InputError: the scene cannot be built (see :func:`lightopt.scene.build_scene`).
-    """
+    """Check a rig and a part on it, in all the part's postures; InputError where the scene cannot be built."""
     scene = build_scene(rig, part)
     caster = cast_rays_at(scene)
     samples = tuple(_sample_posture(scene, posture, caster) for posture in scene.postures)

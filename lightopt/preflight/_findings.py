@@ -18,18 +18,12 @@ Level = Literal["ok", "note", "warning", "error"]
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding of a check.
-
-    topic: What it is about, in a word or two.
-    text: For people: with numbers, and what to do where something is to be done.
-    where: File, line and key it comes from (``rig.yaml:12: lights[2]``), or None.
-    values: The numbers for programs; names carry the unit, values are what JSON can hold.
-    """
+    """One finding of a check."""
 
     level: Level
-    topic: str
-    text: str
-    where: str | None = None
+    topic: str  # what it is about, in a word or two
+    text: str  # for people: with numbers, and what to do where something is to be done
+    where: str | None = None  # file, line and key it comes from
     values: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     def __post_init__(self) -> None:
@@ -69,7 +63,6 @@ class CheckedRig:
     lights: tuple[PanelLight, ...]
 
     def at(self, *keys: str | int) -> str:
-        """File, line and key of a setting of the rig."""
         return self.rig.source.at(*keys)
 
 
@@ -96,5 +89,4 @@ class CheckedScene:
     samples: tuple[PostureSamples, ...]
 
     def at_posture(self, index: int) -> str:
-        """File, line and key of a posture of the part."""
         return self.part.source.at("postures", index)

@@ -110,15 +110,12 @@ def check_levels(checked: CheckedScene) -> Iterator[Finding]:
 
 @dataclass(frozen=True)
 class NormalErrors:
-    """Errors of the normal at the edges of a mesh where it bends: median and 90th percentile, by edge length [rad].
-
-    angle, edge: Medians of the angle by which the normal turns there [rad], and of the edges' length [mm].
-    """
+    """Errors of the normal at the edges of a mesh where it bends: median and 90th percentile, by edge length [rad]."""
 
     median: float
     high: float
-    angle: float
-    edge: float
+    angle: float  # median of the angle by which the normal turns there [rad]
+    edge: float  # median of the edges' length [mm]
 
 
 def facet_angles(mesh: TriangleMesh, *, bent: float, crease: float) -> NormalErrors | None:

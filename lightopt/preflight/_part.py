@@ -141,8 +141,6 @@ def check_unseen_surface(checked: CheckedScene) -> Iterator[Finding]:
 def facing(mean: Float64) -> str:
     """Text for the direction of an area-weighted mean of unit normals; world frame at posture (0, 0), shape (3,).
 
-    Examples
-    --------
     >>> facing(np.array([0.7, 0.0, 0.6]))
     'facing +X and up'
     """

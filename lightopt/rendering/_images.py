@@ -10,6 +10,7 @@ from time import monotonic
 from typing import Any
 
 import numpy as np
+from scipy import ndimage
 
 from lightopt.core.arrays import Bool, Float32, Float64, Index, Int32
 from lightopt.core.kernels import kernel
@@ -38,6 +39,10 @@ _log = logging.getLogger("lightopt.rendering")
 # large enough to hide Python's overhead
 BLOCK_SAMPLES = 49_152
 
+# Means over pixels take so many rays a side, where second and fourth differences of neighbouring levels are above the
+# camera's noise. Elsewhere a twenty-fourth of the second differences is the mean's, to a few hundredths of the noise.
+RAYS_ACROSS = 3
+
 TILE = 4  # rows and columns of the tiles of an image whose rays are cast together
 
 _Places = tuple[Int32, Int32, Int32]  # numbers of rays, and rows and columns of their pixels
@@ -49,12 +54,14 @@ class LightImage:
 
     level: Linear, unclipped, noise-free [grey level], shape (height, width)
     diffuse, specular: Its two components [grey level], or None without `layers`
+    inside: Level of a pixel's centre minus the mean over the pixel, shape (height, width); None without `averaged`
     """
 
     light: str
     level: Float32
     diffuse: Float32 | None = None
     specular: Float32 | None = None
+    inside: Float32 | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,15 +162,21 @@ def render_posture(
     supersample: int = 1,
     layers: bool = False,
     patches: Patches | None = None,
+    averaged: Bool | None = None,
     threads: int | None = None,
     progress: Share | None = None,
 ) -> PostureImages:
     """Render one posture of a scene under all its lights.
 
     Parameters as in :func:`render`, and any posture, not only one of the scene's.
+
+    averaged: Pixels, shape (height, width), that get the mean over their area, to a small share of the camera's noise,
+        from a ray at each centre and more rays only where levels are not smooth; with `supersample` 1
     """
     before = caster.rays_cast
-    job = _PostureJob(scene, view_from_part(scene, posture), caster, shadows, supersample, layers, patches)
+    job = _PostureJob(
+        scene, view_from_part(scene, posture), caster, shadows, supersample, layers, patches, averaged=averaged
+    )
     _run(job, posture, threads, progress)
     assert job.geometry is not None
     return PostureImages(
@@ -176,10 +189,11 @@ def render_posture(
 
 
 def render_lights(
-    scene: Scene, posture: Posture, *, caster: RayCaster, threads: int | None = None
+    scene: Scene, posture: Posture, *, caster: RayCaster, averaged: Bool | None = None, threads: int | None = None
 ) -> tuple[LightImage, ...]:
     """The images of :func:`render_posture` alone, without what each pixel looks at."""
-    job = _PostureJob(scene, view_from_part(scene, posture), caster, True, 1, False, None, geometry=False)
+    view = view_from_part(scene, posture)
+    job = _PostureJob(scene, view, caster, True, 1, False, None, averaged=averaged, geometry=False)
     _run(job, posture, threads, None)
     return tuple(job.images)
 
@@ -199,7 +213,15 @@ def _run(job: _PostureJob, posture: Posture, threads: int | None, progress: Shar
         counter.add(1)
         counter.report()
 
-    run_all(((job.block, rows) for rows in blocks), threads=threads or available_processors(), done=done)
+    threads = threads or available_processors()
+    run_all(((job.block, rows) for rows in blocks), threads=threads, done=done)
+    if job.averaged is not None:
+        lights = ((job.find_rough, (number,)) for number in range(len(job.images)))
+        run_all(lights, threads=threads)
+        run_all(((job.average, chunk) for chunk in job.rough_chunks()), threads=threads)
+        for image in job.images:
+            assert image.inside is not None
+            image.inside[:] -= image.level
     rays, free, seconds = caster.rays_cast - before, caster.rays_free - free, monotonic() - begun
     text = "posture %s: %.2f million rays in %.2f s; %.2f million shadow rays proven free"
     _log.info(text, posture, rays / 1e6, seconds, free / 1e6)
@@ -218,6 +240,7 @@ class _PostureJob:
         layers: bool,
         patches: Patches | None,
         *,
+        averaged: Bool | None = None,
         geometry: bool = True,
     ) -> None:
         self.scene, self.view, self.caster = scene, view, caster
@@ -231,9 +254,12 @@ class _PostureJob:
                 level=np.zeros(shape, np.float32),
                 diffuse=np.zeros(shape, np.float32) if layers else None,
                 specular=np.zeros(shape, np.float32) if layers else None,
+                inside=None if averaged is None else np.zeros(shape, np.float32),
             )
             for light in scene.lights
         ]
+        self.averaged = averaged
+        self.rough: dict[int, Index] = {}
         self.geometry = _no_hit(shape, defects=bool(scene.defects)) if geometry else None
         self.back = np.zeros(shape, np.bool_)
         self.panels = [panel_to_shade(light, caster) for light in view.lights]
@@ -270,28 +296,78 @@ class _PostureJob:
             centre_hits, centres = self._trace(_centres(left, right), _centres(top, bottom))
             centre_places = _places(centre_hits.ray, right - left, 0, bottom - top, top, left)
             self._store_geometry(centre_hits, centres, self._in_defects(centres), centre_places)
-        reflectance = self.scene.reflectance
         sample = hits.ray.astype(np.intp)
         passed = lens_share(self.view.camera, columns[sample % len(columns)], rows[sample // len(columns)])
         for panel, image in zip(self.panels, self.images, strict=True):
-            d, s, visibility = self._shade(surface, panel, sample, grid)
-            diffuse, specular = reflectance.R_d * d, reflectance.R_s * s
-            for some in marked:
-                diffuse[some.index], specular[some.index] = some.light(
-                    panel, visibility, sample=sample, shape=grid, caster=self.shadow_caster
-                )
-            if passed is not None:
-                diffuse, specular = passed * diffuse, passed * specular
-            if places is None:
-                diffuse, specular = (self._means(values, hits, grid, own) for values in (diffuse, specular))
-            light = (image.level, diffuse + specular), (image.diffuse, diffuse), (image.specular, specular)
-            for pixels, values in light:
-                if pixels is None:
-                    continue
+            for pixels, values in self._light(surface, marked, panel, image, sample, grid, passed):
                 if places is None:
-                    pixels[target] = values
+                    pixels[target] = self._means(values, hits, grid, own)
                 else:
                     _store_values(*places, values, pixels)
+
+    def _light(
+        self,
+        surface: SurfacePoints,
+        marked: tuple[DefectSamples, ...],
+        panel: PanelLight | ConvergedPanel,
+        image: LightImage,
+        sample: Index,
+        grid: tuple[int, int],
+        passed: Float64 | None,
+    ) -> Iterator[tuple[Float32, Float64]]:
+        # the arrays of an image, and what its light makes of the samples for each [grey level]
+        reflectance = self.scene.reflectance
+        d, s, visibility = self._shade(surface, panel, sample, grid)
+        diffuse, specular = reflectance.R_d * d, reflectance.R_s * s
+        for some in marked:
+            diffuse[some.index], specular[some.index] = some.light(
+                panel, visibility, sample=sample, shape=grid, caster=self.shadow_caster
+            )
+        if passed is not None:
+            diffuse, specular = passed * diffuse, passed * specular
+        yield image.level, diffuse + specular
+        if image.diffuse is not None and image.specular is not None:
+            yield from ((image.diffuse, diffuse), (image.specular, specular))
+
+    def find_rough(self, number: int) -> None:
+        """Turn smooth levels of a light into means over the pixel; find the pixels that need more rays for that."""
+        image, sensor = self.images[number], self.scene.sensor
+        assert self.averaged is not None
+        assert image.inside is not None
+        image.inside[:] = image.level
+        scale = sensor.max_level / self.scene.reflectance.full_scale
+        still = sensor.noise_variance(0.0)
+        rough = _rough(
+            image.level, self.averaged, scale, float(sensor.max_level), still, sensor.noise_variance(1.0) - still
+        )
+        # what is narrower than a pixel may show in the next one only
+        rough = np.logical_and(ndimage.binary_dilation(rough, np.ones((3, 3))), self.averaged)
+        self.rough[number] = np.flatnonzero(rough)
+        for pixels in (image.level, image.diffuse, image.specular):
+            if pixels is not None:
+                _add_curvature(pixels.copy(), self.averaged & ~rough, pixels)
+
+    def rough_chunks(self) -> Iterator[tuple[int, Index]]:
+        """Number of a light and some of its rough pixels, for :meth:`average`."""
+        step = max(1, BLOCK_SAMPLES // RAYS_ACROSS**2)
+        for number, pixels in sorted(self.rough.items()):
+            for start in range(0, len(pixels), step):
+                yield number, pixels[start : start + step]
+
+    def average(self, number: int, pixels: Index) -> None:
+        """Render means over some pixels of a light: raveled indices."""
+        image, panel, n = self.images[number], self.panels[number], RAYS_ACROSS
+        row, column = np.divmod(pixels, image.level.shape[1])
+        columns, rows = _inner_points(column, row)
+        hits, surface = trace_samples(self.caster, self.scene.mesh, self.view.camera, columns, rows, neighbours=True)
+        passed = lens_share(self.view.camera, columns[hits.ray], rows[hits.ray])
+        surface = self._wavy(surface)
+        # to the shadows' refinement the rays of a pixel are neighbours, those of two pixels are not
+        grid = (len(pixels) * (n + 1), n)
+        sample = hits.ray.astype(np.intp) + hits.ray // n**2 * n
+        for target, values in self._light(surface, self._in_defects(surface), panel, image, sample, grid, passed):
+            means = np.bincount(hits.ray // n**2, values, len(pixels)) / n**2
+            target.ravel()[pixels] = means
 
     def _trace(self, columns: Float64, rows: Float64) -> tuple[Hits, SurfacePoints]:
         order, *at = _tiles(columns, rows)
@@ -383,6 +459,47 @@ def _tiles(columns: Float64, rows: Float64) -> tuple[Int32, Float64, Float64]:
                     x[k], y[k] = columns[column], rows[row]
                     k += 1
     return order, x, y
+
+
+@kernel
+def _rough(level: Float32, averaged: Bool, scale: float, top: float, still: float, shot: float) -> Bool:
+    # pixels to average whose levels bend by more than noise within a pixel. Above `top` noise is that of an exposure
+    # that is just short enough
+    rough = np.zeros(level.shape, np.bool_)
+    for y in range(2, level.shape[0] - 2):
+        for x in range(2, level.shape[1] - 2):
+            if not averaged[y, x]:
+                continue
+            here = float(level[y, x])
+            signal = here * scale
+            noise = math.sqrt(still + shot * min(signal, top)) * max(signal / top, 1.0) / scale
+            for down, right in ((0, 1), (1, 0)):
+                near = float(level[y - down, x - right]) + float(level[y + down, x + right])
+                far = float(level[y - 2 * down, x - 2 * right]) + float(level[y + 2 * down, x + 2 * right])
+                if min(abs(near - 2.0 * here), abs(far - 4.0 * near + 6.0 * here)) > noise:
+                    rough[y, x] = True
+    return rough
+
+
+@kernel
+def _add_curvature(level: Float32, smooth: Bool, mean: Float32) -> None:
+    # the mean over a pixel of a quadratic is that of its middle and 1/24 of its second derivatives
+    for y in range(1, level.shape[0] - 1):
+        for x in range(1, level.shape[1] - 1):
+            here = level[y, x]
+            if smooth[y, x] and here > 0.0:
+                bend = level[y - 1, x] + level[y + 1, x] + level[y, x - 1] + level[y, x + 1] - np.float32(4.0) * here
+                mean[y, x] = max(here + bend / np.float32(24.0), np.float32(0.5) * here)
+
+
+def _inner_points(column: Index, row: Index) -> tuple[Float64, Float64]:
+    # image points of the rays through pixels, a pixel's n² one after the other: a grid that is sheared, so that no two
+    # share a row or a column, and an edge along either is where it is to 1/n² of a pixel
+    n = RAYS_ACROSS
+    down, right = (np.ravel(a) for a in np.divmod(np.arange(n * n), n))
+    x = (right + (down + 0.5) / n) / n
+    y = (down + (n - 0.5 - right) / n) / n
+    return (column[:, None] + x).ravel(), (row[:, None] + y).ravel()
 
 
 @kernel

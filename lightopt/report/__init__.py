@@ -4,6 +4,11 @@ Those of ``lightopt optimize`` are in :mod:`lightopt.report.design`, those of ``
 :mod:`lightopt.report.inspection`.
 """
 
+from lightopt.report._board_sheet import board_sheet as board_sheet
+from lightopt.report._calibration import (
+    calibration_lines as calibration_lines,
+    calibration_report as calibration_report,
+)
 from lightopt.report._charts import chart as chart
 from lightopt.report._contact_sheet import add_contact_sheets as add_contact_sheets, contact_sheet as contact_sheet
 from lightopt.report._drawing import figure_image as figure_image, fixed_style as fixed_style
@@ -20,4 +25,10 @@ from lightopt.report._surface import (
     ColouredSurface as ColouredSurface,
     SurfaceClass as SurfaceClass,
     SurfaceLayer as SurfaceLayer,
+)
+from lightopt.report._verification import (
+    findings_table as findings_table,
+    history_chart as history_chart,
+    lights_table as lights_table,
+    verification_report as verification_report,
 )

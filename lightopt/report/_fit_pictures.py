@@ -125,14 +125,15 @@ def residual_picture(
     width = difference.shape[1]
     scale = RESIDUAL_SCALE * full
     legend = Drawing(width, LEGEND_HEIGHT)
-    legend.picture(_diverging(np.tile(np.linspace(-1.0, 1.0, width), (LEGEND_HEIGHT, 1))), 0, 0)
+    legend.picture(diverging(np.tile(np.linspace(-1.0, 1.0, width), (LEGEND_HEIGHT, 1))), 0, 0)
     legend.text(4.0, 17.0, f"−{scale:.3g}", size=13, colour="#ffffff")
     legend.text(width - 4.0, 17.0, f"+{scale:.3g} levels", size=13, colour="#ffffff", align="right")
-    picture = np.concatenate([_diverging(difference / scale), np.asarray(legend.image())])
+    picture = np.concatenate([diverging(difference / scale), np.asarray(legend.image())])
     return write_picture(Path(path), Image.fromarray(picture))
 
 
-def _diverging(shares: NDArray[np.floating[Any]]) -> UInt8:
+def diverging(shares: NDArray[np.floating[Any]]) -> UInt8:
+    """Colours of shares from −1, blue, over 0, white, to 1, red; shape of the shares and 3."""
     channels = [
         np.interp(shares, [-1.0, 0.0, 1.0], [low, middle, high])
         for low, middle, high in zip(_BELOW, _EQUAL, _ABOVE, strict=True)

@@ -14,6 +14,7 @@ from lightopt.scene._build import (
     unit_hint as unit_hint,
 )
 from lightopt.scene._camera import (
+    Distortion as Distortion,
     Framing as Framing,
     PinholeCamera as PinholeCamera,
     frame_part as frame_part,

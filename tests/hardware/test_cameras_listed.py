@@ -14,8 +14,8 @@ from fault_cases import make_rig
 from lightopt.cli._main import run
 from lightopt.core.errors import HardwareError, InputError
 from lightopt.rig.devices import CameraSettings, check_camera_driver, find_cameras, open_camera
+from lightopt.rig.devices._camera_features import PIXEL_FORMATS, levels_of
 from lightopt.rig.devices._camera_genicam import GenicamSdk
-from lightopt.rig.devices._camera_pixels import PIXEL_FORMATS, levels_of
 from lightopt.rig.devices._drivers import CAMERA_DRIVERS
 from lightopt.rig.simulated._camera_gige import FORMATS, packed
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from lightopt.core.errors import HardwareError, InputError
-from lightopt.rig.devices._camera_pixels import PIXEL_FORMATS, choose_format, levels_of
+from lightopt.rig.devices._camera_features import PIXEL_FORMATS, choose_format, levels_of
 from lightopt.rig.simulated._camera_gige import FORMATS, packed
 
 SIZES = st.tuples(st.integers(1, 9), st.integers(1, 5))

@@ -20,9 +20,8 @@ from lightopt.core.transforms import Posture
 from lightopt.images import ImageSetWriter, png_name, read_image_set, read_png
 from lightopt.rig.capture import CapturePlan
 from lightopt.rig.capture._acquisition import AcquisitionEngine, Timing
-from lightopt.rig.capture._background_writer import MOST_LINEARS, BackgroundWriter
 from lightopt.rig.capture._capture import LOCK_NAME
-from lightopt.rig.capture._captured_set import CapturedSet
+from lightopt.rig.capture._captured_set import MOST_LINEARS, BackgroundWriter, CapturedSet
 
 HERE = (Posture(0.0, 0.0),)
 

@@ -15,7 +15,7 @@ from lightopt.config import load_part, load_rig
 from lightopt.core.errors import HardwareError, InputError, Interrupted
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import read_observations
-from lightopt.images import read_exr, read_image_set, read_png, read_png_metadata
+from lightopt.images import read_exr, read_image_set, read_metadata, read_png
 from lightopt.rig.capture import CapturePlan
 from lightopt.rig.capture._acquisition import AcquisitionEngine, Timing
 from lightopt.rig.simulated import BenchTruth
@@ -77,7 +77,7 @@ def test_what_is_known_of_each_image_is_in_the_manifest(take, bench):
     sensor = read_png(bench.out / entry["png"])
     assert entry["capture"]["saturated_share"] == pytest.approx((sensor >= 255).mean())
     assert entry["capture"]["lit"]["resemblance"] > 0.9
-    assert read_png_metadata(bench.out / entry["png"])["capture"] == entry["capture"]
+    assert read_metadata(bench.out / entry["png"])["capture"] == entry["capture"]
 
 
 def test_the_linear_image_says_where_each_pixel_came_from(take, bench):
@@ -126,7 +126,7 @@ def test_dark_frames_are_subtracted_in_the_exr_only(take, bench):
     entry = image_set.images[0]
     raw = read_png(bench.out / entry.png).astype(np.float32)
     assert np.array_equal(read_exr(bench.out / entry.exr)["Y"], raw - dark)
-    facts = read_png_metadata(bench.out / "posture_0_0/dark.png")["capture"]
+    facts = read_metadata(bench.out / "posture_0_0/dark.png")["capture"]
     assert facts["light"] is None
 
 

@@ -15,7 +15,7 @@ from PIL import Image
 from lightopt import load_part, load_rig
 from lightopt.cli._main import run
 from lightopt.core.errors import InputError
-from lightopt.images import read_exr, read_image_set, read_png, read_png_metadata, write_png
+from lightopt.images import read_exr, read_image_set, read_metadata, read_png, write_png
 from lightopt.inspection import InspectOptions, inspection_provenance
 
 pytestmark = pytest.mark.usefixtures("few_pixels_for_the_rest")
@@ -104,7 +104,7 @@ def test_defects_are_found_where_they_are_and_reported_in_every_file(cli, bench,
         assert overlay.size == (160, 120)
     synthetic = read_exr(bench.out / "posture_0_0" / "synthetic.exr")
     assert set(synthetic) == {"Y", "deviation.Y", "filled", "mask"}
-    reported = read_png_metadata(bench.out / "posture_0_0" / "synthetic.png")
+    reported = read_metadata(bench.out / "posture_0_0" / "synthetic.png")
     assert reported["power"] == 1.0
     grey = read_png(bench.out / "posture_0_0" / "synthetic.png")
     expected = np.clip(synthetic["Y"] / reported["white_level"], 0.0, 1.0) * 255.0

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lightopt.core.provenance import file_sha256
-from lightopt.images import read_exr, read_exr_metadata, read_image_set, read_png
+from lightopt.images import read_exr, read_image_set, read_metadata, read_png
 from lightopt.optics import Sensor, expose
 from lightopt.report import contact_sheet
 from lightopt.scene import build_camera, project
@@ -336,11 +336,11 @@ def test_geometry_is_what_the_pixels_see(rendered, shared_bench):
 
 def test_files_found_alone_say_what_they_are(rendered):
     entry = rendered.images[0]
-    facts = read_exr_metadata(rendered.path(entry.exr))
+    facts = read_metadata(rendered.path(entry.exr))
     assert facts["light"] == "light1"
     assert facts["posture"] == {"elevation_deg": 0.0, "rotation_deg": 0.0}
     assert "exposure" not in facts
-    assert "back_face_pixels" in read_exr_metadata(rendered.path(rendered.geometry[0].exr))
+    assert "back_face_pixels" in read_metadata(rendered.path(rendered.geometry[0].exr))
 
 
 # --- noise

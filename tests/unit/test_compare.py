@@ -18,8 +18,8 @@ from lightopt.images import (
     ImageEntry,
     ImageSetWriter,
     Manifest,
+    read_metadata,
     read_png,
-    read_png_metadata,
     write_exr,
     write_npz_atomic,
     write_png,
@@ -421,7 +421,7 @@ def test_difference_picture_shows_sign_scale_and_saturation(tmp_path: Path):
     assert weak[0] > weak[2]
     assert black.tolist() == [0, 0, 0]
     assert len({tuple(picture[1, 0]), tuple(picture[1, 1]), tuple(picture[5, 5]), tuple(red), tuple(blue)}) == 5
-    metadata = read_png_metadata(tmp_path / "d.png")
+    metadata = read_metadata(tmp_path / "d.png")
     assert (metadata["scale"], metadata["channel"]) == (5.25, "Y")
     assert (metadata["beyond_scale"], metadata["only_golden"], metadata["only_new"]) == (0, 1, 1)
     assert "5.25 and above" in metadata["colours"]
@@ -442,10 +442,10 @@ def test_difference_picture_of_pngs_and_of_geometry(tmp_path: Path):
     write_png(tmp_path / "a.png", np.zeros((4, 4), np.uint8), metadata={})
     write_png(tmp_path / "b.png", np.full((4, 4), 255, np.uint8), metadata={})
     assert difference_picture(tmp_path / "a.png", tmp_path / "b.png", tmp_path / "d.png") == 255
-    assert read_png_metadata(tmp_path / "d.png")["only_new"] == 16
+    assert read_metadata(tmp_path / "d.png")["only_new"] == 16
     a = exr(tmp_path / "a.exr", Z=LEVELS, patch=LEVELS)
     difference_picture(a, a, tmp_path / "e.png")
-    assert read_png_metadata(tmp_path / "e.png")["channel"] == "Z"
+    assert read_metadata(tmp_path / "e.png")["channel"] == "Z"
 
 
 def test_differences_that_cannot_be_shown_are_errors(tmp_path: Path):

@@ -52,6 +52,14 @@ def test_keys_are_removed_with_the_comments_beside_them():
     assert "  - distance_mm: 330\n" in done
 
 
+def test_all_keys_but_one_are_removed_from_braces():
+    text = "lights:\n  - {name: one, a: 1, b: [2, 3],  c: {d: 4, e: 5}}  # x, }\n"
+    gone = {("lights", 0, key): None for key in "abc"}
+    assert with_values(text, gone) == "lights:\n  - {name: one}  # x, }\n"
+    done = with_values(text, gone | {("lights", 0, "pose"): "{f: 6}", ("lights", 0, "c"): "7"})
+    assert "- {pose: {f: 6}, c: 7, name: one}  # x, }" in done
+
+
 def test_a_mapping_takes_the_place_of_another_and_a_key_of_the_top_goes_to_the_end():
     done = with_values(
         "camera:\n  pose:\n    a: 1  # one\n    b: [2, 3]\n  size: 3\n", {("camera", "pose"): "{c: 4}", ("d",): "5"}

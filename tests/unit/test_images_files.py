@@ -18,16 +18,7 @@ from hypothesis.extra import numpy as hnp
 
 from lightopt.core.errors import InputError
 from lightopt.core.provenance import file_sha256
-from lightopt.images import (
-    read_exr,
-    read_exr_metadata,
-    read_png,
-    read_png_metadata,
-    write_exr,
-    write_npz_atomic,
-    write_png,
-    write_text_atomic,
-)
+from lightopt.images import read_exr, read_metadata, read_png, write_exr, write_npz_atomic, write_png, write_text_atomic
 from lightopt.images._atomic import write_atomically
 
 RNG = np.random.default_rng(0)
@@ -51,7 +42,7 @@ def test_exr_keeps_values_channels_and_metadata(folder: Path):
     for name, values in channels.items():
         assert read[name].dtype == np.float32
         assert np.array_equal(read[name], values, equal_nan=True), name
-    assert read_exr_metadata(folder / "a.exr") == METADATA
+    assert read_metadata(folder / "a.exr") == METADATA
 
 
 def test_exr_of_more_rows_than_a_block_and_of_a_strided_view(folder: Path):
@@ -104,7 +95,7 @@ def test_png_keeps_right_aligned_twelve_bits_and_metadata_and_says_nothing_of_co
     levels = np.arange(4096, dtype=np.uint16).reshape(64, 64)
     write_png(folder / "a.png", levels, metadata=METADATA)
     assert np.array_equal(read_png(folder / "a.png"), levels)
-    assert read_png_metadata(folder / "a.png") == METADATA
+    assert read_metadata(folder / "a.png") == METADATA
     data = (folder / "a.png").read_bytes()
     assert not any(chunk in data for chunk in (b"sRGB", b"gAMA", b"cHRM", b"cICP"))
 
@@ -148,10 +139,10 @@ def test_png_whose_levels_would_be_changed_by_decoding_is_refused(folder: Path, 
 def test_plain_foreign_png_with_gamma_is_read_untouched(folder: Path):
     (folder / "a.png").write_bytes(foreign_png(8, 0, bytes(range(8)), b"gAMA" + struct.pack(">I", 45455)))
     assert read_png(folder / "a.png").tolist() == [list(range(8))]
-    assert read_png_metadata(folder / "a.png") == {}
+    assert read_metadata(folder / "a.png") == {}
 
 
-@pytest.mark.parametrize("reader", [read_exr, read_png, read_exr_metadata, read_png_metadata])
+@pytest.mark.parametrize("reader", [read_exr, read_png, read_metadata])
 def test_missing_empty_truncated_and_mistaken_files_are_named(folder: Path, reader):
     exr = "exr" in reader.__name__
     good = folder / ("a.exr" if exr else "a.png")
@@ -163,9 +154,9 @@ def test_missing_empty_truncated_and_mistaken_files_are_named(folder: Path, read
     (folder / "empty").write_bytes(b"")
     with pytest.raises(InputError, match="empty"):
         reader(folder / "empty")
-    with pytest.raises(InputError, match=r"b\."):
-        reader(other)
-    if "metadata" not in reader.__name__:
+    if reader is not read_metadata:
+        with pytest.raises(InputError, match=r"b\."):
+            reader(other)
         (folder / "cut").write_bytes(good.read_bytes()[: good.stat().st_size * 2 // 3])
         with pytest.raises(InputError, match="cut"):
             reader(folder / "cut")
@@ -190,7 +181,7 @@ def test_half_exr_is_widened(folder: Path):
     output.write_image(np.full((4, 8, 1), 1.5, np.float32))
     output.close()
     assert (read_exr(folder / "a.exr")["Y"] == 1.5).all()
-    assert read_exr_metadata(folder / "a.exr") == {}
+    assert read_metadata(folder / "a.exr") == {}
 
 
 def test_integer_channels_and_cropped_windows_are_refused(folder: Path):
@@ -209,10 +200,10 @@ def test_integer_channels_and_cropped_windows_are_refused(folder: Path):
 def test_damaged_metadata_are_an_error(folder: Path):
     write_foreign_exr(folder / "a.exr", lambda spec: spec.attribute("lightopt:json", "{"))
     with pytest.raises(InputError, match="not valid JSON"):
-        read_exr_metadata(folder / "a.exr")
+        read_metadata(folder / "a.exr")
     write_foreign_exr(folder / "a.exr", lambda spec: spec.attribute("lightopt:json", "[1]"))
     with pytest.raises(InputError, match="JSON object"):
-        read_exr_metadata(folder / "a.exr")
+        read_metadata(folder / "a.exr")
 
 
 @pytest.mark.parametrize(

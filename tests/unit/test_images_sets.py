@@ -22,10 +22,9 @@ from lightopt.images import (
     Manifest,
     SourceFile,
     png_name,
-    read_exr_metadata,
     read_image_set,
     read_manifest,
-    read_png_metadata,
+    read_metadata,
     write_exr,
     write_png,
 )
@@ -147,9 +146,9 @@ def test_set_has_the_files_and_the_manifest_of_the_contract(whole: Path):
 
 
 def test_files_say_what_they_are(whole: Path):
-    png = read_png_metadata(whole / "posture_0_0/light1_x0.0625.png")
+    png = read_metadata(whole / "posture_0_0/light1_x0.0625.png")
     assert (png["light"], png["exposure"], png["saturation_level"], png["bit_depth"]) == ("light1", 0.0625, 250, 8)
-    exr = read_exr_metadata(whole / "posture_0_0/light1.exr")
+    exr = read_metadata(whole / "posture_0_0/light1.exr")
     assert (exr["light"], exr["full_scale"], exr["posture"]) == ("light1", 255, {"elevation_deg": 0, "rotation_deg": 0})
     assert "exposure" not in exr
 

@@ -42,7 +42,7 @@ def seen(shown, threads):
 def test_the_number_of_threads_changes_nothing(shown):
     (view, found, score), (view_3, found_3, score_3) = seen(shown, 1), seen(shown, 3)
     assert view.level.max() > 100
-    for name in ("level", "predicted", "specular", "deviation", "rounding", "limit", "saturated"):
+    for name in ("level", "predicted", "specular", "deviation", "slack", "limit", "saturated"):
         assert np.array_equal(getattr(view, name), getattr(view_3, name)), name
     for name in ("z", "scale", "usable", "lit"):
         assert np.array_equal(getattr(found, name), getattr(found_3, name)), name

@@ -83,7 +83,7 @@ def images_of(bench, folder, shift, *, seed):
     path = bench.part.with_name(f"moved-{folder.name}.yaml")
     path.write_text(text.replace(nominal, f"translate_mm: [{x}, {y}, 0], rotate_deg: [0, 0, {turn}]"), encoding="utf-8")
     rig = load_rig(bench.rig)
-    options = RenderOptions(noise=seed, patch_budget=500, postures=(FLAT,))
+    options = RenderOptions(noise=seed, patch_budget=500, postures=(FLAT,), supersample=3)
     render_image_set(rig, load_part(path), folder, options=options)
     return rig, load_part(bench.part), read_image_set(folder)
 

@@ -56,7 +56,7 @@ def view_of(level, *, clean=None, predicted=None, noise=1.0):
         level=level,
         predicted=np.full_like(level, 100.0) if predicted is None else np.asarray(predicted, np.float32),
         deviation=np.full_like(level, noise),
-        rounding=np.zeros_like(level),
+        slack=np.zeros_like(level),
         limit=np.full_like(level, 250.0),
         saturated=np.zeros(level.shape, bool),
         prediction=prediction,

@@ -16,7 +16,7 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, refuse_mismatch
 from lightopt.inspection import InspectOptions, deviations, posture_view, predict
 from lightopt.inspection._inspect import inspection_warnings
-from lightopt.rendering import cast_rays_at
+from lightopt.rendering import cast_rays_at, render_posture
 
 FLAT = Posture(0.0, 0.0)
 
@@ -28,15 +28,16 @@ def good(shared_bench):
     return scene, predict(scene, FLAT, cast_rays_at(scene), lights=("light1",))
 
 
-def taken(good, ambient, *, reported=True, model=None):
+def taken(good, ambient, *, reported=True, model=None, shown=None):
     """Deviations of an image over so many levels of ambient light, subtracted afterwards, and which are saturated.
 
-    From the prediction itself, or from another model.
+    From the prediction itself, or from another model; `shown` are other levels than the prediction's.
     """
     scene, prediction = good
     sensor = scene.sensor
     scale = sensor.max_level / scene.reflectance.full_scale
-    signal = prediction.images.lights[0].level * scale + sensor.black_level
+    level = prediction.images.lights[0].level if shown is None else shown
+    signal = level * scale + sensor.black_level
     delivered = np.minimum(np.floor(signal + ambient + 0.5), sensor.max_level)
     saturated = delivered >= sensor.saturated_from
     image = Observation(
@@ -58,6 +59,17 @@ def test_a_good_part_is_not_darker_in_a_highlight_or_around_it(good, ambient):
     found, full = taken(good, ambient)
     assert full.sum() > 20
     assert np.abs(found.z).max() < 1.5  # quantisation only
+
+
+@pytest.mark.parametrize("rays", [1, 4])
+def test_a_good_part_deviates_nowhere_whether_pixels_show_means_or_centres(good, rays):
+    scene, prediction = good
+    images = render_posture(scene, FLAT, caster=cast_rays_at(scene), supersample=rays)
+    found, _ = taken(good, 0.0, model=prediction, shown=images.lights[0].level)
+    edge = prediction.clean & (np.abs(prediction.images.lights[0].inside) > 2.0)
+    assert edge.sum() > 20
+    assert np.abs(found.z[0][edge]).max() < 3.0
+    assert np.abs(found.z).max() < 4.0
 
 
 def test_a_lower_bound_is_never_darker_even_where_what_was_subtracted_is_not_known(good):
@@ -177,7 +189,7 @@ def test_the_hard_edge_of_a_shadow_may_be_a_pixel_off_and_a_smooth_edge_may_not(
     def off(predicted, level):
         ones = np.ones_like(predicted)
         view = SimpleNamespace(
-            level=level, predicted=predicted, deviation=0.8 * ones, rounding=0.0 * ones, limit=255.0 * ones,
+            level=level, predicted=predicted, deviation=0.8 * ones, slack=0.0 * ones, limit=255.0 * ones,
             saturated=ones < 0, clean=ones[0] > 0, lights=("light1",),
         )  # fmt: skip
         return np.abs(deviations(view).z[0])

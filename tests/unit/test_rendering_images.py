@@ -16,7 +16,14 @@ import lightopt
 from lightopt import build_scene, load_part, load_rig, render
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
-from lightopt.rendering import RenderOptions, cast_rays_at, highlight_level, render_image_set, render_posture
+from lightopt.rendering import (
+    RenderOptions,
+    cast_rays_at,
+    highlight_level,
+    mask_pixels,
+    render_image_set,
+    render_posture,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -47,6 +54,32 @@ def test_supersampling_is_the_mean_of_a_finer_camera(bench, n, points):
         # the converged panel is exact to 0.1 level, and lays its grid through other samples here
         assert np.allclose(a.level, means, rtol=1e-5, atol=0.1 if points == "auto" else 1e-3)
     assert averaged.rays > many.rays  # the pixels' centres are traced as well
+
+
+@pytest.mark.parametrize("points", ["4", "auto"])
+def test_averaged_pixels_show_the_mean_over_their_area_and_others_their_centre(bench, points):
+    bench.edit("rig.yaml", "points: 4", f"points: {points}")
+    scene = build_scene(bench.rig, bench.part)
+    posture, caster = scene.postures[0], cast_rays_at(scene)
+    own = mask_pixels(scene, posture, caster).clean
+    own[:, :80] = False
+    centre, fine = (render_posture(scene, posture, caster=caster, supersample=n) for n in (1, 6))
+    one, two = (
+        render_posture(scene, posture, caster=caster, layers=True, averaged=own, threads=n).lights for n in (1, 2)
+    )
+    errors = np.zeros((2, 0))
+    for a, b, middle, mean in zip(one, two, centre.lights, fine.lights, strict=True):
+        for name in ("level", "diffuse", "specular", "inside"):
+            assert np.array_equal(getattr(a, name), getattr(b, name)), name
+        assert np.array_equal(a.level[~own], middle.level[~own])
+        np.testing.assert_allclose(a.level + a.inside, middle.level, rtol=1e-5, atol=1e-4)
+        np.testing.assert_allclose(a.diffuse + a.specular, a.level, rtol=1e-5, atol=1e-4)
+        seen = own & (mean.level < 255.0)
+        errors = np.hstack([errors, [np.abs(x.level - mean.level)[seen] for x in (a, middle)]])
+    averaged, centres = np.sqrt(np.mean(errors**2, axis=1))
+    assert centres > 0.5
+    assert averaged < 0.2 * centres
+    assert np.quantile(errors[0], 0.995) < 0.6
 
 
 def test_geometry_is_that_of_the_pixels_centre_whatever_the_supersampling(scene, caster):

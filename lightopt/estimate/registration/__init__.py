@@ -15,7 +15,12 @@ from lightopt.estimate.registration._observations import (
     observed_postures as observed_postures,
     read_observations as read_observations,
 )
-from lightopt.estimate.registration._pixels import view_of_placed as view_of_placed
+from lightopt.estimate.registration._pixels import (
+    PixelSet as PixelSet,
+    light_at as light_at,
+    sensor_scale as sensor_scale,
+    view_of_placed as view_of_placed,
+)
 from lightopt.estimate.registration._placement import (
     Placement as Placement,
     PoseFrame as PoseFrame,
@@ -23,4 +28,8 @@ from lightopt.estimate.registration._placement import (
     place_part as place_part,
 )
 from lightopt.estimate.registration._refinement import DARK_SPREAD as DARK_SPREAD, GAIN_SPREAD as GAIN_SPREAD
-from lightopt.estimate.registration._registration import Registration as Registration, register as register
+from lightopt.estimate.registration._registration import (
+    Registration as Registration,
+    refuse_useless_images as refuse_useless_images,
+    register as register,
+)

@@ -57,7 +57,7 @@ FLIPS: dict[str, tuple[tuple[slice, slice], str]] = {
 """Flips of images: by name, the rows and columns that undo it, and the remedy."""
 
 
-def refuse_useless_images(
+def refuse_useless_pixels(
     scene: Scene,
     sets: Sequence[PixelSet],
     observations: Sequence[Observation],

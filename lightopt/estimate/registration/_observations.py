@@ -14,8 +14,8 @@ from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.errors import InputError, counted
 from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
-from lightopt.images import ImageEntry, ImageSet, dark_name, read_png, read_png_metadata
-from lightopt.optics import Sensor
+from lightopt.images import ImageEntry, ImageSet, dark_name, read_metadata, read_png
+from lightopt.optics import Sensor, clipped_mean
 from lightopt.scene import build_sensor
 
 ANGLE_TOLERANCE_DEG = 0.01  # a light that the manifest has this far from where the rig has it was elsewhere
@@ -220,7 +220,7 @@ def dark_levels(image_set: ImageSet, entry: ImageEntry, sensor: Sensor) -> Float
         )
     path = image_set.path(name)
     levels = read_png(path).astype(np.float64)
-    mean = read_png_metadata(path).get("mean_level")
+    mean = read_metadata(path).get("mean_level")
     if isinstance(mean, int | float):
         levels += mean - float(levels.mean())  # of several frames the PNG has the rounded mean
     return smoothed(levels, sensor=sensor, frames=frames_of(entry))
@@ -254,12 +254,9 @@ def _window_mean(image: Float64) -> Float64:
 
 def _unclipped(mean: Float64, sensor: Sensor) -> Float64:
     """Mean of a signal whose noisy levels, none of which is below 0, have the mean given."""
-    from scipy import special  # takes long to load, and a capture seldom needs it
-
     noise = sensor.read_noise_levels
     if noise < 0.3 or float(mean.min()) > 6.0 * noise:
         return mean  # levels are too coarse, or none is clipped
     signal = np.arange(-noise, 6.0 * noise, noise / 50.0)
-    levels = np.arange(0.5, 14.0 * noise + 2.0)
-    shown = special.ndtr((signal[:, None] - levels) / noise).sum(axis=1)
+    shown, _ = clipped_mean(signal, noise)
     return np.where(mean < shown[-1], np.interp(mean, shown, signal), mean)

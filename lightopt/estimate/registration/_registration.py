@@ -21,7 +21,7 @@ import numpy as np
 from lightopt.core.arrays import Float64
 from lightopt.core.least_squares import Solution, solve
 from lightopt.core.run_context import RunContext
-from lightopt.estimate.registration._image_checks import refuse_useless_images
+from lightopt.estimate.registration._image_checks import refuse_useless_pixels
 from lightopt.estimate.registration._observations import Observation
 from lightopt.estimate.registration._pixels import PixelSet, light_at, sensor_scale, view_of_placed
 from lightopt.estimate.registration._placement import Placement, PoseFrame, place_part
@@ -114,12 +114,23 @@ def register(
     Raises InputError: no pixel to use: the part is outside the view, or all images are saturated or black.
     """
     run = run or RunContext()
-    sets = coarse_pixels(scene, observations)
-    refuse_useless_images(scene, sets, observations, caster=caster, threads=run.threads)
+    sets = refuse_useless_images(scene, observations, caster=caster, threads=run.threads)
     start = _search_placement(scene, sets, caster, run)
     if reflectance_at is not None:
         scene = replace(scene, reflectance=reflectance_at(place_part(scene, start)))
     return refine_placement(scene, observations, start, caster=caster, reduced=reduced, run=run)
+
+
+def refuse_useless_images(
+    scene: Scene, observations: Sequence[Observation], *, caster: RayCaster, threads: int | None = None
+) -> list[PixelSet]:
+    """Refuse images that cannot show where the part is; returns pixels on and around it.
+
+    Raises InputError: the part is outside the view, or all images are saturated or black where it is expected.
+    """
+    sets = coarse_pixels(scene, observations)
+    refuse_useless_pixels(scene, sets, observations, caster=caster, threads=threads)
+    return sets
 
 
 def coarse_pixels(scene: Scene, observations: Sequence[Observation]) -> list[PixelSet]:

@@ -1,8 +1,11 @@
 """Comparison of images and image sets with golden ones: differences in numbers and as a picture."""
 
 from lightopt.images.comparison._channels import ComparisonThresholds as ComparisonThresholds
-from lightopt.images.comparison._files import FileComparison as FileComparison, compare_files as compare_files
-from lightopt.images.comparison._picture import difference_picture as difference_picture
+from lightopt.images.comparison._files import (
+    FileComparison as FileComparison,
+    compare_files as compare_files,
+    difference_picture as difference_picture,
+)
 from lightopt.images.comparison._sets import (
     SetComparison as SetComparison,
     compare_sets as compare_sets,

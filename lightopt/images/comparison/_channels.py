@@ -48,41 +48,37 @@ class ComparisonThresholds:
             raise InputError(*problems)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ChannelDifference:
-    """Difference of one channel.
+class Verdict:
+    """A comparison that passes where there are no reasons why it fails."""
 
-    compared: Pixels whose values were compared: not background in both images.
-    max, rms, percentiles: Of |a − b| over the compared pixels where both are finite; None where there are none.
-    differing, share: Pixels beyond the thresholds, and their share of the compared pixels.
-    not_finite_a, not_finite_b: Pixels that are NaN or infinite.
-    saturated_a, saturated_b, iou: Saturated pixels, and intersection over union of the two masks (1 where both are
-        empty); None for channels that do not saturate.
-    reasons: Why the channel fails; empty when it passes.
-    """
-
-    name: str
-    pixels: int
-    compared: int
-    max: float | None
-    rms: float | None
-    percentiles: Mapping[str, float] | None
-    differing: int
-    share: float
-    not_finite_a: int
-    not_finite_b: int
-    saturated_a: int | None = None
-    saturated_b: int | None = None
-    iou: float | None = None
-    reasons: tuple[str, ...] = ()
+    reasons: tuple[str, ...]
 
     @property
     def passed(self) -> bool:
-        """Whether the channel is close enough."""
         return not self.reasons
 
     def as_dict(self) -> dict[str, Any]:
         return {**vars(self), "passed": self.passed}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelDifference(Verdict):
+    """Difference of one channel."""
+
+    name: str
+    pixels: int
+    compared: int  # pixels whose values were compared: not background in both images
+    max: float | None  # of |a − b| over the compared pixels where both are finite; None where there are none
+    rms: float | None  # the same
+    percentiles: Mapping[str, float] | None  # the same, by their key
+    differing: int  # pixels beyond the thresholds
+    share: float  # of the compared pixels
+    not_finite_a: int  # pixels that are NaN or infinite
+    not_finite_b: int
+    saturated_a: int | None = None  # saturated pixels; None for channels that do not saturate
+    saturated_b: int | None = None
+    iou: float | None = None  # intersection over union of the two masks, 1 where both are empty
+    reasons: tuple[str, ...] = ()
 
 
 def compare_arrays(

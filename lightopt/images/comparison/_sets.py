@@ -19,17 +19,12 @@ _PATCHES = "patch table"
 
 @dataclass(frozen=True)
 class SetComparison(Comparison):
-    """Comparison of two image sets.
+    """Comparison of two image sets."""
 
-    files: The files of the golden set against their counterparts.
-    missing, extra: What only the golden set has, and only the new one. Missing fails, extra is reported.
-    notes: Differences that fail nothing.
-    """
-
-    files: tuple[FileComparison, ...] = ()
-    missing: tuple[str, ...] = ()
-    extra: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    files: tuple[FileComparison, ...] = ()  # the files of the golden set against their counterparts
+    missing: tuple[str, ...] = ()  # what only the golden set has, which fails
+    extra: tuple[str, ...] = ()  # what only the new one has, which is reported
+    notes: tuple[str, ...] = ()  # differences that fail nothing
 
     def as_dict(self) -> dict[str, Any]:
         return {**super().as_dict(), "files": [file.as_dict() for file in self.files]}

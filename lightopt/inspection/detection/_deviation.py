@@ -59,8 +59,8 @@ class Deviations:
 def deviations(view: PostureView, *, local: bool = True, threads: int | None = None) -> Deviations:
     """Compare the images of a posture with the good part.
 
-    Both are clipped where the camera clips, and what rounding alone may make of the mean where noise does not even it
-    out is no deviation. A pixel's variance is that of the sensor's noise, of a part that lies a tenth of a pixel from
+    Both are clipped where the camera clips, and what rounding, or the place of an edge inside its pixel, may make of a
+    level is no deviation. A pixel's variance is that of the sensor's noise, of a part that lies a tenth of a pixel from
     where the model has it, and of what the model gets wrong around the pixel.
 
     local: Whether what the model gets wrong counts.
@@ -72,7 +72,7 @@ def deviations(view: PostureView, *, local: bool = True, threads: int | None = N
     sums, counts = np.zeros(blocks), np.zeros(blocks)
 
     def compare(i: int, rows: slice) -> None:
-        image = view.level[i], view.predicted[i], view.deviation[i], view.rounding[i], view.limit[i], view.saturated[i]
+        image = view.level[i], view.predicted[i], view.deviation[i], view.slack[i], view.limit[i], view.saturated[i]
         found = z[i], scale[i], usable[i], lit[i]
         _compare(image, view.clean, rows.start, rows.stop, found, sums[i], counts[i])
 
@@ -105,7 +105,7 @@ def _compare(
     sums: Float64,
     counts: Float64,
 ) -> None:
-    (level, predicted, deviation, rounding, limit, saturated), (z, scale, usable, lit) = image, found
+    (level, predicted, deviation, slack, limit, saturated), (z, scale, usable, lit) = image, found
     height, width = level.shape
     for y in range(top, bottom):
         above, below = max(y - 1, 0), min(y + 1, height - 1)
@@ -126,7 +126,7 @@ def _compare(
             z[y, x] = 0.0
             if usable[y, x]:
                 off = _difference(min(level[y, x], limit[y, x]), predicted, limit, y, x)
-                off = math.copysign(max(abs(off) - rounding[y, x], 0.0), off) / own
+                off = math.copysign(max(abs(off) - slack[y, x], 0.0), off) / own
                 if lit[y, x] or abs(off) > DARK:
                     z[y, x] = off
                 sums[y // BLOCK_PX, x // BLOCK_PX] += min(abs(off), CLIPPED)

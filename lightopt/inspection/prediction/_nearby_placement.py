@@ -109,6 +109,7 @@ def placement_derivatives(
                 replace(moved, lights=tuple(light for light in moved.lights if light.name in names)),
                 posture,
                 caster=caster,
+                averaged=prediction.clean,
                 threads=threads,
             )
             for moved in (shifted_scene(scene, placement, posture, sign * offset) for sign in (1.0, -1.0))

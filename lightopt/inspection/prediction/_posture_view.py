@@ -4,7 +4,7 @@ They are the input of fusion and detection.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, cast
@@ -31,7 +31,17 @@ DARK_QUANTILE, DARK_NOISE = 0.05, 4.0
 
 MOST_GAIN = 4.0  # gains further from those of the rig, up or down, are not accepted
 
-_ARRAYS = ("level", "predicted", "deviation", "rounding", "limit", "saturated")
+_ARRAYS = ("level", "predicted", "deviation", "slack", "limit", "saturated")
+
+# Standard deviation of the mean over a pixel, as a share of its difference from the centre: few rays stand for it, and
+# the flank of a highlight may climb through all levels inside a pixel.
+SAMPLING = np.float32(0.15)
+
+# Images show the means over pixels unless levels go by more than this share to those of the pixels' centres.
+CENTRES = 0.2
+# That is the case where the sum of squared differences between centres and means, in units of noise, is less than this.
+# Levels further off than a centre is by so many standard deviations are those of a defect.
+NO_EDGES, WITHIN = 10.0, 4.0
 
 # noise of this variance [sensor level²] before rounding makes the mean of rounded levels the light's, to 0.002
 EVEN_VARIANCE = 0.3
@@ -57,8 +67,10 @@ class PostureView:
     level: measured, black level and the lights' gains taken out, shape (lights, H, W). Of several exposures of a
         light each pixel has the longest that is saturated neither in the image nor in the prediction.
     predicted: of the good part, same shape.
-    deviation: standard deviation of a good part's level, by the sensor's noise and the part's waviness, same shape.
-    rounding: by how much rounding may shift the mean of levels, where noise does not even it out, same shape.
+    deviation: standard deviation of a good part's level, by the sensor's noise, the part's waviness and the few rays
+        that stand for the mean over a pixel, same shape.
+    slack: by how much a good part's level may be off besides: by rounding, where noise does not even it out, and, in
+        images of pixels' centres, by what differs inside a pixel, same shape.
     limit: level from which a pixel is saturated, same shape; where it is, not above `level`: a lower bound is never
         darker than the good part.
     saturated: where `level` is only a lower bound, same shape.
@@ -72,7 +84,7 @@ class PostureView:
     level: Float32
     predicted: Float32
     deviation: Float32
-    rounding: Float32
+    slack: Float32
     limit: Float32
     saturated: Bool
     prediction: Prediction
@@ -119,33 +131,47 @@ def posture_view(
             f"are saturated in each of {counted(len(observations), 'image')}; capture them with a "
             "shorter exposure or less light"
         )
-    images = {image.light: image.level for image in prediction.images.lights}
+    means = {image.light: image.level for image in prediction.images.lights}
+    inside = {image.light: image.inside for image in prediction.images.lights if image.inside is not None}
     waviness, correlated = prediction.waviness, 1.0
     spreads = None
     if waviness is not None:
         correlated = waviness.waviness.correlated_pixels(waviness.footprint, SCALES_PX)
         spreads = [np.float32(math.sqrt(correlated)) * waviness.spread[o.light] for o in observations]
-    photometry = fit_photometry(
-        observations, [images[o.light] for o in observations], clean, scene, spreads=spreads, threads=threads
-    )
-    lights = tuple(name for name in images if any(o.light == name for o in observations))
+    lights = tuple(name for name in means if any(o.light == name for o in observations))
     shape = len(lights), *clean.shape
     arrays: dict[str, Any] = {
         name: np.empty(shape, np.bool_ if name == "saturated" else np.float32) for name in _ARRAYS
     }
-
     wavy = None if waviness is None else np.empty(shape, np.float32)
 
-    def merge(number: int, rows: slice) -> None:
-        light = lights[number]
-        own = {name: array[number, rows] for name, array in arrays.items()}
-        own["predicted"][:] = images[light][rows]
-        _merge_exposures(scene, [o for o in observations if o.light == light], photometry, rows, own)
-        if waviness is not None and wavy is not None:
-            spread = waviness.spread[light][rows]
-            _add_waviness(own["predicted"], spread, own["limit"], correlated, own["deviation"], wavy[number, rows])
+    def merge_images(images: Mapping[str, Float32]) -> Photometry:
+        photometry = fit_photometry(
+            observations, [images[o.light] for o in observations], clean, scene, spreads=spreads, threads=threads
+        )
 
-    in_image_blocks(merge, len(lights), len(clean), threads)
+        def merge(number: int, rows: slice) -> None:
+            light = lights[number]
+            own = {name: array[number, rows] for name, array in arrays.items()}
+            own["predicted"][:] = images[light][rows]
+            _merge_exposures(scene, [o for o in observations if o.light == light], photometry, rows, own)
+            if waviness is not None and wavy is not None:
+                spread = waviness.spread[light][rows]
+                _add_waviness(own["predicted"], spread, own["limit"], correlated, own["deviation"], wavy[number, rows])
+
+        in_image_blocks(merge, len(lights), len(clean), threads)
+        return photometry
+
+    photometry = merge_images(means)
+    if inside and (share := _share_of_centres(arrays, [inside[light] for light in lights], clean)) > CENTRES:
+        photometry = merge_images({light: means[light] + share * inside[light] for light in lights})
+        for i, light in enumerate(lights):
+            # the edge of a shadow is on either side of a centre, however little the part is off
+            arrays["slack"][i] += share * np.abs(inside[light])
+    for i, light in enumerate(lights):
+        if light in inside:
+            ends = (np.minimum(level, arrays["limit"][i]) for level in (means[light], means[light] + inside[light]))
+            arrays["deviation"][i] = np.hypot(arrays["deviation"][i], SAMPLING * np.subtract(*ends))
     posture = observations[0].posture
     if exact:
         level, predicted, limit, deviation = (arrays[k] for k in ("level", "predicted", "limit", "deviation"))
@@ -181,7 +207,7 @@ def _merge_exposures(
             sensor.saturated_from - sensor.black_level,
             still,
             sensor.noise_variance(1.0, frames=o.frames) - still,  # the variance is linear in the signal
-            *(own[name] for name in ("level", "deviation", "rounding", "limit", "saturated")),
+            *(own[name] for name in ("level", "deviation", "slack", "limit", "saturated")),
         )
 
 
@@ -201,7 +227,7 @@ def _merge_exposure(
     shot: float,
     level: Float32,
     deviation: Float32,
-    rounding: Float32,
+    slack: Float32,
     limit: Float32,
     saturated: Bool,
 ) -> None:
@@ -220,14 +246,32 @@ def _merge_exposure(
             variance = still + shot * signal
             deviation[y, x] = math.sqrt(variance) / scale
             before = variance - 1.0 / 12.0
-            rounding[y, x] = 0.0
+            slack[y, x] = 0.0
             if before < EVEN_VARIANCE:
                 # the first harmonic of what rounding does to the mean of a normal deviate, or half a level without any
-                rounding[y, x] = 0.5 * math.exp(-2.0 * math.pi**2 * before) / scale
+                slack[y, x] = 0.5 * math.exp(-2.0 * math.pi**2 * before) / scale
             limit[y, x] = (top - 0.5 - dark) / scale
             saturated[y, x] = full[y, x]
             if full[y, x]:
                 limit[y, x] = min(limit[y, x], level[y, x])
+
+
+def _share_of_centres(arrays: dict[str, Any], inside: Sequence[Float32], clean: Bool) -> np.float32:
+    # by which share levels go from the mean over each pixel to its centre, by least squares: a camera's pixels average
+    # over their area, a renderer's may have one ray each
+    across, square = 0.0, NO_EDGES
+    for i, differing in enumerate(inside):
+        level, predicted, deviation, limit, saturated = (
+            arrays[name][i] for name in ("level", "predicted", "deviation", "limit", "saturated")
+        )
+        index = np.flatnonzero(clean & ~saturated & (predicted + np.abs(differing) < limit) & (differing != 0.0))
+        noise = deviation.ravel()[index].astype(np.float64)
+        step = differing.ravel()[index] / noise
+        off = (level.ravel()[index] - predicted.ravel()[index]) / noise
+        within = np.abs(off - 0.5 * step) < 0.5 * np.abs(step) + WITHIN
+        across += float(step[within] @ off[within])
+        square += float(step[within] @ step[within])
+    return np.float32(min(max(across / square, 0.0), 1.0))
 
 
 @kernel

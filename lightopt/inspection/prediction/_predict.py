@@ -47,7 +47,7 @@ class WavyLevels:
 class Prediction:
     """The good part in a posture: its images, and its evaluable pixels.
 
-    images: under each light, with the specular component apart.
+    images: under each light, with the specular component apart; evaluable pixels are means over their area.
     clean: pixels off silhouettes, creases, back faces and grazing views, shape (H, W).
     grazing: pixels that see the part at more than :data:`lightopt.rendering.GRAZING_DEG` to its normal, shape (H, W).
     area: of the surface that each pixel sees [mm²], shape (H, W); 0 off the part.
@@ -69,8 +69,8 @@ def predict(
     # with a trace of scattered light, what a light reaches has some, and what is in its shadow none
     reflectance = replace(scene.reflectance, R_d=max(scene.reflectance.R_d, TRACE))
     lit = replace(scene, lights=chosen, reflectance=reflectance)
-    images = render_posture(lit, posture, caster=caster, layers=True, threads=threads)
     masks = mask_pixels(scene, posture, caster, threads=threads)
+    images = render_posture(lit, posture, caster=caster, layers=True, averaged=masks.clean, threads=threads)
     return Prediction(
         images=images,
         clean=masks.clean & images.geometry.hit,

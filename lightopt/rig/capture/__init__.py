@@ -1,7 +1,7 @@
 """Capture sessions: a plan that is checked before anything moves, and a run whose images survive any interruption.
 
-- plan: ``_plan.py`` (the capture as data), ``_limits.py`` (limits of stage, camera and lights, checked before anything
-  is opened), ``_wiring.py`` (which device plays which role);
+- plan: ``_capture_plan.py`` (the capture as data, checked against limits before anything is opened), ``_wiring.py``
+  (which device plays which role);
 - devices: ``_connect.py`` (opens real or simulated ones), ``_safe_devices.py`` (lights off and stage stopped on every
   way out), ``_watchdog.py`` (limits how long lights are on), ``_lights_off.py``, ``_manual_control.py``;
 - run: ``_capture.py``, ``_session.py`` (order of steps), ``_acquisition.py`` (lights, settling, frames);
@@ -19,13 +19,11 @@ from lightopt.rig.capture._capture_plan import (
 from lightopt.rig.capture._captured_set import check_folder as check_folder
 from lightopt.rig.capture._connect import check_devices as check_devices, connect_devices as connect_devices
 from lightopt.rig.capture._lights_off import switch_off as switch_off
-from lightopt.rig.capture._limits import (
+from lightopt.rig.capture._manual_control import (
     check_angles as check_angles,
     check_exposure as check_exposure,
     check_level as check_level,
     check_on_time as check_on_time,
-)
-from lightopt.rig.capture._manual_control import (
     device_statuses as device_statuses,
     hold_light as hold_light,
     snap as snap,

@@ -22,21 +22,17 @@ EXPOSURE_TOLERANCE = 0.005
 
 @dataclass
 class Timing:
-    """Time spent on each part of a capture [s].
-
-    opening_s: Reading the mesh, planning, and opening the devices.
-    closing_s: Switching all lights off once more at the end, and closing the devices.
-    """
+    """Time spent on each part of a capture [s]."""
 
     whole_s: float = 0.0
-    opening_s: float = 0.0
+    opening_s: float = 0.0  # reading the mesh, planning, and opening the devices
     moving_s: float = 0.0
     settling_s: float = 0.0
     exposing_s: float = 0.0
     transfer_s: float = 0.0
     lights_s: float = 0.0
     writing_s: float = 0.0
-    closing_s: float = 0.0
+    closing_s: float = 0.0  # switching all lights off once more at the end, and closing the devices
 
     @contextmanager
     def spent(self, name: str) -> Generator[None]:
@@ -50,32 +46,21 @@ class Timing:
 
 @dataclass(frozen=True, kw_only=True)
 class AcquiredImage:
-    """An image as it came from the camera.
+    """An image as it came from the camera."""
 
-    light: None for a frame without light.
-    exposure: Requested relative exposure.
-    future: The image of the frames, which is computed while the light goes out.
-    facts: How it was taken, in JSON form, for the manifest.
-    """
-
-    light: str | None
+    light: str | None  # None for a frame without light
     posture: Posture
-    exposure: float
-    future: Future[ExposureImage]
-    facts: dict[str, Any]
+    exposure: float  # requested relative exposure
+    future: Future[ExposureImage]  # the image of the frames, which is computed while the light goes out
+    facts: dict[str, Any]  # how it was taken, in JSON form, for the manifest
 
     @property
     def image(self) -> ExposureImage:
-        """The image of the frames; waits for it."""
         return self.future.result()
 
 
 class AcquisitionEngine:
-    """Takes the images of a plan with opened devices.
-
-    InputError when the camera does not have an exposure time of the plan, with the one that it holds instead; nothing
-    was lit or moved. `identities` of the devices are for the manifest.
-    """
+    """Takes the images of a plan; InputError, with nothing lit or moved, where the camera lacks an exposure time."""
 
     def __init__(
         self, devices: Devices, plan: CapturePlan, *, sensor: Sensor, identities: dict[str, Any], timing: Timing
@@ -158,9 +143,7 @@ class AcquisitionEngine:
         self.devices.step = f"setting the exposure to {wanted:g} µs"
         held = self.devices.camera.set_exposure(wanted)
         if not _holds(held, wanted):
-            raise HardwareError(
-                f"the camera holds an exposure of {held:g} µs instead of {wanted:g} µs, which it held before"
-            )
+            raise HardwareError(f"the camera holds an exposure of {held:g} µs instead of {wanted:g} µs as before")
         self._changed = self._changed or held != self._held_us
         self._held_us = held
 
@@ -257,9 +240,7 @@ class AcquisitionEngine:
             )
         if abs(frame.exposure_us - self._held_us) > 1e-3 * self._held_us:
             name = "a frame" if frame.number is None else f"frame {frame.number}"
-            raise HardwareError(
-                f"the camera took {name} at {frame.exposure_us:g} µs, although it held {self._held_us:g} µs"
-            )
+            raise HardwareError(f"the camera took {name} at {frame.exposure_us:g} µs, but held {self._held_us:g} µs")
         return frame
 
     def _remaining_on_s(self) -> float | None:
@@ -273,7 +254,6 @@ class AcquisitionEngine:
 
 
 def _holds(held_us: float, wanted_us: float) -> bool:
-    """Whether the camera holds the requested exposure time."""
     return abs(held_us - wanted_us) <= EXPOSURE_TOLERANCE * wanted_us
 
 

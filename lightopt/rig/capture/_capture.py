@@ -31,23 +31,16 @@ _FAR = 1 << 20  # Windows keeps others from reading what is locked, so that a by
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureResult:
-    """Result of a capture.
-
-    images, taken: Number of images of the plan, and of those taken by this run; the others existed before.
-    replaced: Number of files of another set that were removed.
-    retries: Number of commands that were sent again.
-    virtual_bench: Whether the rig has no hardware section, so that all devices were simulated.
-    warnings: Also in the manifest.
-    """
+    """Result of a capture."""
 
     folder: Path
-    images: int
-    taken: int
-    replaced: int
-    retries: int
-    virtual_bench: bool
+    images: int  # of the plan
+    taken: int  # by this run; the others existed before
+    replaced: int  # files of another set that were removed
+    retries: int  # commands that were sent again
+    virtual_bench: bool  # whether the rig has no hardware section, so that all devices were simulated
     timing: Timing
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # also in the manifest
 
 
 def capture(
@@ -157,7 +150,6 @@ def lock_folder(folder: Path) -> Generator[None]:
 
 
 def _open_locked(path: Path) -> IO[str]:
-    """Open and lock the file."""
     make_folder(path.parent)
     try:
         file = path.open("a+", encoding="ascii")

@@ -1,16 +1,16 @@
 """The plan of a capture, as data: every move, every light and every exposure, checked before anything is opened."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError, counted
 from lightopt.core.transforms import Posture
-from lightopt.rig.capture._limits import exposure_problems, light_problems, posture_problems
-from lightopt.rig.capture._wiring import Wiring, wiring_of
-from lightopt.scene import part_postures, travel_order, travel_s
+from lightopt.rig.capture._wiring import VIRTUAL, Wiring, wiring_of
+from lightopt.rig.simulated import EXPOSURE_RANGE_US
+from lightopt.scene import angle_outside_range, part_postures, travel_order, travel_s
 
 MOST_FRAMES = 1000  # frames that one image is the mean of, at most
 
@@ -26,28 +26,17 @@ _HOME = Posture(0.0, 0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureOptions:
-    """What to capture.
+    """What to capture; InputError where a number is out of range or something is given twice."""
 
-    lights, postures: Instead of all lights of the rig and the part's own postures.
-    exposures: Relative to the rig's ``camera.exposure_us``; all of them under one light before the next is lit.
-    average: Number of frames that each image is the mean of.
-    dark: Whether frames without light are taken in every posture at every exposure, and subtracted in the EXR.
-    home: Whether the stage seeks its origin first.
-    check: Whether each image is checked for being lit by the right light.
-    check_repeatability: Whether the stage returns to its first posture at the end, to detect lost steps.
-    seed: Of the virtual bench's noise, instead of the rig file's.
-    Raises InputError: A number is out of range or something is given twice.
-    """
-
-    lights: tuple[str, ...] | None = None
-    postures: tuple[Posture, ...] | None = None
-    exposures: tuple[float, ...] = (1.0,)
-    average: int = 1
-    dark: bool = False
-    home: bool = False
-    check: bool = True
-    check_repeatability: bool = False
-    seed: int | None = None
+    lights: tuple[str, ...] | None = None  # instead of all lights of the rig
+    postures: tuple[Posture, ...] | None = None  # instead of the part's own
+    exposures: tuple[float, ...] = (1.0,)  # relative to the rig's camera.exposure_us; all under one light
+    average: int = 1  # number of frames that each image is the mean of
+    dark: bool = False  # whether frames without light are taken in every posture at every exposure, and subtracted
+    home: bool = False  # whether the stage seeks its origin first
+    check: bool = True  # whether each image is checked for being lit by the right light
+    check_repeatability: bool = False  # whether the stage returns to its first posture, to detect lost steps
+    seed: int | None = None  # of the virtual bench's noise, instead of the rig file's
 
     def __post_init__(self) -> None:
         if problems := tuple(self._problems()):
@@ -78,18 +67,13 @@ class CaptureOptions:
 
 @dataclass(frozen=True)
 class PlanStep:
-    """One step of a plan.
-
-    what: Its object: a posture, a light, an exposure.
-    seconds: Estimated duration [s].
-    light, exposure: Which light is on (None: none), at which relative exposure.
-    """
+    """One step of a plan."""
 
     kind: StepKind
-    what: str
-    seconds: float
-    light: str | None = None
-    exposure: float | None = None
+    what: str  # its object: a posture, a light, an exposure
+    seconds: float  # estimated duration [s]
+    light: str | None = None  # which is on; None for none
+    exposure: float | None = None  # relative
 
     def __str__(self) -> str:
         return f"{self.kind} {self.what}".rstrip()
@@ -97,25 +81,17 @@ class PlanStep:
 
 @dataclass(frozen=True, kw_only=True)
 class CapturePlan:
-    """A capture as data.
-
-    postures: In the order of travel.
-    lights: Lit one after the other in each posture.
-    exposures: Relative, the longest first.
-    home: Whether the stage seeks its origin first.
-    pixels: Number of pixels of a frame.
-    """
+    """A capture as data."""
 
     wiring: Wiring
     options: CaptureOptions
-    postures: tuple[Posture, ...]
-    lights: tuple[str, ...]
-    exposures: tuple[float, ...]
-    home: bool
-    pixels: int
+    postures: tuple[Posture, ...]  # in the order of travel
+    lights: tuple[str, ...]  # lit one after the other in each posture
+    exposures: tuple[float, ...]  # relative, the longest first
+    home: bool  # whether the stage seeks its origin first
+    pixels: int  # number of pixels of a frame
 
     def exposure_us(self, exposure: float) -> float:
-        """Exposure time [µs] of a relative exposure."""
         return exposure * self.wiring.exposure_us
 
     @property
@@ -217,10 +193,7 @@ class CapturePlan:
 
 
 def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None = None) -> CapturePlan:
-    """Plan a capture and check it against what stage, lights and camera can do. Nothing is opened.
-
-    Raises InputError with one message per posture, light or exposure that cannot be.
-    """
+    """Plan a capture and check it against stage, lights and camera (InputError); nothing is opened."""
     options = options or CaptureOptions()
     wiring = wiring_of(rig)
     postures = options.postures or part_postures(part)
@@ -229,7 +202,7 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
     problems = [
         f'no light "{name}" in {rig.source.path}; it has {", ".join(known)}' for name in lights if name not in known
     ]
-    problems += posture_problems(rig, part, wiring, options.postures)
+    problems += _posture_problems(rig, part, wiring, options.postures)
     if options.check_repeatability and (wiring.hardware.stage is None or len(postures) < 2):
         problems.append(
             "check of repeatability: expected a stage and two postures or more, so that it returns from another one"
@@ -250,7 +223,7 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
         pixels=rig.camera.resolution_px[0] * rig.camera.resolution_px[1],
     )
     taken = f"{counted(len(exposures), 'exposure')} of {counted(options.average, 'frame')}"
-    problems += light_problems(rig, wiring, plan.lights, on_s=plan.on_s(), taken=taken)
+    problems += _light_problems(rig, wiring, plan.lights, on_s=plan.on_s(), taken=taken)
     if problems:
         raise InputError(*problems)
     return plan
@@ -258,14 +231,11 @@ def make_plan(rig: RigConfig, part: PartConfig, options: CaptureOptions | None =
 
 @dataclass(frozen=True, kw_only=True)
 class CycleTime:
-    """What capturing one part takes: images, and seconds from the first move to the last image.
-
-    virtual: Whether the times are those of the virtual bench, since the rig file has no hardware section.
-    """
+    """What capturing one part takes: images, and seconds from the first move to the last image."""
 
     images: int
     seconds: float
-    virtual: bool
+    virtual: bool  # times of the virtual bench, since the rig file has no hardware section
 
     def __str__(self) -> str:
         pace = ", at the speed of the virtual bench" * self.virtual
@@ -273,10 +243,7 @@ class CycleTime:
 
 
 def cycle_time(rig: RigConfig, part: PartConfig, exposures: Mapping[Posture, tuple[float, ...]]) -> CycleTime:
-    """What capturing one part in postures takes, each at its relative exposures, in the order of least travel.
-
-    Raises InputError: As :func:`make_plan`.
-    """
+    """What capturing one part takes, each posture at its relative exposures, in the order of least travel."""
     groups: dict[tuple[float, ...], list[Posture]] = {}
     for posture, own in exposures.items():
         groups.setdefault(own, []).append(posture)
@@ -296,3 +263,53 @@ def cycle_time(rig: RigConfig, part: PartConfig, exposures: Mapping[Posture, tup
 def _travel_s(wiring: Wiring, start: Posture, end: Posture) -> float:
     stage = wiring.hardware.stage
     return 0.0 if stage is None else travel_s(stage, start, end)
+
+
+def _posture_problems(
+    rig: RigConfig, part: PartConfig, wiring: Wiring, postures: Sequence[Posture] | None
+) -> Iterator[str]:
+    """Postures beyond the stage's range, or that a stage without one of the axes cannot take."""
+    if postures is not None:
+        named = [(posture, "option 'postures'") for posture in postures]
+    else:
+        named = [(posture, part.source.at("postures", i)) for i, posture in enumerate(part_postures(part))]
+    stage = wiring.hardware.stage
+    if stage is None and len(named) > 1:
+        yield (
+            f"{rig.source.at('hardware')}: this rig has no stage, so one run captures one posture; place the part by "
+            f"hand and choose that one; found {len(named)} postures"
+        )
+    for posture, where in named:
+        for name, angle in (("elevation", posture.elevation_deg), ("rotation", posture.rotation_deg)):
+            if (problem := angle_outside_range(rig, name, angle)) is not None:
+                yield f"{where}: {problem}"
+            elif stage is not None and getattr(stage, name) is None and angle != 0.0:
+                yield (
+                    f"{where}: {name} {angle:g}°, but the stage has no {name} axis, which is at 0° "
+                    f"({rig.source.at('hardware', 'stage')})"
+                )
+
+
+def exposure_problems(rig: RigConfig, wiring: Wiring, exposures: tuple[float, ...]) -> Iterator[str]:
+    if wiring.hardware.camera.driver != VIRTUAL:
+        return  # the exposures of a folder are checked when it is read, before anything is opened
+    low, high = EXPOSURE_RANGE_US
+    for exposure in exposures:
+        time_us = exposure * wiring.exposure_us
+        if not low <= time_us <= high:
+            yield (
+                f"exposure {exposure:g} is {time_us:g} µs ({rig.source.at('camera', 'exposure_us')}), outside the "
+                f"camera's {low:g} to {high:g} µs"
+            )
+
+
+def _light_problems(rig: RigConfig, wiring: Wiring, lights: Iterable[str], *, on_s: float, taken: str) -> Iterator[str]:
+    """Lights that would be on longer at a stretch [s] than they may for what is taken."""
+    for name in lights:
+        channel = wiring.light(name)
+        where = rig.source.at("hardware", "lights", name)
+        if channel.max_on_s is not None and on_s > channel.max_on_s:
+            yield (
+                f"{where}: would be on for {on_s:.3g} s without a break (settling and {taken}), longer than max_on_s "
+                f"{channel.max_on_s:g}; take fewer or shorter exposures"
+            )

@@ -1,8 +1,7 @@
-"""The captured image set on disk: which images exist, which are missing, and how they are written."""
+"""The captured image set on disk: which images exist, which are missing, and how they are written in background."""
 
-from __future__ import annotations
-
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.arrays import Float32
-from lightopt.core.errors import InputError
+from lightopt.core.errors import HardwareError, InputError
 from lightopt.core.transforms import Posture
 from lightopt.images import (
     DARK_CHECKED_KEY,
@@ -21,13 +20,13 @@ from lightopt.images import (
     dark_name,
     make_folder,
     read_manifest,
+    read_metadata,
     read_png,
-    read_png_metadata,
     remove_file,
     resumable_manifest,
 )
 from lightopt.rendering import set_manifest
-from lightopt.rig.capture._acquisition import AcquiredImage
+from lightopt.rig.capture._acquisition import AcquiredImage, Timing
 from lightopt.rig.capture._capture_plan import CapturePlan
 from lightopt.rig.capture._merged_exposures import ExposureImage, FrameMean, merge_exposures
 from lightopt.scene import Scene, build_scene
@@ -35,11 +34,8 @@ from lightopt.scene import Scene, build_scene
 
 def open_set(
     folder: Path, rig: RigConfig, part: PartConfig, scene: Scene, plan: CapturePlan, *, resume: bool, force: bool
-) -> CapturedSet:
-    """Begin a captured set, or continue one; a set without any image is begun anew.
-
-    InputError when the folder holds a set already (without `resume` or `force`), or one of another rig, part or plan.
-    """
+) -> "CapturedSet":
+    """Begin a captured set or continue one; InputError for another set, or without `resume` or `force`."""
     _refuse_set(folder, resume=resume, force=force)
     header = set_manifest("captured", rig, part, scene, options=plan.as_dict())
     if not (resume or force) and _lists_nothing(folder):
@@ -53,10 +49,7 @@ def open_set(
 def check_folder(
     folder: Path, rig: RigConfig, part: PartConfig, plan: CapturePlan, *, resume: bool, force: bool
 ) -> None:
-    """Check whether a set could be begun or continued in a folder; nothing is written.
-
-    Raises InputError as :func:`open_set`, and where a file is in the way of the folder.
-    """
+    """Check whether a set could be begun or continued in a folder; errors as :func:`open_set`."""
     if folder.exists() and not folder.is_dir():
         make_folder(folder)  # raises with the reason
     _refuse_set(folder, resume=resume, force=force)
@@ -183,14 +176,13 @@ class CapturedSet:
             for exposure in self._plan.exposures
         ]
         frames: Sequence[Float32] | None = [dark[e] for e in self._plan.exposures] if dark else None
-        channels = merge_exposures(
-            images, sensor=self._scene.sensor, full_scale=self._scene.reflectance.full_scale, dark=frames
-        )
+        sensor, full_scale = self._scene.sensor, self._scene.reflectance.full_scale
+        channels = merge_exposures(images, sensor=sensor, full_scale=full_scale, dark=frames)
         self.writer.add_linear(light, posture, channels)
 
     def _read_exposure(self, light: str, posture: Posture, exposure: float) -> ExposureImage:
         path = self._png(light, posture, exposure)
-        facts: dict[str, Any] = read_png_metadata(path).get("capture", {})
+        facts: dict[str, Any] = read_metadata(path).get("capture", {})
         held = facts.get("exposure_us", {}).get("read", self._plan.exposure_us(exposure))
         frame = FrameMean(self._scene.sensor)
         frame.add(read_png(path))
@@ -198,6 +190,88 @@ class CapturedSet:
 
 
 def _facts(acquired: AcquiredImage) -> dict[str, Any]:
-    """How an image was taken, and its saturated share."""
     saturated = acquired.image.saturated
     return {**acquired.facts, "saturated_share": np.count_nonzero(saturated) / saturated.size}
+
+
+MOST_LINEARS = 2  # linear images that wait or are being written, at most: their exposures are held in memory until then
+
+
+class BackgroundWriter:
+    """One worker checks and writes images, one merges and writes linear ones.
+
+    The next exposure waits for the previous image, not for linear ones, which can be computed from the images at any
+    time. After an error no further image is written. A disk that refuses counts as a failed device: an
+    :class:`InputError` of the workers is raised here as :class:`HardwareError`.
+    """
+
+    def __init__(self, timing: Timing) -> None:
+        self._timing = timing
+        self._images = ThreadPoolExecutor(1, thread_name_prefix="disk")
+        self._linears = ThreadPoolExecutor(1, thread_name_prefix="linear")
+        self._last: Future[None] | None = None
+        self._queued: list[Future[None]] = []
+
+    def submit_image(self, work: Callable[..., None], *arguments: object) -> None:
+        """Check and write an image, once those before it are done."""
+        self._last = self._images.submit(_run_after, self._last, work, *arguments)
+
+    def submit_linear(self, work: Callable[..., None], *arguments: object) -> None:
+        """Write a linear image, once its exposures are written; waits while the queue is full."""
+        with self._timing.spent("writing_s"):
+            while len(self._unwritten()) >= MOST_LINEARS:
+                wait(self._queued, return_when=FIRST_COMPLETED)
+        self._queued.append(self._linears.submit(_run_after, self._last, work, *arguments))
+
+    def wait_for_image(self, longest_s: float | None = None) -> bool:
+        """Wait until the last image is on disk, at most so long [s]; returns whether it is, raises its error."""
+        if self._last is None:
+            return True
+        with self._timing.spent("writing_s"):
+            wait([self._last], longest_s)
+        if not self._last.done():
+            return False
+        _result(self._last)
+        return True
+
+    def wait(self) -> None:
+        """Wait until all is on disk; the first error is raised here."""
+        self.wait_for_image()
+        with self._timing.spent("writing_s"):
+            while self._unwritten():
+                wait(self._queued, return_when=FIRST_COMPLETED)
+
+    def cancel_linears(self) -> None:
+        self._linears.shutdown(wait=False, cancel_futures=True)
+
+    def wait_idle(self, longest_s: float) -> bool:
+        """Wait at most so long [s]; returns whether all is done."""
+        last = [self._last] if self._last is not None else []
+        return not wait([f for f in (*self._queued, *last) if not f.done()], longest_s).not_done
+
+    def close(self) -> None:
+        """Finish all work, whatever fails."""
+        self._images.shutdown(wait=True)
+        self._linears.shutdown(wait=True)
+
+    def _unwritten(self) -> list[Future[None]]:
+        """Linear images that are not written yet; the first error of those that are done is raised."""
+        done = [future for future in self._queued if future.done()]
+        self._queued = [future for future in self._queued if future not in done]
+        for future in done:
+            _result(future)
+        return self._queued
+
+
+def _run_after(before: Future[None] | None, work: Callable[..., None], *arguments: object) -> None:
+    """Do some work once the work before it has succeeded; its error is raised otherwise."""
+    if before is not None:
+        before.result()
+    work(*arguments)
+
+
+def _result(future: Future[Any]) -> None:
+    try:
+        future.result()
+    except InputError as error:
+        raise HardwareError(*error.messages) from error

@@ -34,30 +34,21 @@ def connect_devices(
     rig: RigConfig,
     wiring: Wiring,
     *,
-    part: PartConfig | None = None,
-    plan: CapturePlan | None = None,
+    part: PartConfig | None = None,  # on the virtual bench; needed for its camera
+    plan: CapturePlan | None = None,  # the images that a folder camera must have
     camera: bool = True,
-    serial_log: Path | None = None,
-    truth: BenchTruth | None = None,
-    bench: BenchProcess | None = None,
-    touch_lights: bool = True,
-    unreachable: dict[str, LightoptError] | None = None,
-    run: RunContext | None = None,
+    serial_log: Path | None = None,  # gets every byte on the wires
+    truth: BenchTruth | None = None,  # how the virtual bench differs from the files
+    bench: BenchProcess | None = None,  # a virtual bench that runs already; it is left running
+    touch_lights: bool = True,  # False to query the devices only: nothing is switched
+    unreachable: dict[str, LightoptError] | None = None,  # collects what does not answer, with why; None: an error
+    run: RunContext | None = None,  # gets warnings of irregularities on the wires
 ) -> Devices:
     """Open lights, stage and camera; nothing is lit or moved.
 
     Lights are opened first, and each controller goes dark as it opens: after a run that was killed this is the only
     way to darken lights that are on while another device is out of order.
 
-    part: The part on the virtual bench; needed for its camera.
-    plan: The images that a folder camera must have.
-    serial_log: File that gets every byte on the wires.
-    truth: How the virtual bench differs from the files.
-    bench: A virtual bench that runs already; it is left running.
-    touch_lights: False to query the devices only: nothing is switched.
-    unreachable: Collects the controllers and the stage that do not answer, with why; the others are opened. None: an
-        error.
-    run: Gets warnings of irregularities on the wires as they happen, and if the serial log ends early.
     Raises InputError: A port is not there or in use, or a folder lacks images of the plan.
     Raises HardwareError: A device does not answer. By then every controller that can be reached was darkened, unless
         `touch_lights` is false, and the message names the lights that may still be on.
@@ -108,9 +99,9 @@ def connect_devices(
         if camera:
             try:
                 opened_camera = _open_rig_camera(rig, wiring, replay=replay, bench=bench, log=log)
+                stack.callback(opened_camera.close)
             except LightoptError as error:
                 raise (lights.error(error) if touch_lights else error) from error
-            stack.callback(opened_camera.close)
         others = {STAGE: stage, "camera": opened_camera}
         opened = {**lights.controllers, **{name: device for name, device in others.items() if device is not None}}
         _log.info("opened %s", ", ".join(opened))
@@ -138,12 +129,7 @@ def connect_devices(
 def check_devices(
     rig: RigConfig, wiring: Wiring, plan: CapturePlan | None = None, *, camera: bool = True
 ) -> FolderCamera | None:
-    """Check what is known of devices before any is opened: ports, axes and speeds, the folder to replay.
-
-    Returns the folder that is replayed, where one is.
-
-    Raises InputError with all that is wrong.
-    """
+    """Check what is known before any device is opened (InputError); returns the folder that is replayed, if any."""
     problems: list[str] = []
     replay: FolderCamera | None = None
     driver = wiring.hardware.camera.driver
@@ -183,7 +169,6 @@ def _collected(problems: list[str], *, where: str = "") -> Generator[None]:
 def _open_rig_camera(
     rig: RigConfig, wiring: Wiring, *, replay: FolderCamera | None, bench: BenchProcess | None, log: SerialLog
 ) -> Camera:
-    """Open the camera with the rig's settings; no frame is taken."""
     if replay is not None:
         return replay
     config = wiring.hardware.camera

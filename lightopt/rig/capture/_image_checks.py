@@ -43,34 +43,22 @@ LEFT_ON = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class PredictedImages:
-    """Coarse prediction of the image of each light in one posture.
+    """Coarse prediction of the image of each light in one posture."""
 
-    cell: Side of a cell [px].
-    levels: Linear level at exposure 1 above black [sensor level] by light, shape (rows, columns) of cells.
-    part: Cells that show the part, shape (rows, columns).
-    """
-
-    cell: int
-    levels: Mapping[str, Float64]
-    part: Bool
+    cell: int  # side of a cell [px]
+    levels: Mapping[str, Float64]  # linear, at exposure 1 above black [sensor level], by light; shape (rows, columns)
+    part: Bool  # cells that show the part, shape (rows, columns)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LightCheck:
-    """Result of the check that an image is lit by its light.
+    """Result of the check that an image is lit by its light."""
 
-    problem: Message about what is wrong; None where nothing is.
-    brightness: Mean brightness of the part above dark, as a share of the prediction.
-    resemblance: Correlation with the prediction of the light.
-    next_best: The other light that the image resembles most, and the correlation with it.
-    undecided: Why the image allows no decision; None where it does.
-    """
-
-    problem: str | None = None
-    brightness: float = 0.0
-    resemblance: float = 0.0
-    next_best: tuple[str, float] | None = None
-    undecided: str | None = None
+    problem: str | None = None  # message about what is wrong
+    brightness: float = 0.0  # mean brightness of the part above dark, as a share of the prediction
+    resemblance: float = 0.0  # correlation with the prediction of the light
+    next_best: tuple[str, float] | None = None  # the other light that it resembles most, and the correlation
+    undecided: str | None = None  # why the image allows no decision
 
     def as_dict(self) -> dict[str, Any]:
         facts: dict[str, Any] = {"brightness": round(self.brightness, 4), "resemblance": round(self.resemblance, 4)}
@@ -83,10 +71,7 @@ class LightCheck:
 
 
 def predict(scene: Scene, posture: Posture, caster: RayCaster, *, supersample: int = 1) -> PredictedImages:
-    """Render the image of each light of the scene, one pixel for a cell of pixels.
-
-    `caster` is from :func:`lightopt.rendering.cast_rays_at`, `supersample` the number of rays across a cell.
-    """
+    """Render the image of each light, one pixel for a cell of pixels, with `supersample` rays across it."""
     camera = scene.camera
     cell = max(1, round(camera.width / COARSE_COLUMNS))
     axis = camera.principal_point
@@ -181,10 +166,7 @@ def find_light_left_on(
     exposure: float,
     before: NDArray[Any] | None = None,
 ) -> str | None:
-    """Name of the light that a frame without light [sensor level], shape (H, W), shows to be on; None where none is.
-
-    `before` is a previous frame at this exposure that showed none: compared with it, a weaker light shows.
-    """
+    """The light that a dark frame (H, W) [sensor level] shows to be on, or None; `before` is one known to be dark."""
     part = predictions.part
     if int(part.sum()) < LEAST_CELLS:
         return None
@@ -234,10 +216,7 @@ def _dot(a: Float64, b: Float64) -> float:
 
 
 class ImageChecker:
-    """Checks images as they come, with predictions of the latest postures, computed while the stage travels.
-
-    `with_dark`: Whether the set has frames without light, so that ambient light is known.
-    """
+    """Checks images with predictions that are computed while the stage travels; `with_dark`: ambient light is known."""
 
     def __init__(self, scene: Scene, *, check: bool, with_dark: bool) -> None:
         self._with_dark = with_dark
@@ -252,10 +231,7 @@ class ImageChecker:
         return self._caster is None or exposure in self._reference
 
     def predict(self, posture: Posture) -> None:
-        """Predict the images of all lights in a posture, in a thread of its own.
-
-        The prediction of the previous posture is kept: its last frames may not have been checked yet.
-        """
+        """Predict the images of a posture in another thread; those before are kept for frames not yet checked."""
         if self._caster is not None:
             before = list(self._predicted.items())[-1:]
             predicted = self._worker.submit(predict, self._scene, posture, self._caster)
@@ -265,10 +241,7 @@ class ImageChecker:
         self._reference.setdefault(exposure, dark)
 
     def check_dark(self, acquired: AcquiredImage, warn: Callable[[str], None]) -> None:
-        """Check that no light is on in a frame without light; the first one at its exposure becomes the reference.
-
-        HardwareError when it looks like the image of a light.
-        """
+        """Check that no light is on in a frame without light (HardwareError); the first is the reference."""
         if self._caster is None:
             return
         image, first = acquired.image, self._reference.get(acquired.exposure)
@@ -300,10 +273,7 @@ class ImageChecker:
         others: Mapping[float, ExposureImage],
         warn: Callable[[str], None],
     ) -> dict[str, Any] | None:
-        """Check that an image is lit by its light; returns the findings in JSON form.
-
-        HardwareError when it is lit by another light, by two, or by none, or not as at its other exposures.
-        """
+        """Findings in JSON form; HardwareError where an image is not lit by its light alone, or unlike its others."""
         if self._caster is None:
             return None
         light, image, own_dark = acquired.light, acquired.image, self._dark(dark, acquired.exposure)

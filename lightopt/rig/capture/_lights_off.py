@@ -26,16 +26,11 @@ NONE_OF_THE_RIG = "none that the rig names"
 
 @dataclass
 class OpenedLights:
-    """Result of opening the controllers.
-
-    controllers: Those that answered, by name.
-    problems: Why others did not, or did not go dark, by name.
-    may_be_on: Lights that may still be on.
-    """
+    """Controllers that answered, by name, and why others did not, or did not go dark."""
 
     controllers: dict[str, LightController] = field(default_factory=dict[str, LightController])
     problems: dict[str, LightoptError] = field(default_factory=dict[str, LightoptError])
-    may_be_on: list[str] = field(default_factory=list[str])
+    may_be_on: list[str] = field(default_factory=list[str])  # lights that may still be on
 
     def error(self, *others: LightoptError) -> LightoptError:
         """The error for what failed, other devices included, with the lights that may still be on."""
@@ -51,17 +46,12 @@ def open_lights(
     wiring: Wiring,
     names: Iterable[str],
     *,
-    ports: Mapping[str, str],
+    ports: Mapping[str, str],  # of those that are simulated
     log: SerialLog | None,
-    darken: bool,
-    opened: Callable[[LightController], object],
+    darken: bool,  # False to query the controllers only
+    opened: Callable[[LightController], object],  # called with each before anything is sent to it, from its own thread
 ) -> OpenedLights:
-    """Open controllers in parallel, each even if another fails, and darken each as it opens.
-
-    ports: Ports of those that are simulated.
-    darken: Whether every channel is switched off; False to query the controllers only.
-    opened: Called with each that is open, before anything else is sent to it, from the thread that opened it.
-    """
+    """Open controllers in parallel, each even if another fails, and darken each as it opens."""
 
     def open_one(name: str) -> tuple[LightController | None, LightoptError | None]:
         port = ports.get(name) or wiring.hardware.controllers[name].port
@@ -92,7 +82,6 @@ def open_lights(
 
 
 def open_controller(wiring: Wiring, name: str, *, port: str, log: SerialLog | None) -> LightController:
-    """Open one controller; no light changes."""
     config = wiring.hardware.controllers[name]
     settings = LightSettings(
         name=name,
@@ -108,11 +97,8 @@ def open_controller(wiring: Wiring, name: str, *, port: str, log: SerialLog | No
 
 
 def lights_on(wiring: Wiring, channels: Mapping[str, Iterable[int]]) -> list[str]:
-    """Names of the rig's lights on some channels of controllers."""
     wanted = {(name, number) for name, numbers in channels.items() for number in numbers}
-    return [
-        light for light, channel in wiring.hardware.lights.items() if (channel.controller, channel.channel) in wanted
-    ]
+    return [light for light, plug in wiring.hardware.lights.items() if (plug.controller, plug.channel) in wanted]
 
 
 @dataclass(frozen=True)

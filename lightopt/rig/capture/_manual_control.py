@@ -1,4 +1,4 @@
-"""Manual control of single devices: their state, a light, a posture, a frame."""
+"""Manual control of single devices: their state, a light, a posture, a frame; checked before any is opened."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -7,21 +7,21 @@ from functools import partial
 from pathlib import Path
 
 from lightopt.config import ChannelConfig, RigConfig
-from lightopt.core.errors import LightoptError
+from lightopt.core.errors import InputError, LightoptError
 from lightopt.core.transforms import Posture
 from lightopt.images import write_png
+from lightopt.rig.capture._capture_plan import exposure_problems
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._software_cameras import FolderCamera
 from lightopt.rig.capture._wiring import STAGE, Wiring
 from lightopt.rig.devices import now
+from lightopt.scene import angle_outside_range
 
 _DARKENING_S = 0.3  # a light is switched off so long before it reaches its `max_on_s`
 
 
 @dataclass(frozen=True, kw_only=True)
 class DeviceStatus:
-    """One line of a table of devices."""
-
     name: str
     text: str
     failed: bool = False
@@ -30,10 +30,7 @@ class DeviceStatus:
 def device_statuses(
     devices: Devices, rig: RigConfig, unreachable: Mapping[str, LightoptError] | None = None
 ) -> Iterator[DeviceStatus]:
-    """Query the state of every device, without changing anything; a failure is reported and the others are queried.
-
-    `unreachable` has the devices that could not be opened, by name, with why.
-    """
+    """Query the state of every device and change nothing; `unreachable` are those that could not be opened."""
     wiring = devices.wiring
     unreachable = unreachable or {}
     for name in wiring.hardware.controllers:
@@ -49,6 +46,45 @@ def device_statuses(
         yield _status(STAGE, partial(_stage_state, devices), unreachable.get(STAGE))
 
 
+def check_level(wiring: Wiring, rig: RigConfig, name: str, level: int | None) -> int:
+    """Level to light a panel at, the rig's by default; InputError for no such light, or a level above its limit."""
+    if name not in wiring.hardware.lights:
+        raise InputError(f'no light "{name}" in {rig.source.path}; it has {", ".join(wiring.hardware.lights)}')
+    requested = wiring.light(name).level if level is None else level
+    top = wiring.top_level(name)
+    if not 1 <= requested <= top:
+        where = f" ({rig.source.at('hardware', 'lights', name)})" if wiring.given else ""
+        raise InputError(
+            f"{name}: expected a level from 1 to {top}{where}, found {requested}; "
+            "to switch off, use: lightopt bench off RIG"
+        )
+    return requested
+
+
+def check_angles(rig: RigConfig, *, elevation: float | None, rotation: float | None) -> None:
+    """Check angles [°] against the stage's range; None is not checked. InputError with one message per angle."""
+    requested = (("elevation", elevation), ("rotation", rotation))
+    outside = (angle_outside_range(rig, name, angle) for name, angle in requested if angle is not None)
+    if problems := [problem for problem in outside if problem is not None]:
+        raise InputError(*problems)
+
+
+def check_on_time(wiring: Wiring, rig: RigConfig, name: str, seconds: float) -> None:
+    """Refuse to keep a light on longer [s] than its `max_on_s` (InputError); nothing is opened."""
+    longest = wiring.light(name).max_on_s
+    if longest is not None and seconds > longest:
+        raise InputError(
+            f"{name} would be on for {seconds:.3g} s, longer than its max_on_s of {longest:g} s "
+            f"({rig.source.at('hardware', 'lights', name)}); nothing was opened"
+        )
+
+
+def check_exposure(wiring: Wiring, rig: RigConfig, exposure: float) -> None:
+    """Refuse a relative exposure that the camera is known not to have (InputError); nothing is opened."""
+    if problems := tuple(exposure_problems(rig, wiring, (exposure,))):
+        raise InputError(*problems)
+
+
 def snap_on_s(wiring: Wiring, exposure: float) -> float:
     """How long a light is on for one frame at a relative exposure [s]: settling, and the frames' exposures."""
     timing = wiring.hardware.timing
@@ -58,11 +94,7 @@ def snap_on_s(wiring: Wiring, exposure: float) -> float:
 def hold_light(
     devices: Devices, name: str, level: int, *, seconds: float | None, wait: Callable[[float | None], None]
 ) -> int | None:
-    """Light a panel for a while, never longer than its channel may; returns the level that the controller held.
-
-    `wait` waits at most so many seconds (None: no limit), or until the user ends it. `seconds` None: until `wait`
-    returns.
-    """
+    """Light a panel until `wait` returns, never longer than its channel may; returns the level that it held."""
     devices.step = f"lighting {name}"
     held = devices.light_on(name, level)
     left_s = devices.remaining_on_s(name)
@@ -82,10 +114,7 @@ def snap(
     posture: Posture | None = None,
     overwrite: bool = False,
 ) -> tuple[int, int, float]:
-    """Take one frame, in the dark or under one light, and write it as PNG; returns lowest, highest and mean level.
-
-    `exposure` is relative to the rig's exposure time, `posture` what a folder camera replays.
-    """
+    """Take one frame at a relative exposure and write it as PNG; returns lowest, highest and mean level."""
     timing = devices.wiring.hardware.timing
     camera = devices.camera
     held = camera.set_exposure(exposure * devices.wiring.exposure_us)

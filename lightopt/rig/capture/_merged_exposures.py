@@ -21,18 +21,13 @@ TOLERANCE_LEVELS = 0.4  # levels by which they may differ in addition: clipping 
 
 @dataclass(frozen=True)
 class ExposureImage:
-    """An image at one exposure; arrays of shape (H, W).
+    """An image at one exposure; arrays of shape (H, W)."""
 
-    exposure: Relative exposure, as the camera held it.
-    mean: Mean of the frames [sensor level].
-    saturated: Where any of the frames reached the saturation level, so that the mean is too low.
-    png: Stored as PNG [sensor level]: the frame as delivered; of several the mean, rounded half to even (half up
-        would add 1/(2N) on average), and the highest level of all where any was saturated.
-    """
-
-    exposure: float
-    mean: Float32
-    saturated: Bool
+    exposure: float  # relative exposure, as the camera held it
+    mean: Float32  # mean of the frames [sensor level]
+    saturated: Bool  # where any frame reached the saturation level, so that the mean is too low
+    # [sensor level] the frame as delivered; of several the mean, rounded half to even (half up would add 1/(2N) on
+    # average), and the highest level of all where any was saturated
     png: Levels
 
 

@@ -35,18 +35,13 @@ BOUNDED = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class Repeatability:
-    """Rotation of the part between two images.
-
-    tilt_deg, turn_deg: About the tilt axis and the rotary axis, in the sense of elevation and rotation [°].
-    tilt_error_deg, turn_error_deg: Standard errors [°]; those of an unobservable axis are large.
-    converged: Whether the comparison found its optimum; if not, the angles mean nothing.
-    """
+    """Rotation of the part between two images, in the sense of elevation (tilt) and rotation (turn) [°]."""
 
     tilt_deg: float
     turn_deg: float
-    tilt_error_deg: float
-    turn_error_deg: float
-    converged: bool = True
+    tilt_error_deg: float  # standard error [°]; large where the axis is unobservable
+    turn_error_deg: float  # the same
+    converged: bool = True  # whether the comparison found its optimum; if not, the angles mean nothing
 
     @property
     def deviation(self) -> str | None:

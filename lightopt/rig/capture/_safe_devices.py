@@ -1,11 +1,8 @@
 """The opened devices of a rig, safe on every way out."""
 
-from __future__ import annotations
-
 import atexit
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
-from types import TracebackType
 from typing import Any
 
 from lightopt.core.errors import HardwareError, InputError, LightoptError, error_text
@@ -33,13 +30,6 @@ class Devices:
     Entering switches every channel off, because a previous run may have left lights on. On every way out, whatever the
     reason, every channel is switched off, each tried even if another fails; a stage that may move is stopped; then all
     is closed. Signals that end a program wait until that is done.
-
-    stage, camera: None where the rig has none, or none is needed.
-    events: Irregularities on the links so far.
-    closing: Called last, in order: the links' log, the virtual bench.
-    signals: Already installed where devices were opened under their protection.
-    touch_lights: False to query the devices only: lights that are on stay on.
-    dark: Whether every channel has been switched off since it was opened.
     """
 
     def __init__(
@@ -49,11 +39,11 @@ class Devices:
         controllers: Mapping[str, LightController],
         stage: Stage | None = None,
         camera: Camera | None = None,
-        events: Callable[[], Sequence[Event]] = tuple,
-        closing: Sequence[Callable[[], None]] = (),
-        signals: EndSignals | None = None,
-        touch_lights: bool = True,
-        dark: bool = False,
+        events: Callable[[], Sequence[Event]] = tuple,  # irregularities on the links so far
+        closing: Sequence[Callable[[], None]] = (),  # called last, in order: the links' log, the virtual bench
+        signals: EndSignals | None = None,  # already installed where devices were opened under their protection
+        touch_lights: bool = True,  # False to query the devices only: lights that are on stay on
+        dark: bool = False,  # whether every channel has been switched off since it was opened
     ) -> None:
         self.wiring = wiring
         self.controllers = dict(controllers)
@@ -82,7 +72,7 @@ class Devices:
         """Number of commands sent again so far."""
         return sum(event.retry for event in self.events())
 
-    def __enter__(self) -> Devices:
+    def __enter__(self) -> "Devices":
         if self._signals is None:
             self._signals = EndSignals()
             self._signals.install()
@@ -96,10 +86,7 @@ class Devices:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        del kind, trace
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         assert self._signals is not None
         try:
             with self._signals.shielded():
@@ -140,17 +127,13 @@ class Devices:
         return held
 
     def light_off(self, name: str) -> None:
-        """Darken a panel.
-
-        HardwareError when the watchdog had to darken it before, because it had been lit for its `max_on_s`.
-        """
+        """Darken a panel; HardwareError when the watchdog had to darken it before, after its `max_on_s`."""
         self._darken(name)
         self._lit.discard(name)
         self._watchdog.stop(name)
         self.check_watchdog(name)
 
     def remaining_on_s(self, name: str) -> float | None:
-        """How long a lit panel may stay lit [s]; None where nothing limits it."""
         return self._watchdog.remaining_s(name)
 
     def check_watchdog(self, name: str) -> None:
@@ -188,10 +171,7 @@ class Devices:
         return []
 
     def check_referenced(self) -> None:
-        """Refuse a real stage that may not have been homed since it was switched on; moves nothing.
-
-        HardwareError when it reports that it was not, or cannot report it and the rig file does not assume it.
-        """
+        """Refuse (HardwareError) a real stage that may not have been homed since power-up; moves nothing."""
         config = self.wiring.hardware.stage
         if self.stage is None or config is None or config.port == VIRTUAL:
             return
@@ -209,14 +189,12 @@ class Devices:
             )
 
     def home(self) -> None:
-        """Let the stage seek its origin."""
         assert self.stage is not None
         with self._moving():
             self.stage.home()
         self._homed = True
 
     def move_to(self, posture: Posture) -> StageState:
-        """Move the stage and verify where it stands."""
         assert self.stage is not None
         if not self._homed:
             self.check_referenced()
@@ -235,7 +213,6 @@ class Devices:
         self._stage_may_move = False
 
     def identities(self) -> dict[str, Any]:
-        """Identities of the devices, in JSON form."""
         return {
             "lights": {name: device.identify().as_dict() for name, device in self.controllers.items()},
             "stage": self.stage.identify().as_dict() if self.stage is not None else None,

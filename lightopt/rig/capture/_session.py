@@ -1,11 +1,8 @@
 """Take the images of a plan: the order of steps between the devices and the disk."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Generator, Sequence
 from dataclasses import asdict
-from types import TracebackType
 
 from lightopt.core.arrays import Float32
 from lightopt.core.errors import HardwareError, InputError, Interrupted, LightoptError, counted
@@ -13,9 +10,8 @@ from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.images import EVENTS_KEY, REPEATABILITY_KEY
 from lightopt.rig.capture._acquisition import AcquiredImage, AcquisitionEngine, Timing
-from lightopt.rig.capture._background_writer import BackgroundWriter
 from lightopt.rig.capture._capture_plan import CapturePlan
-from lightopt.rig.capture._captured_set import CapturedSet
+from lightopt.rig.capture._captured_set import BackgroundWriter, CapturedSet
 from lightopt.rig.capture._image_checks import ImageChecker
 from lightopt.rig.capture._merged_exposures import ExposureImage
 from lightopt.rig.capture._repeatability import measure_repeatability
@@ -28,10 +24,7 @@ Dark = dict[float, Float32]  # frames without light of a posture by relative exp
 
 
 class CaptureSession:
-    """Takes the missing images of a plan, and reports what an interrupted run has on disk.
-
-    `taken` is the number of images that it has taken so far, `warnings` those for the manifest.
-    """
+    """Takes the missing images of a plan (`taken` so far), and reports what an interrupted run has on disk."""
 
     def __init__(self, plan: CapturePlan, scene: Scene, records: CapturedSet, timing: Timing, run: RunContext) -> None:
         self._plan = plan
@@ -50,14 +43,11 @@ class CaptureSession:
         self.taken = 0
         self.warnings: tuple[str, ...] = ()
 
-    def __enter__(self) -> CaptureSession:
+    def __enter__(self) -> "CaptureSession":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         """Finish writing, and report what an interrupted run has on disk; its devices are closed already."""
-        del kind, trace
         stopped = isinstance(error, KeyboardInterrupt)
         signalled = self._finish(failed=error is not None, lights="all lights are off; " if stopped else "")
         if error is None and not signalled:
@@ -76,7 +66,6 @@ class CaptureSession:
         return self._started
 
     def _progress_text(self) -> str:
-        """Message about what is on disk and how to go on."""
         there, planned = len(self._records.writer.manifest.images), len(self._plan.keys)
         on_disk = f"{there} of {counted(planned, 'image')} {'is' if planned == 1 else 'are'} on disk"
         if not self.todo():
@@ -97,7 +86,6 @@ class CaptureSession:
         self._run.warn(*texts)
 
     def todo(self) -> list[Posture]:
-        """Postures in which images are missing."""
         records, darks = self._records, self._plan.dark_exposures
         return [
             posture
@@ -177,10 +165,7 @@ class CaptureSession:
             writer.add_extra(EVENTS_KEY, [*writer.manifest.extra.get(EVENTS_KEY, ()), *events])
 
     def _finish(self, *, failed: bool, lights: str) -> bool:
-        """Finish writing, whatever happens; returns whether a signal came meanwhile.
-
-        Signals are held back: all writing into the folder must have ended before another capture may begin.
-        """
+        """Finish writing, whatever happens, while signals are held back; returns whether one came."""
         signals = EndSignals()
         signals.install()
         try:
@@ -284,10 +269,7 @@ class CaptureSession:
     def _expose(
         self, posture: Posture, exposure: float, *, light: str | None = None, rest: Sequence[float] = ()
     ) -> AcquiredImage:
-        """Take an image once all has settled and the previous one is on disk; a light goes dark if that takes long.
-
-        `rest` are the exposures for which the light is still needed.
-        """
+        """Take an image once all has settled and the previous one is on disk; a light that waits long goes dark."""
         engine = self._engine
         self._report_progress(f"{light or 'dark'} {posture} exposure {exposure:g}")
         engine.set_exposure(exposure)

@@ -13,11 +13,7 @@ from lightopt.rig.simulated import EXPOSURE_RANGE_US, BenchProcess
 
 
 class FolderCamera:
-    """A camera that delivers the PNG of the light, posture and exposure that the capture is at.
-
-    `resolution_px` is width and height that the images must have, `exposure_us` the exposure time of exposure 1 [µs].
-    InputError when the folder holds no image set or a damaged one; its files are verified by the manifest's hashes.
-    """
+    """A camera that delivers the PNG of what is shown from an image set; InputError for a damaged set."""
 
     triggered = True
 
@@ -58,7 +54,6 @@ class FolderCamera:
         return Identity(driver="folder", port=str(self._set.folder), details={"kind": self._set.manifest.kind})
 
     def set_exposure(self, exposure_us: float) -> float:
-        """Hold what the set's camera held of it, or any other; whether the set has it is known at the frame."""
         same = (e for e in self._entries.values() if math.isclose(e.exposure * self._exposure_us, exposure_us))
         entry = next(same, None)
         self._held_us = exposure_us if entry is None else entry.held_exposure * self._exposure_us

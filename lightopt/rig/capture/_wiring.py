@@ -33,23 +33,16 @@ _VIRTUAL_ROTATION = AxisConfig(axis="2", steps_per_deg=200.0, speed_deg_per_s=VI
 
 @dataclass(frozen=True)
 class Wiring:
-    """The devices of a rig.
+    """The devices of a rig."""
 
-    hardware: From the rig file, or the virtual bench.
-    given: Whether the rig file has it.
-    exposure_us: Exposure time of exposure 1 [µs].
-    """
-
-    hardware: HardwareConfig
-    given: bool
-    exposure_us: float
+    hardware: HardwareConfig  # from the rig file, or the virtual bench
+    given: bool  # whether the rig file has it
+    exposure_us: float  # exposure time of exposure 1 [µs]
 
     def light(self, name: str) -> ChannelConfig:
-        """Where a light is plugged in."""
         return self.hardware.lights[name]
 
     def top_level(self, name: str) -> int:
-        """Highest level that a light may have."""
         channel = self.light(name)
         top = self.hardware.controllers[channel.controller].top_level
         return min(top, channel.max_level or top)
@@ -61,7 +54,6 @@ class Wiring:
 
     @property
     def needs_bench(self) -> bool:
-        """Whether any device is simulated."""
         ports = [controller.port for controller in self.hardware.controllers.values()]
         return VIRTUAL in ports or self.stage_is_virtual or self.camera_is_virtual
 
@@ -77,10 +69,7 @@ class Wiring:
 
 
 def wiring_of(rig: RigConfig) -> Wiring:
-    """The devices of a rig; without a ``hardware`` section the virtual bench.
-
-    The virtual bench has CCS controllers of four channels, a SHOT stage with both axes, and the virtual camera.
-    """
+    """The devices of a rig, or the virtual bench: CCS controllers of four channels, a SHOT stage, a virtual camera."""
     hardware = rig.hardware
     exposure_us = rig.camera.exposure_us or VIRTUAL_EXPOSURE_US
     if hardware is not None:
@@ -99,7 +88,6 @@ def wiring_of(rig: RigConfig) -> Wiring:
 
 
 def stage_axes(rig: RigConfig, stage: StageDeviceConfig) -> list[Axis]:
-    """The axes that a stage has, with the rig's ranges."""
     return [
         Axis(
             name=name,
@@ -159,7 +147,7 @@ def bench_truth(rig: RigConfig) -> BenchTruth:
     if own is None:
         return BenchTruth()
     x, y, z = map(math.radians, own.part_rotation_vector_deg)
-    return BenchTruth(seed=own.seed, part_offset_mm=own.part_offset_mm, part_rotation=(x, y, z))
+    return BenchTruth(seed=own.seed, rays=own.rays, part_offset_mm=own.part_offset_mm, part_rotation=(x, y, z))
 
 
 def _true_rig(rig: RigConfig) -> RigConfig:

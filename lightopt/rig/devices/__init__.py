@@ -11,7 +11,7 @@ Its simulated counterpart is the module of the same name in ``lightopt.rig.simul
 """
 
 from lightopt.rig.devices._camera import Camera as Camera, Frame as Frame
-from lightopt.rig.devices._camera_pixels import Levels as Levels
+from lightopt.rig.devices._camera_features import Levels as Levels
 from lightopt.rig.devices._camera_sdk import CameraInfo as CameraInfo, CameraSettings as CameraSettings
 from lightopt.rig.devices._device import (
     Event as Event,

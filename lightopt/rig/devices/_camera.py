@@ -7,8 +7,15 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from lightopt.core.errors import HardwareError, LightoptError
-from lightopt.rig.devices._camera_features import ExposureTime, set_gain, set_image, set_trigger, switch_off_corrections
-from lightopt.rig.devices._camera_pixels import Levels, levels_of
+from lightopt.rig.devices._camera_features import (
+    ExposureTime,
+    Levels,
+    levels_of,
+    set_gain,
+    set_image,
+    set_trigger,
+    switch_off_corrections,
+)
 from lightopt.rig.devices._camera_sdk import CameraSdk, CameraSettings, RawFrame
 from lightopt.rig.devices._device import ATTEMPTS, Event, Identity, ReplyError, Retry, now
 
@@ -18,18 +25,12 @@ _NEAR = 0x1000  # numbers so near to the end and the beginning of the count are 
 
 @dataclass(frozen=True)
 class Frame:
-    """A frame as the camera delivered it.
+    """A frame as the camera delivered it."""
 
-    levels: Right-aligned sensor levels (H, W), uint8 up to 8 bits and uint16 above.
-    exposure_us: Exposure time [µs] as read back for this frame.
-    number, timestamp_ns: The camera's own number and time stamp [ns]; None where it has none.
-    details: Further properties (gain, temperature, packets lost).
-    """
-
-    levels: Levels
-    exposure_us: float
-    number: int | None
-    timestamp_ns: int | None = None
+    levels: Levels  # right-aligned sensor levels (H, W), uint8 up to 8 bits and uint16 above
+    exposure_us: float  # exposure time [µs] as read back for this frame
+    number: int | None  # the camera's own; None where it has none
+    timestamp_ns: int | None = None  # the camera's own [ns]
     details: dict[str, Any] = field(default_factory=dict[str, Any])
 
 
@@ -37,30 +38,20 @@ class Camera(Protocol):
     """A monochrome camera.
 
     Every method raises :class:`~lightopt.core.errors.HardwareError` when the camera does not deliver.
-
-    triggered: Whether a frame begins at the call of `grab` (software trigger), so that none need be thrown away.
-    resolution_px: Width and height of the frames [pixels].
-    bit_depth: Bits of a level.
-    exposure_range_us: Shortest and longest exposure time [µs].
-    set_exposure: Set the exposure time [µs] and return what the camera holds. InputError outside `exposure_range_us`;
-        nothing was sent then.
-    grab: Take one frame; a camera without a trigger delivers the next that it completes. All attempts together take
-        `timeout_s` at most.
-    close: Stop and give up the camera; never raises.
     """
 
     @property
-    def triggered(self) -> bool: ...
+    def triggered(self) -> bool: ...  # a frame begins at the call of grab (software trigger): none need be thrown away
     @property
-    def resolution_px(self) -> tuple[int, int]: ...
+    def resolution_px(self) -> tuple[int, int]: ...  # width and height
     @property
     def bit_depth(self) -> int: ...
     @property
-    def exposure_range_us(self) -> tuple[float, float]: ...
+    def exposure_range_us(self) -> tuple[float, float]: ...  # shortest and longest exposure time [µs]
     def identify(self) -> Identity: ...
-    def set_exposure(self, exposure_us: float) -> float: ...
-    def grab(self, *, timeout_s: float) -> Frame: ...
-    def close(self) -> None: ...
+    def set_exposure(self, exposure_us: float) -> float: ...  # what the camera then holds; InputError out of range
+    def grab(self, *, timeout_s: float) -> Frame: ...  # one that begins now, or without a trigger the next completed
+    def close(self) -> None: ...  # never raises
 
 
 class FrameOrder:
@@ -106,8 +97,6 @@ class MachineCamera:
     What would falsify them is switched off: automatic exposure, gain and black level, gamma and look-up table,
     mirrored, binned and left-out pixels, test patterns, and exposure by the width of a trigger. Frames are checked for
     being whole, new and in order; others are taken again, a bounded number of times, each with an event.
-
-    wait_ready: Called before each frame; returns when one can be taken: a simulated camera has to render first.
     """
 
     def __init__(
@@ -117,7 +106,8 @@ class MachineCamera:
         settings: CameraSettings,
         *,
         on_event: Callable[[Event], None] | None = None,
-        wait_ready: Callable[[], object] | None = None,
+        wait_ready: Callable[[], object]
+        | None = None,  # returns when a frame can be taken: one may have to be rendered
     ) -> None:
         self.events: list[Event] = []
         self.resolution_px = settings.resolution_px
@@ -145,7 +135,6 @@ class MachineCamera:
         return self._exposure.range_us
 
     def identify(self) -> Identity:
-        """What the camera reported about itself when it was opened, and how it is set."""
         details = {**self._sdk.details, "pixel_format": self._format.name}
         details["trigger"] = "software" if self.triggered else "none"
         if self._gain is not None:

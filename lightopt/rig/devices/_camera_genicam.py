@@ -118,7 +118,6 @@ class GenicamSdk(CameraLibrary):
             self._try("giving a buffer back", buffer.queue)
 
     def _next_buffer(self, timeout_s: float) -> Any:
-        """The next buffer, or None."""
         late: Any = import_module("genicam.gentl").TimeoutException
         try:
             return self._acquirer.try_fetch(timeout=timeout_s)

@@ -1,7 +1,5 @@
 """What the driver of a camera implements (:class:`CameraSdk`): features by their standard names, and frames."""
 
-from __future__ import annotations
-
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -21,31 +19,20 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSettings:
-    """Settings of a camera that the rig needs.
+    """Settings of a camera that the rig needs; what is None stays as the camera has it."""
 
-    where: What messages call it, with file and line.
-    port: Serial number, address or identifier; None: the only camera that there is.
-    producer: genicam: GenTL producer of the maker (a .cti file).
-    pixel_format: Name; None: the camera's that has the bit depth.
-    offset_px: Corner of the image on the sensor, from the left and from the top; None: centred.
-    gain: In the camera's units (mostly dB); None: as the camera has it.
-    trigger: ``software``, ``none``, or ``auto``: software where the camera has it.
-    fixed_exposure_us: Exposure time [µs] of a camera on which it cannot be set; None: it is set.
-    packet_size, packet_delay_ns: GigE: size of packets [bytes] and pause between them [ns]; None: as the camera has it.
-    """
-
-    where: str
+    where: str  # what messages call it, with file and line
     resolution_px: tuple[int, int]
     bit_depth: int
-    port: str | None = None
-    producer: str | None = None
-    pixel_format: str | None = None
-    offset_px: tuple[int, int] | None = None
-    gain: float | None = None
-    trigger: str = "auto"
-    fixed_exposure_us: float | None = None
-    packet_size: int | None = None
-    packet_delay_ns: int | None = None
+    port: str | None = None  # serial number, address or identifier; None: the only camera that there is
+    producer: str | None = None  # genicam: GenTL producer of the maker (a .cti file)
+    pixel_format: str | None = None  # None: the camera's that has the bit depth
+    offset_px: tuple[int, int] | None = None  # corner of the image on the sensor, from left and top; None: centred
+    gain: float | None = None  # in the camera's units (mostly dB)
+    trigger: str = "auto"  # software, none, or auto: software where the camera has it
+    fixed_exposure_us: float | None = None  # exposure time [µs] of a camera on which it cannot be set
+    packet_size: int | None = None  # GigE: size of packets [bytes]
+    packet_delay_ns: int | None = None  # GigE: pause between packets [ns]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +47,6 @@ class CameraInfo:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What it may be called."""
         return tuple(name for name in (self.serial, self.address, self.identifier) if name)
 
     def __str__(self) -> str:
@@ -83,30 +69,22 @@ def choose_camera(here: list[CameraInfo], settings: CameraSettings) -> CameraInf
 
 @dataclass(frozen=True, kw_only=True)
 class RawFrame:
-    """A frame as it came over the cable.
+    """A frame as it came over the cable; number and time stamp are the camera's own, None where it has none."""
 
-    data: Its bytes, shape (n,).
-    code: Its pixel format as a number of the naming convention; None where the camera does not report it.
-    number, timestamp_ns: The camera's own; None where it has none.
-    problem: Why it is unusable; None when it is whole.
-    """
-
-    data: UInt8
+    data: UInt8  # its bytes, shape (n,)
     width: int
     height: int
     number: int | None
-    code: int | None = None
+    code: int | None = None  # its pixel format in the naming convention; None where the camera does not report it
     timestamp_ns: int | None = None
-    problem: str | None = None
+    problem: str | None = None  # why it is unusable; None when it is whole
 
     @classmethod
-    def unusable(cls, number: int | None, problem: str) -> RawFrame:
-        """A frame of which there are no pixels."""
+    def unusable(cls, number: int | None, problem: str) -> "RawFrame":
         return cls(data=np.zeros(0, np.uint8), width=0, height=0, number=number, problem=problem)
 
     @property
     def name(self) -> str:
-        """What it is called in messages."""
         return "a frame without a number" if self.number is None else f"frame {self.number}"
 
 
@@ -115,31 +93,20 @@ class CameraSdk(Protocol):
 
     Every method raises :class:`~lightopt.core.errors.HardwareError` when the camera does not answer or refuses, and
     :class:`~lightopt.rig.devices.LinkLostError` when it is gone; `close` never raises.
-
-    details: Maker, model, serial number, address, as far as they are known.
-    has: Whether the camera has a feature and it can be used as things are.
-    read, write: Value of a feature: a number, an entry of an enumeration (str), a truth value. A number is written
-        rounded where the feature is whole.
-    bounds: Lowest and highest number, and the step between them (0: any).
-    unit: Unit of a number (us, dB); empty where the camera gives none.
-    entries: Entries of an enumeration that can be chosen.
-    execute: Execute a command.
-    start: Begin an acquisition; no frame of a previous one is delivered afterwards.
-    pop: The next frame, whole or not; None when none came in time.
     """
 
     @property
-    def details(self) -> dict[str, str]: ...
-    def has(self, feature: str) -> bool: ...
+    def details(self) -> dict[str, str]: ...  # maker, model, serial number, address, as far as they are known
+    def has(self, feature: str) -> bool: ...  # and it can be used as things are
     def read(self, feature: str, kind: Callable[[Any], Value]) -> Value: ...
-    def write(self, feature: str, value: float | str | bool) -> None: ...
-    def bounds(self, feature: str) -> tuple[float, float, float]: ...
-    def unit(self, feature: str) -> str: ...
-    def entries(self, feature: str) -> tuple[str, ...]: ...
+    def write(self, feature: str, value: float | str | bool) -> None: ...  # rounded where the feature is whole
+    def bounds(self, feature: str) -> tuple[float, float, float]: ...  # lowest, highest, step between (0: any)
+    def unit(self, feature: str) -> str: ...  # of a number (us, dB); empty where the camera gives none
+    def entries(self, feature: str) -> tuple[str, ...]: ...  # of an enumeration, those that can be chosen
     def execute(self, feature: str) -> None: ...
-    def start(self) -> None: ...
+    def start(self) -> None: ...  # no frame of a previous acquisition is delivered afterwards
     def stop(self) -> None: ...
-    def pop(self, timeout_s: float) -> RawFrame | None: ...
+    def pop(self, timeout_s: float) -> RawFrame | None: ...  # the next, whole or not; None when none came in time
     def close(self) -> None: ...
 
 

@@ -7,7 +7,7 @@ driver noticing.
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from lightopt.core.errors import HardwareError
 
@@ -18,16 +18,11 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class Identity:
-    """Identity of a device.
+    """Identity of a device."""
 
-    driver: Name of the driver, as in the rig file.
-    port: Where it is reached: serial port, URL, camera name or folder.
-    details: What the device answered about itself (version, serial number), by name; may be empty.
-    """
-
-    driver: str
-    port: str
-    details: dict[str, str] = field(default_factory=dict[str, str])
+    driver: str  # as in the rig file
+    port: str  # where it is reached: serial port, URL, camera name or folder
+    details: dict[str, str] = field(default_factory=dict[str, str])  # what it answered about itself, by name
 
     def as_dict(self) -> dict[str, Any]:
         return {"driver": self.driver, "port": self.port, **self.details}
@@ -67,8 +62,6 @@ class LinkLostError(HardwareError):
 def printable(data: bytes) -> str:
     r"""Bytes as messages show them: text as it is, everything else as an escape.
 
-    Examples
-    --------
     >>> printable(b"@00F25582\r\n")
     '"@00F25582\\r\\n"'
     >>> printable(b"")
@@ -80,25 +73,14 @@ def printable(data: bytes) -> str:
     return f'"{text}"'
 
 
-class Repeatable(Protocol):
-    """A link on which a command can be sent again: a serial link, a camera.
-
-    drain: Throw away what is still on its way, so that it is not taken for the reply to the next command.
-    note: Report an irregularity.
-    """
-
-    def drain(self) -> None: ...
-    def note(self, what: str, *, retry: bool = False) -> None: ...
-
-
 class Retry:
     """Sends again when a reply is lost or spoilt; only for what may be repeated: queries, levels, absolute targets.
 
     A device that left all attempts unanswered gets one at a time until it answers: switching off the lights of a dead
-    controller must not take a minute.
+    controller must not take a minute. `link` is a serial link or a camera: it can drain what is on its way, and note.
     """
 
-    def __init__(self, link: Repeatable, *, verb: str = "sent") -> None:
+    def __init__(self, link: Any, *, verb: str = "sent") -> None:
         self._link = link
         self._attempts = ATTEMPTS
         self._verb = verb
@@ -124,8 +106,6 @@ class Retry:
 def frame_limit_s(exposure_us: float, wait_s: float) -> float:
     """How long a camera may take for one frame [s]: every attempt exposes again, and the waits share `wait_s`.
 
-    Examples
-    --------
     >>> frame_limit_s(2e6, 5.0)
     11.0
     """

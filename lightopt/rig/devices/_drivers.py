@@ -44,20 +44,13 @@ def open_stage(
     *,
     port: str,
     axes: Sequence[Axis],
-    baud: int | None = None,
+    baud: int | None = None,  # None: the protocol's usual one
     timeout_s: float = 1.0,
     home_timeout_s: float = 180.0,
     log: SerialLog | None = None,
-    clock: Clock | None = None,
+    clock: Clock | None = None,  # source of time, for tests
 ) -> Stage:
-    """Open a stage; nothing moves.
-
-    baud: Baud rate; the protocol's usual one if None.
-    clock: Source of time, for tests.
-
-    Raises InputError for axes that the driver cannot have, or a port that is not there or in use.
-    Raises HardwareError when the device does not answer where it has to when it is opened.
-    """
+    """Open a stage; nothing moves. InputError for wrong axes or port, HardwareError when it does not answer."""
     check_stage(driver, axes)
     kind = STAGE_DRIVERS[driver]
     link = SerialLink(
@@ -80,17 +73,10 @@ def open_camera(
     driver: str,
     settings: CameraSettings,
     *,
-    on_event: Callable[[Event], None] | None = None,
-    wait_ready: Callable[[], object] | None = None,
+    on_event: Callable[[Event], None] | None = None,  # called with irregularities, as they happen
+    wait_ready: Callable[[], object] | None = None,  # called before each frame; returns when one can be requested
 ) -> MachineCamera:
-    """Open a camera and configure it for the rig; no frame is taken.
-
-    on_event: Called with irregularities, as they happen.
-    wait_ready: Called before each frame is requested; returns when one can be.
-
-    Raises InputError when software or camera are not there, or it cannot be configured for the rig.
-    Raises HardwareError when it does not answer.
-    """
+    """Open a camera and set it up; no frame is taken. InputError where that cannot be, HardwareError: no answer."""
     return MachineCamera(driver, CAMERA_DRIVERS[driver](settings), settings, on_event=on_event, wait_ready=wait_ready)
 
 
@@ -105,10 +91,7 @@ def check_camera_driver(driver: str, producer: Path | None) -> None:
 
 
 def find_cameras(producer: Path | None = None) -> tuple[list[CameraInfo], list[str]]:
-    """Cameras that answer, by all installed software, and what could not be queried; none is opened.
-
-    producer: GenTL producer to query beside those that installers have named.
-    """
+    """Cameras that answer, by all software and producers, and what could not be queried; none is opened."""
     producers = {*find_producers(), *([] if producer is None else [producer])}
     cameras: list[CameraInfo] = []
     problems: list[str] = []

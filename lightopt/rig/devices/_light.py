@@ -1,7 +1,5 @@
 """Light controllers whatever their protocol: settings, the base class of the drivers, and all lights off."""
 
-from __future__ import annotations
-
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -30,29 +28,20 @@ class LightsStillOnError(HardwareError):
 
 @dataclass(frozen=True)
 class LightSettings:
-    """What a driver must know to open a light controller.
+    """What a driver must know to open a light controller."""
 
-    name: Name of the controller in the rig file.
-    port: Serial port or pyserial URL.
-    baud: None is the protocol's usual rate.
-    dialect: For driver ccs: ``lan`` or ``serial``.
-    template: For driver template: commands and patterns of replies, by the keys of the rig file.
-    timeout_s: Longest wait for a reply [s].
-    max_levels: Highest allowed intensities by channel; where none is given it is `top_level`.
-    """
-
-    name: str
-    port: str
-    baud: int | None = None
+    name: str  # in the rig file
+    port: str  # serial port or pyserial URL
+    baud: int | None = None  # None is the protocol's usual rate
     channels: int = 4
     top_level: int = 255
-    dialect: str = "lan"
-    template: Mapping[str, str | None] | None = None
-    timeout_s: float = 1.0
-    max_levels: Mapping[int, int] = field(default_factory=dict[int, int])
+    dialect: str = "lan"  # ccs: lan or serial
+    template: Mapping[str, str | None] | None = None  # commands and patterns of replies, by the keys of the rig file
+    timeout_s: float = 1.0  # longest wait for a reply [s]
+    max_levels: Mapping[int, int] = field(default_factory=dict[int, int])  # highest allowed intensities by channel
 
 
-def all_off(controllers: Mapping[str, LightController], *, lit: Mapping[str, Collection[int]] | None = None) -> None:
+def all_off(controllers: Mapping[str, "LightController"], *, lit: Mapping[str, Collection[int]] | None = None) -> None:
     """Darken every channel of every controller, each of them even if others fail; no controller waits for another.
 
     lit: Channels that are known to be lit, by controller: they come first.
@@ -78,7 +67,7 @@ def all_off(controllers: Mapping[str, LightController], *, lit: Mapping[str, Col
         )
 
 
-def _darken_all(controller: LightController, first: Collection[int]) -> dict[str, list[int]]:
+def _darken_all(controller: "LightController", first: Collection[int]) -> dict[str, list[int]]:
     """Switch every channel off, some of them first; those where that failed, by reason."""
     channels = range(1, controller.channels + 1)
     reasons = {channel: _darken(controller, channel) for channel in sorted(channels, key=lambda c: c not in first)}
@@ -89,11 +78,8 @@ def _darken_all(controller: LightController, first: Collection[int]) -> dict[str
     return found
 
 
-def _darken(controller: LightController, channel: int) -> str | None:
-    """Switch a channel off; why that failed, or None.
-
-    A driver asks again by itself where it knows how its device fails; any other exception is a reason to try again.
-    """
+def _darken(controller: "LightController", channel: int) -> str | None:
+    """Switch a channel off; why that failed, or None. Errors that no driver foresaw are reasons to try again."""
     reason = None
     for _ in range(_ATTEMPTS):
         try:
@@ -112,33 +98,24 @@ class LightController(ABC):
 
     Every method raises :class:`~lightopt.core.errors.HardwareError` when the device does not answer, answers no, or
     does not hold what was set.
-
-    channels, top_level: Number of channels, and the highest intensity.
-    events: Irregularities on the wire so far.
-    level_set_s: When [s, monotonic clock] the device had the last intensity, before it was read back.
     """
 
-    NAME: ClassVar[str]
-    """Name of the protocol, as in the rig file."""
-
-    BAUD: ClassVar[int]
-    """The protocol's usual baud rate."""
-
-    GAP_S: ClassVar[float] = 0.0
-    """Least time [s] that the controllers ask for between two commands."""
+    NAME: ClassVar[str]  # name of the protocol, as in the rig file
+    BAUD: ClassVar[int]  # the protocol's usual baud rate
+    GAP_S: ClassVar[float] = 0.0  # least time [s] that the controllers ask for between two commands
 
     def __init__(self, link: SerialLink, settings: LightSettings) -> None:
         self.channels = settings.channels
-        self.events = link.events
+        self.events = link.events  # irregularities on the wire so far
         self._link = link
         self.top_level = settings.top_level
         self._max_levels = settings.max_levels
         self._retry = Retry(link)
-        self.level_set_s = 0.0
+        self.level_set_s = 0.0  # when [s, monotonic clock] the device had the last intensity, before it was read back
         self._reads = False  # whether levels can be read back, which each protocol finds out in its own way
 
     @classmethod
-    def open(cls, settings: LightSettings, log: SerialLog | None = None) -> LightController:
+    def open(cls, settings: LightSettings, log: SerialLog | None = None) -> "LightController":
         """Open the link of a controller and let its driver talk first; a link on which that fails is closed."""
         link = SerialLink(
             settings.port,
@@ -155,7 +132,6 @@ class LightController(ABC):
             raise
 
     def identify(self) -> Identity:
-        """Query the identity of the device; no light changes."""
         details = {**self._query_identity(), "read_back": "yes" if self._reads else "no"}
         return Identity(self.NAME, self._link.port, details)
 
@@ -213,7 +189,6 @@ class LightController(ABC):
             raise self._link.failure(f"channel {channel} was set to {level} but holds {held}")
 
     def _check(self, channel: int, level: int) -> None:
-        """Refuse what the controller does not have or a channel may not be set to, before anything is sent."""
         device = self._link.device
         if not 1 <= channel <= self.channels:
             raise InputError(f"{device}: expected a channel from 1 to {self.channels}, found {channel}")

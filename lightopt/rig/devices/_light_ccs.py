@@ -5,8 +5,6 @@ checksum (sum of all bytes before it, modulo 256, two upper-case hexadecimal dig
 channel, ``O`` with data or ``N`` with the number of an error, and a checksum.
 """
 
-from __future__ import annotations
-
 import re
 
 from lightopt.rig.devices._device import RefusedError, ReplyError, printable

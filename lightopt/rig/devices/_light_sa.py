@@ -42,9 +42,7 @@ class SaController(LightController):
         frame = f"S{letter}#".encode("ascii")
         reply = self._query(frame, _VALUE)
         if re.fullmatch(rb"[A-F]\d{4}", reply.upper()) is None or chr(reply[0]).upper() != letter:
-            raise self._link.failure(
-                "the reply is not this channel's intensity", sent=frame, reply=reply, kind=ReplyError
-            )
+            raise self._link.failure("it is not this channel's intensity", sent=frame, reply=reply, kind=ReplyError)
         return int(reply[1:])
 
     def _query(self, frame: bytes, end: re.Pattern[bytes]) -> bytes:

@@ -4,8 +4,6 @@ r"""Driver of light controllers whose commands the rig file spells out: template
 Latin-1, one byte per character.
 """
 
-from __future__ import annotations
-
 import re
 
 from lightopt.rig.devices._device import ReplyError

@@ -81,11 +81,8 @@ class PriorityLock:
 class SerialLink:
     """A serial port, or anything else that pyserial reaches by a URL, that a driver speaks through.
 
-    device: What stands behind it, for messages: ``controller main (ccs)``.
-    timeout_s: Deadline [s] of a whole reply where a call names none. A write has as long, and a second at least.
-    gap_s: Least time [s] between the end of a dialogue and the next command.
-    lock: Held during each dialogue; a driver holds it over dialogues that belong together. What cannot wait breaks them
-        off by ``lock.priority()``; whoever waits for a reply then gets a :class:`PreemptedError`.
+    Its `lock` is held during each dialogue; a driver holds it over dialogues that belong together. What cannot wait
+    breaks them off by ``lock.priority()``; whoever waits for a reply then gets a :class:`PreemptedError`.
 
     Raises InputError when the port is not there (the message lists those that are), is none, or may not be opened.
     Raises HardwareError when another program has it, or nothing answers at its address.
@@ -95,11 +92,11 @@ class SerialLink:
         self,
         port: str,
         *,
-        device: str,
+        device: str,  # what stands behind it, for messages: controller main (ccs)
         baud: int,
         rtscts: bool = False,
-        timeout_s: float = 1.0,
-        gap_s: float = 0.0,
+        timeout_s: float = 1.0,  # deadline [s] of a whole reply where a call names none; of a write, a second at least
+        gap_s: float = 0.0,  # least time [s] between the end of a dialogue and the next command
         log: SerialLog | None = None,
     ) -> None:
         self.port = port

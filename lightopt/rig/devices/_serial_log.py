@@ -16,10 +16,8 @@ class SerialLog:
     The text file has time (UTC), port, direction, and bytes as a Python literal. Entries are appended and flushed one
     by one, so that the file is whole up to the moment of a crash. Links of several threads may share it. Once opened it
     never raises: a disk that is full must not keep a light from being switched off. The first entry that cannot be
-    written ends the file, which is reported once, and kept in `events`.
-
-    path: The file is continued if it exists; None for no file.
-    warn: Called with irregularities, from the thread in which they happen.
+    written ends the file, which is reported once, and kept in `events`. `warn` is called with irregularities, from the
+    thread in which they happen.
     """
 
     def __init__(self, path: Path | str | None = None, *, warn: Callable[[str], None] | None = None) -> None:
@@ -54,7 +52,6 @@ class SerialLog:
         self._report(problem)
 
     def note(self, event: Event) -> None:
-        """Report an irregularity, and write it down."""
         self.write(event.port, "note", event.what, event.time)
         self._report(f"{event.port}: {event.what}")
 

@@ -30,17 +30,12 @@ class Clock:
 
 @dataclass(frozen=True)
 class StageState:
-    """State of a stage.
-
-    posture: Where it stands [°]; an axis that the stage lacks stands at 0.
-    referenced: Whether it knows where its origin is; None where that is unknown.
-    alarm: Message about the device's alarm; None without one.
-    """
+    """State of a stage; an axis that it lacks stands at 0°."""
 
     posture: Posture
     moving: bool
-    referenced: bool | None
-    alarm: str | None = None
+    referenced: bool | None  # whether it knows where its origin is; None where that is unknown
+    alarm: str | None = None  # message about the device's alarm
 
 
 class Stage:
@@ -67,12 +62,10 @@ class Stage:
         self._lost: str | None = None
 
     def identify(self) -> Identity:
-        """Query the identity of the device, without moving it."""
         with self._link.lock:
             return Identity(driver=self._driver, port=self._link.port, details=self._dialogue.identify())
 
     def state(self) -> StageState:
-        """Query where it stands and how it is."""
         with self._link.lock:
             return self._state(self._dialogue.read())
 
@@ -93,11 +86,7 @@ class Stage:
             raise InputError(*wrong)
 
     def move_to(self, posture: Posture) -> StageState:
-        """Move, wait and verify; returns where it stands, to the step.
-
-        InputError when the posture lies outside the limits; nothing was sent then. HardwareError when it cannot get
-        there; it is then stopped.
-        """
+        """Move, wait and verify; InputError outside the limits with nothing sent, HardwareError once it is stopped."""
         self.check(posture)
         with self._link.lock:
             try:
@@ -140,7 +129,6 @@ class Stage:
             return self._state(reading)
 
     def home(self) -> None:
-        """Seek the mechanical origin of all axes, and wait for it."""
         with self._link.lock:
             reading = self._dialogue.read()
             if reading.moving:
@@ -163,9 +151,7 @@ class Stage:
             until = self._clock.now() + _HALT_S
             while (reading := self._dialogue.read()).moving:
                 if self._clock.now() > until:
-                    raise self._link.failure(
-                        f"was commanded to stop and still moves {_HALT_S:g} s later: switch it off"
-                    )
+                    raise self._link.failure(f"was told to stop and still moves {_HALT_S:g} s later: switch it off")
                 self._clock.sleep(_POLL_S)
             if reading.alarm is None:
                 self._left_at = dict(reading.units)
@@ -261,9 +247,7 @@ class Stage:
                 moved = True
                 wrong_since = None
                 if now - started > limit_s:
-                    raise self._link.failure(
-                        f"has not found its origin after {limit_s:g} s: look at the limit switches"
-                    )
+                    raise self._link.failure(f"has not found its origin after {limit_s:g} s: check the limit switches")
             else:
                 problem = self._dialogue.homed(reading)
                 if problem is None and (moved or now - started > _SETTLE_S):

@@ -19,23 +19,15 @@ def describe_range(range_deg: tuple[float, float]) -> str:
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis of the stage: how the rig's angle becomes the device's count, and how far and fast it may go.
+    """An axis of the stage: how the rig's angle becomes the device's count, and how far and fast it may go."""
 
-    name: ``elevation`` or ``rotation``.
-    device: The axis as the device calls it.
-    range_deg: Lowest and highest allowed angle [°].
-    steps_per_deg: Device units per degree; negative where the device counts against the rig's sense.
-    zero: Device units at which the rig's angle is 0.
-    home_sense: +1 or -1: the sense of the count in which a device seeks its origin, for those that need it (GSC-02).
-    """
-
-    name: str
-    device: str
-    range_deg: tuple[float, float]
-    steps_per_deg: float = 1.0
-    zero: float = 0.0
+    name: str  # elevation or rotation
+    device: str  # the axis as the device calls it
+    range_deg: tuple[float, float]  # lowest and highest allowed angle [°]
+    steps_per_deg: float = 1.0  # device units per degree; negative where the device counts against the rig's sense
+    zero: float = 0.0  # device units at which the rig's angle is 0
     speed_deg_per_s: float = 20.0
-    home_sense: int = -1
+    home_sense: int = -1  # sense of the count in which the GSC-02 seeks its origin, +1 or -1
 
     def angle_of(self, units: float) -> float:
         """The rig's angle [°] at a position of the device."""
@@ -61,37 +53,24 @@ class Axis:
         return [f"stage axis {self.name}: {angle_deg:g}° lies outside the rig's range {span}; nothing was moved"]
 
     def speed_units(self) -> float:
-        """Speed in device units per second."""
         return self.speed_deg_per_s * abs(self.steps_per_deg)
 
 
 @dataclass(frozen=True)
 class Reading:
-    """State of a stage's device at one moment.
+    """State of a stage's device at one moment."""
 
-    units: Position of each axis by the device's name of it [device units].
-    referenced: Whether it knows its origin; None where that is unknown.
-    alarm: Message about the alarm; None without one.
-    """
-
-    units: Mapping[str, float]
+    units: Mapping[str, float]  # position of each axis by the device's name of it [device units]
     moving: bool
-    referenced: bool | None = None
-    alarm: str | None = None
+    referenced: bool | None = None  # whether it knows its origin; None where that is unknown
+    alarm: str | None = None  # message about the alarm
 
 
 class Dialogue(ABC):
-    """The protocol of a stage on its `link`. Positions are in device units, axes by the device's name of them.
+    """Protocol of a stage, in the device's units and names; HardwareError where it refuses or does not answer."""
 
-    Each method raises :class:`~lightopt.core.errors.HardwareError` when the device answers no, or not at all.
-    """
-
-    BAUD: ClassVar[int]
-    """The protocol's usual baud rate."""
-
-    RTSCTS: ClassVar[bool] = False
-    """Whether the device paces the line by RTS/CTS."""
-
+    BAUD: ClassVar[int]  # the protocol's usual baud rate
+    RTSCTS: ClassVar[bool] = False  # whether the device paces the line by RTS/CTS
     HOMES_TO_END: ClassVar[bool] = False
     """Whether `home` returns when the origins are found, rather than when the search has begun."""
 

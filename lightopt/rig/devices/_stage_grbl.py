@@ -91,8 +91,6 @@ def parse_report(line: bytes) -> tuple[str, tuple[float, ...]] | None:
 
     Raises ValueError for a status report without a machine position.
 
-    Examples
-    --------
     >>> parse_report(b"<Run|MPos:-1.450,0.000,0.000|FS:175,0>\r\n")
     ('Run', (-1.45, 0.0, 0.0))
     """
@@ -195,7 +193,7 @@ class GrblDialogue(Dialogue):
             raise self.link.failure(f"{self._critical}; it must be reset before it can be homed")
         if not self._setting(22):
             raise self.link.failure(
-                "homing is not enabled ($22=0): with limit switches wired, set $22=1 in Grbl", sent=b"$H\n"
+                "homing is not enabled ($22=0): with limit switches, set $22=1 in Grbl", sent=b"$H\n"
             )
         self._restarted = False
         self._homing = True  # until it answers ok: while it seeks, it reports nothing and ignores a hold

@@ -65,8 +65,6 @@ def parse_status(line: bytes) -> Status:
 
     Raises ValueError when it is none, with the reason.
 
-    Examples
-    --------
     >>> parse_status(b"        100,-       20,K,K,R\r\n")
     Status(positions=(100, -20), accepted=True, limit=None, busy=False)
     """
@@ -90,8 +88,7 @@ class _SigmakokiDialogue(Dialogue):
     """What the two families share."""
 
     BAUD = 9600
-    SPEEDS: ClassVar[tuple[int, int]]
-    """Slowest and fastest [pulses/s]."""
+    SPEEDS: ClassVar[tuple[int, int]]  # slowest and fastest [pulses/s]
 
     @classmethod
     def check_axes(cls, axes: Sequence[Axis]) -> None:

@@ -70,21 +70,15 @@ _REPLY = re.compile(
 
 @dataclass(frozen=True)
 class Reply:
-    """A reply of a device or axis.
-
-    number: Number of the message that it answers; None when it has none.
-    accepted: OK rather than RJ.
-    warning: Flag of the gravest warning; empty without one.
-    data: The answer, or why it was rejected.
-    """
+    """A reply of a device or axis."""
 
     device: int
     axis: int
-    number: int | None
-    accepted: bool
+    number: int | None  # of the message that it answers; None when it has none
+    accepted: bool  # OK rather than RJ
     busy: bool
-    warning: str
-    data: str
+    warning: str  # flag of the gravest warning; empty without one
+    data: str  # the answer, or why it was rejected
 
 
 def checksum(body: bytes) -> bytes:
@@ -93,7 +87,6 @@ def checksum(body: bytes) -> bytes:
 
 
 def frame(device: int, axis: int, number: int, command: str) -> bytes:
-    """A numbered command with its checksum."""
     body = " ".join(part for part in (str(device), str(axis), f"{number:02d}", command) if part).encode("ascii")
     return b"/" + body + b":" + checksum(body) + b"\n"
 
@@ -103,8 +96,6 @@ def parse_reply(line: bytes) -> Reply:
 
     Raises ValueError when it is none, or its checksum is wrong.
 
-    Examples
-    --------
     >>> parse_reply(b"@01 1 OK BUSY WR 0\r\n")
     Reply(device=1, axis=1, number=None, accepted=True, busy=True, warning='WR', data='0')
     """
@@ -148,7 +139,6 @@ class ZaberDialogue(Dialogue):
             raise InputError("stage: elevation and rotation are the same axis of the controller")
 
     def identify(self) -> dict[str, str]:
-        """Kind, serial number and firmware of each device."""
         details: dict[str, str] = {}
         for device in self._devices:
             for setting in ("deviceid", "system.serial", "version"):
@@ -272,7 +262,6 @@ class ZaberDialogue(Dialogue):
 
 
 def _address(axis: Axis) -> tuple[int, int]:
-    """Numbers of the device and of its axis."""
     device, _, number = axis.device.rpartition("/")
     return int(device or 1), int(number)
 

@@ -24,12 +24,7 @@ class _Fault:
 
 
 class SimulatedAxis:
-    """One axis: where it really `stands` at power-up, and its limit switches.
-
-    fault: What it suffers in a coming move.
-    at_limit: Whether the last move ended at a switch.
-    homed: Whether it has found its origin since power-up.
-    """
+    """One axis: where it really `stands` at power-up, and its limit switches."""
 
     def __init__(self, *, stands: float = 0.0, low: float = -math.inf, high: float = math.inf) -> None:
         self._low = low
@@ -40,9 +35,9 @@ class SimulatedAxis:
         self._speed = 1.0
         self._homing: float | None = None
         self._ends_at_switch = self._ends_stalled = self._stays_busy = False
-        self.fault: _Fault | None = None
-        self.at_limit = False
-        self.homed = False
+        self.fault: _Fault | None = None  # what it suffers in a coming move
+        self.at_limit = False  # whether the last move ended at a switch
+        self.homed = False  # whether it has found its origin since power-up
 
     def lose_steps(self, steps: float) -> None:
         """Lose steps: the axis stands that much short of its count from now on."""
@@ -66,7 +61,6 @@ class SimulatedAxis:
         return self.count(now) + self._offset
 
     def moving(self, now: float) -> bool:
-        """Whether the controller reports that it moves."""
         self._advance(now)
         return self._end != self._start or self._stays_busy
 
@@ -138,8 +132,7 @@ class StageFirmware(Firmware):
     of :class:`Trigger` counting moves; ``lost_step`` (it lost ``steps``). ``clear`` ends them.
     """
 
-    DEVICE_FAULTS: ClassVar[tuple[str, ...]] = ()
-    """Further faults of the whole device, for the message."""
+    DEVICE_FAULTS: ClassVar[tuple[str, ...]] = ()  # further faults of the whole device, for the message
 
     def __init__(self, axes: Mapping[str, Mapping[str, float]]) -> None:
         super().__init__()

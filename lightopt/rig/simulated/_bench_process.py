@@ -1,7 +1,5 @@
 """The virtual bench from outside: its process, its ports, and the requests to it."""
 
-from __future__ import annotations
-
 import json
 import os
 import socket
@@ -73,10 +71,7 @@ class BenchProcess:
             raise
 
     def request(self, do: str, *, timeout_s: float = _REQUEST_S, **arguments: Any) -> tuple[dict[str, Any], bytes]:
-        """Send a request to the bench; returns the answer and the bytes that came with it.
-
-        Raises ValueError for a wrong request, HardwareError when the bench is gone, or did not answer in time.
-        """
+        """The bench's answer and its bytes; ValueError for a wrong request, HardwareError for no answer in time."""
         with self._lock:
             try:
                 if self._control is None or self._replies is None:
@@ -148,7 +143,7 @@ class BenchProcess:
             self.kill()
         self._errors.close()
 
-    def __enter__(self) -> BenchProcess:
+    def __enter__(self) -> "BenchProcess":
         return self
 
     def __exit__(self, *exception: object) -> None:

@@ -29,11 +29,7 @@ Positions = Callable[[str], Mapping[str, float]]
 
 
 class BenchCamera:
-    """Takes frames of what the devices do at the moment.
-
-    levels: Brightness of a device's channels at this moment, as a share of its highest intensity.
-    positions: Where a device's axes stand at this moment, in device units.
-    """
+    """Takes frames of what devices do now: `levels` of channels, shares of the highest; `positions` of axes."""
 
     def __init__(self, setup: CameraSetup, levels: Brightness, positions: Positions) -> None:
         self._setup = setup
@@ -76,10 +72,7 @@ class BenchCamera:
         return {"resolution_px": resolution_px, "bit_depth": bit_depth, "triggered": self._setup.truth.triggered}, b""
 
     def expose(self, exposure_us: float, gain_db: float, triggered: bool, counted: bool = True) -> Levels:
-        """Levels of a frame that begins now, or, where it is not triggered, when the one before ended.
-
-        counted: False for a frame that is lost on its way: the next has the noise that it would have had.
-        """
+        """Levels of a frame that begins now, or when the one before ended; not `counted` if it is lost on its way."""
         now = self._state()
         shares, posture = now if triggered or self._seen is None else self._seen
         pixels = self._build().frame(
@@ -89,11 +82,7 @@ class BenchCamera:
         return pixels
 
     def _prepare(self, _: Mapping[str, Any]) -> Response:
-        """Answer whether the view at the stage's position is rendered, and start to render it if not.
-
-        A camera on a network does not answer while it renders, and one that is silent for seconds counts as gone.
-        So the client waits before it asks for a frame, by asking again, which a hung process does not answer.
-        """
+        """Whether the view is rendered, which is begun if not: a camera that is silent meanwhile counts as gone."""
         posture = self._state()[1]
         with self._preparing:
             if self._unprepared is not None:
@@ -112,7 +101,6 @@ class BenchCamera:
             self._unprepared = str(error) or type(error).__name__
 
     def sensor(self) -> tuple[tuple[int, int], int]:
-        """Width and height [pixels], and bits of a level."""
         scene = self._build().scene
         return (scene.camera.width, scene.camera.height), scene.sensor.bit_depth
 

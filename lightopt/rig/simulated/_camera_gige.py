@@ -83,15 +83,12 @@ FAULTS = (
 _UNSOUND = {"lost", "incomplete", "duplicate", "order", "stale", "hang", "vanish"}
 _BACK = 3
 _BACK_NS = 10**9
-_INCOMPLETE = 0.5
+_LOST_SHARES = {"lost": 1.0, "vanish": 1.0, "incomplete": 0.5}  # of a frame's packets
 _OTHER_FORMAT = 0x0108000B  # BayerBG8
 
 
 class GigeCamera:
-    """A GigE Vision camera at 127.0.0.1, one at a time on a computer; `expose` delivers right-aligned levels (H, W).
-
-    Raises ValueError when Aravis is not there, another such camera runs, or no pixel format has the bit depth.
-    """
+    """A GigE Vision camera at 127.0.0.1; `expose` delivers right-aligned levels (H, W). ValueError without Aravis."""
 
     def __init__(self, expose: Expose, *, resolution_px: tuple[int, int], bit_depth: int) -> None:
         formats = [name for name, (_, bits) in FORMATS.items() if bits == bit_depth]
@@ -136,7 +133,6 @@ class GigeCamera:
         self.c.arv_fake_camera_set_fill_pattern(_address(self._device), self._fill_c, None)
 
     def unplug(self) -> None:
-        """Pull its cable, for good."""
         self._device = self._server = None
 
     def lose(self, share: float) -> None:
@@ -226,16 +222,13 @@ class GigeFaults:
     def begin(self, buffer: int, number: int, exposure_us: int) -> float:
         """Apply the faults that strike at this frame; returns how long it is really exposed [µs]."""
         self._now = {fault for fault, one in self._triggers.items() if one.strikes()}
-        if "lost" in self._now:
-            self._lose(1.0)
-        elif "incomplete" in self._now:
-            self._lose(_INCOMPLETE)
-        elif self._losing:
-            self._lose(0.0)
-        if "duplicate" in self._now:
-            self._camera.c.arv_buffer_set_frame_id(buffer, number - 1)
-        if "order" in self._now:
-            self._camera.c.arv_buffer_set_frame_id(buffer, number - _BACK)
+        share = max((_LOST_SHARES.get(fault, 0.0) for fault in self._now), default=0.0)
+        if share or self._losing:
+            self._losing = share > 0
+            self._camera.lose(share)
+        for fault, back in (("duplicate", 1), ("order", _BACK)):
+            if fault in self._now:
+                self._camera.c.arv_buffer_set_frame_id(buffer, number - back)
         if "exposure" in self._now:
             exposure_us = max(10, exposure_us // 2)
             self._camera.write("EXPOSURE_TIME_US", exposure_us)
@@ -244,14 +237,12 @@ class GigeFaults:
         if "hang" in self._now:
             self.awake.wait()  # the camera's one thread, which also answers questions
         if "vanish" in self._now:
-            self._lose(1.0)
             # the camera's own thread is here and cannot end itself
             threading.Thread(target=self._camera.unplug, daemon=True).start()
         return float(exposure_us)
 
     @property
     def arrives(self) -> bool:
-        """Whether the frame that was begun will be taken for what it is."""
         return not self._now & _UNSOUND
 
     def seen(self, image: Image) -> Image:
@@ -264,10 +255,6 @@ class GigeFaults:
             self._camera.c.arv_buffer_set_timestamp(buffer, (self._stamp_ns or time.time_ns()) - _BACK_NS)
         else:
             self._stamp_ns = timestamp_ns
-
-    def _lose(self, share: float) -> None:
-        self._losing = share > 0
-        self._camera.lose(share)
 
 
 def _address(gobject: Any) -> int:

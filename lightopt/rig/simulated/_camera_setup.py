@@ -1,39 +1,27 @@
 """What the virtual bench's camera looks at: files, wiring, and where the bench differs from them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-CAMERA = "camera"
-"""Name of a GigE camera among the devices of a bench."""
-
+CAMERA = "camera"  # name of a GigE camera among the devices of a bench
 EXPOSURE_RANGE_US = (10.0, 10e6)
 """Shortest and longest exposure time of the virtual camera [µs]; it holds whole microseconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchTruth:
-    """Where the bench differs from the files: the ground truth of tests.
+    """Where the bench differs from the files: the ground truth of tests."""
 
-    seed: Seed of the noise, and of the waviness of the surface.
-    gains: Factor on the brightness of a light, by its name; 1 where none is given.
-    part_offset_mm: How far from its place the part lies, world frame at posture (0, 0) [mm].
-    part_rotation: How the part is rotated about the origin before that, a rotation vector [rad].
-    dark_level: Added to the sensor's black level [sensor level].
-    ambient_level: Light that is always there, everywhere in the image [grey level at exposure 1].
-    triggered: Whether the camera's frames begin on request; otherwise they follow one another, and the first after a
-        change began before it.
-    """
-
-    seed: int = 1
-    gains: Mapping[str, float] = field(default_factory=dict[str, float])
-    part_offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    part_rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    dark_level: float = 0.0
-    ambient_level: float = 0.0
+    seed: int = 1  # of the noise, and of the waviness of the surface
+    gains: Mapping[str, float] = field(default_factory=dict[str, float])  # factors on the lights by name
+    part_offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)  # from its place, at posture (0, 0) [mm]
+    part_rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rotation vector about the origin before that [rad]
+    dark_level: float = 0.0  # added to the sensor's black level [sensor level]
+    ambient_level: float = 0.0  # light that is always there, everywhere in the image [grey level at exposure 1]
+    # whether frames begin on request; otherwise they follow one another, and the first after a change began before it
     triggered: bool = True
+    rays: int = 1  # along each side of a pixel, which shows their mean, as a real camera's does; 1: its centre
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,24 +49,19 @@ class AxisWire:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraSetup:
-    """What the camera looks at: files of rig and part, the wiring of lights and axes, and where the bench differs.
-
-    exposure_us: Exposure time of exposure 1 [µs].
-    elevation, rotation: Axes; None: fixed at 0.
-    gige: Whether the camera is a GigE Vision camera on the loopback.
-    """
+    """What the camera looks at: files of rig and part, the wiring of lights and axes, and where the bench differs."""
 
     rig: str
     part: str
-    exposure_us: float
+    exposure_us: float  # exposure time of exposure 1 [µs]
     lights: tuple[LightWire, ...]
-    elevation: AxisWire | None = None
-    rotation: AxisWire | None = None
+    elevation: AxisWire | None = None  # None: fixed at 0
+    rotation: AxisWire | None = None  # None: fixed at 0
     truth: BenchTruth = field(default_factory=BenchTruth)
-    gige: bool = False
+    gige: bool = False  # whether it is a GigE Vision camera on the loopback
 
     @classmethod
-    def of(cls, data: Mapping[str, Any]) -> CameraSetup:
+    def of(cls, data: Mapping[str, Any]) -> "CameraSetup":
         parts: dict[str, Any] = {
             "lights": tuple(LightWire(**wire) for wire in data["lights"]),
             "truth": BenchTruth(**data["truth"]),

@@ -26,10 +26,7 @@ from lightopt.rig.simulated._firmware import Trigger
 
 
 def run(spec: Mapping[str, Any]) -> None:
-    """Serve a bench: print one JSON line with its ports, and return when standard input ends.
-
-    spec: ``devices`` and, optionally, ``camera``, as :class:`BenchProcess` has them.
-    """
+    """Serve devices and camera of a :class:`BenchProcess`: print their ports as JSON; end with standard input."""
     devices = SimulatedDevices(spec["devices"])
     camera: BenchCamera | None = None
     gige: GigeCamera | None = None
@@ -80,7 +77,6 @@ def _serve(devices: SimulatedDevices, bell: socket.socket) -> None:
 
 
 def _device_requests(devices: SimulatedDevices, gige: GigeCamera | None) -> dict[str, Handler]:
-    """Requests about the simulated devices, a GigE camera included."""
 
     def state(_: Mapping[str, Any]) -> Response:
         now = time.monotonic()
@@ -120,9 +116,8 @@ class ControlServer:
     """Answers requests on a loopback port, one thread per connection.
 
     The first line of a connection is the token. Each request is a line ``{"do": name, …}``; each answer is a line
-    ``{"ok": true, …, "bytes": n}`` followed by n bytes, or ``{"ok": false, "error": text, "bytes": 0}``.
-
-    token: Secret that a client must know: other users of the computer reach the loopback too.
+    ``{"ok": true, …, "bytes": n}`` followed by n bytes, or ``{"ok": false, "error": text, "bytes": 0}``. The token is
+    a secret, because other users of the computer reach the loopback too.
     """
 
     def __init__(self, handlers: Mapping[str, Handler], token: str) -> None:

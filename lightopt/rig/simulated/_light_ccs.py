@@ -9,7 +9,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from lightopt.rig.simulated._lamps import LampFirmware
+from lightopt.rig.simulated._firmware import LampFirmware
 
 _COMMAND, _CHECKSUM, _VALUE = 1, 2, 3
 _LONGEST = 64
@@ -20,9 +20,8 @@ class CcsFirmware(LampFirmware):
     """A controller with CCS ``@`` frames.
 
     Faults besides those of its lamps, with the options of :class:`Trigger`: ``ng`` (option ``code``: 1 command,
-    2 checksum, 3 value; the frame is refused and not obeyed) and ``checksum`` (the reply's checksum is wrong).
-
-    gap_s: Time [s] that must pass after a frame; a frame that comes before is ignored.
+    2 checksum, 3 value; the frame is refused and not obeyed) and ``checksum`` (the reply's checksum is wrong). A frame
+    that comes less than `gap_s` [s] after another is ignored.
     """
 
     FAULTS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"ng": {"code": _COMMAND}, "checksum": {}}

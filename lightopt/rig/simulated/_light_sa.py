@@ -7,7 +7,7 @@ There is no terminator but ``#``, and no checksum.
 import re
 from typing import Any
 
-from lightopt.rig.simulated._lamps import LampFirmware
+from lightopt.rig.simulated._firmware import LampFirmware
 
 _LONGEST = 16
 _ACKS = ("upper", "lower", "!")
@@ -25,12 +25,8 @@ class SaFirmware(LampFirmware):
 
     def feed(self, data: bytes, now: float) -> bytes:  # noqa: ARG002
         self._buffer += data
-        replies = ""
-        while b"#" in self._buffer:
-            command, _, self._buffer = self._buffer.partition(b"#")
-            replies += self._answer(command.decode("ascii", "replace"))
-        self._buffer = self._buffer[-_LONGEST:]
-        return replies.encode("ascii")
+        commands = self._whole_commands(b"#", _LONGEST)
+        return "".join(self._answer(command.decode("ascii", "replace")) for command in commands).encode("ascii")
 
     def _answer(self, command: str) -> str:
         match = re.fullmatch(r"S([A-F])(\d{4})?", command)

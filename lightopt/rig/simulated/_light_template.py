@@ -5,16 +5,13 @@ import string
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from lightopt.rig.simulated._lamps import LampFirmware
+from lightopt.rig.simulated._firmware import LampFirmware
 
 _LONGEST = 256
 
 
 class TemplateFirmware(LampFirmware):
-    """A controller that understands the commands of a template, and replies with what their patterns match.
-
-    Commands and patterns are as in the rig file. A command that fault ``ng`` refuses is answered ``?`` with the end.
-    """
+    """A controller that understands a rig file's templates; a command that fault ``ng`` refuses is answered ``?``."""
 
     def __init__(self, *, template: Mapping[str, str | None], **lamps: Any) -> None:
         super().__init__(**lamps)
@@ -87,8 +84,9 @@ def example(pattern: str, level: int | None = None) -> str:
     conditional.
     """
     for width in range(1, _WIDEST + 1):
-        text = _Maker(pattern, "" if level is None else f"{level:0{width}d}").make()
-        if re.fullmatch(pattern, text, re.DOTALL):
+        maker = _Maker(pattern, "" if level is None else f"{level:0{width}d}")
+        text = maker.alternatives()
+        if maker.at == len(pattern) and re.fullmatch(pattern, text, re.DOTALL):
             return text
     raise ValueError(f"cannot make up a reply that matches {pattern!r}")
 
@@ -102,25 +100,17 @@ _ALTERNATIVE, _END_OF_GROUP = re.compile(r"\|"), re.compile(r"\)")
 
 
 class _Maker:
-    """One walk over a pattern."""
-
     def __init__(self, pattern: str, level: str) -> None:
         self._pattern = pattern
         self._level = level
-        self._at = 0
-
-    def make(self) -> str:
-        text = self._alternatives()
-        if self._at != len(self._pattern):
-            raise ValueError(f"cannot make up a reply that matches {self._pattern!r}")
-        return text
+        self.at = 0  # how far the pattern is understood
 
     def _take(self, token: re.Pattern[str]) -> re.Match[str] | None:
-        match = token.match(self._pattern, self._at)
-        self._at = self._at if match is None else match.end()
+        match = token.match(self._pattern, self.at)
+        self.at = self.at if match is None else match.end()
         return match
 
-    def _alternatives(self) -> str:
+    def alternatives(self) -> str:
         chosen = self._sequence()
         while self._take(_ALTERNATIVE):
             self._sequence()
@@ -137,7 +127,7 @@ class _Maker:
     def _example(self, atom: re.Match[str]) -> str:
         """Text that a group, a class of characters or a single character matches."""
         if atom[0].startswith("("):
-            text = self._alternatives()
+            text = self.alternatives()
             if self._take(_END_OF_GROUP) is None:
                 raise ValueError(f"cannot make up a reply that matches {self._pattern!r}")
             return self._level if atom["name"] == "level" else text

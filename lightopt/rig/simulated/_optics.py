@@ -24,10 +24,7 @@ _CACHE_BYTES = 512 << 20
 
 
 class BenchOptics:
-    """Renders the part under given light levels in given postures.
-
-    Images add linearly, so that one linear layer per light and posture, cached, serves every level and exposure.
-    """
+    """Renders a part under given light levels: one cached linear layer per light and posture serves all exposures."""
 
     def __init__(self, scene: Scene, truth: BenchTruth) -> None:
         self.scene = replace(
@@ -53,18 +50,13 @@ class BenchOptics:
         shares: Mapping[str, float],
         posture: Posture,
         *,
-        exposure: float,
-        gain_db: float = 0.0,
-        counted: bool = True,
+        exposure: float,  # relative
+        gain_db: float = 0.0,  # of the camera [dB]: signal and noise alike, and fewer electrons per level
+        counted: bool = True,  # whether it counts among the frames that were taken before the next
     ) -> Levels:
-        """One frame with noise, quantised and saturated.
+        """One frame with noise, quantised and saturated, under lights with `shares` of the brightness in the rig file.
 
         The noise depends on the seed, on what is seen, and on how many frames of it were taken before.
-
-        shares: Brightness of the lights by name, as a share of the one that the rig describes; those that are lit.
-        exposure: Relative exposure.
-        gain_db: Gain of the camera [dB]: signal and noise alike, and fewer electrons per level.
-        counted: Whether it counts among the frames that were taken before the next.
         """
         gain = 10.0 ** (gain_db / 20.0)
         electrons = self.scene.sensor.electrons_per_level
@@ -101,7 +93,7 @@ class BenchOptics:
         with self._rendering:
             if (posture, light) not in self._layers:
                 # all lights at once: the rays are cast once, and the others are wanted next
-                images = render_posture(self.scene, posture, caster=self._caster)
+                images = render_posture(self.scene, posture, caster=self._caster, supersample=self._truth.rays)
                 self._layers |= {(posture, image.light): image.level for image in images.lights}
             layer = self._layers[posture, light]
             for name in (one.name for one in self.scene.lights):

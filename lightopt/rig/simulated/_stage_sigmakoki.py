@@ -28,9 +28,7 @@ class _SigmakokiFirmware(StageFirmware):
     FAULTS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"refuse": {}}
     VERSION: ClassVar[str]
     MOVES: ClassVar[tuple[str, ...]]
-    SPEED: ClassVar[float]
-    """Speed at power-up [pulses/s]."""
-
+    SPEED: ClassVar[float]  # speed at power-up [pulses/s]
     DETACHED: ClassVar[bool] = False
     """Whether a sign stands at the left edge of its column rather than before the digits."""
 
@@ -46,10 +44,8 @@ class _SigmakokiFirmware(StageFirmware):
 
     def feed(self, data: bytes, now: float) -> bytes:
         self._buffer += data
-        *whole, rest = re.split(rb"\r\n", self._buffer)
-        self._buffer = rest[-_LONGEST:]
         replies = b""
-        for line in (line.decode("ascii", "replace") for line in whole):
+        for line in (line.decode("ascii", "replace") for line in self._whole_commands(b"\r\n", _LONGEST)):
             answer = self._question(line, now)
             if answer is None:
                 self._accepted = not self._struck("refuse") and self._obey(line, now)
@@ -122,7 +118,6 @@ class _SigmakokiFirmware(StageFirmware):
         return True
 
     def _start(self, now: float) -> bool:
-        """Go where A: or M: said; refused when they did not."""
         if not self._planned:
             return False
         for name, (kind, number) in self._planned.items():
@@ -141,7 +136,6 @@ class _SigmakokiFirmware(StageFirmware):
         return True
 
     def _named(self, word: str) -> list[str]:
-        """Axes that a word names: W is all."""
         return list(self._axes) if word == "W" else [word]
 
 

@@ -23,9 +23,6 @@ class ZaberFirmware(StageFirmware):
     Faults besides those of its axes (a stall flags FS, a switch WL): ``alarm`` (option ``flag``: a warning that stays,
     FS by default, ``axis``; moves stop), ``refuse`` (commands other than questions are rejected with ``reason``,
     BADDATA by default), ``checksum`` (a reply's checksum is wrong), both with the options of :class:`Trigger`.
-
-    limits: ``limit.min`` and ``limit.max`` of each axis by its number.
-    home_speed: Speed of the search for the home sensor [microsteps/s].
     """
 
     FAULTS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"refuse": {"reason": "BADDATA"}, "checksum": {}}
@@ -35,8 +32,8 @@ class ZaberFirmware(StageFirmware):
         self,
         *,
         axes: Mapping[str, Mapping[str, float]] | None = None,
-        limits: Mapping[str, tuple[int, int]] | None = None,
-        home_speed: float = 50_000.0,
+        limits: Mapping[str, tuple[int, int]] | None = None,  # limit.min and limit.max of each axis by its number
+        home_speed: float = 50_000.0,  # of the search for the home sensor [microsteps/s]
     ) -> None:
         super().__init__({"1": {}, "2": {}} if axes is None else axes)
         names = list(self._axes)
@@ -53,9 +50,7 @@ class ZaberFirmware(StageFirmware):
 
     def feed(self, data: bytes, now: float) -> bytes:
         self._buffer += data
-        *lines, rest = self._buffer.split(b"\n")
-        self._buffer = rest[-_LONGEST:]
-        return b"".join(self._answer(line.rstrip(b"\r"), now) for line in lines)
+        return b"".join(self._answer(line.rstrip(b"\r"), now) for line in self._whole_commands(b"\n", _LONGEST))
 
     def _suffer(self, fault: str, options: Mapping[str, Any], now: float) -> None:
         if fault == "alarm":

@@ -1,0 +1,140 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from lightopt.cli import _common as common
+from lightopt.cli._terminal import echo, echo_warning, show_page_table, show_progress
+from lightopt.core.errors import CheckFailed, InputError
+from lightopt.core.run_context import RunContext
+
+if TYPE_CHECKING:
+    from lightopt.estimate.verification import Verification, VerifyLimits
+
+MOST_ROWS = 4  # of each table without `--verbose`; verify.json has all of them
+
+
+def verify(
+    rig: common.RigFile,
+    part: common.PartFile,
+    images: common.Images,
+    out: common.Out,
+    baseline: Annotated[
+        Path | None,
+        common.model_option(
+            metavar="SET", help="Known good image set of the same part: report what has changed since."
+        ),
+    ] = None,
+    plan: Annotated[
+        Path | None,
+        common.model_option(
+            metavar="FILE",
+            help="result.json of optimize --light-tolerance or --pose-tolerance: limits of lights and part.",
+        ),
+    ] = None,
+    limit: Annotated[
+        list[str] | None,
+        common.model_option(
+            "--limit",
+            metavar="NAME=VALUE",
+            help="Change a limit; repeatable. Names: gain, exposure (such as 3%), black (levels), part_mm, part_deg, "
+            "camera_mm, camera_deg, panel_mm, panel_deg, blur_px.",
+            show_default="see docs/how-to/verify.md",
+        ),
+    ] = None,
+    register: common.Register = True,
+    history: Annotated[
+        Path | None,
+        common.output_option(
+            metavar="DIR", help="Add this run to those in DIR, and write history.csv and history.png of all of them."
+        ),
+    ] = None,
+    report: common.Report = True,
+    force: common.Force = False,
+    threads: common.Threads = None,
+    quiet: common.Quiet = False,
+    verbose: common.Verbose = False,
+) -> None:
+    """Compare captured IMAGES with the prediction and name what has changed on the rig.
+
+    Reports for each light the overlap of the saturated areas, the offset of the highlights, and the residual over the
+    noise. Names the causes with their sizes: gain of a light, exposure, black level, lights exchanged, panel, part or
+    camera moved, focus, dust. Writes verify.json and report.html. Exit status 1 if the rig has left its tolerances.
+
+    Example: lightopt verify rig.yaml part.yaml captured/ -o verified --history verified/history
+    """
+    from lightopt.estimate import verification
+    from lightopt.images import read_image_set
+    from lightopt.report import history_chart, verification_report
+
+    limits = _limits(plan, limit)
+    loaded_rig, loaded_part = common.load_inputs(rig, part)
+    image_set = read_image_set(images)
+    good = None if baseline is None else read_image_set(baseline)
+    made_from = verification.verify_provenance(
+        loaded_rig, loaded_part, image_set, baseline=good, limits=limits, register=register
+    )
+    folder = verification.VerifyFolder(out, made_from, force=force)
+    with show_progress(quiet=quiet) as progress:
+        run = RunContext(threads=threads, progress=progress, warn=echo_warning)
+        result = verification.verify_set(
+            loaded_rig, loaded_part, image_set, baseline=good, limits=limits, register=register, run=run
+        )
+    run.warn(*result.warnings)
+    if not quiet:
+        _show(result, verbose=verbose)
+    written: list[Path] = []
+    if report:
+        page = verification_report(result, part=loaded_part.name, rig=loaded_rig.name, provenance=folder.made_from)
+        written.append(folder.write_text(verification.REPORT_NAME, page))
+    written.insert(0, folder.finish(result.as_dict()))
+    if history is not None:
+        name = image_set.folder.resolve().name
+        runs = verification.append_history(history, result, name=name, when=datetime.now(timezone.utc))
+        written += [history / "history.csv", history_chart(runs, history / "history.png")]
+    if not quiet:
+        for path in written:
+            echo(f"{path}")
+    if not result.within_tolerances:
+        raise CheckFailed(result.answer)
+
+
+def _limits(plan: Path | None, given: list[str] | None) -> VerifyLimits:
+    from lightopt.estimate.verification import VerifyLimits, plan_limits
+
+    limits = VerifyLimits(**({} if plan is None else plan_limits(plan)))
+    values: dict[str, float] = {}
+    for text in given or ():
+        name, _, value = text.partition("=")
+        if name not in VerifyLimits.names():
+            raise InputError(
+                f'--limit: expected NAME=VALUE with a name of {", ".join(VerifyLimits.names())}, found "{text}"'
+            )
+        if name in ("gain", "exposure"):
+            values[name] = common.parse_share(value, option=f"--limit {name}", expected="of the brightness, such as 3%")
+            continue
+        try:
+            values[name] = float(value)
+        except ValueError:
+            raise InputError(f'--limit {name}: expected a number, found "{value}"') from None
+    return replace(limits, **values)
+
+
+def _show(result: Verification, *, verbose: bool) -> None:
+    from lightopt.report import findings_table, lights_table
+
+    echo(result.answer if result.within_tolerances else "the rig has left its tolerances")
+    most = None if verbose else MOST_ROWS
+    if result.findings:
+        show_page_table(findings_table(result), most=most)
+    for finding in result.findings[:most]:
+        if finding.remedy:
+            echo(f"to tell {finding.cause}: {finding.remedy}")
+    show_page_table(lights_table(result), most=most)
+    hidden = max(len(result.findings), len(result.lights)) - MOST_ROWS
+    if not verbose and hidden > 0:
+        echo("--verbose shows all rows")
+    if verbose and result.unseen:
+        echo(f"not observable in these images: {', '.join(result.unseen)}")

@@ -1,0 +1,31 @@
+"""Calibration of a rig from images of targets on its stage, and of its camera's sensor.
+
+Entry: ``plan_calibration(rig, folder)`` says what to capture, ``calibrate_rig(rig, folder)`` reads it,
+``write_calibration`` writes the calibrated rig. Its steps:
+
+- Board: ``fit_board(views, board, camera=...) -> BoardFit`` gives camera and stage axes, with views from
+  ``find_corners`` (images of a ChArUco board) or a list of corners that another program found.
+- Mirror ball: ``_ball_images`` measures the mirrored panels, ``_ball_fit`` gives their poses.
+- Matt plate: ``_plate_fit`` gives the panels' light and the lens's vignetting.
+- Pairs of frames: ``_photon_transfer`` gives the sensor.
+"""
+
+from lightopt.estimate.rig_calibration._board import Board as Board, BoardView as BoardView
+from lightopt.estimate.rig_calibration._board_fit import BoardFit as BoardFit, fit_board as fit_board
+from lightopt.estimate.rig_calibration._board_images import BoardImage as BoardImage, find_corners as find_corners
+from lightopt.estimate.rig_calibration._calibrate import (
+    RigCalibration as RigCalibration,
+    calibrate_rig as calibrate_rig,
+)
+from lightopt.estimate.rig_calibration._charuco import (
+    CharucoBoard as CharucoBoard,
+    board_mesh as board_mesh,
+    white_areas as white_areas,
+)
+from lightopt.estimate.rig_calibration._files import (
+    REPORT_NAME as REPORT_NAME,
+    figures as figures,
+    write_calibration as write_calibration,
+)
+from lightopt.estimate.rig_calibration._measured import Measured as Measured
+from lightopt.estimate.rig_calibration._plan import plan_calibration as plan_calibration

@@ -1,0 +1,312 @@
+"""Where the panels are: fit of their poses and sizes to a mirror ball's images in several postures of the stage.
+
+The ball's outline gives its centre, its mirror images give the panels. Camera and stage are those of the board fit.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.optimize import approx_fprime, least_squares
+
+from lightopt.core.arrays import Float64
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture, rotation_from_vector
+from lightopt.estimate.rig_calibration._measured import NORMAL_95
+from lightopt.estimate.rig_calibration._mirror_ball import mirrored_image, outline_distances
+from lightopt.lights import PanelLight, panel_corners
+from lightopt.scene import PinholeCamera, Stage
+
+PANEL_PARAMETERS = (
+    *(f"centre {axis} [mm]" for axis in "xyz"),
+    *(f"rotation about {axis} [rad]" for axis in ("across", "along", "outward")),
+    *(f"size {axis} [mm]" for axis in ("across", "along")),
+)
+"""Of each panel: centre in the world frame, rotation about its own axes from the fitted pose, sides."""
+
+# standard deviations of the rig file's panels as they are before the fit, far more than they are off
+CENTRE_PRIOR, ROTATION_PRIOR, SIZE_PRIOR = 50.0, 0.5, 0.3  # [mm], [rad], share of the side
+EDGE_PRIOR = 0.5  # blur and threshold move the whole outline in or out by about so much [px]
+LEAST_RADIUS_ERROR = 1e-4  # [mm]
+
+UNOBSERVABLE = (10.0, 10.0, 10.0, 0.1, 0.1, 0.1, np.inf, np.inf)  # standard errors from which a parameter is not known
+OUTLIER = 5.0  # rms of an image's corners, in standard deviations of the fit, from which the image is left out
+MOST_OUTLIERS = 0.2  # share of the images
+
+_BALL = 5  # parameters: centre in the stage frame, radius, offset of the outline
+_EACH = len(PANEL_PARAMETERS)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MirroredPanel:
+    """A panel as the ball mirrors it: corners in order around it [px], shape (4, 2), and their covariance (8, 8)."""
+
+    corners: Float64
+    covariance: Float64
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BallView:
+    """The ball in one posture.
+
+    outline: Image points (column, row) of its outline [px], shape (n, 2), with independent errors
+    outline_error: Their standard deviation [px]
+    panels: Mirrored panels by the name of their light
+    """
+
+    posture: Posture
+    outline: Float64
+    outline_error: float
+    panels: Mapping[str, MirroredPanel]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BallFit:
+    """Panels, and the ball that showed them.
+
+    lights: As they were given, with the fitted pose and size
+    centre, radius: Of the ball, stage frame [mm], shape (3,)
+    edge_offset: By how much the outline is measured outside of the ball's [px]
+    covariance: Of centre, radius, edge offset, then :data:`PANEL_PARAMETERS` of each light, shape (5 + 8·L, 5 + 8·L)
+    rms: Of the residuals, in the standard deviations that the images claim; about 1
+    unobservable: Parameters that these postures do not show
+    left_out: Postures and lights whose image fits no panel pose
+    """
+
+    lights: tuple[PanelLight, ...]
+    centre: Float64
+    radius: float
+    edge_offset: float
+    covariance: Float64
+    rms: float
+    unobservable: tuple[str, ...]
+    left_out: tuple[tuple[Posture, str], ...]
+    _problem: _Problem = field(repr=False)
+
+    @property
+    def panels_covariance(self) -> Float64:
+        """Of the :data:`PANEL_PARAMETERS` of all lights, shape (8·L, 8·L)."""
+        return self.covariance[_BALL:, _BALL:]
+
+    @property
+    def half_widths_95(self) -> Float64:
+        """Of the 95 % intervals of the :data:`PANEL_PARAMETERS` of each light, shape (L, 8)."""
+        return NORMAL_95 * np.sqrt(np.diag(self.panels_covariance)).reshape(-1, _EACH)
+
+    def next_posture(self, candidates: Sequence[Posture]) -> Posture:
+        """Of some postures the one whose mirrored panels would narrow the intervals of the panels most."""
+        x = np.concatenate([self.centre, [self.radius, self.edge_offset], _unmoved(self.lights).ravel()])
+        information = np.linalg.inv(self.covariance)
+        weight = 1.0 / np.median([np.sqrt(np.diag(np.linalg.inv(i.whitening))) for i in self._problem.images])
+
+        def error_after(posture: Posture) -> float:
+            view = BallView(posture=posture, outline=np.zeros((0, 2)), outline_error=1.0, panels={})
+            more = replace(self._problem, views=(view,), lights=self.lights)
+            slope = weight * approx_fprime(x, lambda x: more.mirrored(x).ravel(), 1e-6)
+            slope = slope[np.isfinite(slope).all(axis=1)]
+            variances = np.diag(np.linalg.inv(information + slope.T @ slope))[_BALL:].reshape(-1, _EACH)
+            return float(np.sum(variances / np.square(UNOBSERVABLE)))
+
+        return min(candidates, key=error_after)
+
+
+def fit_ball(
+    views: Sequence[BallView],
+    *,
+    lights: Sequence[PanelLight],
+    camera: PinholeCamera,
+    stage: Stage,
+    radius: float,
+    radius_error: float = LEAST_RADIUS_ERROR,
+    size_error: float | None = None,
+    rig_deviations: Sequence[tuple[PinholeCamera, Stage]] = (),
+) -> BallFit:
+    """Fit the ball's centre in the stage frame, and pose and size of each panel.
+
+    lights: Panels as the rig file has them, world frame, from which the fit starts; within about 20°, so that their
+        corners can be told apart
+    radius, radius_error: Of the ball, and its standard deviation [mm]
+    size_error: Standard deviation of the lights' given sizes [mm]; None where they are unknown
+    rig_deviations: Camera and stage, displaced by one standard deviation along each independent direction of their
+        covariance; what they change is added to the covariance
+    Raises InputError: Where views do not show what is to be fitted
+    """
+    _check(views, lights)
+    start = np.concatenate([_ball_start(views, camera, stage, radius), _unmoved(lights).ravel()])
+    prior = np.tile([*[CENTRE_PRIOR] * 3, *[ROTATION_PRIOR] * 3, 0.0, 0.0], (len(lights), 1))
+    prior[:, 6:] = [[size_error or SIZE_PRIOR * side for side in light.size] for light in lights]
+    ball_prior = [np.inf, np.inf, np.inf, max(radius_error, LEAST_RADIUS_ERROR), EDGE_PRIOR]
+    problem = _Problem(camera, stage, tuple(lights), tuple(views), start, np.concatenate([ball_prior, prior.ravel()]))
+    problem = replace(problem, images=_ordered(problem))
+    left_out: list[tuple[Posture, str]] = []
+    most = MOST_OUTLIERS * len(problem.images)
+    while True:
+        found = least_squares(problem.residuals, start, method="lm", x_scale="jac")
+        mean_square = 2.0 * float(found.cost) / max(1, len(found.fun) - len(start))
+        rms = np.sqrt(np.mean(np.square(problem.corner_residuals(found.x)), axis=1))
+        worst = int(np.argmax(rms))
+        # in units of what most images are off, which is more than they claim where camera or stage are
+        if rms[worst] < OUTLIER * max(1.0, float(np.median(rms))) or len(left_out) >= most:
+            break
+        image = problem.images[worst]
+        left_out.append((views[image.view].posture, lights[image.light].name))
+        problem = replace(problem, images=(*problem.images[:worst], *problem.images[worst + 1 :]))
+    information = found.jac.T @ found.jac
+    covariance = np.linalg.inv(information) * max(1.0, mean_square)
+    for other_camera, other_stage in rig_deviations:
+        change = replace(problem, camera=other_camera, stage=other_stage).residuals(found.x) - found.fun
+        shift = np.linalg.solve(information, found.jac.T @ change)
+        covariance += np.outer(shift, shift)
+    errors = np.sqrt(np.diag(covariance))[_BALL:].reshape(-1, _EACH)
+    return BallFit(
+        lights=problem.posed(found.x),
+        centre=found.x[:3],
+        radius=float(found.x[3]),
+        edge_offset=float(found.x[4]),
+        covariance=covariance,
+        rms=math.sqrt(mean_square),
+        unobservable=tuple(
+            f"{light.name}: {name}"
+            for light, row in zip(lights, errors, strict=True)
+            for name, error, limit in zip(PANEL_PARAMETERS, row, UNOBSERVABLE, strict=True)
+            if error > limit
+        ),
+        left_out=tuple(left_out),
+        _problem=problem,
+    )
+
+
+@dataclass(frozen=True)
+class _Image:
+    # a mirrored panel, with corners in the order of panel_corners; whitening·difference has independent entries
+    view: int
+    light: int
+    corners: Float64
+    whitening: Float64
+
+
+@dataclass(frozen=True)
+class _Problem:
+    camera: PinholeCamera
+    stage: Stage
+    lights: tuple[PanelLight, ...]
+    views: tuple[BallView, ...]
+    start: Float64
+    prior: Float64  # standard deviations of the parameters about the start
+    images: tuple[_Image, ...] = ()
+
+    def posed(self, x: Float64) -> tuple[PanelLight, ...]:
+        moves = x[_BALL:].reshape(-1, _EACH)
+        return tuple(posed_panel(light, move) for light, move in zip(self.lights, moves, strict=True))
+
+    def mirrored(self, x: Float64) -> Float64:
+        # corners of each light in each view [px], shape (V, L, 4, 2)
+        corners = np.array([panel_corners(light) for light in self.posed(x)])
+        centres = np.array([self._centre(view, x) for view in self.views])
+        return mirrored_image(self.camera, centres[:, None, None, :], float(x[3]), corners[None])
+
+    def residuals(self, x: Float64) -> Float64:
+        outlines = [
+            (outline_distances(self.camera, self._centre(view, x), float(x[3]), view.outline) - x[4])
+            / view.outline_error
+            for view in self.views
+        ]
+        return np.concatenate([*outlines, self.corner_residuals(x).ravel(), (x - self.start) / self.prior])
+
+    def corner_residuals(self, x: Float64) -> Float64:
+        # in standard deviations, shape (images, 8)
+        if not self.images:
+            return np.zeros((0, 8))
+        predicted = self.mirrored(x)
+        return np.array([i.whitening @ (predicted[i.view, i.light] - i.corners).ravel() for i in self.images])
+
+    def _centre(self, view: BallView, x: Float64) -> Float64:
+        rotation, translation = self.stage.transform(view.posture)
+        return rotation @ x[:3] + translation
+
+
+def posed_panel(light: PanelLight, parameters: Float64) -> PanelLight:
+    """A panel displaced by :data:`PANEL_PARAMETERS`: offset of the centre, rotation about its own axes, new sides.
+
+    light: World frame; its fall-off stays normalised where it is.
+    """
+    axes = np.stack([light.across, light.along, light.outward], axis=1)
+    across, along, outward = (axes @ rotation_from_vector(parameters[3:6])).T
+    centre = light.centre + parameters[:3]
+    distance = float(np.linalg.norm(centre))
+    return replace(
+        light,
+        elevation=math.asin(centre[2] / distance),
+        azimuth=math.atan2(centre[1], centre[0]),
+        distance=distance,
+        centre=centre,
+        across=across,
+        along=along,
+        outward=outward,
+        size=(float(parameters[6]), float(parameters[7])),
+        reference_distance=light.reference_distance or light.distance,
+    )
+
+
+def _unmoved(lights: Sequence[PanelLight]) -> Float64:
+    # parameters of panels where they are, shape (L, 8)
+    return np.array([[0.0] * 6 + [*light.size] for light in lights])
+
+
+def _ball_start(views: Sequence[BallView], camera: PinholeCamera, stage: Stage, radius: float) -> Float64:
+    """Ball parameters from the outlines alone, shape (5,)."""
+    ball = _Problem(
+        camera, stage, (), tuple(views), np.zeros(5), np.array([np.inf, np.inf, np.inf, np.inf, EDGE_PRIOR])
+    )
+
+    def residuals(x: Float64) -> Float64:
+        return ball.residuals(np.insert(x, 3, radius))
+
+    found = least_squares(residuals, np.array([0.0, 0.0, radius, 0.0]), method="lm", x_scale="jac")
+    return np.insert(found.x, 3, radius)
+
+
+def _ordered(problem: _Problem) -> tuple[_Image, ...]:
+    """The images with their corners in the order of :func:`lightopt.lights.panel_corners`.
+
+    The shape about its centre alone shows which corner is which: a panel may be far from where the file has it.
+    """
+    predicted = problem.mirrored(problem.start)
+    numbers = {light.name: k for k, light in enumerate(problem.lights)}
+    orders = [(first + sense * np.arange(4)) % 4 for first, sense in itertools.product(range(4), (1, -1))]
+    images: list[_Image] = []
+    for number, view in enumerate(problem.views):
+        for name, image in view.panels.items():
+            expected = predicted[number, numbers[name]]
+            offset = image.corners.mean(axis=0) - expected.mean(axis=0)
+            order = min(orders, key=lambda o: float(np.sum(np.square(image.corners[o] - offset - expected))))
+            entries = np.stack([2 * order, 2 * order + 1], axis=1).ravel()
+            root = np.linalg.cholesky(image.covariance[np.ix_(entries, entries)])
+            images.append(
+                _Image(number, numbers[name], image.corners[order], np.asarray(np.linalg.inv(root), np.float64))
+            )
+    return tuple(images)
+
+
+def _check(views: Sequence[BallView], lights: Sequence[PanelLight]) -> None:
+    problems: list[str] = []
+    names = {light.name for light in lights}
+    if not any(view.panels for view in views):
+        problems.append("no view shows a mirrored panel: expose so short that the highlights are not saturated")
+    problems += [
+        f"posture {view.posture}: {name} is no light of the rig ({', '.join(sorted(names))})"
+        for view in views
+        for name in view.panels
+        if name not in names
+    ]
+    if len({view.posture.elevation_deg for view in views}) < 2:
+        problems.append(
+            "all views have one tilt, which leaves the ball's height unknown and the panels centimetres off: add "
+            "views with another tilt, at best 40° apart"
+        )
+    if problems:
+        raise InputError(*(f"ball: {problem}" for problem in problems))

@@ -1,0 +1,284 @@
+"""The joint least squares of camera, stage axes and board on the corners of all views.
+
+Robust at first (:mod:`lightopt.core.least_squares`), then on all corners within 4 robust standard deviations. Errors of
+the stage's readings are random effects, two for each view; so the covariance holds them, too.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from lightopt.core.arrays import Bool, Float64, Index
+from lightopt.core.errors import InputError
+from lightopt.core.least_squares import Limits, solve
+from lightopt.estimate.rig_calibration._board_model import (
+    AT,
+    BOARD_POSITION,
+    BOARD_ROTATION,
+    CAMERA_ROTATION,
+    Origin,
+    Sightings,
+    predict,
+)
+
+# parameters that are free on request, or where the residuals ask for them
+OPTIONAL = {
+    **{name: AT[f"camera.{name}"] for name in ("aspect", "k2", "p1", "p2", "k3")},
+    "tilt_scale": AT["tilt_axis.scale"],
+    "rotary_scale": AT["rotary_axis.scale"],
+}
+
+_TRIM = 4.0  # robust standard deviations
+_EVIDENCE = 4.0  # standard errors from nominal from which an optional parameter is freed
+_LEAST_SCORED = 2.0  # standard deviations beforehand to standard errors, below which one stays held
+_READINGS_OF_PRIOR = 10.0  # what the given angle error counts against the errors that the fit finds, in readings
+_POLISH_STEPS = 30
+_Loss = Literal["huber", "tukey"]
+_ROBUST_STEPS: tuple[tuple[_Loss, int], ...] = (("huber", 12), ("huber", 40), ("tukey", 75))
+_SETTLED = 1e-4  # square of the distance still to go, in standard errors
+_FIRST_DAMPING, _MOST_DAMPING = 1e-6, 1e3
+_MOST_SPREAD_PX = 3.0  # corners that scatter more are of another rig or board
+_SMOOTH_POWERS = [(i, j) for i in range(4) for j in range(4 - i)]  # of x and y, over a view
+_LEAST_SMOOTH = 20  # degrees of freedom from which on smooth residuals tell something
+_LEAST_SPREAD_PX = 0.005
+_MAD = 1.4826
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known beforehand, independently of each other.
+
+    mean, sd: Of all parameters, shape (P,); infinite where nothing is known, 0 where a parameter is held
+    angle_sd: Of errors of the stage's readings [rad]
+    """
+
+    mean: Float64
+    sd: Float64
+    angle_sd: float
+
+
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """What is fitted: points of the board and the pixels where they were found, shape (N, 2)."""
+
+    seen: Sightings
+    pixels: Float64
+
+
+@dataclass(frozen=True, eq=False)
+class JointFit:
+    """The estimate.
+
+    x: All parameters, shape (P,), rotations about `origin`
+    free: Numbers of the G free ones
+    covariance: Of these and of the errors of tilt and rotation [mm, rad, px], shape (G + 2K, G + 2K)
+    angles: Errors of tilt and rotation of each view [rad], shape (K, 2)
+    angle_sd: Standard deviation of such errors, from the prior and from what the fit finds [rad]
+    noise: Standard deviation of a corner along one axis [px]
+    common: How many times larger the errors are that neighbouring corners have in common; the covariance holds it
+    residual: Found less predicted [px], shape (N, 2)
+    inlier: Corners that count, shape (N,)
+    extra: Optional parameters that are free
+    """
+
+    x: Float64
+    origin: Origin
+    prior: Prior
+    free: Index
+    covariance: Float64
+    angles: Float64
+    angle_sd: float
+    noise: float
+    common: float
+    residual: Float64
+    inlier: Bool
+    extra: tuple[str, ...]
+
+    @property
+    def of_free(self) -> Float64:
+        """Covariance of the free parameters, shape (G, G)."""
+        return self.covariance[: len(self.free), : len(self.free)]
+
+
+def fit_jointly(
+    corners: Corners, start: tuple[Float64, Origin], prior: Prior, *, extra: tuple[str, ...], on_evidence: bool
+) -> JointFit:
+    """Fit all that is not held, the parameters of `extra`, and with `on_evidence` others of OPTIONAL if they matter.
+
+    start: Parameters of shape (P,) and orientations
+    Raises InputError: The corners are of another rig or board
+    """
+    (x, origin), angles, spread = start, np.zeros_like(corners.seen.readings), np.inf
+    free = _free(prior, extra)
+    for loss, steps in _ROBUST_STEPS:
+        x, angles, spread = _robust(corners, x, angles, origin, prior, free, loss, steps)
+        # rotations start anew from where they are: slopes are exact there, and errors are those about the axes
+        mean = prior.mean.copy()
+        mean[CAMERA_ROTATION] -= x[CAMERA_ROTATION]
+        origin, prior = origin.moved(x), Prior(mean, prior.sd, prior.angle_sd)
+        x[CAMERA_ROTATION] = x[BOARD_ROTATION] = 0.0
+    if spread > _MOST_SPREAD_PX:
+        raise InputError(
+            f"board: the corners do not fit the rig, half of them are more than {spread / _MAD:.1f} px off. "
+            "Check the board's points and pitch, the readings of the stage and the nominal camera"
+        )
+    while True:
+        fit = _polished(corners, x, angles, origin, prior, extra)
+        rest = [name for name in OPTIONAL if name not in extra] if on_evidence else []
+        scores = np.abs(_scores(fit, corners.seen, rest))
+        if not rest or scores.max() < _EVIDENCE:
+            return fit
+        extra = (*extra, rest[int(np.argmax(scores))])
+        x, angles = fit.x, fit.angles
+
+
+def _free(prior: Prior, extra: tuple[str, ...]) -> Index:
+    held = set(OPTIONAL.values()) - {OPTIONAL[name] for name in extra}
+    return np.array([i for i in np.flatnonzero(prior.sd > 0.0) if i not in held], np.intp)
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    # of core.least_squares: free parameters, then the errors of the readings
+    corners: Corners
+    x: Float64
+    origin: Origin
+    free: Index
+    weight: Float64
+    correlated: Bool
+
+    def residuals(self, x: Float64) -> Float64:
+        there, angles = self.split(x)
+        predicted, _, _ = predict(there, angles, self.origin, self.corners.seen, slopes=False)
+        return (self.corners.pixels - predicted).ravel()
+
+    def slopes(self, x: Float64) -> Float64:
+        _, by_x, by_angles = predict(*self.split(x), self.origin, self.corners.seen)
+        return _matrix(by_x[:, :, self.free], by_angles, self.corners.seen)
+
+    def split(self, x: Float64) -> tuple[Float64, Float64]:
+        there = self.x.copy()
+        there[self.free] = x[: len(self.free)]
+        return there, x[len(self.free) :].reshape(-1, 2)
+
+
+def _matrix(by_x: Float64, by_angles: Float64, seen: Sightings) -> Float64:
+    # derivatives by free parameters and all readings, shape (2N, G + 2K)
+    count, size = len(seen.view), by_x.shape[2]
+    matrix = np.zeros((count, 2, size + seen.readings.size))
+    matrix[:, :, :size] = by_x
+    for axis in range(2):
+        matrix[np.arange(count), :, size + 2 * seen.view + axis] = by_angles[:, :, axis]
+    return matrix.reshape(2 * count, -1)
+
+
+def _robust(
+    corners: Corners, x: Float64, angles: Float64, origin: Origin, prior: Prior, free: Index, loss: _Loss, steps: int
+) -> tuple[Float64, Float64, float]:
+    # parameters, errors of the readings, robust standard deviation of a corner
+    rows = corners.pixels.size
+    problem = _Problem(corners, x, origin, free, np.ones(rows), np.zeros(rows, np.bool_))
+    known = np.isfinite(prior.sd)
+    reach = np.where(known, 20.0 * prior.sd, 1.0)
+    reach[BOARD_POSITION] = 20.0 * float(np.linalg.norm(corners.seen.half))
+    reach = np.concatenate([reach[free], np.full(angles.size, 0.1)])
+    limits = Limits(
+        nominal=np.concatenate([np.where(known, prior.mean, x)[free], np.zeros(angles.size)]),
+        reach=reach,
+        step=reach,
+        prior=np.concatenate([prior.sd[free], np.full(angles.size, prior.angle_sd)]),
+        resolution=np.full(len(reach), np.inf),
+    )
+    start = np.concatenate([x[free], angles.ravel()])
+    solution = solve(problem, start, limits, loss=loss, least_spread=_LEAST_SPREAD_PX, most_iterations=steps)
+    return *problem.split(solution.x), solution.spread
+
+
+def _polished(
+    corners: Corners, x: Float64, angles: Float64, origin: Origin, prior: Prior, extra: tuple[str, ...]
+) -> JointFit:
+    # damped Gauss-Newton on the corners within the trim; noise and error of the readings are estimated at each step
+    seen, free = corners.seen, _free(prior, extra)
+    size = len(free)
+    mean = np.concatenate([np.where(np.isfinite(prior.sd), prior.mean, 0.0)[free], np.zeros(angles.size)])
+    precision = np.concatenate([1.0 / np.square(prior.sd[free]), np.zeros(angles.size)])
+    problem = _Problem(corners, x, origin, free, np.ones(0), np.zeros(0, np.bool_))
+    now, angle_sd, effective, damping = np.concatenate([x[free], angles.ravel()]), prior.angle_sd, float(len(mean)), 0.0
+    step = 0
+    while True:
+        residual = problem.residuals(now).reshape(-1, 2)
+        far = np.where(np.isfinite(residual), np.abs(residual), np.inf)
+        inlier = far.max(axis=1) <= _TRIM * max(_MAD * float(np.median(far)), _LEAST_SPREAD_PX)
+        rows = np.repeat(inlier, 2)
+        variance = float(np.square(residual[inlier]).sum()) / max(rows.sum() - effective, 1.0)
+        noise = max(float(np.sqrt(variance)), _LEAST_SPREAD_PX)
+        common = _common_errors(seen, residual, inlier, effective)
+        precision[size:] = 1.0 / angle_sd**2
+        slopes = problem.slopes(now)[rows] / (noise * common)
+        normal = slopes.T @ slopes + np.diag(precision)
+        covariance = inverse(normal)
+        pull = slopes.T @ residual.ravel()[rows] / (noise * common) - precision * (now - mean)
+        if pull @ covariance @ pull <= _SETTLED or step == _POLISH_STEPS:
+            fitted, angles = problem.split(now)
+            return JointFit(
+                fitted, origin, prior, free, covariance, angles, angle_sd, noise, common, residual, inlier, extra
+            )
+
+        def cost(there: Float64, rows: Bool = rows, unit: float = noise * common) -> float:
+            off = problem.residuals(there)[rows] / unit
+            return float(off @ off + precision @ np.square(there - mean))
+
+        before, damping, step = cost(now), 0.1 * damping, step + 1
+        while damping < _MOST_DAMPING:
+            there = now + inverse(normal + damping * np.diag(np.diag(normal))) @ pull
+            if cost(there) < before:
+                now = there
+                break
+            damping = max(10.0 * damping, _FIRST_DAMPING)
+        effective = len(now) - float(precision @ np.diag(covariance))
+        found = float(np.square(now[size:]).sum() + np.diag(covariance)[size:].sum())
+        known = _READINGS_OF_PRIOR * prior.angle_sd**2
+        angle_sd = float(np.sqrt((known + found) / (_READINGS_OF_PRIOR + angles.size)))
+
+
+def _common_errors(seen: Sightings, residual: Float64, inlier: Bool, effective: float) -> float:
+    # how many times larger residuals are that vary smoothly over a view (cubic) than those that do not: a board
+    # that is not flat, or a lens of another kind, moves neighbouring corners together. All parameters act smoothly
+    smooth = rough = 0.0
+    smooth_count, rough_count = -effective, 0.0
+    for view in range(len(seen.readings)):
+        mine = inlier & (seen.view == view)
+        if mine.sum() <= len(_SMOOTH_POWERS):
+            continue
+        x, y = (seen.points[mine] / seen.half).T
+        basis, _ = np.linalg.qr(np.column_stack([x**i * y**j for i, j in _SMOOTH_POWERS]))
+        off = residual[mine]
+        mine_smooth = float(np.square(basis.T @ off).sum())
+        smooth, rough = smooth + mine_smooth, rough + float(np.square(off).sum()) - mine_smooth
+        smooth_count += 2 * len(_SMOOTH_POWERS)
+        rough_count += 2 * (len(off) - len(_SMOOTH_POWERS))
+    if smooth_count < _LEAST_SMOOTH or rough_count <= 0.0:
+        return 1.0
+    return float(np.sqrt(max(1.0, smooth / smooth_count / max(rough / rough_count, 1e-12))))
+
+
+def inverse(normal: Float64) -> Float64:
+    """Of a symmetric positive definite matrix whose parameters have quite different units."""
+    scale = np.sqrt(np.diag(normal))
+    return np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+
+
+def _scores(fit: JointFit, seen: Sightings, names: list[str]) -> Float64:
+    # how many standard errors from nominal each held parameter would be found, were it free (Rao's score test)
+    _, by_x, by_angles = predict(fit.x, fit.angles, fit.origin, seen)
+    rows = np.repeat(fit.inlier, 2)
+    unit = fit.noise * fit.common
+    slopes = _matrix(by_x[:, :, fit.free], by_angles, seen)[rows] / unit
+    held = by_x[:, :, [OPTIONAL[name] for name in names]].reshape(len(rows), -1)[rows] / unit
+    prior = fit.prior.sd[[OPTIONAL[name] for name in names]]
+    pull = held.T @ fit.residual.ravel()[rows] / unit
+    cross = held.T @ slopes
+    variance = np.square(held).sum(axis=0) - np.einsum("ij,jk,ik->i", cross, fit.covariance, cross)
+    observable = np.sqrt(variance.clip(0.0)) * prior > _LEAST_SCORED
+    return np.where(observable, pull / np.sqrt(np.where(observable, variance, 1.0)), 0.0)

@@ -1,0 +1,21 @@
+"""Verification of a rig: predicted against captured images, and the causes of what differs, with their sizes.
+
+Entry: ``verify_set(rig, part, image_set, ...) -> Verification``.
+"""
+
+from lightopt.estimate.verification._files import (
+    REPORT_NAME as REPORT_NAME,
+    History as History,
+    VerifyFolder as VerifyFolder,
+    append_history as append_history,
+    verify_provenance as verify_provenance,
+)
+from lightopt.estimate.verification._findings import Finding as Finding
+from lightopt.estimate.verification._lights import LightComparison as LightComparison
+from lightopt.estimate.verification._limits import VerifyLimits as VerifyLimits, plan_limits as plan_limits
+from lightopt.estimate.verification._parameters import Parameters as Parameters
+from lightopt.estimate.verification._verify import (
+    Verification as Verification,
+    verify_observations as verify_observations,
+    verify_set as verify_set,
+)

@@ -1,0 +1,66 @@
+"""Lights that are exchanged: which image looks like which light."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import optimize
+
+from lightopt.core.arrays import Float64
+from lightopt.core.transforms import Posture
+from lightopt.estimate.registration import sensor_scale
+from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction
+from lightopt.scene import Scene
+
+# lights are exchanged if the correlation of the images that change rises by this on average
+LEAST_GAIN = 0.1
+
+
+def exchanged_lights(
+    scene: Scene, images: Sequence[CoarseImage], predictions: Mapping[Posture, CoarsePrediction]
+) -> dict[str, str]:
+    """For each light whose image shows another one the name of that other one; empty if all are as named.
+
+    By correlation over all postures of the images with the predictions of all lights; each light is shown once.
+    """
+    names = list(dict.fromkeys(image.source.light for image in images))
+    if len(names) < 2:
+        return {}
+    total = np.zeros((len(names), len(names)))
+    for posture, prediction in predictions.items():
+        clean = prediction.clean
+        # of several exposures of a light the longest
+        mine = sorted((i for i in images if i.source.posture == posture), key=lambda i: i.source.exposure)
+        longest = {image.source.light: image for image in mine}
+        if len(longest) < len(names) or not clean.any():
+            continue
+        for a, name in enumerate(names):
+            image = longest[name]
+            seen = np.minimum(image.levels, image.top)[clean]
+            scale = sensor_scale(scene, image.source)
+            for b, other in enumerate(names):
+                model = np.minimum(prediction.levels[other][clean] * scale + scene.sensor.black_level, image.top[clean])
+                total[a, b] += _correlation(seen.astype(np.float64), model.astype(np.float64))
+    shown, real = optimize.linear_sum_assignment(-total)
+    changed = {names[a]: names[b] for a, b in zip(shown, real, strict=True) if a != b}
+    if not changed:
+        return {}
+    at = [names.index(name) for name in changed]
+    gain = sum(
+        total[names.index(a), names.index(b)] - total[names.index(a), names.index(a)] for a, b in changed.items()
+    )
+    return changed if gain > LEAST_GAIN * len(at) * len(predictions) else {}
+
+
+def renamed(images: Sequence[CoarseImage], exchanged: Mapping[str, str]) -> tuple[CoarseImage, ...]:
+    """The images with the names of the lights that they show."""
+    return tuple(
+        replace(image, source=replace(image.source, light=exchanged.get(image.source.light, image.source.light)))
+        for image in images
+    )
+
+
+def _correlation(a: Float64, b: Float64) -> float:
+    a, b = a - a.mean(), b - b.mean()
+    size = float(np.sqrt(np.sum(a * a) * np.sum(b * b)))
+    return float(np.sum(a * b)) / size if size > 0.0 else 0.0

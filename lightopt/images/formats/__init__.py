@@ -1,1 +1,0 @@
-"""Image files by format, all on top of OpenImageIO: a format is a module here."""

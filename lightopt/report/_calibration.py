@@ -1,0 +1,164 @@
+"""The report of a calibration: what was measured and how well, where it does not fit, what would help."""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from lightopt.core.errors import counted
+from lightopt.estimate.rig_calibration import BoardFit, Measured, RigCalibration
+from lightopt.report._drawing import figure_image, fixed_style
+from lightopt.report._images import png_bytes
+from lightopt.report._page import Answer, Block, Facts, Note, Page, Picture, Section, Table, Warnings, page_html
+
+
+def calibration_lines(found: RigCalibration) -> list[tuple[str, str]]:
+    """What was measured and how well, one line each: what it is of, and the figures."""
+    lines: list[tuple[str, str]] = []
+    if (board := found.board) is not None:
+        half = {name: 0.5 * (high - low) for name, (low, high) in board.intervals.items()}
+        focal, error = found.camera.image_distance / found.camera.pixel_size, half["camera.focal_px"]
+        position = math.hypot(half["tilt_axis.position_y"], half["tilt_axis.position_z"])
+        lines += [
+            ("camera", f"pixels predicted to {board.predicted_rms:.2g} px, focal length {focal:.0f} ± {error:.2g} px"),
+            ("stage", f"tilt axis known to {half['tilt_axis.elevation']:.2g}° and {position:.2g} mm"),
+        ]
+    if (ball := found.ball) is not None:
+        place = float(np.linalg.norm(ball.half_widths_95[:, :3], axis=1).max())
+        turn = math.degrees(float(np.linalg.norm(ball.half_widths_95[:, 3:5], axis=1).max()))
+        lines.append(("panels", f"{counted(len(ball.lights), 'panel')} known to {place:.2g} mm and {turn:.2g}°"))
+    if (plate := found.plate) is not None:
+        share = 100.0 * max(_half(gain) / gain.value for gain in plate.gains)
+        decided = "" if plate.fall_off_decided else " (as filed: not decided)"
+        lines.append(("light", f"gains known to {share:.2g} %, fall-off {plate.fall_off}{decided}"))
+    if (sensor := found.sensor) is not None:
+        electrons, black = sensor.electrons_per_level, sensor.black_level.value
+        text = f"{electrons.value:.4g} electrons per level ± {100.0 * _half(electrons) / electrons.value:.2g} %"
+        lines.append(("sensor", f"{text}, read noise {sensor.read_noise_levels.value:.3g}, black level {black:.3g}"))
+    return lines
+
+
+def _half(measured: Measured) -> float:
+    low, high = measured.interval_95
+    return 0.5 * (high - low)
+
+
+def calibration_report(found: RigCalibration, figures: Mapping[str, Any]) -> str:
+    """The page as HTML; `figures` is the content of calibration.json."""
+    lead: list[Block] = [Answer(figure=f"{what.capitalize()}:", text=text) for what, text in calibration_lines(found)]
+    unobservable = found.unobservable
+    if unobservable:
+        lead.append(Warnings(texts=[f"the images do not show {name}; it is as filed" for name in unobservable]))
+    lead.append(Warnings(texts=found.warnings))
+    page = Page(
+        title=f"Calibration of {found.rig.name}",
+        subtitle=f"{found.rig.source.path.name}; intervals hold with a probability of 95 %",
+        lead=lead,
+        sections=[*_sections(found), _values(figures)],
+    )
+    return page_html(page)
+
+
+def _sections(found: RigCalibration) -> Iterator[Section]:
+    if (board := found.board) is not None:
+        rows = [
+            [
+                str(view.posture),
+                str(view.corners),
+                f"{view.median:.3f}",
+                f"{view.rms:.3f}",
+                str(view.outliers),
+                "does not fit" if view.faulty else "",
+            ]
+            for view in board.residuals
+        ]
+        header = ["posture", "corners", "median [px]", "rms [px]", "left out", ""]
+        caption = (
+            "Found less predicted corners of all views, on the image; a pattern means another lens or a bent board."
+        )
+        blocks: list[Block] = [
+            Picture(
+                png=png_bytes(residual_map(board, found.camera.width, found.camera.height)),
+                alt=caption,
+                caption=caption,
+            ),
+            Table(header=header, rows=rows),
+        ]
+        if board.next_posture is not None:
+            gain = board.next_posture
+            text = (
+                f"Of further postures {gain.posture} would help most: pixels would be predicted to "
+                f"{gain.predicted_rms:.2g} px instead of {board.predicted_rms:.2g} px."
+            )
+            blocks.append(Note(text=text))
+        yield Section(heading="Camera and stage", blocks=blocks)
+    if (ball := found.ball) is not None:
+        header = ["light", "centre [mm]", "±", "direction ± [°]", "size [mm]", "moved by [mm]"]
+        filed = {light.name: light for light in found.filed}
+        rows = []
+        for light, width in zip(ball.lights, ball.half_widths_95, strict=True):
+            rows.append(
+                [
+                    light.name,
+                    ", ".join(f"{c:.2f}" for c in light.centre),
+                    f"{float(np.linalg.norm(width[:3])):.2f}",
+                    f"{math.degrees(float(np.linalg.norm(width[3:5]))):.2f}",
+                    " × ".join(f"{side:.2f}" for side in light.size),
+                    f"{float(np.linalg.norm(light.centre - filed[light.name].centre)):.2f}",
+                ]
+            )
+        left_out = [
+            Note(text=f"Left out, since it fits no pose: {name} at {posture}.") for posture, name in ball.left_out
+        ]
+        yield Section(heading="Panels", blocks=[Table(header=header, rows=rows), *left_out])
+    if (plate := found.plate) is not None:
+        rows = [
+            [light.name, f"{gain.value:.4f}", f"{_half(gain):.4f}"]
+            for light, gain in zip(found.lights, plate.gains, strict=True)
+        ]
+        (v2, v4), exponent = plate.vignetting, plate.emission_exponent
+        decided = "" if plate.fall_off_decided else ", as filed: not decided"
+        facts = Facts(
+            rows=[
+                ("fall-off", plate.fall_off + decided),
+                ("emission exponent", f"{exponent.value:.2f} ± {_half(exponent):.2f}"),
+                ("vignetting", f"1 + {v2.value:.4f}·ρ² + {v4.value:.4f}·ρ⁴"),
+                ("residuals, in the errors claimed", f"{plate.rms:.2f}"),
+            ]
+        )
+        yield Section(heading="Light", blocks=[Table(header=["light", "gain", "±"], rows=rows), facts])
+    if (sensor := found.sensor) is not None:
+        rows = [
+            [f"{exposure:.4g}", f"{mean:.2f}", f"{variance:.3f}", "" if fitted else "left out"]
+            for exposure, mean, variance, fitted in zip(
+                sensor.exposures, sensor.means, sensor.variances, sensor.fitted, strict=True
+            )
+        ]
+        header = ["exposure", "level above black", "variance [levels²]", ""]
+        facts = Facts(rows=[("deviation from a straight line", f"{sensor.linearity_error:.2g} % of the range")])
+        yield Section(heading="Sensor", blocks=[Table(header=header, rows=rows, numbers_from=0), facts])
+
+
+def _values(figures: Mapping[str, Any]) -> Section:
+    rows = [[name, f"{low:.6g}", f"{high:.6g}"] for name, (low, high) in figures["intervals_95"].items()]
+    return Section(heading="Intervals", blocks=[Table(header=["value", "from", "to"], rows=rows)])
+
+
+@fixed_style()
+def residual_map(board: BoardFit, width: int, height: int) -> Image.Image:
+    """Found less predicted corners of all views as arrows on the image, with a scale."""
+    from matplotlib.figure import Figure
+
+    pixels = np.concatenate([view.pixels for view in board.residuals])
+    offsets = np.concatenate([view.offsets for view in board.residuals])
+    usual = max(float(np.median(np.hypot(*offsets.T))), 1e-3)
+    figure = Figure(figsize=(9.0, 9.0 * height / width + 0.4))
+    axes = figure.add_subplot()
+    arrows = axes.quiver(
+        *pixels.T, offsets[:, 0], -offsets[:, 1], angles="uv", scale=usual * 40.0, width=0.0015, color="#1c1f24"
+    )
+    axes.quiverkey(arrows, 0.9, 1.03, 2.0 * usual, f"{2.0 * usual:.2g} px", labelpos="E")
+    axes.set(xlim=(0, width), ylim=(height, 0), aspect="equal", xlabel="column [px]", ylabel="row [px]")
+    return figure_image(figure)

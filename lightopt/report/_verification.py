@@ -1,0 +1,134 @@
+"""The report of ``lightopt verify``: the answer, the causes, each light, pictures of what differs; runs over time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from lightopt.core.arrays import Float32
+from lightopt.estimate.verification import Finding, History, LightComparison, Verification
+from lightopt.report._charts import COLOURS, MARK, chart, label_whole_numbers, name_lines
+from lightopt.report._drawing import figure_image, fixed_style
+from lightopt.report._fit_pictures import diverging
+from lightopt.report._images import png_bytes, shrunk, write_picture
+from lightopt.report._page import Answer, Facts, Gallery, Note, Page, Picture, Section, Table, Warnings, page_html
+
+FULL_COLOUR = 10.0  # standard deviations
+MOST_PX = 300  # no side of a picture is longer
+
+
+def findings_table(result: Verification) -> Table:
+    """Causes with their sizes and limits, those that exceed them first."""
+
+    def cells(one: Finding) -> list[str]:
+        return [one.cause, one.amount, one.limit_text, "beyond" if one.exceeds else "within"]
+
+    return Table(header=["cause", "size", "limit", ""], rows=[cells(one) for one in result.findings], numbers_from=4)
+
+
+def lights_table(result: Verification) -> Table:
+    """Predicted against captured, a row for each light."""
+
+    def text(value: float | None, digits: int) -> str:
+        return "-" if value is None else f"{value:.{digits}f}"
+
+    def cells(one: LightComparison) -> list[str]:
+        rest = (one.offset_px, one.offset_deg, one.residual, one.explained)
+        return [one.light, text(one.overlap, 3), *(text(value, 2) for value in rest)]
+
+    return Table(
+        header=["light", "overlap (IoU)", "offset [px]", "offset [°]", "residual/noise", "explained"],
+        rows=[cells(one) for one in result.lights],
+        caption="Overlap of saturated areas; offset of the highlights, in the image and as a direction of light; "
+        "residual over noise, and the same with the causes in the prediction.",
+    )
+
+
+def verification_report(result: Verification, *, part: str, rig: str, provenance: Mapping[str, Any]) -> str:
+    """The report as HTML.
+
+    part, rig: Names.
+    provenance: From :func:`lightopt.estimate.verification.verify_provenance`.
+    """
+    remedies = [f"To tell {f.cause}: {f.remedy}." for f in result.findings if f.remedy]
+    unseen = "Not observable in these images: " + (", ".join(result.unseen) or "nothing") + "."
+    inputs: Mapping[str, Any] = provenance["inputs"]
+    facts = [(name, f"{inputs[name]['file']}, sha256 {inputs[name]['sha256'][:16]}") for name in ("rig", "part")]
+    facts.append(("compared with", "a known good set" if "baseline" in inputs else "the model"))
+    facts.append(("the part was searched for", "yes" if result.registered else "no"))
+    limits = result.limits.as_dict()
+    facts += [(f"limit {key}", f"{value:g}") for key, value in limits.items() if not isinstance(value, Mapping)]
+    facts += [(f"limit of the direction of {name}", f"{value:g}°") for name, value in limits["light_deg"].items()]
+    word = "Within tolerances" if result.within_tolerances else "Out of tolerances"
+    return page_html(
+        Page(
+            title=f"{word}: {rig}",
+            subtitle=f"{part} on {rig}, lightopt {provenance['lightopt']}",
+            lead=[Answer(figure=word, text=result.answer), Warnings(texts=result.warnings)],
+            sections=[
+                Section(
+                    heading="Causes",
+                    blocks=[
+                        findings_table(result) if result.findings else Note(text="Nothing differs."),
+                        *(Note(text=text) for text in (*remedies, unseen)),
+                    ],
+                ),
+                Section(heading="Lights", blocks=[lights_table(result)]),
+                Section(heading="What differs", blocks=[_gallery(result, 0, "as the rig file has it")]),
+                Section(heading="What the causes leave", blocks=[_gallery(result, 1, "with the causes")]),
+                Section(heading="Inputs and limits", blocks=[Facts(rows=facts)]),
+            ],
+        )
+    )
+
+
+def _gallery(result: Verification, number: int, what: str) -> Gallery:
+    lights = list(dict.fromkeys(light for _, light, _ in result.differences))
+    rows = dict.fromkeys((posture, exposure) for posture, _, exposure in result.differences)
+    several = len({exposure for _, exposure in rows}) > 1
+    return Gallery(
+        header=["posture", *lights],
+        rows=[
+            (
+                f"{posture}{f' ×{exposure:g}' if several else ''}",
+                [_picture(result.differences.get((posture, light, exposure)), number, light) for light in lights],
+            )
+            for posture, exposure in rows
+        ],
+        caption=f"Captured minus predicted {what}: blue darker, red brighter, full colour at {FULL_COLOUR:g} standard "
+        "deviations of noise and model; white where equal, saturated or off the part.",
+    )
+
+
+def _picture(difference: Float32 | None, number: int, light: str) -> Picture | None:
+    if difference is None:
+        return None
+    pixels = shrunk(diverging(np.clip(difference[number] / FULL_COLOUR, -1.0, 1.0)), limit=MOST_PX)
+    return Picture(png=png_bytes(Image.fromarray(pixels)), alt=f"captured minus predicted, {light}")
+
+
+@fixed_style()
+def history_chart(history: History, path: Path) -> Path:
+    """Draw verifications over time: faults as shares of their limits, offset and residual of each light."""
+    column = {name: [row[i] for row in history.rows] for i, name in enumerate(history.columns)}
+    runs = np.arange(1, len(history.rows) + 1)
+    labels = ("size of each fault over its limit", "offset of the highlights [px]", "residual over noise")
+    figure, panels = chart(title="Verifications of the rig", x_label="run", labels=labels)
+    series = [
+        dict(history.shares),
+        {n.removesuffix(" offset_px"): v for n, v in column.items() if n.endswith(" offset_px")},
+        {n.removesuffix(" residual"): v for n, v in column.items() if n.endswith(" residual")},
+    ]
+    for panel, lines in zip(panels, series, strict=True):
+        for number, (name, values) in enumerate(lines.items()):
+            shown = [np.nan if value is None else value for value in values]
+            panel.plot(runs, shown, ".-", color=COLOURS[number % len(COLOURS)], label=name)
+        if lines:
+            name_lines(panel)
+    panels[0].axhline(1.0, color=MARK, linestyle="--")
+    label_whole_numbers(panels[-1].xaxis)
+    return write_picture(path, figure_image(figure))

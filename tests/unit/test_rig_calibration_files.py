@@ -1,0 +1,181 @@
+"""Calibration of a rig from its folder: the plan, the calibrated rig file, the command, and wrong folders."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lightopt.config import load_part, load_rig, load_targets
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture, rotation_from_vector
+from lightopt.estimate.rig_calibration import calibrate_rig, write_calibration
+from lightopt.estimate.rig_calibration._calibrate import rig_deviations
+from lightopt.scene import Stage, build_camera, build_stage, project
+
+RIG = Path(__file__).parents[2] / "configs" / "rigs" / "four-panel.yaml"
+TARGETS = """\
+format: lightopt-targets/1
+board: {squares: [12, 9], square_mm: 5, marker_mm: 3.7, height_mm: 2}
+"""
+
+
+@pytest.fixture
+def rig(tmp_path):
+    path = tmp_path / "rig.yaml"
+    path.write_text(RIG.read_text(encoding="utf-8").replace("../schema/", "schema/"), encoding="utf-8")
+    return path
+
+
+def corner_list(rig, *, seed=1, noise=0.05):
+    """What a camera that is 3 mm and 0.2° off sees of a board, 15 views; and that camera and stage."""
+    rng = np.random.default_rng(seed)
+    nominal = build_camera(load_rig(rig))
+    camera = nominal.moved(rotation_from_vector(np.array([0.003, -0.002, 0.004])), np.array([2.0, -1.0, 2.0]))
+    camera = replace(camera, image_distance=55.4, principal_point=(806.0, 595.0))
+    stage = Stage(
+        tilt_point=np.array([0.0, 0.3, -0.2]), tilt_direction=np.array([1.0, 0.0, 0.002]) / np.hypot(1, 0.002)
+    )
+    row, column = np.divmod(np.arange(88), 11)
+    points = np.column_stack([5.0 * (column - 5), 5.0 * (3.5 - row), np.full(88, 2.0)])
+    views = []
+    for tilt in (0.0, 40.0, -40.0):
+        for turn in (10.0, 82.0, 154.0, 226.0, 298.0):
+            rotation, shift = stage.transform(Posture(tilt, turn))
+            columns, rows, _ = project(camera, points @ rotation.T + shift)
+            seen = (columns > 0) & (columns < 1600) & (rows > 0) & (rows < 1200)
+            pixels = np.column_stack([columns, rows])[seen] + rng.normal(0.0, noise, (seen.sum(), 2))
+            views.append(
+                {
+                    "name": f"{tilt:g}-{turn:g}",
+                    "elevation_deg": tilt,
+                    "rotation_deg": turn,
+                    "ids": np.flatnonzero(seen).tolist(),
+                    "pixels": pixels.tolist(),
+                }
+            )
+    return {"format": "lightopt-corners/1", "views": views}, camera, stage
+
+
+@pytest.fixture
+def folder(tmp_path, rig):
+    made = tmp_path / "calibration"
+    made.mkdir()
+    (made / "targets.yaml").write_text(TARGETS, encoding="utf-8")
+    corners, _, _ = corner_list(rig)
+    (made / "board.json").write_text(json.dumps(corners), encoding="utf-8")
+    return made
+
+
+def test_the_calibrated_rig_is_the_measured_one_with_its_comments(rig, folder):
+    _, camera, stage = corner_list(rig)
+    found = calibrate_rig(load_rig(rig), folder)
+    assert found.warnings == ()
+    paths = write_calibration(found)
+    text = paths[0].read_text(encoding="utf-8")
+    assert "# Four square panels around a camera that looks straight down" in text
+    assert "# one image each" in text
+    for gone in ("distance_mm: 550", "elevation_deg: 90 ", "roll_deg", "image_distance_mm:", "pivot_mm"):
+        assert gone not in text
+    measured = load_rig(paths[0])
+    assert measured.lights == load_rig(rig).lights
+    corners = np.array([[x, y, z] for x in (-25, 25) for y in (-20, 20) for z in (0, 15)], dtype=float)
+    for posture in (Posture(0, 0), Posture(30, 120), Posture(-40, 250)):
+        seen = []
+        for eye, table in ((camera, stage), (build_camera(measured), build_stage(measured))):
+            rotation, shift = table.transform(posture)
+            seen.append(np.stack(project(eye, corners @ rotation.T + shift)[:2]))
+        # the board lay 0 to 0.01 mm off its height and was 1e-4 of its pitch off, as the targets allow
+        assert np.abs(seen[0] - seen[1]).max() < 0.3
+    low, high = measured.calibration.intervals["camera.focal_px"]
+    assert low < 55.4 / 4.4e-3 < high
+    arrays = np.load(paths[1])
+    assert arrays["board"].shape == (len(arrays["board_names"]),) * 2
+    figures = json.loads(paths[2].read_text(encoding="utf-8"))
+    assert len(figures["board"]["views"]) == 15
+    assert figures["unobservable"] == []
+
+
+def test_a_calibrated_rig_can_be_calibrated_again(rig, folder, tmp_path):
+    once = write_calibration(calibrate_rig(load_rig(rig), folder))[0]
+    again = tmp_path / "again"
+    again.mkdir()
+    for name in ("targets.yaml", "board.json"):
+        (again / name).write_bytes((folder / name).read_bytes())
+    found = write_calibration(calibrate_rig(load_rig(once), again))[0]
+    first, second = (build_camera(load_rig(path)) for path in (once, found))
+    np.testing.assert_allclose(second.position, first.position, atol=0.02)
+    assert found.read_text(encoding="utf-8").count("\ncalibration:") == 1
+
+
+def test_deviations_of_the_rig_move_pixels_as_its_covariance_says(rig, folder):
+    """Along all directions together, a pixel moves by the standard error that the fit claims for predictions."""
+    board = calibrate_rig(load_rig(rig), folder).board
+    points = np.array([[x, y, 2.0] for x in (-25.0, 0.0, 25.0) for y in (-18.0, 0.0, 18.0)])
+    moved = np.zeros(2 * len(points))
+    at = np.concatenate(project(board.camera, points)[:2])
+    for camera, _ in rig_deviations(board):
+        moved += np.square(np.concatenate(project(camera, points)[:2]) - at)
+    error = float(np.sqrt(moved.mean()))
+    # the board's own pose is known no better than the camera's, but their sum is
+    assert error < 30.0 * board.predicted_rms
+    # independent of each other, camera rotation and principal point would move it by several pixels
+    apart = np.sqrt(np.diag(board.covariance))[list(board.names).index("camera.principal_x_px")]
+    assert error < 0.5 * apart
+
+
+def test_the_command(cli, rig, folder):
+    done = cli("calibrate", rig, folder)
+    assert done.status == 0, done.err
+    assert "camera: pixels predicted to" in done.out
+    assert "stage: tilt axis known to" in done.out
+    assert len(done.out.splitlines()) <= 15
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert "Calibration of four-panel" in page
+    assert "Camera and stage" in page
+    refused = cli("calibrate", rig, folder)
+    assert refused.status == 0  # the same results
+    data = json.loads((folder / "board.json").read_text(encoding="utf-8"))
+    data["views"] = data["views"][:10]
+    (folder / "board.json").write_text(json.dumps(data), encoding="utf-8")
+    assert cli("calibrate", rig, folder).status == 2
+    assert cli("calibrate", rig, folder, "--force").status == 0
+
+
+def test_a_folder_without_images_says_what_to_do(rig, tmp_path):
+    (tmp_path / "targets.yaml").write_text(TARGETS, encoding="utf-8")
+    with pytest.raises(InputError, match=r"no image set of a calibration; .*--plan"):
+        calibrate_rig(load_rig(rig), tmp_path)
+
+
+def test_a_pivot_beside_the_origin_is_refused(rig, folder):
+    rig.write_text(
+        rig.read_text(encoding="utf-8").replace("pivot_mm: [0, 0, 0]", "pivot_mm: [1, 0, 0]"), encoding="utf-8"
+    )
+    with pytest.raises(InputError, match=r"pivot_mm: a calibration puts the world's origin on the rotary axis"):
+        calibrate_rig(load_rig(rig), folder)
+
+
+def test_the_plan_fits_the_view_and_the_stage(cli, rig, tmp_path):
+    pytest.importorskip("cv2")
+    made = tmp_path / "plan"
+    done = cli("calibrate", rig, made, "--plan")
+    assert done.status == 0, done.err
+    assert "59 images to capture" in done.out
+    targets = load_targets(made / "targets.yaml")
+    assert targets.board.square_mm * 12 == pytest.approx(0.9 * 70.4, rel=0.05)
+    low, high = load_rig(rig).stage.elevation_range_deg
+    counts = {name: len(load_part(made / f"{name}.yaml").postures) for name in ("board", "ball", "plate")}
+    assert counts == {"board": 15, "ball": 8, "plate": 3}
+    for name in counts:
+        assert all(low <= p.elevation_deg <= high for p in load_part(made / f"{name}.yaml").postures)
+    assert (made / "board.pdf").read_bytes().startswith(b"%PDF")
+    # a size that was measured stays
+    text = (made / "targets.yaml").read_text(encoding="utf-8")
+    (made / "targets.yaml").write_text(text.replace("radius_mm: 10", "radius_mm: 7.5"), encoding="utf-8")
+    assert cli("calibrate", rig, made, "--plan").status == 2  # the ball's part is another
+    assert cli("calibrate", rig, made, "--plan", "--force").status == 0
+    assert load_targets(made / "targets.yaml").ball.radius_mm == 7.5

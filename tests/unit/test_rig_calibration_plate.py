@@ -1,0 +1,163 @@
+"""Light of the panels from a matt plate: against rendered images, and known gains found again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import rig_targets as targets
+import trimesh
+from rig_targets import CAMERA, LIGHTS, STAGE
+
+from lightopt.core.errors import InputError
+from lightopt.core.transforms import Posture
+from lightopt.estimate.rig_calibration import Plate, fit_plate, plate_cells
+from lightopt.estimate.rig_calibration._ball_fit import posed_panel
+from lightopt.estimate.rig_calibration._plate_fit import irradiance
+from lightopt.geometry import TriangleMesh
+from lightopt.optics import Reflectance, Sensor
+from lightopt.rendering import render
+from lightopt.scene import Scene
+
+PLATE = Plate(corner=np.array([-25.0, -25.0, 0.0]), side_x=np.array([50.0, 0, 0]), side_y=np.array([0, 50.0, 0]))
+POSTURES = tuple(Posture(tilt, turn) for tilt in (-30.0, 0.0, 30.0) for turn in (0.0, 90.0, 180.0, 270.0))
+SHAPE = (CAMERA.height, CAMERA.width)
+
+# what the ball leaves open of each panel: range and the ball's centre move all, the rest each alone
+OUTWARD = np.array([light.outward for light in LIGHTS])
+KNOWN = 32
+
+
+def geometry_covariance():
+    own = np.diag(np.square([0.08, 0.08, 0.08, 0.015, 0.015, 0.001, 0.1, 0.1]))
+    whole = np.kron(np.eye(4), own)
+    for k, outward in enumerate(OUTWARD):
+        whole[8 * k : 8 * k + 3, 8 * k : 8 * k + 3] += 0.5**2 * np.outer(outward, outward)
+    return whole
+
+
+def cells_of(posture, levels=None, **options):
+    levels = np.zeros(SHAPE) if levels is None else levels
+    options = {"light": "", "cell": 80, "usable": np.ones(SHAPE, bool), **options}
+    usable = options.pop("usable")
+    return plate_cells(levels, usable, posture=posture, plate=PLATE, camera=CAMERA, stage=STAGE, **options)
+
+
+def plate_levels(rng, *, inverse_square=True, noise=0.005, exact=False):
+    """Views of the plate under panels that are as far off as the ball leaves open, and the truth."""
+    covariance = geometry_covariance()
+    moves = rng.multivariate_normal(np.zeros(KNOWN), covariance).reshape(4, 8) * (0.0 if exact else 1.0)
+    gains = np.exp(rng.normal(0.0, 0.1, 4))
+    gains /= gains.mean()
+    n, kappa = 1.0 + rng.normal(0.0, 0.3), rng.normal(0.0, 0.0 if exact else 0.03)
+    v1, v2 = rng.normal(-0.1, 0.05), rng.normal(0.0, 0.02)
+    views = []
+    for light, gain, move in zip(LIGHTS, gains, moves, strict=True):
+        panel = replace(posed_panel(light, move + np.array([0, 0, 0, 0, 0, 0, 60, 60])), inverse_square=inverse_square)
+        for posture in POSTURES:
+            view = CELLS[posture]
+            level = 120.0 * gain * irradiance(panel, view.points, view.normal, exponent=n, kappa=kappa)
+            level *= 1.0 + v1 * view.radius**2 + v2 * view.radius**4
+            views.append(replace(view, light=light.name, levels=level * (1.0 + rng.normal(0.0, noise, len(level)))))
+    return views, gains, n, (v1, v2)
+
+
+CELLS = {posture: cells_of(posture) for posture in POSTURES}
+START = tuple(replace(light, inverse_square=True, emission_exponent=1.0, reference_distance=330.0) for light in LIGHTS)
+
+
+def fitted(views, **options):
+    return fit_plate(views, lights=START, panels_covariance=geometry_covariance(), level_error=1e-3, **options)
+
+
+def statistics(seeds):
+    errors, inside = [], []
+    for seed in range(seeds):
+        falls = seed % 2 == 0
+        views, gains, n, vignetting = plate_levels(np.random.default_rng(seed), inverse_square=falls)
+        fit = fitted(views)
+        assert (fit.fall_off == "inverse_square", fit.fall_off_decided) == (falls, True)
+        assert fit.emission_fitted
+        assert np.mean([g.value for g in fit.gains]) == pytest.approx(1.0)
+        found, true = (*fit.gains, fit.emission_exponent, *fit.vignetting), (*gains, n, *vignetting)
+        errors.append([value.value - t for value, t in zip(found, true, strict=True)])
+        inside.append([value.interval_95[0] <= t <= value.interval_95[1] for value, t in zip(found, true, strict=True)])
+    return np.sqrt(np.mean(np.square(errors), axis=0)), np.array(inside)
+
+
+@pytest.mark.slow
+def test_gains_exponent_and_vignetting_are_found():
+    rms, inside = statistics(2)
+    assert rms[:4].max() < 0.01
+    assert rms[4] < 0.35
+    assert inside.mean() > 0.6
+
+
+@pytest.mark.nightly
+def test_intervals_cover_as_often_as_they_say():
+    rms, inside = statistics(200)
+    assert rms[:4].max() < 0.01
+    assert 0.92 < inside.mean() < 0.98
+    assert inside[:, :4].mean() > 0.92
+
+
+def test_exact_levels_give_exact_values():
+    views, gains, n, vignetting = plate_levels(np.random.default_rng(4), noise=0.0, exact=True)
+    fit = fitted(views, relative_error=1e-4, lambert_error=1e-6)
+    assert np.allclose([g.value for g in fit.gains], gains, atol=1e-5)
+    assert fit.brightness.value == pytest.approx(120.0, rel=1e-4)
+    assert fit.emission_exponent.value == pytest.approx(n, abs=2e-3)
+    assert np.allclose([v.value for v in fit.vignetting], vignetting, atol=1e-3)
+    assert [light.gain for light in fit.lights] == pytest.approx(list(gains), abs=1e-5)
+
+
+def test_exponent_is_kept_where_no_tilted_view_decides_it():
+    views, *_ = plate_levels(np.random.default_rng(1))
+    fit = fitted([view for view in views if view.posture.elevation_deg == 0.0])
+    assert not fit.emission_fitted
+    assert fit.emission_exponent.value == pytest.approx(1.0, abs=1e-3)
+
+
+def test_light_without_view_is_named():
+    views, *_ = plate_levels(np.random.default_rng(1))
+    with pytest.raises(InputError, match="light3 has no view"):
+        fitted([view for view in views if view.light != "light3"])
+
+
+def test_cells_are_on_the_plate_and_not_saturated():
+    usable = np.ones(SHAPE, bool)
+    view = CELLS[POSTURES[1]]
+    rotation, translation = STAGE.transform(POSTURES[1])
+    on_stage = (view.points - translation) @ rotation
+    assert np.abs(on_stage[:, :2]).max() < 23.0
+    assert np.abs(on_stage[:, 2]).max() < 1e-9
+    usable[600, 800] = False
+    assert len(cells_of(POSTURES[1], usable=usable).levels) == len(view.levels) - 1
+    with pytest.raises(InputError, match="0 cells of 80 pixels"):
+        cells_of(POSTURES[1], usable=np.zeros(SHAPE, bool))
+
+
+@pytest.mark.slow
+def test_irradiance_is_that_of_the_renderer():
+    posture = POSTURES[9]
+    box = trimesh.creation.box(extents=(50.0, 50.0, 4.0))
+    panels = targets.moved_panels(np.random.default_rng(2))
+    panels = tuple(
+        replace(panel, inverse_square=square, emission_exponent=n, gain=1.2)
+        for panel, square, n in zip(panels, (True, True, False, False), (0.0, 1.0, 0.0, 1.7), strict=True)
+    )
+    scene = Scene(
+        camera=CAMERA,
+        lights=panels,
+        mesh=TriangleMesh(np.asarray(box.vertices) - [0.0, 0.0, 2.0], np.asarray(box.faces)),
+        reflectance=Reflectance(R_d=100.0, R_s=1e-6, sigma=0.05),
+        sensor=Sensor(bit_depth=8),
+        stage=STAGE,
+        postures=(posture,),
+    )
+    images = next(iter(render(scene, shadows=False)))
+    for panel, image in zip(panels, images.lights, strict=True):
+        view = cells_of(posture, image.level.astype(np.float64), light=panel.name)
+        predicted = 120.0 * irradiance(panel, view.points, view.normal, exponent=panel.emission_exponent)
+        assert np.allclose(view.levels, predicted, rtol=2e-4)
