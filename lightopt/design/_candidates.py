@@ -34,8 +34,6 @@ def light_angles(
 
     Both ends of a range are candidates, and from the lower one on every `step_deg`. A light without a range stays at
     that angle. `elevations` replaces those of the light's range, for lights that share their elevation.
-
-    Raises InputError: A step that is not a positive number, or that makes too many positions.
     """
     if not (math.isfinite(step_deg) and step_deg > 0.0):
         raise InputError(f"option 'step_deg': expected degrees above 0, found {step_deg:g}")
@@ -54,10 +52,7 @@ def light_angles(
 
 
 def common_elevations(rig: RigConfig, *, step_deg: float) -> list[float] | None:
-    """The elevations that all lights with an elevation range can share [°]; None where no light has one.
-
-    Raises InputError: Ranges that do not overlap.
-    """
+    """The elevations that all lights with an elevation range can share [°]; None where no light has one."""
     movable = [(light.elevation_range_deg, light.name) for light in rig.lights if light.elevation_range_deg is not None]
     if not movable:
         return None
@@ -176,16 +171,13 @@ def find_candidates(
     angles_left = tuple(tuple(possible[i][k][0] for k in row) for i, row in enumerate(rows))
     sizes = tuple(len(row) for row in rows)
     left_clashes = {(i, j): clash[np.ix_(rows[i], rows[j])] for (i, j), clash in clashes.items()}
+    left_clashes = {pair: clash for pair, clash in left_clashes.items() if clash.any()}
     return Candidates(
         names=tuple(light.name for light in rig.lights),
         angles=angles_left,
         panels=tuple(tuple(possible[i][k][1] for k in row) for i, row in enumerate(rows)),
         left_out=tuple(left_out),
-        space=CombinationSpace(
-            sizes=sizes,
-            groups=_groups(rig, angles_left, sizes, shared),
-            clashes={pair: clash for pair, clash in left_clashes.items() if clash.any()},
-        ),
+        space=CombinationSpace(sizes=sizes, groups=_groups(rig, angles_left, sizes, shared), clashes=left_clashes),
     )
 
 
@@ -288,12 +280,11 @@ def _groups(
     if shared is None:
         return (tuple(np.arange(n) for n in sizes),)
     groups: list[Rows] = []
+    fixed = [light.elevation_range_deg is None for light in rig.lights]
     for elevation in shared:
         rows = tuple(
-            np.array(
-                [k for k, at in enumerate(some) if light.elevation_range_deg is None or at[0] == elevation], np.int64
-            )
-            for light, some in zip(rig.lights, angles, strict=True)
+            np.flatnonzero([stays or at == elevation for at, _ in some])
+            for stays, some in zip(fixed, angles, strict=True)
         )
         if all(len(row) for row in rows):
             groups.append(rows)

@@ -50,6 +50,8 @@ IMAGES_NAME = "images"
 # a rig file with the new angles, relative to the output folder; the postures that it is for, and its text
 RigFile = tuple[Path, tuple[Posture, ...], str]
 
+_Pictures = Mapping[Posture, UInt8]
+
 
 def check_editable(rig: RigConfig) -> None:
     """Refuse a rig whose angles cannot be changed in its file: built in code, or with anchors and aliases."""
@@ -90,11 +92,8 @@ def _moved_pose(rig: RigConfig, index: int, angles: tuple[float, float]) -> dict
     panel = panels_of(rig, index, [angles], None)[0]
     rotation = np.stack([panel.across, panel.along, panel.outward], axis=1)
     pose = {"centre_mm": panel.centre, "rotation_vector_deg": np.degrees(vector_of_rotation(rotation))}
-    return {
-        ("lights", index, "pose", key, i): f"{round(float(value), 6)}"
-        for key, vector in pose.items()
-        for i, value in enumerate(vector)
-    }
+    values = ((key, i, float(value)) for key, vector in pose.items() for i, value in enumerate(vector))
+    return {("lights", index, "pose", key, i): f"{round(value, 6)}" for key, i, value in values}
 
 
 def _edited(config: RigConfig | PartConfig, kind: str, what: str, edit: Callable[[], str]) -> str:
@@ -110,10 +109,7 @@ def _edited(config: RigConfig | PartConfig, kind: str, what: str, edit: Callable
 
 
 def planned_part_text(part: PartConfig, postures: Sequence[Posture], *, folder: Path, comment: str) -> str:
-    """Text of a part file with other postures, below a comment; the mesh is named relative to `folder`.
-
-    Raises InputError: The part was not read from a file, or its postures cannot be replaced in it.
-    """
+    """Text of a part file with other postures, below a comment; the mesh is named relative to `folder`."""
     entries = [
         f"{{elevation_deg: {degrees_text(p.elevation_deg)}, rotation_deg: {degrees_text(p.rotation_deg)}}}"
         for p in postures
@@ -152,11 +148,7 @@ class DesignOutput:
 
 
 def write_design(
-    result: DesignResult,
-    *,
-    blind_pictures: Mapping[Posture, UInt8] | None = None,
-    force: bool = False,
-    run: RunContext | None = None,
+    result: DesignResult, blind_pictures: _Pictures | None = None, *, force: bool = False, run: RunContext | None = None
 ) -> DesignOutput:
     """Write the files of a design except its report and result.json; :func:`finish_design` must follow.
 
@@ -180,14 +172,13 @@ def write_design(
     overlaps: list[Overlap] = []
     for images in sets:
         overlaps += _render(images, result, force, run)
+    names = (RESULT_NAME, RANKING_NAME, *files, *(path for path, _, _ in rigs), *report)
     return DesignOutput(
         result=result,
         document=result_document(result, listed, overlaps),
         overlaps=tuple(overlaps),
         warnings=tuple(dict.fromkeys((*result.warnings, *run.warnings))),
-        paths=tuple(
-            folder / name for name in (RESULT_NAME, RANKING_NAME, *files, *(path for path, _, _ in rigs), *report)
-        ),
+        paths=tuple(folder / name for name in names),
         force=force,
         replace_report=force or report_is_ours,
     )
@@ -205,9 +196,7 @@ def finish_design(output: DesignOutput, report: str | None = None) -> None:
     end_writing(folder)
 
 
-def _further_files(
-    result: DesignResult, blind_pictures: Mapping[Posture, UInt8]
-) -> Iterator[tuple[str, str | bytes | UInt8]]:
+def _further_files(result: DesignResult, blind_pictures: _Pictures) -> Iterator[tuple[str, str | bytes | UInt8]]:
     """Names in the folder and contents; the names must be known to :mod:`lightopt.design._previous_result`."""
     if result.blind is not None and result.patches is not None:
         yield from blind_files(result.blind, result.patches.patches, result.scene.placement).items()
@@ -215,10 +204,8 @@ def _further_files(
             yield f"{posture_folder(posture)}/{BLIND_PNG}", picture
     if result.plan.commands:
         comment = f"planned by: {result.command}"
-        yield (
-            PLANNED_PART_NAME,
-            planned_part_text(result.part, result.scene.postures, folder=result.folder, comment=comment),
-        )
+        text = planned_part_text(result.part, result.scene.postures, folder=result.folder, comment=comment)
+        yield PLANNED_PART_NAME, text
 
 
 def _write(path: Path, content: str | bytes | UInt8, force: bool) -> None:
@@ -240,6 +227,10 @@ class _Images:
     postures: tuple[Posture, ...]
     exposures: tuple[float, ...]
 
+    @property
+    def shots(self) -> list[tuple[Posture, float]]:
+        return [(posture, exposure) for posture in self.postures for exposure in self.exposures]
+
 
 def _image_sets(rigs: Sequence[RigFile], result: DesignResult) -> list[_Images]:
     # images, images-2, …: an image set has every posture at every exposure
@@ -256,19 +247,11 @@ def _image_sets(rigs: Sequence[RigFile], result: DesignResult) -> list[_Images]:
 
 def _listed(rigs: Sequence[RigFile], sets: Sequence[_Images], *, overlaps: bool) -> dict[str, list[dict[str, Any]]]:
     # the files to come, as result.json lists them
+    maps = [images.folder / overlap_map_name(*shot) for images in sets for shot in images.shots if overlaps]
     return {
-        "rigs": [
-            {"file": path.as_posix(), "postures": [posture.as_dict() for posture in postures]}
-            for path, postures, _ in rigs
-        ],
+        "rigs": [{"file": path.as_posix(), "postures": [one.as_dict() for one in some]} for path, some, _ in rigs],
         "images": [{"folder": images.folder.as_posix(), "exposures": list(images.exposures)} for images in sets],
-        "overlaps": [
-            {"map": (images.folder / overlap_map_name(posture, exposure)).as_posix()}
-            for images in sets
-            for posture in images.postures
-            for exposure in images.exposures
-            if overlaps
-        ],
+        "overlaps": [{"map": path.as_posix()} for path in maps],
     }
 
 
@@ -293,7 +276,7 @@ def _render(images: _Images, result: DesignResult, force: bool, run: RunContext)
     if len(result.candidates.names) == 1:
         return []
     found = {(overlap.posture, overlap.exposure): overlap for overlap in find_overlaps(read_image_set(folder))}
-    overlaps = [found[posture, exposure] for posture in images.postures for exposure in images.exposures]
+    overlaps = [found[shot] for shot in images.shots]
     for overlap in overlaps:
         write_overlap_map(overlap, folder / overlap_map_name(overlap.posture, overlap.exposure), overwrite=force)
     return overlaps

@@ -14,14 +14,7 @@ from lightopt.core.run_context import RunContext
 from lightopt.design._candidates import Candidates, can_move
 from lightopt.design._commands import HOME, command_text, plan_commands
 from lightopt.design._files import check_editable, planned_part_text
-from lightopt.design._options import (
-    DEFECT_OBJECTIVE,
-    OptimizeOptions,
-    PlanOptions,
-    check_options,
-    known_provenance,
-    run_provenance,
-)
+from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, check_options, run_provenance
 from lightopt.design._previous_result import refuse_other_result
 from lightopt.design._problem import Problem, candidates_in, candidates_of, detection_model_of, images_that_decide
 from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult, ToleranceResult, angles_of
@@ -45,8 +38,10 @@ from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvalu
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.design.responses._posture_matrices import PostureMatrices
 from lightopt.design.search._best_positions import candidates_of_others, search_objectives, search_other_objectives
-from lightopt.rendering import build_patches, cast_rays_at, refuse_unusable_scene
+from lightopt.rendering import cast_rays_at, refuse_unusable_scene
 from lightopt.scene import build_catalogue, build_scene, coarse_warnings
+
+_Chosen = ChosenPostures | None
 
 
 def optimize(
@@ -78,7 +73,7 @@ def optimize(
     chosen = None
     if plan.chooses:
         if not force:
-            refuse_other_result(folder, known_provenance(rig, part, options, plan))
+            refuse_other_result(folder, run_provenance(rig, part, options, plan))
         chosen = plan_postures(rig, part, options, plan, run)
         options = with_chosen(options, rig, chosen)
 
@@ -161,11 +156,8 @@ def _check_choice_of_postures(rig: RigConfig, options: OptimizeOptions, plan: Pl
     refusals = [OBJECTIVES[name].refusal(len(rig.lights)) for name in options.objectives if name in OBJECTIVES]
     problems = [text for text in refusals if text is not None]
     if options.postures is not None:
-        given = " and ".join(
-            name
-            for name, value in (("option 'choose_postures'", plan.choose_postures), ("option 'target'", plan.target))
-            if value is not None
-        )
+        values = {"option 'choose_postures'": plan.choose_postures, "option 'target'": plan.target}
+        given = " and ".join(name for name, value in values.items() if value is not None)
         problems.append(
             f"option 'postures': cannot be combined with {given}: postures are chosen from the stage's range; omit "
             "one or the other"
@@ -178,8 +170,7 @@ def _check_choice_of_postures(rig: RigConfig, options: OptimizeOptions, plan: Pl
     if options.objectives and options.objectives[0] != DEFECT_OBJECTIVE:
         problems.append(
             "option 'objectives': postures are chosen by the defects that they show: expected "
-            f"{DEFECT_OBJECTIVE} first, "
-            f'found "{options.objectives[0]}"'
+            f'{DEFECT_OBJECTIVE} first, found "{options.objectives[0]}"'
         )
     if problems:
         raise InputError(*problems)
@@ -194,7 +185,8 @@ def _state_problem(
     objectives = _objectives(rig, part, options, run)
     scene = build_scene(rig, part, postures=options.postures, points=options.points, defects=False)
     thresholds = LevelThresholds.of_sensor(scene.sensor, shade_share=options.shade_below)
-    provenance = run_provenance(rig, part, scene, options, plan, objectives)
+    postures, names = [posture.as_dict() for posture in scene.postures], [objective.name for objective in objectives]
+    provenance = run_provenance(rig, part, options, plan, {"objectives": names, "postures": postures})
     if folder is not None:
         refuse_other_result(folder, provenance)
     caster = cast_rays_at(scene)
@@ -221,16 +213,14 @@ def _state_problem(
 
 def _objectives(rig: RigConfig, part: PartConfig, options: OptimizeOptions, run: RunContext) -> tuple[Objective, ...]:
     """The objectives; one that was named must be possible, one that is a default is left out otherwise."""
-    chosen = objectives_named(
-        options.objectives,
+
+    def detectability() -> DetectabilityObjective:
+        defects = planned_catalogue(build_catalogue(part)).defects
         # positions that were chosen before were chosen for the images of all postures together
-        lambda: DetectabilityObjective(
-            planned_catalogue(build_catalogue(part)).defects,
-            options.min_images,
-            options.false_alarms,
-            across_postures=options.places is not None,
-        ),
-    )
+        across = options.places is not None
+        return DetectabilityObjective(defects, options.min_images, options.false_alarms, across_postures=across)
+
+    chosen = objectives_named(options.objectives, detectability)
     refusals = {objective.name: objective.refusal(len(rig.lights)) for objective in chosen}
     problems = [text for text in refusals.values() if text is not None]
     possible = tuple(objective for objective in chosen if refusals[objective.name] is None)
@@ -258,11 +248,7 @@ def _search(matrices: PostureMatrices) -> tuple[tuple[SetResult, ...], Candidate
 
 
 def _complete(
-    matrices: PostureMatrices,
-    results: Sequence[SetResult],
-    candidates: Candidates,
-    plan: PlanOptions,
-    chosen: ChosenPostures | None,
+    matrices: PostureMatrices, results: Sequence[SetResult], candidates: Candidates, plan: PlanOptions, chosen: _Chosen
 ) -> tuple[PlanResult, Sequence[PostureVisibility]]:
     """Exposures and tolerances of the best positions; and what the planned images show of defects, if that is more."""
     problem, options, run = matrices.problem, matrices.problem.options, matrices.run
@@ -270,18 +256,10 @@ def _complete(
     if not requested or any(result.answers[0].nothing is not None for result in results):
         return PlanResult(chosen=chosen), ()
     # the lights where they are best for the first objective in each posture, at exposure 1
-    angles = {
-        posture: angles_of(candidates, result.answers[0].found.best)
-        for result in results
-        for posture in result.postures
-    }
-    lights = Setup(
-        rig=problem.rig,
-        postures=tuple(angles),
-        angles=tuple(angles.values()),
-        exposures=((1.0,),) * len(angles),
-        points=options.points,
-    )
+    sets = [(result.postures, angles_of(candidates, result.answers[0].found.best)) for result in results]
+    angles = {posture: own for postures, own in sets for posture in postures}
+    exposures = ((1.0,),) * len(angles)
+    lights = Setup(problem.rig, tuple(angles), tuple(angles.values()), exposures, points=options.points)
     brackets, tolerances = None if chosen is None else chosen.choice.brackets, ()
     # all shares are of the surface that the postures were chosen on
     evaluator = matrices.evaluator(detection_model_of(problem.scene, problem.part, options))
@@ -290,52 +268,31 @@ def _complete(
         inspected = shares_on
         if problem.defects is None:
             # exposures are planned for defects, whatever the objective
-            table = build_patches(
-                problem.scene, caster=problem.caster, budget=options.patch_budget, edges=False, threads=run.threads
-            )
-            inspected = replace(shares_on, table=table)
-        brackets = plan_exposures(
-            inspected,
-            lights.postures,
-            [lights.panels(i) for i in range(len(lights.postures))],
-            plan.exposures,
-            gain_points=plan.exposure_gain,
-            target=plan.target,
-            progress=run.stage("exposures"),
-        )
+            inspected = replace(shares_on, table=problem.cut_patches(edges=False, threads=run.threads))
+        panels, progress = [lights.panels(i) for i in range(len(angles))], run.stage("exposures")
+        request = plan.exposures, plan.exposure_gain, plan.target
+        brackets = plan_exposures(inspected, lights.postures, panels, *request, progress=progress)
     if brackets is not None:
         lights = replace(lights, exposures=tuple(map(brackets.of, lights.postures)))
     if plan.tolerances is not None:
         objective = results[0].answers[0].objective
-        tolerances = _placed_tolerances(lights, shares_on, plan.tolerances, objective, problem, run)
+        tolerances = _placed_tolerances(lights, shares_on, plan.tolerances, objective, matrices)
     if chosen is None and brackets is None:
         return PlanResult(tolerances=tolerances), ()
     commands = plan_commands(lights, options)
     planned = PlanResult(chosen=chosen, brackets=brackets, tolerances=tolerances, commands=commands)
     if problem.defects is None:
         return planned, ()
-    visibility = planned_visibility(
-        evaluator,
-        lights,
-        candidates if chosen is None else candidates_of(problem.rig, options),
-        all_exposures=plan.all_exposures,
-        thresholds=problem.thresholds,
-        least=options.min_images,
-        progress=run.stage("blind spots"),
-    )
-    return planned, visibility
+    free = candidates if chosen is None else candidates_of(problem.rig, options)
+    goal, progress = (problem.thresholds, options.min_images), run.stage("blind spots")
+    return planned, planned_visibility(evaluator, lights, free, plan.all_exposures, *goal, progress)
 
 
 def _placed_tolerances(
-    setup: Setup,
-    evaluator: ImageEvaluator,
-    tolerances: Tolerances,
-    objective: Objective,
-    problem: Problem,
-    run: RunContext,
+    setup: Setup, evaluator: ImageEvaluator, tolerances: Tolerances, objective: Objective, matrices: PostureMatrices
 ) -> tuple[ToleranceResult, ...]:
     """How far the objective's score falls, in each posture and in all together."""
-    min_images = problem.options.min_images
+    problem, min_images = matrices.problem, matrices.problem.options.min_images
     drawn = replace(evaluator, table=drawn_patches(evaluator.table, DRAWN_PATCHES))
     names = [light.name for light in setup.rig.lights]
     several = len(setup.postures) > 1
@@ -348,20 +305,10 @@ def _placed_tolerances(
             score = PairAssessment(drawn, group)
         else:
             # an objective of levels knows exposure 1 only
-            score = ObjectiveAssessment(
-                replace(drawn, detection=None),
-                replace(group, exposures=((1.0,),) * len(group.postures)),
-                objective=objective,
-                thresholds=problem.thresholds,
-            )
-        progress = run.stage(f"tolerances, {', '.join(map(str, group.postures))}")
-        found.append(
-            ToleranceResult(
-                postures=group.postures,
-                robustness=analyse_tolerances(score, names, tolerances, progress=progress),
-                unit=objective.unit,
-                patches=len(drawn.patches),
-                grain=drawn.table.grain,
-            )
-        )
+            single, levels = replace(group, exposures=((1.0,),) * len(group.postures)), replace(drawn, detection=None)
+            score = ObjectiveAssessment(levels, single, objective=objective, thresholds=problem.thresholds)
+        progress = matrices.run.stage(f"tolerances, {', '.join(map(str, group.postures))}")
+        robustness = analyse_tolerances(score, names, tolerances, progress=progress)
+        patches, grain = len(drawn.patches), drawn.table.grain
+        found.append(ToleranceResult(group.postures, robustness, objective.unit, patches=patches, grain=grain))
     return tuple(found)

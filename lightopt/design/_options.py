@@ -11,13 +11,11 @@ from lightopt.core.provenance import provenance
 from lightopt.core.transforms import Posture
 from lightopt.defects import DEFAULT_FALSE_ALARMS, false_alarms_problem
 from lightopt.design._tolerances import Tolerances
-from lightopt.design.objectives._detectability import DetectabilityObjective, min_images_problem
-from lightopt.design.objectives._objective import Objective
+from lightopt.design.objectives._detectability import min_images_problem
 from lightopt.design.postures._exposures import DEFAULT_EXPOSURE_GAIN, check_exposures
 from lightopt.design.postures._posture_grid import DEFAULT_OUTSIDE_PX, DEFAULT_POSTURE_STEP
 from lightopt.design.search._exact_search import DEFAULT_LIMIT
 from lightopt.rendering import DEFAULT_PATCH_BUDGET
-from lightopt.scene import Scene
 
 DEFAULT_SHADE_SHARE = 10.0 / 255.0  # share of full scale, above black, below which a level is shaded
 DEFECT_OBJECTIVE = "detectability"  # the objective whose pairs of patch and defect are planned for
@@ -109,13 +107,10 @@ class PlanOptions:
         """The options that are in use, as JSON."""
         facts: dict[str, Any] = {}
         if self.chooses:
-            facts["choose_postures"] = self.choose_postures
-            facts["target"] = self.target
-            facts["posture_step_deg"] = self.posture_step_deg
-            facts["allow_outside_px"] = self.allow_outside_px
+            names = ("choose_postures", "target", "posture_step_deg", "allow_outside_px")
+            facts |= {name: getattr(self, name) for name in names}
         if self.exposures:
-            facts["exposures"] = list(self.exposures)
-            facts["exposure_gain"] = self.exposure_gain
+            facts |= {"exposures": list(self.exposures), "exposure_gain": self.exposure_gain}
         if self.tolerances is not None:
             values = asdict(self.tolerances)
             facts["tolerances"] = {name.removeprefix("tolerance_"): value for name, value in values.items()}
@@ -153,59 +148,20 @@ def check_options(options: OptimizeOptions, plan: PlanOptions) -> None:
 
 
 def run_provenance(
-    rig: RigConfig,
-    part: PartConfig,
-    scene: Scene,
-    options: OptimizeOptions,
-    plan: PlanOptions,
-    objectives: tuple[Objective, ...],
+    rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, known: dict[str, Any] | None = None
 ) -> Mapping[str, Any]:
-    """What ``result.json`` says a run depends on."""
-    of_defects = any(isinstance(objective, DetectabilityObjective) for objective in objectives)
-    return provenance(
-        input_hashes(rig, part),
-        {
-            "objectives": [objective.name for objective in objectives],
-            "step_deg": options.step_deg,
-            "common_elevation": options.common_elevation,
-            "common_lights": options.common_lights,
-            "shade_below": options.shade_below,
-            "postures": [posture.as_dict() for posture in scene.postures],
-            "points": options.points,
-            "shadows": options.shadows,
-            "patch_budget": options.patch_budget,
-            "max_combinations": options.limit,
-            "ranking_rows": options.rows,
-            "images": options.images,
-            **(_defect_facts(options) if of_defects else {}),
-            "report": options.report,
-            **_plan_facts(options, plan),
-        },
-    )
+    """What ``result.json`` says a run depends on.
 
-
-def known_provenance(
-    rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions
-) -> Mapping[str, Any]:
-    """The part of it that is known before postures are chosen."""
-    return provenance(
-        input_hashes(rig, part),
-        {
-            "step_deg": options.step_deg,
-            "common_elevation": options.common_elevation,
-            "points": options.points,
-            "shadows": options.shadows,
-            "patch_budget": options.patch_budget,
-            **_plan_facts(options, plan),
-        },
-    )
-
-
-def _defect_facts(options: OptimizeOptions) -> dict[str, Any]:
-    facts: dict[str, Any] = {"min_images": options.min_images, "false_alarms": options.false_alarms}
-    return facts if options.threshold is None else {**facts, "calibration": asdict(options.threshold)}
-
-
-def _plan_facts(options: OptimizeOptions, plan: PlanOptions) -> dict[str, Any]:
+    known: Names of the objectives, and postures; None before these are: then only what does not depend on them.
+    """
+    names = ("step_deg", "common_elevation", "points", "shadows", "patch_budget")
+    if known is not None:
+        names += ("common_lights", "shade_below", "images", "report")
+    facts: dict[str, Any] = {name: getattr(options, name) for name in names}
+    if known is not None:
+        facts |= {**known, "max_combinations": options.limit, "ranking_rows": options.rows}
     # postures and exposures are planned for defects, whatever the objective
-    return {**(_defect_facts(options) if plan.chooses or plan.exposures else {}), **plan.facts()}
+    if plan.chooses or plan.exposures or DEFECT_OBJECTIVE in (known or {}).get("objectives", ()):
+        facts |= {"min_images": options.min_images, "false_alarms": options.false_alarms}
+        facts |= {} if options.threshold is None else {"calibration": asdict(options.threshold)}
+    return provenance(input_hashes(rig, part), {**facts, **plan.facts()})

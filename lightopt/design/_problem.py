@@ -15,6 +15,7 @@ from lightopt.design.responses._defect_hypotheses import planned_catalogue
 from lightopt.design.responses._evidence import DetectionModel
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.geometry import RayCaster
+from lightopt.rendering import PatchTable, build_patches
 from lightopt.scene import Scene, build_catalogue, build_lights, build_sensor
 
 
@@ -45,6 +46,11 @@ class Problem:
     def defects(self) -> DetectabilityObjective | None:
         """The objective of defects; None where it is not among the objectives."""
         return next((one for one in self.objectives if isinstance(one, DetectabilityObjective)), None)
+
+    def cut_patches(self, *, edges: bool, threads: int | None) -> PatchTable:
+        """The patches of the scene, as many as the options want; `edges` as for :func:`build_patches`."""
+        budget = self.options.patch_budget
+        return build_patches(self.scene, caster=self.caster, budget=budget, edges=edges, threads=threads)
 
 
 def detection_model_of(scene: Scene, part: PartConfig, options: OptimizeOptions) -> DetectionModel:

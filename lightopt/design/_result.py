@@ -161,7 +161,7 @@ SHARES_OF, OWN_SHARES_OF = (
 NEGLIGIBLE_SHARE = 0.001  # of the pairs: what further postures add together that is too little for an image
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class ChosenPostures:
     """The postures of a plan, and the candidates from which they were chosen.
 
@@ -198,7 +198,7 @@ class ChosenPostures:
         return next((i for i, step in enumerate(steps, start=1) if step.covered >= enough), len(steps))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ToleranceResult:
     """How far the score of one posture, or of several together, falls when angles are off.
 

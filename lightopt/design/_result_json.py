@@ -21,6 +21,7 @@ from lightopt.design._result import (
 )
 from lightopt.design.objectives._objective import NEAR_PER_MILLE
 from lightopt.design.postures._exposures import Brackets
+from lightopt.design.search._combinations import Ranked
 from lightopt.images import Overlap
 
 # what the share of the initial light positions is of
@@ -75,11 +76,8 @@ def _initial_dict(result: SetResult) -> dict[str, Any] | None:
         return None
     objective = result.answers[0].objective
     share = objective.share_of_whole(result.initial_score, result.area)
-    return {
-        "objective": objective.name,
-        "score": result.initial_score,
-        "share_of_inspectable_area": None if share is None else round(share, 6),
-    }
+    share = None if share is None else round(share, 6)
+    return {"objective": objective.name, "score": result.initial_score, "share_of_inspectable_area": share}
 
 
 def _answer_dict(answer: ObjectiveResult, result: SetResult, candidates: Candidates) -> dict[str, Any]:
@@ -97,23 +95,21 @@ def _answer_dict(answer: ObjectiveResult, result: SetResult, candidates: Candida
         return {**facts, "lights": None, "score": 0, "reason": answer.nothing, "combinations": combinations}
     near = None
     if answer.proven_of is None:
-        near = {
-            "combinations": found.near,
-            "at_least": not found.near_exact,
-            "within": NEAR_PER_MILLE / 1000,
-            "of": "the best score" if answer.objective.share_of is None else "the inspectable area",
-        }
+        of = "the best score" if answer.objective.share_of is None else "the inspectable area"
+        near = {"combinations": found.near, "at_least": not found.near_exact, "within": NEAR_PER_MILLE / 1000, "of": of}
     share = answer.objective.share_of_whole(found.best.score, result.area)
+
+    def lights_of(ranked: Ranked) -> list[dict[str, Any]]:
+        return _lights(candidates.names, angles_of(candidates, ranked))
+
     return {
         **facts,
-        "lights": _lights(candidates.names, angles_of(candidates, found.best)),
+        "lights": lights_of(found.best),
         "score": found.best.score,
         "share_of_inspectable_area": None if share is None else round(share, 6),
         "share_of": answer.objective.share_of,
         "usable_sum": found.best.usable,
-        "runner_up": None
-        if runner_up is None
-        else {"lights": _lights(candidates.names, angles_of(candidates, runner_up)), "score": runner_up.score},
+        "runner_up": None if runner_up is None else {"lights": lights_of(runner_up), "score": runner_up.score},
         "gap": found.gap,
         "ties": found.ties if answer.proven_of is None else None,
         "near_best": near,
@@ -157,7 +153,9 @@ def _way_dict(way: Way) -> dict[str, Any]:
 def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
     cover = chosen.choice.cover
     total = max(1, cover.total)
-    before = chosen.choice.initial_if_moved
+    initial = None
+    if (before := chosen.choice.initial_if_moved) is not None:
+        initial = {"share": round(before.share, 6), "postures": len(before.steps), "share_of": INITIAL_SHARE_OF}
     table = chosen.evaluator.table
     inspectable, areas = table.inspectable_anywhere, table.patches.areas
 
@@ -178,9 +176,7 @@ def _chosen_dict(chosen: ChosenPostures) -> dict[str, Any]:
         "greedy_guarantee": round(cover.guarantee, 6),
         "fewest_possible": cover.min_size,
         "all_candidates": round(cover.all_covered / total, 6),
-        "lights_as_they_stand": None
-        if before is None
-        else {"share": round(before.share, 6), "postures": len(before.steps), "share_of": INITIAL_SHARE_OF},
+        "lights_as_they_stand": initial,
         "postures": [
             {
                 **posture.as_dict(),
@@ -221,14 +217,9 @@ def _brackets_dict(brackets: Brackets, shares_of: str) -> dict[str, Any]:
         "least_gain": brackets.least_gain,
         "grain": round(brackets.grain, 6),
         "shots": [
-            {
-                "posture": shot.posture.as_dict(),
-                "exposure": shot.exposure,
-                "gain": round(shot.gain, 6),
-                "planned": shot.planned,
-                "planned_for": shot.reason,
-            }
-            for shot in brackets.further
+            {"posture": one.posture.as_dict(), "exposure": one.exposure, "gain": round(one.gain, 6)}
+            | {"planned": one.planned, "planned_for": one.reason}
+            for one in brackets.further
         ],
     }
 
@@ -253,13 +244,8 @@ def _tolerance_dict(one: ToleranceResult) -> dict[str, Any]:
         "quantile_5_percent": share(robustness.quantile),
         "least_drawn": share(robustness.least_drawn),
         "widest": [
-            {
-                "what": widest.what,
-                "angle": widest.angle,
-                "degrees": round(widest.degrees, 4),
-                "or_more": widest.open_ended,
-            }
-            for widest in robustness.widest
+            {"what": one.what, "angle": one.angle, "degrees": round(one.degrees, 4), "or_more": one.open_ended}
+            for one in robustness.widest
         ],
     }
 

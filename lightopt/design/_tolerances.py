@@ -43,7 +43,6 @@ Offset = tuple[float, float]  # elevation and azimuth of a light, or tilt and ro
 ScoreFunction = Callable[[Offset, Sequence[Sequence[Offset]]], Int64]
 
 EXACT: Offset = (0.0, 0.0)
-
 DEFAULT_TOLERANCE_TARGET = 0.95  # share of the score that the widest tolerances keep by default
 LARGEST_TOLERANCE = 16.0  # the widest tolerance that is tried, and the largest that may be requested [°]
 
@@ -232,7 +231,7 @@ def _widest_tolerance(
     return WidestTolerance(what=what, angle=angle, degrees=low / STEPS_PER_DEG, open_ended=False)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Setup:
     """Postures that are evaluated together, and the positions of the lights in them.
 
@@ -311,13 +310,10 @@ class _Assessment(ABC):
     def _table(self, posture: Posture, at: int) -> PatchTable:
         table = self.evaluator.table
         visible, grazing = np.zeros((2, 1, len(table.patches)), np.bool_)
-        visible[0, self.patches], grazing[0, self.patches] = camera_visibility(
-            table.patches.centroids[self.patches],
-            table.patches.normals[self.patches],
-            self._facets,
-            view_from_part(self.evaluator.scene, posture),
-            self.evaluator.caster,
-        )
+        points, normals = table.patches.centroids[self.patches], table.patches.normals[self.patches]
+        view = view_from_part(self.evaluator.scene, posture)
+        sight = camera_visibility(points, normals, self._facets, view, self.evaluator.caster)
+        visible[0, self.patches], grazing[0, self.patches] = sight
         # edges hardly move within the tolerances
         nominal = table.postures.index(self.setup.postures[at])
         return replace(table, postures=(posture,), visible=visible, grazing=grazing | table.grazing[nominal])
@@ -370,10 +366,6 @@ class ObjectiveAssessment(_Assessment):
             matrix = LuminanceMatrix(
                 levels=tuple(np.stack([levels for levels, _ in some]) for some in images), areas=images[0][0][1]
             )
-            total += self._objective.scores(
-                matrix,
-                self._objective.weights(matrix.areas),
-                self._thresholds,
-                threads=self.evaluator.threads or available_processors(),
-            )
+            threads, weights = self.evaluator.threads or available_processors(), self._objective.weights(matrix.areas)
+            total += self._objective.scores(matrix, weights, self._thresholds, threads, None)
         return total

@@ -168,7 +168,7 @@ def _made(vertices: Float32, faces: Int32, planes: Float32, either: Bool, target
     beside = reach * min(1.0, 2.0 / (far - reach))
     slack = float(view[11]) * beside / (far - beside) * (1.0 + (1.0 + beside) / (far - beside))
     numbers = np.array([FACING_TOLERANCE + reach, TEXEL_MARGIN + slack, beside], np.float32)
-    _fill(vertices, faces, planes, either, target, view, depths, *numbers)
+    _fill(vertices, faces, planes, either, target, view, depths, numbers)
     return view, depths
 
 
@@ -213,11 +213,8 @@ def _drop_proven(view: Float32, depths: Float32, begins: Float64, rays: Bool) ->
     for first in range(0, len(rays), at_once):
         count = min(at_once, len(rays) - first)
         for j in range(count):
-            x, y, z = (
-                np.float32(begins[0, first + j]),
-                np.float32(begins[1, first + j]),
-                np.float32(begins[2, first + j]),
-            )
+            i = first + j
+            x, y, z = np.float32(begins[0, i]), np.float32(begins[1, i]), np.float32(begins[2, i])
             column, row, behind = _project(view, x, y, z)
             inside = (column >= 0) & (row >= 0) & (column < side) & (row < side)
             texel[j] = np.int32(row) * TEXELS + np.int32(column) if inside else -1
@@ -261,11 +258,10 @@ def _fill(
     target: Float64,
     view: Float32,
     depths: Float32,
-    facing: float,
-    margin: float,
-    nearer: float,
+    tolerances: Float32,
 ) -> None:
     # every texel that the bounding box of a triangle touches gets the depth of its nearest vertex
+    facing, margin, nearer = tolerances
     seen = np.empty((len(vertices), 3), np.float32)
     for i in range(len(vertices)):
         seen[i, 0], seen[i, 1], seen[i, 2] = _project(view, vertices[i, 0], vertices[i, 1], vertices[i, 2])

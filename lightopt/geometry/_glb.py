@@ -14,10 +14,7 @@ _COMPONENTS = {5121: "<u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 
 
 def split_glb(name: str, data: bytes) -> tuple[dict[str, Any], bytes]:
-    """JSON tree and binary chunk of a GLB file.
-
-    Raises InputError: The file is no GLB of version 2, or its length disagrees with its header
-    """
+    """JSON tree and binary chunk of a GLB file."""
     if len(data) < 20 or data[:4] != b"glTF":
         raise InputError(f"{name}: not a GLB file: expected it to begin with 'glTF', found {data[:4]!r}")
     version, total, json_size = (int.from_bytes(data[k : k + 4], "little") for k in (4, 8, 12))
@@ -41,10 +38,7 @@ def split_glb(name: str, data: bytes) -> tuple[dict[str, Any], bytes]:
 
 
 def glb_triangle_count(name: str, tree: dict[str, Any]) -> int:
-    """Count the triangles that the accessors of all meshes announce (each mesh once).
-
-    Raises InputError: The tree refers to things that it does not have
-    """
+    """Count the triangles that the accessors of all meshes announce (each mesh once)."""
     try:
         total = 0
         for primitive in (p for mesh in tree.get("meshes", []) for p in mesh["primitives"]):
@@ -78,8 +72,6 @@ def parse_glb(name: str, data: bytes) -> list[dict[str, NDArray[Any]]]:
     """Meshes of a GLB file, placed by their nodes, axes as stored: positions, normals, indexed triangles.
 
     Returns: ``vertices`` [file unit] (n, 3), ``faces`` (m, 3), ``vertex_normals`` (n, 3) where the file has them.
-    Raises InputError: The file is damaged or uses a feature (sparse or compressed data) that the STEP worker never
-        writes
     """
     tree, blob = split_glb(name, data)
     parts: list[dict[str, NDArray[Any]]] = []

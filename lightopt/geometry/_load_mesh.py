@@ -24,7 +24,6 @@ UNITLESS_SUFFIXES: tuple[str, ...] = (".stl", ".ply", ".obj")
 """Formats that carry no unit, so that one has to be given."""
 
 MESH_SUFFIXES: tuple[str, ...] = (*UNITLESS_SUFFIXES, ".glb", ".step", ".stp")  # file name endings that can be loaded
-
 _READERS = {".stl": read_stl, ".ply": read_ply, ".obj": read_obj, ".glb": read_glb}
 
 # Text takes at most about this much for a triangle; a file beyond it is over the budget whatever it holds.
@@ -88,13 +87,8 @@ def load_mesh(
         raise InputError(f"{path}: {suffix[1:].upper()} files carry no unit of length; give it (mm, inch, …)")
     data = _read(path, max_triangles)
     if suffix in (".step", ".stp"):
-        raw = read_step(
-            path,
-            data,
-            chord_tolerance_mm=chord_tolerance_mm,
-            angular_tolerance=angular_tolerance,
-            max_triangles=max_triangles,
-        )
+        tolerances = {"chord_tolerance_mm": chord_tolerance_mm, "angular_tolerance": angular_tolerance}
+        raw = read_step(path, data, **tolerances, max_triangles=max_triangles)
         unit_mm = 1.0
     else:
         raw = _READERS[suffix](str(path), data, max_triangles)
@@ -133,14 +127,8 @@ def _finish(name: str, raw: RawMesh, unit_mm: float, crease_angle: float | None)
         own = raw.faces[keep].astype(np.int32)
         turned = repaired.faces[:, 1] != faces[keep][:, 1]
         own[turned] = own[turned][:, (0, 2, 1)]
-        is_cad = raw.format == "STEP"
-        mesh, replaced, merged = carried_normals(
-            np.multiply(placed, scale, dtype=np.float64),
-            own,
-            repaired.pairs,
-            raw.normals,
-            crease_angle=None if is_cad else crease_angle,
-        )
+        bend, points = None if raw.format == "STEP" else crease_angle, np.multiply(placed, scale, dtype=np.float64)
+        mesh, replaced, merged = carried_normals(points, own, repaired.pairs, raw.normals, crease_angle=bend)
         warnings += replaced
     warnings += _vertex_warnings(raw, merged)
     _log.info("mesh of %s triangles", f"{len(mesh.faces):,}")
@@ -148,10 +136,7 @@ def _finish(name: str, raw: RawMesh, unit_mm: float, crease_angle: float | None)
 
 
 def _check_triangles(name: str, raw: RawMesh, unit_mm: float) -> None:
-    """Refuse triangles that cannot be repaired.
-
-    Raises InputError: No triangles, a vertex that is not finite or beyond all reason, or a vertex index out of range
-    """
+    """Refuse triangles that cannot be repaired."""
     if not len(raw.faces):
         raise InputError(f"{name}: the {raw.format} file has no triangles ({len(raw.vertices)} vertices)")
     low, high = int(raw.faces.min()), int(raw.faces.max())

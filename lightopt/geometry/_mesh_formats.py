@@ -26,16 +26,11 @@ _PLAIN_PLY = re.compile(
     r"ply\s+format binary_(little|big)_endian 1\.0\s+element vertex ([1-9]\d*)\s+((?:property \w+ \w+\s+)+)"
     r"element face ([1-9]\d*)\s+property list (\w+) (\w+) \w+\s+end_header\s+"
 )
-_PLY_NUMBERS = {
-    **dict.fromkeys(("char", "int8"), "i1"),
-    **dict.fromkeys(("uchar", "uint8"), "u1"),
-    **dict.fromkeys(("short", "int16"), "i2"),
-    **dict.fromkeys(("ushort", "uint16"), "u2"),
-    **dict.fromkeys(("int", "int32"), "i4"),
-    **dict.fromkeys(("uint", "uint32"), "u4"),
-    **dict.fromkeys(("float", "float32"), "f4"),
-    **dict.fromkeys(("double", "float64"), "f8"),
-}
+_PLY_NAMES = (
+    *("char i1", "uchar u1", "short i2", "ushort u2", "int i4", "uint u4", "float f4", "double f8"),
+    *("int8 i1", "uint8 u1", "int16 i2", "uint16 u2", "int32 i4", "uint32 u4", "float32 f4", "float64 f8"),
+)
+_PLY_NUMBERS: dict[str, str] = dict(pair.split(maxsplit=1) for pair in _PLY_NAMES)
 
 # Peak of loading and smoothing a binary STL of 1.3 million triangles: 700 bytes each, measured.
 _BYTES_PER_TRIANGLE = 700
@@ -62,10 +57,7 @@ class RawMesh:
 
 
 def check_budget(name: str, triangles: int, max_triangles: int) -> None:
-    """Refuse a mesh of more than `max_triangles` before its data is loaded.
-
-    Raises InputError: With both numbers and the memory that loading would take
-    """
+    """Refuse a mesh of more than `max_triangles` before its data is loaded."""
     if triangles > max_triangles:
         gigabytes = triangles * _BYTES_PER_TRIANGLE / 1e9
         raise InputError(
@@ -75,10 +67,7 @@ def check_budget(name: str, triangles: int, max_triangles: int) -> None:
 
 
 def read_stl(name: str, data: bytes, max_triangles: int) -> RawMesh:
-    """Triangles of a binary or ASCII STL file.
-
-    Raises InputError: The file is cut off, is no STL, or has more than `max_triangles`
-    """
+    """Triangles of a binary or ASCII STL file."""
     claimed = int.from_bytes(data[80:84], "little") if len(data) >= 84 else 0
     is_binary = len(data) == 84 + 50 * claimed
     # the header of a binary file may begin with solid as well; text holds no zeros
@@ -130,10 +119,7 @@ def _check_ascii_stl(name: str, data: bytes) -> int:
 
 
 def read_ply(name: str, data: bytes, max_triangles: int) -> RawMesh:
-    """Triangles of an ASCII or binary PLY file; polygons are cut into fans, vertex normals kept.
-
-    Raises InputError: The file is cut off, is no PLY, or has more than `max_triangles`
-    """
+    """Triangles of an ASCII or binary PLY file; polygons are cut into fans, vertex normals kept."""
     end = re.search(rb"^end_header[ \t]*\r?\n", data, re.MULTILINE)
     if not data.startswith(b"ply") or end is None:
         raise InputError(f"{name}: not a PLY file, or cut off in its header: expected 'ply' … 'end_header'")
@@ -193,13 +179,10 @@ def _plain_ply(data: bytes, begin: int, header: str) -> RawMesh | None:
         return np.stack([vertices[name] for name in columns], axis=1).astype(kind, copy=False)
 
     of_float32 = all(vertex[name].kind == "f" and vertex[name].itemsize == 4 for name in "xyz")
-    return RawMesh(
-        rows(("x", "y", "z"), np.float32 if of_float32 else np.float64),
-        faces["corners"].astype(np.int64) if kinds[-1] == "u4" else faces["corners"].astype(np.int32),
-        rows(("nx", "ny", "nz"), np.float64) if {"nx", "ny", "nz"} <= set(names) else None,
-        "binary PLY",
-        repeats_vertices=False,
-    )
+    points = rows(("x", "y", "z"), np.float32 if of_float32 else np.float64)
+    corners = faces["corners"].astype(np.int64) if kinds[-1] == "u4" else faces["corners"].astype(np.int32)
+    normals = rows(("nx", "ny", "nz"), np.float64) if {"nx", "ny", "nz"} <= set(names) else None
+    return RawMesh(points, corners, normals, "binary PLY", repeats_vertices=False)
 
 
 def _listed(counts: dict[str, int]) -> str:
@@ -207,11 +190,7 @@ def _listed(counts: dict[str, int]) -> str:
 
 
 def read_obj(name: str, data: bytes, max_triangles: int) -> RawMesh:
-    """Triangles of a Wavefront OBJ file; polygons are cut into fans, vertex normals kept where all have them.
-
-    Raises InputError: A face has fewer than three vertices or one numbered 0, the file is no OBJ, or has more than
-        `max_triangles`
-    """
+    """Triangles of a Wavefront OBJ file; polygons are cut into fans, vertex normals kept where all have them."""
     from trimesh.exchange.obj import load_obj
 
     check_budget(name, len(re.findall(rb"^f\s", data, re.MULTILINE)), max_triangles)
@@ -239,8 +218,6 @@ def read_glb(name: str, data: bytes, max_triangles: int) -> RawMesh:
     """Triangles of a binary glTF 2.0 file [m], all nodes of the scene in place, turned from Y up to Z up.
 
     glTF is Y up by its specification: (x, y, z) becomes (x, −z, y).
-
-    Raises InputError: The file is cut off, is no GLB, or has more than `max_triangles`
     """
     import trimesh
 
@@ -300,14 +277,8 @@ def _joined(name: str, parts: list[dict[str, Any]], kind: str, *, repeats_vertic
     warnings = ()
     if normals and not complete:
         warnings = (f"{len(normals)} of {len(parts)} pieces of the {kind} file carry vertex normals: not used",)
-    return RawMesh(
-        np.concatenate(vertices),
-        np.concatenate(faces),
-        np.concatenate(normals) if complete else None,
-        kind,
-        repeats_vertices,
-        warnings,
-    )
+    joined = np.concatenate(normals) if complete else None
+    return RawMesh(np.concatenate(vertices), np.concatenate(faces), joined, kind, repeats_vertices, warnings)
 
 
 def _fans(polygons: Int64) -> Int64:

@@ -75,16 +75,12 @@ def carried_normals(
     given[missing] = unit[missing]
     inward = used & (np.einsum("ij,ij->i", given, unit) < 0.0)
     given[inward] *= -1.0
-    warnings: list[str] = []
-    if missing.any():
-        warnings.append(
-            f"{np.count_nonzero(missing)} of {np.count_nonzero(used)} vertex normals were zero or not "
-            "finite: taken from the faces"
-        )
-    if inward.any():
-        warnings.append(
-            f"{np.count_nonzero(inward)} of {np.count_nonzero(used)} vertex normals pointed into the part: turned"
-        )
+    what = {"were zero or not finite: taken from the faces": missing, "pointed into the part: turned": inward}
+    warnings = [
+        f"{np.count_nonzero(some)} of {np.count_nonzero(used)} vertex normals {text}"
+        for text, some in what.items()
+        if some.any()
+    ]
     if crease_angle is not None:
         warnings += _smeared_creases(given, faces.reshape(-1), flat, pairs, crease_angle)
     first, number = merge_rows(np.concatenate([vertices, given], axis=1)[used])
@@ -172,13 +168,9 @@ def _corner_angles(vertices: Float64, faces: Int32) -> Float64:
     angles = np.empty((len(faces), 3))
     for f in range(len(faces)):
         for k in range(3):
-            here, after, before = (
-                vertices[faces[f, k]],
-                vertices[faces[f, (k + 1) % 3]],
-                vertices[faces[f, (k + 2) % 3]],
-            )
-            ux, uy, uz = after[0] - here[0], after[1] - here[1], after[2] - here[2]
-            vx, vy, vz = before[0] - here[0], before[1] - here[1], before[2] - here[2]
+            a, b, c = vertices[faces[f, k]], vertices[faces[f, (k + 1) % 3]], vertices[faces[f, (k + 2) % 3]]
+            ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+            vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
             cx, cy, cz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
             angles[f, k] = np.arctan2(np.sqrt(cx * cx + cy * cy + cz * cz), ux * vx + uy * vy + uz * vz)
     return angles

@@ -223,13 +223,10 @@ def _build(
     limit: float,
     count: int,
 ) -> tuple[NDArray[Any], ...]:
-    """Cut all faces: the fields of `Patches`, in their order.
+    """Cut all faces, exactly as `_count` does: the fields of `Patches`, in their order.
 
-    Follows `_count` exactly. A child's tree entry is written into its parent when the child is taken
-    up.
-
-    smooth: Normals at the vertices, none of them for facets
-    flat, face_area: Normals and areas of the faces
+    A child's tree entry is written into its parent when the child is taken up. `smooth` are normals at the vertices,
+    none of them for facets, `flat` and `face_area` normals and areas of the faces.
     """
     n, m = len(vertices), len(faces)
     cuts = count - m
@@ -237,20 +234,13 @@ def _build(
     for i in range(n):  # loops where array expressions would take seconds to compile
         for axis in range(3):
             points[i, axis] = vertices[i, axis]
-    triangles = np.empty((count, 3), dtype=np.int32)
-    centroids = np.empty((count, 3))
-    normals = np.empty((count, 3))
-    areas = np.empty(count)
-    face = np.empty(count, dtype=np.int32)
-    roots = np.empty(m, dtype=np.int32)
-    children = np.empty((cuts, 2), dtype=np.int32)
-    cut_edge = np.empty(cuts, dtype=np.uint8)
-    stack = np.empty((_LEVELS, 3), dtype=np.int32)
-    stack_weights = np.empty((_LEVELS, 3, 3))
-    stack_depth = np.empty(_LEVELS, dtype=np.int32)
-    stack_parent = np.empty((_LEVELS, 2), dtype=np.int32)
-    triangle = np.empty(3, dtype=np.int32)
-    corner_weights = np.empty((3, 3))
+    triangles, centroids, normals = np.empty((count, 3), np.int32), np.empty((count, 3)), np.empty((count, 3))
+    middles = triangles, centroids, normals
+    areas, face, roots = np.empty(count), np.empty(count, np.int32), np.empty(m, np.int32)
+    children, cut_edge = np.empty((cuts, 2), np.int32), np.empty(cuts, np.uint8)
+    stack, stack_weights = np.empty((_LEVELS, 3), np.int32), np.empty((_LEVELS, 3, 3))
+    stack_depth, stack_parent = np.empty(_LEVELS, np.int32), np.empty((_LEVELS, 2), np.int32)
+    triangle, corner_weights = np.empty(3, np.int32), np.empty((3, 3))
     middle, mean, third = np.empty(3), np.empty(3), np.full(3, 1.0 / 3.0)
     patch, node = 0, 0
     longest = longest_edges(vertices, faces, selected)
@@ -259,7 +249,7 @@ def _build(
             roots[f] = -1 - patch
             for k in range(3):
                 triangle[k] = faces[f, k]
-            _store_middle(patch, points, triangle, smooth, faces[f], third, flat[f], triangles, centroids, normals)
+            _store_middle(patch, points, triangle, (smooth, faces[f], third, flat[f]), middles)
             areas[patch] = face_area[f]
             face[patch] = f
             patch += 1
@@ -289,7 +279,7 @@ def _build(
             if edge < 0:
                 for axis in range(3):
                     mean[axis] = (corner_weights[0, axis] + corner_weights[1, axis] + corner_weights[2, axis]) / 3.0
-                _store_middle(patch, points, triangle, smooth, faces[f], mean, flat[f], triangles, centroids, normals)
+                _store_middle(patch, points, triangle, (smooth, faces[f], mean, flat[f]), middles)
                 # a median halves the area, and halving a floating-point number is exact
                 areas[patch] = math.ldexp(face_area[f], -depth)
                 face[patch] = f
@@ -317,16 +307,12 @@ def _store_middle(
     patch: int,
     points: Float64,
     triangle: Int32,
-    smooth: Float64,
-    face: Int32,
-    weights: Float64,
-    flat: Float64,
-    triangles: Int32,
-    centroids: Float64,
-    normals: Float64,
+    shading: tuple[Float64, Int32, Float64, Float64],
+    middles: tuple[Int32, Float64, Float64],
 ) -> None:
     # the corners of a patch, its centroid, and its normal there: the vertex normals interpolated, of unit length, or
     # that of the facet where there are none or they cancel
+    (smooth, face, weights, flat), (triangles, centroids, normals) = shading, middles
     x = y = z = 0.0
     for k in range(3):
         triangles[patch, k] = triangle[k]
@@ -345,12 +331,9 @@ def _store_middle(
 
 @kernel
 def _find(roots: Int32, children: Int32, cut_edge: UInt8, faces: Int32, us: Float64, vs: Float64) -> Int32:
-    """Patch of each point; −1 for face −1.
-
-    Down the tree the weights of the corners choose the half: the point is nearer to the end of the cut edge
-    that weighs more, and against the half's own corners it has weights w_near − w_far, 2·w_far (the middle)
-    and the third as it was.
-    """
+    # Down the tree the weights of the corners choose the half: the point is nearer to the end of the cut edge that
+    # weighs more, and against the half's own corners it has weights w_near − w_far, 2·w_far (the middle) and the third
+    # as it was. −1 for face −1
     found = np.full(len(faces), -1, dtype=np.int32)
     weight = np.empty(3)
     for i in range(len(faces)):

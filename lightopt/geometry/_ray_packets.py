@@ -155,16 +155,9 @@ def _nearest_of_each(function: int, scene: int, arguments: int, origins: Float32
 
 @kernel
 def _nearest_in_packets(
-    packet: int,
-    single: int,
-    scene: int,
-    arguments: int,
-    width: int,
-    origins: Float32,
-    directions: Float32,
-    doubtful: Bool,
+    functions: tuple[int, int, int, int], width: int, origins: Float32, directions: Float32, doubtful: Bool
 ) -> Int32:
-    n = len(origins)
+    (packet, single, scene, arguments), n = functions, len(origins)
     found = np.empty(n, np.int32)
     ray, alone = _aligned(_ROWS * width), _aligned(_ROWS)
     number = ray.view(np.int32)
@@ -234,7 +227,7 @@ class PacketScene:
         if doubtful is None:
             return _nearest_of_each(self._single, self._scene, self._argument_address, origins, directions)
         functions = self._packet, self._single, self._scene, self._argument_address
-        return _nearest_in_packets(*functions, self._width, origins, directions, doubtful)
+        return _nearest_in_packets(functions, self._width, origins, directions, doubtful)
 
     def occluded(self, origins: Float32, directions: Float32) -> Int32:
         """0 where anything lies within the length of a direction, −1 where nothing does; shape (k,)."""

@@ -39,8 +39,6 @@ def read_step(
 
     chord_tolerance_mm: Largest distance between triangle and surface [mm]
     angular_tolerance: Largest angle between neighbouring tangents along an edge [rad]
-    Raises InputError: The file is cut off or not STEP, the part is over 1 m or under 0.1 mm, a limit was reached, or
-        there are more than `max_triangles`
     """
     name = str(path)
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"ISO-10303-21"):
@@ -110,17 +108,9 @@ class _Tessellation:
         )
         self._folder = tempfile.TemporaryDirectory(prefix="lightopt-step-")
         self._glb = Path(self._folder.name) / "part.glb"
+        files, numbers = (str(path.resolve()), str(self._glb)), (repr(linear), repr(angular), str(int(relative)))
         self._process = subprocess.Popen(  # noqa: S603  our own worker, no shell
-            [
-                sys.executable,
-                _step_worker.__file__,
-                str(path.resolve()),
-                str(self._glb),
-                repr(linear),
-                repr(angular),
-                "1" if relative else "0",
-                str(int(MEMORY_GB * 1e9)),
-            ],
+            [sys.executable, _step_worker.__file__, *files, *numbers, str(int(MEMORY_GB * 1e9))],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -136,10 +126,7 @@ class _Tessellation:
         self._folder.cleanup()
 
     def result(self, deadline: float) -> tuple[bytes, str]:
-        """The GLB file that the worker wrote, and what the CAD kernel complained about.
-
-        Raises InputError: The file cannot be read, or the worker reached a limit or crashed
-        """
+        """The GLB file that the worker wrote, and what the CAD kernel complained about."""
         path, what = self._path, self._what
         try:
             written, _ = self._process.communicate(timeout=max(0.01, deadline - time.monotonic()))

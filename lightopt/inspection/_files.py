@@ -101,12 +101,8 @@ class InspectionFolder(ResultFolder):
         synthetic = posture.synthetic
         if synthetic is None:
             return
-        channels = {
-            "Y": synthetic.level,
-            "deviation.Y": synthetic.deviation,
-            "filled": synthetic.filled.astype(np.float32),
-            "mask": synthetic.mask.astype(np.float32),
-        }
+        flags = {"filled": synthetic.filled.astype(np.float32), "mask": synthetic.mask.astype(np.float32)}
+        channels = {"Y": synthetic.level, "deviation.Y": synthetic.deviation, **flags}
         write_exr(self.place(f"{folder}/synthetic.exr"), channels, metadata=facts)
         shown = grey_picture(synthetic.level, synthetic.mask)
         write_png(self.place(f"{folder}/synthetic.png"), shown.grey, metadata={**facts, **shown.as_dict()})
@@ -124,15 +120,8 @@ class BatchFolder(ResultFolder):
     """The folder above those of several parts; takes what :class:`lightopt.images.ResultFolder` takes."""
 
     def __init__(self, folder: Path, made_from: Mapping[str, Any], *, force: bool) -> None:
-        super().__init__(
-            folder,
-            made_from,
-            name=BATCH_NAME,
-            format="lightopt-inspections/1",
-            what="inspections",
-            also=(TRUTH_NAME,),
-            force=force,
-        )
+        names = {"name": BATCH_NAME, "format": "lightopt-inspections/1", "what": "inspections"}
+        super().__init__(folder, made_from, **names, also=(TRUTH_NAME,), force=force)
 
 
 def set_names(sets: Sequence[ImageSet], out: Path) -> list[str]:

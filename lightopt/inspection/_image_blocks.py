@@ -1,5 +1,6 @@
 """Images in blocks: rows that threads work on, boxes around masks, a Gaussian filter of tiles that fit a cache."""
 
+import itertools
 import math
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -13,7 +14,6 @@ from lightopt.core.kernels import kernel
 from lightopt.core.threads import in_threads
 
 T = TypeVar("T")
-
 BLOCK_ROWS = 64  # rows that a thread works on at once
 TILE_COLUMNS = 256  # of as many columns of these
 REACH = 4.0  # gaussians are cut off at so many standard deviations
@@ -28,11 +28,8 @@ def in_row_blocks(work: Callable[[slice], T], height: int, threads: int | None) 
 
 def in_image_blocks(work: Callable[[int, slice], None], images: int, height: int, threads: int | None) -> None:
     """Call `work` with the number of each image and each block of its rows, in threads."""
-    blocks = [
-        (number, slice(top, min(top + BLOCK_ROWS, height)))
-        for number in range(images)
-        for top in range(0, height, BLOCK_ROWS)
-    ]
+    rows = [slice(top, min(top + BLOCK_ROWS, height)) for top in range(0, height, BLOCK_ROWS)]
+    blocks = list(itertools.product(range(images), rows))
     in_threads(lambda block: work(*blocks[block]), range(len(blocks)), threads)
 
 

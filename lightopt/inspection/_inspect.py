@@ -44,7 +44,6 @@ from lightopt.scene import build_catalogue, part_postures, place_defects
 MOST_REGIONS = 1000
 
 LEAST_SENSITIVE = 0.5  # texture that hides the reference defect on more of the surface than the rest is reported
-
 MOST_DARK_SHARE = 0.01  # a black level that is further off than this share of the sensor's range is reported
 
 
@@ -156,12 +155,9 @@ def find_defects(
     run: RunContext,
 ) -> InspectionResult:
     """As :func:`inspect_set`, with options and calibration that are checked; warnings are in the result only."""
-    registered = register_set(
-        rig, part, image_set, register=options.register, reference=options.reference, cache=cache, run=run
-    )
-    return inspect_registered(
-        rig, part, registered, str(image_set.folder), options=options, cache=cache, calibration=calibration, run=run
-    )
+    search, reference, where = options.register, options.reference, str(image_set.folder)
+    registered = register_set(rig, part, image_set, register=search, reference=reference, cache=cache, run=run)
+    return inspect_registered(rig, part, registered, where, options, cache, calibration, run)
 
 
 def inspect_registered(
@@ -169,7 +165,6 @@ def inspect_registered(
     part: PartConfig,
     registered: RegisteredSet,
     where: str,
-    *,
     options: InspectOptions,
     cache: PredictionCache,
     calibration: Calibration | None,
@@ -183,16 +178,11 @@ def inspect_registered(
         bank: TemplateBank = ()
         if catalogue:
             bank = cache.template_bank(registered.scene, view, exposures, catalogue, threads=run.threads)
-        postures.append(_inspect_posture(view, options, registered, bank, calibrated, where, run.threads))
+        place = f"{where}, posture {view.posture}"
+        postures.append(_inspect_posture(view, options, registered, bank, calibrated, place, run.threads))
     expected, found = part_postures(part), registered.registration
-    warnings = inspection_warnings(
-        rig,
-        postures,
-        options,
-        expected=expected,
-        registration=() if found is None else found.warnings,
-        calibrated=calibration is not None,
-    )
+    noted, calibrated = () if found is None else found.warnings, calibration is not None
+    warnings = inspection_warnings(rig, postures, options, expected=expected, registration=noted, calibrated=calibrated)
     surface_map = cache.surface_map(registered.scene, expected, threads=run.threads)
     coverages = [(p.view.posture, p.coverage) for p in postures]
     return InspectionResult(
@@ -234,37 +224,27 @@ def _inspect_posture(
     labels, count = find_regions(scores.unexplained, high)
     if count + len(explained) > MOST_REGIONS:
         raise InputError(
-            f"{where}, posture {view.posture}: {counted(count, 'region')} that differ from a good part, expected at "
+            f"{where}: {counted(count, 'region')} that differ from a good part, expected at "
             f"most {MOST_REGIONS:,}: {REFERENCES[options.reference].remedy}"
         )
     labels, count = split_regions(labels, count, scores.unexplained, found, high)
     labels, count, owners = join_explained(labels, count, explained)
+    scene, placement = registered.nominal, registered.placement
+    detections = measure_regions(
+        labels, count, scores.score, view, found, scene=scene, placement=placement, owners=owners
+    )
+    judged = evaluable(found, view) if options.reference == "good-parts" else found
+    # the synthetic image has no deviations to measure a contrast by: what the residual detector would find
+    residual = threshold(options.false_alarms, pixels, RESIDUAL.tests)
+    least = residual if detector.uses_synthetic else high + scores.handicap
     return InspectedPosture(
         view=view,
         make_synthetic=make_synthetic,
         score=scores.score,
         labels=labels,
         threshold=high,
-        detections=measure_regions(
-            labels,
-            count,
-            scores.score,
-            view,
-            found,
-            scene=registered.nominal,
-            placement=registered.placement,
-            owners=owners,
-        ),
-        coverage=measure_coverage(
-            view,
-            evaluable(found, view) if options.reference == "good-parts" else found,
-            min_images=options.min_images,
-            # the synthetic image has no deviations to measure a contrast by: what the residual detector would find
-            high=threshold(options.false_alarms, pixels, RESIDUAL.tests)
-            if detector.uses_synthetic
-            else high + scores.handicap,
-            threads=threads,
-        ),
+        detections=detections,
+        coverage=measure_coverage(view, judged, min_images=options.min_images, high=least, threads=threads),
     )
 
 
@@ -285,8 +265,7 @@ def _compare(
         return view, subtract_systematic(found, calibrated.systematic, nominal)
     learned = learned_view(view, found, calibrated.systematic, nominal)
     pixels = some_pixels(learned.clean)
-    place = f"{where}, posture {view.posture}"
-    refuse_mismatch(learned.level, learned.predicted, learned.limit, learned.deviation, pixels, place)
+    refuse_mismatch(learned.level, learned.predicted, learned.limit, learned.deviation, pixels, where)
     found = whiten_texture(subtract_mean(found, calibrated.systematic, nominal), threads=threads)
     return learned, divide_spread(found, calibrated.systematic, nominal)
 
@@ -306,11 +285,8 @@ def inspection_warnings(
     for one in postures:
         warnings += [f"posture {one.view.posture}: {text}" for text in _posture_warnings(rig, one, options)]
     there = {one.view.posture for one in postures}
-    warnings += [
-        f"posture {posture}: no images; surface that only this posture shows was not inspected"
-        for posture in expected
-        if posture not in there
-    ]
+    missing = [posture for posture in expected if posture not in there]
+    warnings += [f"posture {one}: no images; surface that only this posture shows was not inspected" for one in missing]
     return tuple(warnings)
 
 

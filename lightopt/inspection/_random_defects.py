@@ -35,15 +35,13 @@ MARGIN_PX = 2.0  # so much around the outline of a defect must be visible, too
 LEAST_COSINE = math.cos(math.radians(30.0))
 
 NEAR_PX = 4.0  # a place is the one that a pixel sees where they are no further apart than this
-
 _POSITION_DIGITS = 4
 _ANGLE_DIGITS = 1
-
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 _PROVENANCE = "provenance: "
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class RandomDefect:
     """A defect as an entry of a part file.
 
@@ -130,15 +128,9 @@ def _draw(scene: Scene, kinds: list[CatalogueEntry], rng: np.random.Generator) -
         place = surface_place(scene.mesh, int(faces[i]), float(u[i]), float(v[i]))
         # the file's digits are what a later reader has
         x, y, z = (np.round(scene.placement.to_file(place.point), _POSITION_DIGITS) + 0.0).tolist()
-        defect = PlacedDefect(
-            name=kind.name,
-            shape=kind.shape,
-            position=place.point,
-            normal=place.normal,
-            along=tangent_direction(place.normal, math.radians(direction), **axes),
-        )
-        at_mm = (x, y, z)
-        candidates.append(RandomDefect(name=kind.name, entry=kind, at_mm=at_mm, direction_deg=direction, placed=defect))
+        along = tangent_direction(place.normal, math.radians(direction), **axes)
+        defect = PlacedDefect(name=kind.name, shape=kind.shape, position=place.point, normal=place.normal, along=along)
+        candidates.append(RandomDefect(kind.name, kind, (x, y, z), direction_deg=direction, placed=defect))
     return candidates
 
 
@@ -248,12 +240,8 @@ def _entry(defect: RandomDefect) -> str:
     shape = defect.entry.shape
     name = defect.name if _PLAIN.fullmatch(defect.name) else json.dumps(defect.name, ensure_ascii=False)
     size = f"{shape.length:g}" if shape.length == shape.width else f"[{shape.length:g}, {shape.width:g}]"
-    values = [
-        f"name: {name}",
-        f"kind: {shape.kind}",
-        f"at_mm: [{', '.join(f'{x:.4f}' for x in defect.at_mm)}]",
-        f"size_mm: {size}",
-    ]
+    place = ", ".join(f"{x:.4f}" for x in defect.at_mm)
+    values = [f"name: {name}", f"kind: {shape.kind}", f"at_mm: [{place}]", f"size_mm: {size}"]
     if shape.slope > 0.0:
         values.append(f"slope_deg: {math.degrees(shape.slope):.6g}")
     if shape.kind == "stain":

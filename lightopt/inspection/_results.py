@@ -167,11 +167,8 @@ class BatchRow:
 
 def judge(result: InspectionResult, limits: InspectionConfig) -> Verdict:
     """Compare an inspection with the limits of the part file."""
-    counting = [
-        defect.number
-        for defect in result.defects
-        if defect.size[0] >= limits.least_size_mm and defect.greatest_contrast >= limits.least_contrast
-    ]
+    large = [one for one in result.defects if one.size[0] >= limits.least_size_mm]
+    counting = [one.number for one in large if one.greatest_contrast >= limits.least_contrast]
     inspected = result.surface.share
     reasons: list[str] = []
     if len(counting) > limits.most_defects:

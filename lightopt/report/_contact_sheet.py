@@ -34,7 +34,6 @@ from lightopt.report._images import (
 )
 
 EMPTY = "#f1f3f5"
-
 MARGIN, GAP = 36, 18
 TITLE, HEAD, TEXT = 32, 20, 15  # sizes of text [px]
 LINE = round(LINE_HEIGHT * TEXT)  # distance of lines of small text [px]

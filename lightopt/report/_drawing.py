@@ -26,12 +26,10 @@ if TYPE_CHECKING:
 
 
 INK, SOFT, FAINT = "#1c1f24", "#5c636e", "#d4d8de"
-
 DPI = 64  # Of all figures. A power of two: whole pixels remain whole when they are expressed in inches.
 POINT = 72 / DPI  # length of a pixel [pt]
 FONT = "DejaVu Sans"  # comes with matplotlib
 CAP_HEIGHT, DESCENT, LINE_HEIGHT = 0.73, 0.24, 1.35  # of the font, per em
-
 _MATH = "$\\mathdefault{"
 
 Points = Float64  # places on the picture [px], x to the right and y down, shape (n, 2)
@@ -146,12 +144,8 @@ class Drawing:
 
         style: Any = "-" if dash is None else (0.0, [length * POINT for length in dash])
         x, y = np.asarray(points, dtype=np.float64).T
-        self._add(
-            Line2D(
-                x, y, color=colour, linewidth=width * POINT, linestyle=style, solid_capstyle="butt",
-                solid_joinstyle="round",
-            )
-        )  # fmt: skip
+        ends: dict[str, Any] = {"solid_capstyle": "butt", "solid_joinstyle": "round"}
+        self._add(Line2D(x, y, color=colour, linewidth=width * POINT, linestyle=style, **ends))
 
     def polygon(self, points: Points, *, fill: str = "none", outline: str = "none", width: float = 1.5) -> None:
         """Draw an area; a fill of the form ``#rrggbbaa`` is translucent."""
@@ -257,7 +251,6 @@ class Drawing:
 _RADII = (6, 12, 20, 30, 44, 62, 85, 115, 155, 210, 280, 370, 480, 620, 800)
 
 _DIRECTIONS = 24
-
 _SPACE = 4  # least distance of two labels [px]
 _LEADER = 34  # from this distance on a thin line leads from the anchor to the label [px]
 

@@ -26,7 +26,6 @@ RESIDUAL_SCALE = 0.08  # difference of the full colours, as a share of the senso
 RUNAWAY = 1e11
 
 LEGEND_HEIGHT = 24
-
 _BELOW, _EQUAL, _ABOVE = (33, 102, 172), (247, 247, 247), (178, 24, 43)
 
 
@@ -78,11 +77,9 @@ def _ridge(result: FitResult) -> Figure | None:
 
 
 def _paper_rounds(record: PaperDiffuse) -> Figure:
-    figure, (coefficient, difference) = chart(
-        title="R_d, round by round (section 4.2)",
-        x_label="round",
-        labels=("R_d [grey level]", "D, difference of the mean brightness [grey level]"),
-    )
+    labels = "R_d [grey level]", "D, difference of the mean brightness [grey level]"
+    figure, panels = chart(title="R_d, round by round (section 4.2)", x_label="round", labels=labels)
+    coefficient, difference = panels
     rounds = np.arange(1, len(record.iterations) + 1)
     coefficient.plot(rounds, [i[0] for i in record.iterations], ".-", color=LINE)
     difference.plot(rounds, [i[2] for i in record.iterations], ".-", color=LINE)

@@ -23,10 +23,7 @@ def check_png_path(path: str | Path) -> Path:
 
 
 def write_picture(path: Path, image: Image.Image, *, overwrite: bool = True) -> Path:
-    """Write an RGB picture, whole or not at all.
-
-    Raises InputError: The file cannot be written, or one of other content is there and `overwrite` is False.
-    """
+    """Write an RGB picture, whole or not at all."""
     write_bytes_atomic(path, png_bytes(image), overwrite=overwrite)
     return path
 

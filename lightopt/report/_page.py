@@ -28,7 +28,6 @@ from lightopt.report._surface import (
 POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 
 KEYS = "Drag to turn, wheel to zoom, right button to move; keys on the picture: arrows, + and −, Home."
-
 WIDE = 8  # tables of more columns have narrow margins, and their cells may take several lines
 
 
@@ -127,15 +126,19 @@ class Page:
 
 
 def page_html(page: Page) -> str:
-    """The page as HTML; the same page gives the same text. Every text is escaped: names may contain anything."""
-    links = [f'<a href="#s{i}">{escape(section.heading)}</a>' for i, section in enumerate(page.sections, start=1)]
+    """The page as HTML; the same page gives the same text. Every text is escaped: names may contain anything.
+
+    Sections without blocks are left out.
+    """
+    sections = [section for section in page.sections if section.blocks]
+    links = [f'<a href="#s{i}">{escape(section.heading)}</a>' for i, section in enumerate(sections, start=1)]
     parts = [*map(_block, page.lead), f'<nav aria-label="Contents">{" ".join(links)}</nav>']
-    for i, section in enumerate(page.sections, start=1):
+    for i, section in enumerate(sections, start=1):
         own = ' class="own-page"' * section.own_page
         parts += [f'<section id="s{i}"{own}>', f"<h2>{escape(section.heading)}</h2>"]
         parts += [*map(_block, section.blocks), "</section>"]
     parts += ["</main>"]
-    blocks = (*page.lead, *(block for section in page.sections for block in section.blocks))
+    blocks = (*page.lead, *(block for section in sections for block in section.blocks))
     if any(isinstance(block, SurfaceView) for block in blocks):
         parts += [f"<script>\n{_asset(name)}</script>" for name in ("three.bundle.min.js", "viewer.js")]
     body = "\n".join(parts)
@@ -214,12 +217,8 @@ def _gallery(gallery: Gallery) -> str:
     head = "".join(f"<th>{escape(text)}</th>" for text in ("", *gallery.header))
     rows: list[str] = []
     for name, pictures in gallery.rows:
-        cells = "".join(
-            "<td></td>"
-            if picture is None
-            else f"<td>{_image(picture)}<span class=note>{escape(picture.caption)}</span></td>"
-            for picture in pictures
-        )
+        notes = [one and f"{_image(one)}<span class=note>{escape(one.caption)}</span>" for one in pictures]
+        cells = "".join(f"<td>{note or ''}</td>" for note in notes)
         rows.append(f'<tr><th scope="row">{escape(name)}</th>{cells}</tr>')
     return _scrolling(' class="gallery"', gallery.caption, f"<tr>{head}</tr>", "\n".join(rows))
 

@@ -38,14 +38,12 @@ MAIN_WIDTH, LEAST_HEIGHT, MARGIN = 1060, 1080, 40
 MOST_ARCS, FEW_ARCS = 6, 3
 
 _ARC = 0.4  # radius of elevation arcs, relative to the light's distance
-
 SIDE_WIDTH, EDGE = 500, 30
 HEAD, TEXT, LABEL = 20, 16, 17  # sizes of text [px]
 LINE = round(LINE_HEIGHT * TEXT)  # distance of lines [px]
 STAGE_HEIGHT = 400  # least height of the picture of the stage [px]
 MOST_POSTURES = 12  # more than that are only counted
 _LIGHT_COLUMNS = (190, 250, 315, 440)  # where the columns of numbers in the table of lights end [px]
-
 _STAGE_VIEW = (np.radians(22.0), np.radians(292.0))  # elevation and azimuth [rad]
 
 
@@ -96,15 +94,11 @@ def _view(scene: Scene, shape: CameraShape, posture: Posture, height: int) -> Pa
 
 def _best_side(scene: Scene, posture: Posture) -> tuple[float, float]:
     """From where part, camera and panels stand well apart and no panel edge-on, and X points to the right."""
-    things = np.stack(
-        [part_box(scene, posture).mean(axis=0), scene.camera.position, *(light.centre for light in scene.lights)]
-    )
-    size = rig_size(scene)
+    middle, size = part_box(scene, posture).mean(axis=0), rig_size(scene)
+    things = np.stack([middle, scene.camera.position, *(light.centre for light in scene.lights)])
     best = (-math.inf, 0.0, 0.0)
     for elevation, azimuth in itertools.product((14, 17, 20, 23, 26), range(240, 301, 5)):
-        side = ParallelView(
-            elevation=math.radians(elevation), azimuth=math.radians(azimuth), scale=1.0, offset=np.zeros(2)
-        )
+        side = ParallelView(math.radians(elevation), math.radians(azimuth), scale=1.0, offset=np.zeros(2))
         flat = side.place(things)
         gaps = np.linalg.norm(flat[:, None] - flat[None], axis=2)[np.triu_indices(len(flat), 1)]
         # from straight ahead, Y would be foreshortened to nothing; half a right angle off, X and Y look alike

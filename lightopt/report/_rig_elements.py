@@ -16,7 +16,6 @@ from lightopt.scene import PinholeCamera, Scene, pixel_directions
 GRID = "#dfe3e8"
 CAMERA, LIGHT, THETA, PHI, STAGE = "#45535f", "#b07d04", "#7a2f9b", "#0a8580", "#a8324a"
 AXIS_COLOURS = ("#c8321f", "#2c8a3a", "#2458b8")
-
 BORDER_STEPS = 24  # points per side of the image's border; a distorted lens bends it on the table
 _FARTHEST = 1.5  # rays that rise from the table or graze it are cut at this many camera distances
 

@@ -26,7 +26,6 @@ from lightopt.scene import PinholeCamera
 
 FIELD_OF_VIEW = math.radians(30.0)  # of the first view, from the lower to the upper edge; viewer.js has the same
 _STEPS = 32767  # of a vertex's place in the data, to either side of the middle
-
 STILL_WIDTH, STILL_HEIGHT, FINE = 900, 600, 2  # size of the still picture [px], which is cast so many times as fine
 _BLOCK_ROWS = 128
 # as in viewer.js: enough to tell the shape, and so little that colours are those of the legend

@@ -20,7 +20,6 @@ ORIGIN = read_only(np.zeros(3))
 X, Y, Z = map(read_only, np.eye(3))
 
 FINE = 3  # the part is cast at so many times the resolution of the drawing
-
 _BASE = (206.0, 212.0, 220.0)
 _EDGE = (58.0, 66.0, 78.0)
 _FAR = 1e4  # distance of the eye in radii of the part: as good as infinite
@@ -28,7 +27,7 @@ _BLOCK = 200_000  # rays at once: bounds the memory
 _CREASE_COS = 0.94  # neighbouring pixels whose normals differ by more than 20° have an edge between them
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ParallelView:
     """Orthographic view from (elevation, azimuth) [rad]; vectors are in the world frame, shape (3,).
 

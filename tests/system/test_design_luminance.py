@@ -146,5 +146,5 @@ def test_coverage_hardly_changes_when_the_mesh_is_refined_anew(tmp_path):
     for budget in (12_000, 30_000):
         matrix, _, _ = matrix_of(scene, rig, posture, budget=budget)
         objective = OBJECTIVES["coverage"]
-        scores.append(objective.scores(matrix, area_units(matrix.areas), THRESHOLDS, threads=2))
+        scores.append(objective.scores(matrix, area_units(matrix.areas), THRESHOLDS, 2, None))
     np.testing.assert_allclose(scores[0], scores[1], rtol=0.01)

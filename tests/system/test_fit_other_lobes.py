@@ -16,6 +16,7 @@ from lightopt import build_scene
 from lightopt.estimate.reflectance._fit_samples import fit_reflectance
 from lightopt.estimate.reflectance._quality import assess_quality, poor_fit_warnings
 from lightopt.estimate.reflectance._samples import collect_samples
+from lightopt.estimate.reflectance._setup import FitSetup
 from lightopt.estimate.reflectance._validation import leave_lights_out
 from lightopt.lights import panel_grid
 from lightopt.optics import expose, image_rng
@@ -71,7 +72,7 @@ def test_a_lobe_with_heavy_tails(tmp_path, R_s, width):
     print(quality)
     assert any("describes these images badly" in text for text in poor_fit_warnings(found, quality))
     assert quality.epsilon > 0.02
-    left_out = leave_lights_out(scene, samples, found, caster=caster)
+    left_out = leave_lights_out(FitSetup(scene, caster, samples.images), samples, found)
     shown = [image for left in left_out for image in left.images]
     print("unseen lights:", *(f"{i.image} {i.rms_sensor:.2f} sensor levels, {i.rms:.2f} grey levels;" for i in shown))
     assert len(left_out) == len(scene.lights)

@@ -116,7 +116,7 @@ def test_built_in_catalogue_and_more_trials_than_a_word_has_bits(sizes, min_imag
         if objective.refusal(len(sizes)):
             continue
         weights = objective.weights(matrix.areas)
-        scores = objective.scores(matrix, weights, THRESHOLDS, threads=2)
+        scores = objective.scores(matrix, weights, THRESHOLDS, 2, None)
         places = list(np.ndindex(*sizes))
         some = rng.choice(len(places), 12, replace=False)
         for k in some:
@@ -134,7 +134,7 @@ def test_plain_sums_take_over_where_units_change_everywhere_and_agree(monkeypatc
     _, matrix = random_matrix(rng, (7, 1, 6, 5), 40, trials)
     objective = DetectabilityObjective(trials, min_images)
     weights = objective.weights(matrix.areas)
-    whole = objective.scores(matrix, weights, THRESHOLDS, threads=2)
+    whole = objective.scores(matrix, weights, THRESHOLDS, 2, None)
     shares: list[float] = []
     for most, patches, words in ((1 << 10, 7, 1 << 27), (40, 40, 1 << 12), (1, 3, 1 << 12)):
         monkeypatch.setattr(unit_sums, "LEAST_NODES", 1)
@@ -142,7 +142,7 @@ def test_plain_sums_take_over_where_units_change_everywhere_and_agree(monkeypatc
         monkeypatch.setattr(unit_sums, "CHUNK_PATCHES", patches)
         monkeypatch.setattr(unit_sums, "TASK_WORDS", words)
         shares.clear()
-        again = objective.scores(matrix, weights, THRESHOLDS, threads=3, progress=shares.append)
+        again = objective.scores(matrix, weights, THRESHOLDS, 3, shares.append)
         np.testing.assert_array_equal(again, whole)
         assert shares == sorted(shares)
         assert shares[-1] <= 1.0

@@ -104,10 +104,10 @@ def test_changes_are_those_of_the_statistic_with_noise_and_registration(seed, co
     # with bounds for each entry, the last four variants are the second one's
     first = np.array([0, 2, 6] if len(correlated) > 1 else [0, 6], np.int32)
     codes, all_bounds = np.zeros((6, patches + 1), np.int16), np.zeros((len(first) - 1, patches + 1, 3), np.float32)
-    place = column / np.float32(cell), row / np.float32(cell)
+    places = evidence.ImagePatches(column / np.float32(cell), row / np.float32(cell), owner, cell)
     evidence._fill_changes(
-        good, varied.T.copy(), leant, np.array(correlated or (0.0,)), first, *place, owner, cell, scale, limit, 0.8,
-        60.0, codes, all_bounds,
+        good, varied.T.copy(), leant, np.array(correlated or (0.0,)), first, places, scale, limit, (0.8, 60.0), codes,
+        all_bounds,
     )  # fmt: skip
     bounds = all_bounds[-1]
     level = np.minimum(scale * good, limit)

@@ -10,6 +10,7 @@ from hypothesis import given, strategies as st
 from reference._search import all_combinations, coverage_value, paper_value
 
 from lightopt.core.errors import InputError
+from lightopt.core.run_context import WorkCounter
 from lightopt.design import OBJECTIVES, LevelThresholds, LuminanceMatrix, area_units, search
 from lightopt.design.objectives._coverage import run_scores
 from lightopt.design.objectives._scores_by_packed_bits import bit_scores
@@ -120,11 +121,11 @@ def test_scores_are_those_of_the_definition_and_below_the_bound(name):
     objective = OBJECTIVES[name]
     matrix = LuminanceMatrix(levels=levels, areas=rng.random(200))
     weights = objective.weights(matrix.areas)
-    scores = objective.scores(matrix, weights, thresholds, threads=1).reshape(3, 4, 2, 3)
+    scores = objective.scores(matrix, weights, thresholds, 1, None).reshape(3, 4, 2, 3)
     for place in np.ndindex(3, 4, 2, 3):
         assert scores[place] == objective.score(matrix.combination(place), weights, thresholds)
     assert scores.max() <= objective.bound(matrix, weights, thresholds)
-    assert (scores.ravel() == objective.scores(matrix, weights, thresholds, threads=3)).all()
+    assert (scores.ravel() == objective.scores(matrix, weights, thresholds, 3, None)).all()
 
 
 def test_runs_and_packed_bits_agree_on_any_weights():
@@ -133,10 +134,9 @@ def test_runs_and_packed_bits_agree_on_any_weights():
     weights = rng.integers(0, 1 << 33, 333)
     thresholds = LevelThresholds(shade=30, saturation=240)
     some = rng.permutation(333)[:300]
-    for rule in ((1, 0), (2, 1), (3, 2)):
-        runs = run_scores(levels, some, weights, thresholds, rule=rule, threads=2)
-        bits = bit_scores(levels, some, weights, thresholds, rule=rule, threads=2)
-        np.testing.assert_array_equal(runs, bits)
+    work = WorkCounter(1, None)
+    runs, bits = (scores(levels, some, weights, thresholds, 2, work) for scores in (run_scores, bit_scores))
+    np.testing.assert_array_equal(runs, bits)
 
 
 def test_more_patches_than_a_kernel_takes_at_once():

@@ -285,7 +285,7 @@ def test_a_search_holds_no_second_copy_of_the_levels(name, change):
 
 def test_scores_do_not_depend_on_how_the_work_is_cut(monkeypatch):
     matrix = random_matrix((5, 1, 4, 3), 700)
-    whole = {name: o.scores(matrix, o.weights(matrix.areas), THRESHOLDS, threads=2) for name, o in OBJECTIVES.items()}
+    whole = {name: o.scores(matrix, o.weights(matrix.areas), THRESHOLDS, 2, None) for name, o in OBJECTIVES.items()}
     for module, names in {
         "_paper": ("BLOCK_LEVELS", "LEAST_PATCHES"),
         "_scores_by_extreme_levels": ("TASK_LEVELS", "WALK_LEVELS"),
@@ -298,5 +298,5 @@ def test_scores_do_not_depend_on_how_the_work_is_cut(monkeypatch):
         monkeypatch.setattr("lightopt.design.objectives._paper.DIRECT_COST", cost)
         monkeypatch.setattr("lightopt.design.objectives._coverage.BITS_SHARE", share)
         weights = objective.weights(matrix.areas)
-        again = objective.scores(matrix, weights, THRESHOLDS, threads=3)
+        again = objective.scores(matrix, weights, THRESHOLDS, 3, None)
         np.testing.assert_array_equal(again, whole[name])

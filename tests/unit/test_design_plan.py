@@ -265,7 +265,7 @@ def test_postures_and_lights_are_chosen_together(world, least):
     assert choice.cover.share >= alone.cover.share
     # what the last turn counted is kept for the curves, where it was of these postures
     shots = [(posture, (1.0,)) for posture in choice.postures]
-    again = placing.position_counts(evaluator, shots, candidates)
+    again = placing.position_counts(evaluator, shots, candidates, None)
     assert choice.position_counts is not None or least == 2
     assert all(np.array_equal(*two) for two in zip(choice.position_counts or again, again, strict=True))
     assert alone.position_counts is None
@@ -368,9 +368,7 @@ def test_positions_that_memory_has_no_room_for_are_evaluated_in_pieces(world, mo
 
     def looks():
         flags = evaluator.flags(POSTURES[0], candidates.panels)
-        visibility = planned_visibility(
-            evaluator, setup, candidates, all_exposures=evaluator.exposures, thresholds=thresholds, least=2
-        )
+        visibility = planned_visibility(evaluator, setup, candidates, evaluator.exposures, thresholds, 2, None)
         facts = [(s.counts, s.usable, s.saturated, s.first) for one in visibility for s in (one.possible, one.chosen)]
         return [*flags, *(array for some in facts for array in some)]
 

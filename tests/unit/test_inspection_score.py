@@ -296,7 +296,7 @@ def test_walls_across_from_each_other_are_one_defect_with_both_walls():
 def test_what_is_near_is_scipys_dilation_by_a_disc():
     from scipy import ndimage
 
-    from lightopt.inspection.detection._regions import _DISC, GAP_PX, _dilated
+    from lightopt.inspection.detection._regions import DISC, GAP_PX, _dilated
 
     mask = np.random.default_rng(5).random((40, 31)) < 0.03
-    assert np.array_equal(_dilated(mask), ndimage.binary_dilation(np.pad(mask, GAP_PX), _DISC))
+    assert np.array_equal(_dilated(mask), ndimage.binary_dilation(np.pad(mask, GAP_PX), DISC))

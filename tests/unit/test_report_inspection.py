@@ -166,6 +166,8 @@ def test_rows_of_a_batch_lead_to_reports_whatever_their_names():
     assert '<a href="a%20%231%20%3C%26%3E/report.html">a #1 &lt;&amp;&gt;</a>' in page
     assert "<td>b</td><td>OK</td><td>1 defect that counts, 2 allowed</td>" in page
     assert "<td class=number>70.0 %</td><td class=number>25.0 %</td>" in page
+    heads, last_row = page.index("<thead>"), page.index("<td>b</td>")
+    assert page.count("</th>", heads, last_row) == page.count("</td>", last_row, page.index("</tbody>", last_row)) == 8
 
 
 def test_a_ball_is_closed_and_faces_outwards():

@@ -217,7 +217,7 @@ BLIND_LIGHTS = ("chosen", "best for each defect")
 positions need do for all."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class PostureVisibility:
     """What a posture's images show of defects.
 
@@ -248,10 +248,7 @@ class BlindSpotSummary:
 
     @staticmethod
     def of(
-        visibility: Sequence[PostureVisibility],
-        areas: Float64,
-        objective: DetectabilityObjective,
-        lights: Sequence[str],
+        visibility: Sequence[PostureVisibility], areas: Float64, goal: DetectabilityObjective, names: tuple[str, ...]
     ) -> BlindSpotSummary:
         """Combine postures; `areas` are those of all patches of the run [mm²], shape (n,)."""
 
@@ -260,7 +257,7 @@ class BlindSpotSummary:
             return posture, blind_spots(areas, chosen), blind_spots(areas, possible)
 
         parts = part(None, visibility), *(part(one.posture, [one]) for one in visibility)
-        return BlindSpotSummary(objective=objective, lights=tuple(lights), parts=parts)
+        return BlindSpotSummary(objective=goal, lights=names, parts=parts)
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
@@ -299,11 +296,10 @@ def planned_visibility(
     evaluator: ImageEvaluator,
     setup: Setup,
     candidates: Candidates | None,
-    *,
     all_exposures: tuple[float, ...],
     thresholds: LevelThresholds,
     least: int,
-    progress: Share | None = None,
+    progress: Share | None,
 ) -> tuple[PostureVisibility, ...]:
     """Visibility of defects in each posture: `least` images must show one.
 
@@ -315,21 +311,13 @@ def planned_visibility(
         panels = [[panel] for panel in setup.panels(index)]
         matrices = evaluator.matrices(posture, panels, exposures=setup.exposures[index])
         # light by light, and of each as many positions as there is room for: all at all exposures would be much to hold
-        every = (
-            (
-                (matrix, 0)
-                for some in evaluator.in_batches(posture, positions, exposures=all_exposures)
-                for matrix in some
-            )
+        batches = (
+            evaluator.in_batches(posture, positions, exposures=all_exposures)
             for positions in (panels if candidates is None else candidates.panels)
         )
-        found.append(
-            PostureVisibility(
-                posture=posture,
-                chosen=defect_visibility(by_light(matrices), thresholds, least=least),
-                possible=defect_visibility(every, thresholds, least=least),
-            )
-        )
+        every = (((matrix, 0) for some in of_light for matrix in some) for of_light in batches)
+        chosen, possible = (defect_visibility(some, thresholds, least=least) for some in (by_light(matrices), every))
+        found.append(PostureVisibility(posture, chosen, possible))
         if progress is not None:
             progress((index + 1) / len(setup.postures))
     return tuple(found)

@@ -39,7 +39,7 @@ class BlindClass:
     colour: Colour
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class LegendRow:
     """A line of a legend: label, share in words, and the colours that stand for it.
 
@@ -102,15 +102,12 @@ def blind_legend(spots: BlindSpots) -> tuple[LegendRow, ...]:
     shares[BlindReason.SEEN], shares[BlindReason.GRAZING] = spots.seen, spots.left_out
     for code, share in spots.by_reason().items():
         shares[BlindReason(min(code, BlindReason.SATURATED))] += share
-    return tuple(
-        LegendRow(
-            label=blind_class(code).label,
-            amount=share_text(shares[code], spots.grain),
-            colours=tuple(one.colour for one in BLIND_CLASSES if one.code == code),
-        )
-        for code in _COLOURS
-        if shares[code] > 0.0 or code == BlindReason.SEEN
-    )
+    rows: list[LegendRow] = []
+    for code in _COLOURS:
+        if shares[code] > 0.0 or code == BlindReason.SEEN:
+            colours = tuple(one.colour for one in BLIND_CLASSES if one.code == code)
+            rows.append(LegendRow(blind_class(code).label, share_text(shares[code], spots.grain), colours))
+    return tuple(rows)
 
 
 BLIND_CSV, BLIND_PLY, BLIND_PNG = BLIND_NAMES = "blind.csv", "blind.ply", "blind.png"
@@ -167,19 +164,11 @@ def _ply(summary: BlindSpotSummary, patches: Patches, placement: Placement) -> b
         "property uchar reachable_code",
         "end_header",
     ]
-    faces = np.zeros(
-        len(patches),
-        {
-            "names": ("count", "corners", "colour", "seen", "code", "reachable", "reachable_code"),
-            "formats": ("u1", "(3,)<i4", "(3,)u1", "<f4", "u1", "<f4", "u1"),
-        },
-    )
-    faces["count"] = 3
-    faces["corners"] = patches.triangles
-    faces["colour"] = blind_colours(chosen)
-    faces["seen"], faces["code"] = chosen.share, np.minimum(chosen.codes, 255)
-    faces["reachable"] = possible.share
-    faces["reachable_code"] = np.minimum(possible.codes, 255)
+    faces = np.zeros(len(patches), "u1, (3,)<i4, (3,)u1, <f4, u1, <f4, u1")
+    columns = [3, patches.triangles, blind_colours(chosen)]
+    columns += [column for one in (chosen, possible) for column in (one.share, np.minimum(one.codes, 255))]
+    for number, column in enumerate(columns):
+        faces[f"f{number}"] = column
     # a header is ASCII without control characters, whatever lights are called
     lines = ("".join(c if c.isascii() and c.isprintable() else "?" for c in line) for line in header)
     text = "".join(f"{line}\n" for line in lines)

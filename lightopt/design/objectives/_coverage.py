@@ -21,20 +21,12 @@ import numpy as np
 
 from lightopt.core.arrays import Float64, Int32, Int64
 from lightopt.core.kernels import kernel
-from lightopt.core.run_context import Share, WorkCounter, part_of
+from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import blocks, run_all
 from lightopt.design.objectives._difference_tables import Differences
 from lightopt.design.objectives._objective import Objective, inspectable_surface
-from lightopt.design.objectives._scores_by_packed_bits import bit_scores
+from lightopt.design.objectives._scores_by_packed_bits import BITS_SHARE, LEAST_USABLE, MOST_SATURATED, bit_scores
 from lightopt.design.responses._luminance_matrix import Levels, LevelThresholds, LuminanceMatrix, level_range
-
-LEAST_USABLE = 2  # images that must show a patch usably
-MOST_SATURATED = 1  # images that may show it saturated
-RULE = LEAST_USABLE, MOST_SATURATED
-
-# a patch goes to the packed bits when its classes make more than 1/512 of the table's number of cells: there the two
-# ways take about the same time
-BITS_SHARE = 512
 
 BOUND_PATCHES = 1 << 16  # patches whose bound is computed at once
 SATURATED = 1 << 16  # added to a cell's count of usable images for each image in which it is saturated
@@ -78,28 +70,19 @@ class CoverageObjective(Objective):
         return int(weights[covered].sum())
 
     def scores(
-        self,
-        matrix: LuminanceMatrix,
-        weights: Int64,
-        thresholds: LevelThresholds,
-        *,
-        threads: int,
-        progress: Share | None = None,
+        self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds, threads: int, progress: Share | None
     ) -> Int64:
         """By runs of candidates where a patch's class stays, or by packed bits."""
         levels = matrix.levels
         products = run_products(levels, thresholds)
         cells = math.prod(len(layer) for layer in levels)
         simple = products <= max(64.0, cells / BITS_SHARE)
-        # the work of each way, in boxes
-        by_runs = float(products[simple].sum())
-        by_bits = float(np.count_nonzero(~simple)) * cells / BITS_SHARE
-        share = by_runs / max(1.0, by_runs + by_bits)
+        # in boxes; of the packed bits as many cells take about as long as one
+        work = WorkCounter(products[simple].sum() + np.count_nonzero(~simple) * cells / BITS_SHARE, progress)
         table = np.zeros(cells, np.int64)
-        for scores, some, start, end in ((run_scores, simple, 0.0, share), (bit_scores, ~simple, share, 1.0)):
-            chosen, part = np.flatnonzero(some), part_of(progress, start, end)
-            if len(chosen):
-                table += scores(levels, chosen, weights, thresholds, rule=RULE, threads=threads, progress=part)
+        for scores, some in ((run_scores, simple), (bit_scores, ~simple)):
+            if some.any():
+                table += scores(levels, np.flatnonzero(some), weights, thresholds, threads, work)
         return table
 
     def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
@@ -129,38 +112,28 @@ def run_products(levels: Sequence[Levels], thresholds: LevelThresholds) -> Float
 
 
 def run_scores(
-    levels: Sequence[Levels],
-    chosen: Int64,
-    weights: Int64,
-    thresholds: LevelThresholds,
-    *,
-    rule: tuple[int, int],
-    threads: int,
-    progress: Share | None = None,
+    levels: Sequence[Levels], which: Int64, weights: Int64, thresholds: LevelThresholds, threads: int, work: WorkCounter
 ) -> Int64:
-    """Σ weight · [usable in at least `rule[0]` images, saturated in at most `rule[1]`], for all combinations.
+    """Scores of all combinations, of the `which` patches alone.
 
-    levels: One array per light, shape (candidates, p).
-    chosen: Indices of the patches that count.
     weights: Of all patches, shape (p,).
-    Returns one number per combination, the last light's candidates varying fastest.
+    work: Counts boxes.
     """
     sizes = [len(layer) for layer in levels]
-    products = run_products(levels, thresholds)[chosen]
+    products = run_products(levels, thresholds)[which]
     largest = int(products.max(initial=1.0))
     differences = Differences(sizes, threads)
     ends = _chunks(products, max(1, min(CHUNK_PATCHES, CHUNK_LEVELS // sum(sizes))))
-    work = WorkCounter(float(products.sum()), progress)
 
     def add(start: int, end: int) -> None:
-        some = chosen[start:end]
+        some = which[start:end]
         runs = [_runs(layer.take(some, axis=1), thresholds.shade, thresholds.saturation) for layer in levels]
         first = np.stack([first for first, _, _ in runs])
         place = np.concatenate([place for _, place, _ in runs])
         kind = np.concatenate([kind for _, _, kind in runs])
         offset = np.cumsum([0, *(len(place) for _, place, _ in runs)])[:-1]
         with differences.borrowed() as (own,):
-            _scatter(own, differences.strides, (first, offset, place, kind), weights[some], rule, largest)
+            _scatter(own, differences.strides, (first, offset, place, kind), weights[some], largest)
         work.add(float(products[start:end].sum()))
 
     pairs = itertools.pairwise(ends)
@@ -217,10 +190,8 @@ def _runs(layer: Levels, shade: int, saturation: int) -> tuple[Int64, Int32, Int
 
 
 @kernel
-def _scatter(
-    differences: Int64, strides: Int64, all_runs: _Runs, weights: Int64, rule: tuple[int, int], largest: int
-) -> None:
-    (first, offset, place, kind), (least_usable, most_saturated) = all_runs, rule
+def _scatter(differences: Int64, strides: Int64, all_runs: _Runs, weights: Int64, largest: int) -> None:
+    first, offset, place, kind = all_runs
     lights = len(strides)
     at = np.empty(largest, np.int64)  # where in the table each box begins
     count = np.empty(largest, np.int64)  # its usable images + SATURATED · its saturated ones
@@ -238,7 +209,7 @@ def _scatter(
             size *= runs
         for box in range(size):
             usable, saturated = count[box] % SATURATED, count[box] // SATURATED
-            count[box] = 1 if usable >= least_usable and saturated <= most_saturated else 0
+            count[box] = 1 if usable >= LEAST_USABLE and saturated <= MOST_SATURATED else 0
         step = 1
         for light in range(lights - 1, -1, -1):
             runs = first[light, p + 1] - first[light, p]

@@ -113,26 +113,15 @@ class DetectabilityObjective(Objective):
         return self.bound(matrix, weights, thresholds)
 
     def scores(
-        self,
-        matrix: LuminanceMatrix,
-        weights: Int64,
-        thresholds: LevelThresholds,
-        *,
-        threads: int,
-        progress: Share | None = None,
+        self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds, threads: int, progress: Share | None
     ) -> Int64:
         """By the places where units change, or by plain sums."""
         del thresholds
         visibility = _visibility(matrix)
         masks, factors = visibility.planes
-        return combination_sums(
-            visibility.words,
-            PairWeights(areas=weights, masks=masks, factors=factors),
-            self.needed,
-            benefit=False,
-            threads=threads,
-            progress=progress,
-        )[0]
+        pairs = PairWeights(areas=weights, masks=masks, factors=factors)
+        words, needed = visibility.words, self.needed
+        return combination_sums(words, pairs, needed, benefit=False, threads=threads, progress=progress)[0]
 
     def bound(self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds) -> int:
         """What would be found if each light stood where it shows each defect best."""

@@ -124,13 +124,7 @@ class Objective(ABC):
 
     @abstractmethod
     def scores(
-        self,
-        matrix: LuminanceMatrix,
-        weights: Int64,
-        thresholds: LevelThresholds,
-        *,
-        threads: int,
-        progress: Share | None = None,
+        self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds, threads: int, progress: Share | None
     ) -> Int64:
         """Scores of all combinations, exact: one number each, the last light's candidates varying fastest.
 

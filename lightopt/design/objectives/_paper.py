@@ -84,13 +84,7 @@ class PaperObjective(Objective):
         return int(((middle - thresholds.black) * usable * weights).sum())
 
     def scores(
-        self,
-        matrix: LuminanceMatrix,
-        weights: Int64,
-        thresholds: LevelThresholds,
-        *,
-        threads: int,
-        progress: Share | None = None,
+        self, matrix: LuminanceMatrix, weights: Int64, thresholds: LevelThresholds, threads: int, progress: Share | None
     ) -> Int64:
         """By tables of minima or combination by combination; `weights` are those of :meth:`weights`, all 1."""
         levels = matrix.levels
@@ -148,12 +142,8 @@ def _tables(sizes: Sequence[int]) -> list[tuple[tuple[int, ...], int, Int64]]:
     lights = len(sizes)
     if lights > MOST_LIGHTS_IN_SETS:
         return []
-    sets = [
-        (chosen, coefficient)
-        for count, coefficient in enumerate(_coefficients(lights), start=1)
-        if coefficient
-        for chosen in itertools.combinations(range(lights), count)
-    ]
+    counted = [(count, c) for count, c in enumerate(_coefficients(lights), start=1) if c]
+    sets = [(chosen, c) for count, c in counted for chosen in itertools.combinations(range(lights), count)]
     if sum(math.prod(sizes[i] for i in chosen) for chosen, _ in sets) > DIRECT_COST * math.prod(sizes):
         return []
     return [(chosen, c, np.zeros(tuple(sizes[i] for i in chosen), np.int64)) for chosen, c in sets]

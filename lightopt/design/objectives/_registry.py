@@ -18,8 +18,6 @@ def objectives_named(
     """The objectives of these names; without names, all that need levels alone.
 
     `detectability` creates the objective of that name, which depends on a part's catalogue of defects.
-
-    Raises InputError: An unknown name, or one given twice.
     """
     known = (*OBJECTIVES, "detectability")
     problems = [

@@ -35,7 +35,6 @@ CHUNK_PATCHES = 1 << 12  # patches of one task of a thread: some 0.01 s
 MOST_NODES = 1 << 18
 
 _TRIES_PER_NODE = 4  # of the last light's changes hardly more than a fourth goes with a product of the others
-
 LEAST_NODES = 1 << 10  # however few combinations there are
 
 # words that a task of plain additions reads, at most: some 0.1 s of a thread, so that Ctrl-C is heard
@@ -49,16 +48,6 @@ _Changes = tuple[Int64, Words, Int64, Int64]
 
 # place in the table, hypotheses, sign, number of lights, sum of their levels
 _Products = tuple[Int64, Words, Int64, Int64, Int64]
-
-
-def at_least(least: int) -> Int64:
-    """Values for :func:`count_run_sums`: 1 from `least` units on."""
-    return np.array([0] * least + [1], np.int64)
-
-
-def up_to(most: int) -> Int64:
-    """Values for :func:`count_run_sums`: the number of units, up to `most`."""
-    return np.arange(most + 1, dtype=np.int64)
 
 
 def combination_sums(
@@ -76,14 +65,13 @@ def combination_sums(
     benefit: Whether Σ weight · min(needed, units) is computed, too; else the covered weight stands for it.
     """
     count = threads or available_processors()
-    values = np.stack([at_least(needed), up_to(needed)][: 2 if benefit and needed > 1 else 1])
-    tables, left = count_run_sums(
-        lights, weights.areas, (weights.masks, weights.factors), values, threads=count, progress=progress
-    )
-    covered, each = tables[0], tables[-1]
+    units = np.arange(needed + 1, dtype=np.int64)
+    values = np.stack([units // needed, units][: 2 if benefit and needed > 1 else 1])
+    tables, left = _count_run_sums(lights, weights, values, count, progress)
+    covered, each = tables[0], tables[-1]  # where one unit is needed both are the same
     if left.any():
         plain = _added_up([positions[:, :, left] for positions in lights], weights.of(left), needed, count, progress)
-        # not in place: both may be the same table
+        # not in place
         covered, each = covered + plain[0], each + plain[1 if benefit else 0]
     return covered, each
 
@@ -108,8 +96,8 @@ def _added_up(
                     at = add(light + 1, add_counts(so_far, positions), at)
                 return at
             here = slice(at, at + len(some[light]))
-            sums = covers[first, here], benefits[first, here]
-            _last(so_far, some[light], own.areas, own.masks, own.factors, *sums)
+            planes, sums = (own.masks, own.factors), (covers[first, here], benefits[first, here])
+            _last(so_far, some[light], own.areas, planes, sums)
             return here.stop
 
         add(0, own.zero_counts(needed), 0)
@@ -123,14 +111,9 @@ def _added_up(
 
 @kernel
 def _last(
-    counts: Counts,
-    positions: PositionCounts,
-    areas: Int64,
-    masks: Words,
-    factors: Int64,
-    covered: Int64,
-    benefit: Int64,
+    counts: Counts, positions: PositionCounts, areas: Int64, planes: tuple[Words, Int64], sums: tuple[Int64, Int64]
 ) -> None:
+    (masks, factors), (covered, benefit) = planes, sums
     k, own = counts.shape[0], positions.shape[1]
     for c in range(len(positions)):
         for p in range(counts.shape[1]):
@@ -151,22 +134,11 @@ def _last(
             benefit[c] += areas[p] * each
 
 
-def count_run_sums(
-    counts: Sequence[Words],
-    weights: Int64,
-    planes: tuple[Words, Int64],
-    values: Int64,
-    *,
-    threads: int,
-    progress: Share | None = None,
+def _count_run_sums(
+    counts: Sequence[PositionCounts], weights: PairWeights, values: Int64, threads: int, progress: Share | None
 ) -> tuple[Int64, Bool]:
-    """Σ weight of the patch · weight of the defect · value of the units of evidence, for all combinations.
+    """Σ weight of the pair · value of its units of evidence, for all combinations.
 
-    counts: One array per light, shape (candidates, levels, p, ⌈t / 64⌉): flag j of a defect says that a candidate's
-        images give more than j units. A light has as many levels as units, or as many as matter.
-    weights: Of the patches, shape (p,).
-    planes: Masks of the defects that share a factor, and the factors; see
-        :func:`lightopt.design.responses._luminance_matrix.weight_planes`.
     values: Of 0, 1, … units; more than the last have its value. One row per table, shape (v, n + 1).
     Returns tables: Shape (v, combinations), the last light's candidates varying fastest.
     Returns left: Patches that the tables omit since their flags change at too many places, shape (p,).
@@ -195,20 +167,9 @@ def count_run_sums(
         first = np.cumsum([0, *(len(layer) for layer in moving)])
         for layer, at in zip(moving, first, strict=False):
             rows[:, :, : layer.shape[1], at : at + len(layer)] = layer[:, :, start:end].transpose(2, 3, 1, 0)
+        planes, rules, areas = (weights.masks, weights.factors), (coefficients, matters), weights.areas[start:end]
         with differences.borrowed() as own:
-            _scatter(
-                own,
-                strides,
-                first,
-                rows,
-                shown,
-                weights[start:end],
-                *planes,
-                coefficients,
-                matters,
-                most,
-                left[start:end],
-            )
+            _scatter(own, strides, first, rows, shown, areas, planes, rules, most, left[start:end])
         work.add(end - start)
 
     tasks = ((add, pair) for pair in blocks(patches, CHUNK_PATCHES))
@@ -248,14 +209,13 @@ def _scatter(
     first: Int64,
     rows: Words,
     shown: Words,
-    weights: Int64,
-    masks: Words,
-    factors: Int64,
-    coefficients: Int64,
-    matters: Bool,
+    areas: Int64,
+    planes: tuple[Words, Int64],
+    rules: tuple[Int64, Bool],
     most: int,
     left: Bool,
 ) -> None:
+    (masks, factors), (coefficients, matters) = planes, rules
     zero = np.uint64(0)
     at, hypotheses = np.empty(most, np.int64), np.empty(most, np.uint64)
     sign, order, total = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.int64)
@@ -288,7 +248,7 @@ def _scatter(
                     if attempt < passes - 1:
                         continue
                     for node in range(number):
-                        word, place, here = hypotheses[node], at[node], sign[node] * weights[p]
+                        word, place, here = hypotheses[node], at[node], sign[node] * areas[p]
                         for v in range(len(differences)):
                             c = coefficients[v, j, order[node], total[node]]
                             if c != 0:

@@ -47,14 +47,9 @@ def greedy_cover(
     target: Share of all pairs to be seen in k images or more, above 0 and up to 1.
     among: Only these may be chosen; the bound is that of all.
     """
-    greedy = _Greedy(
-        candidates,
-        weights,
-        allowed=range(len(candidates)) if among is None else sorted(among),
-        most=count or len(candidates),
-        goal=math.inf if target is None else target * weights.total,
-        threads=threads,
-    )
+    allowed = range(len(candidates)) if among is None else sorted(among)
+    goal = math.inf if target is None else target * weights.total
+    greedy = _Greedy(candidates, weights, allowed, count or len(candidates), goal, threads)
     greedy.choose()
     everything = greedy.together(range(len(candidates)))
     all_benefit = weights.benefit(everything)
@@ -191,7 +186,7 @@ def best_set(
     """
     search = _Search(candidates, weights, tuple(chosen), most_work, threads)
     try:
-        search.visit(weights.zero_counts(search.k), (), 0, 0, list(range(len(candidates))), None, size)
+        search.visit(weights.zero_counts(search.k), (), (0, 0), list(range(len(candidates))), None, size)
     except _WorkLimitReached:
         return search.best, search.best_covered, None
     return search.best, search.best_covered, math.comb(len(candidates), size)
@@ -216,20 +211,14 @@ class _Search:
         )
 
     def visit(
-        self,
-        now: Counts,
-        some: tuple[int, ...],
-        covered: int,
-        benefit: int,
-        rest: Sequence[int],
-        most: Sequence[int] | None,
-        more: int,
+        self, now: Counts, some: tuple[int, ...], own: Merit, rest: Sequence[int], most: Sequence[int] | None, more: int
     ) -> None:
         """All sets of the candidates `some` and `more` of `rest`.
 
-        `some` have the counts `now`, which cover `covered` and have the benefit `benefit`. `most` are upper bounds on
-        what each of the rest adds to the benefit, descending; None where none are known.
+        `some` have the counts `now` and the merit `own`. `most` are upper bounds on what each of the rest adds to the
+        benefit, descending; None where none are known.
         """
+        covered, benefit = own
         if more == 1 and most is not None:
             for start in range(0, len(rest), BATCH):
                 if self._cannot_improve(benefit + most[start]):
@@ -245,12 +234,12 @@ class _Search:
         for at in range(len(rest) - more + 1):
             if self._cannot_improve(benefit + sum(benefits[at : at + more])):
                 return
-            one, merit = (*some, rest[at]), (covered + covers[at], benefit + benefits[at])
+            one, together = (*some, rest[at]), (covered + covers[at], benefit + benefits[at])
             if more == 1:
-                self._update_best(one, merit[0])
+                self._update_best(one, together[0])
                 continue
             after = add_counts(now, self.candidates[rest[at]])
-            self.visit(after, one, *merit, rest[at + 1 :], benefits[at + 1 :], more - 1)
+            self.visit(after, one, together, rest[at + 1 :], benefits[at + 1 :], more - 1)
 
     def _cannot_improve(self, benefit: int) -> bool:
         # [count ≥ k] ≤ min(k, count) / k

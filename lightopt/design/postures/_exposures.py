@@ -82,7 +82,7 @@ class Brackets:
         return tuple(sorted([1.0, *further], reverse=True))
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class CandidateExposure:
     """A further exposure of a posture that may be planned.
 
@@ -248,7 +248,6 @@ def plan_exposures(
     postures: Sequence[Posture],
     lights: Sequence[Sequence[PanelLight]],
     exposures: Sequence[float],
-    *,
     gain_points: float = DEFAULT_EXPOSURE_GAIN,
     target: float | None = None,
     progress: Share | None = None,
@@ -259,7 +258,6 @@ def plan_exposures(
     exposures: Further exposures to choose from; 1 is taken anyway.
     gain_points: The least gain [hundredths of the pairs].
     target: Share of the pairs that is to be shown.
-    Raises InputError: More images than memory is meant for.
     """
     further = [exposure for exposure in exposures if exposure != 1.0]
     most = max(map(len, lights))
@@ -276,25 +274,13 @@ def plan_exposures(
     for index, (posture, panels) in enumerate(zip(postures, lights, strict=True)):
         matrices = evaluator.matrices(posture, [[panel] for panel in panels], exposures=(1.0, *further))
         first, *rest = (
-            np.stack(
-                [scattered_flags([matrix], evaluator.patches, light=light, place=0) for light in range(len(panels))]
-            )
-            for matrix in matrices
+            np.stack([scattered_flags([one], evaluator.patches, light=light, place=0) for light in range(len(panels))])
+            for one in matrices
         )
         now.append(first)
-        candidates += [
-            CandidateExposure(posture=index, exposure=exposure, images=images)
-            for exposure, images in zip(further, rest, strict=True)
-        ]
+        candidates += [CandidateExposure(index, *pair) for pair in zip(further, rest, strict=True)]
         if progress is not None:
             progress((index + 1) / len(postures))
-    found = select_exposures(
-        postures,
-        now,
-        candidates,
-        evaluator.weights,
-        needed=evaluator.needed,
-        least_gain=gain_points / 100.0,
-        target=target,
-    )
+    weights, needed, least = evaluator.weights, evaluator.needed, gain_points / 100.0
+    found = select_exposures(postures, now, candidates, weights, needed=needed, least_gain=least, target=target)
     return replace(found, grain=evaluator.table.grain)

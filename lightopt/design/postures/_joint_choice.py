@@ -32,7 +32,6 @@ def choose_with_exposures(
     start: Sequence[PanelLight],
     candidates: Candidates | None,
     request: PostureRequest,
-    *,
     exposures: Sequence[float],
     gain_points: float,
     run: RunContext,
@@ -45,9 +44,6 @@ def choose_with_exposures(
     gain_points: What a further exposure has to add [hundredths of the pairs].
     Returns the choice of the planned images; bounds and all candidates' share hold for any of the exposures. Where a
     target cannot be reached, what was chosen for all exposures, without brackets.
-
-    Raises InputError: As :func:`lightopt.design.choose_postures` and
-        :func:`lightopt.design.postures._exposures.plan_exposures`.
     """
     levels = tuple(dict.fromkeys((1.0, *exposures)))
     if len(levels) == 1:
@@ -86,16 +82,9 @@ class _JointPlanner:
 
     def add_exposures(self, choice: PostureChoice) -> PostureChoice:
         """A choice with the exposures that have enough gain."""
-        brackets = plan_exposures(
-            self.whole,
-            choice.postures,
-            [choice.panels] * len(choice.postures),
-            self.whole.exposures,
-            gain_points=100.0 * self.least_gain,
-            target=self.request.target,
-            progress=self.run.stage("exposures"),
-        )
-        return replace(choice, brackets=brackets)
+        panels, progress = [choice.panels] * len(choice.postures), self.run.stage("exposures")
+        request = self.whole.exposures, 100.0 * self.least_gain, self.request.target
+        return replace(choice, brackets=plan_exposures(self.whole, choice.postures, panels, *request, progress))
 
     def merit(self, plan: PostureChoice) -> tuple[float, ...]:
         """Sort key of a plan; see the module's text."""
@@ -111,13 +100,9 @@ class _JointPlanner:
         if not position_counts_fit(self.whole, self.candidates):
             return replace(plan, converged=False)
         for _ in range(MOST_ITERATIONS):
-            positions, _ = best_positions(
-                self.whole,
-                [(posture, plan.exposures_of(posture)) for posture in plan.postures],
-                self.candidates,
-                limit=self.request.limit,
-                progress=self.run.stage("lights for the planned images"),
-            )
+            postures = [(posture, plan.exposures_of(posture)) for posture in plan.postures]
+            progress, limit = self.run.stage("lights for the planned images"), self.request.limit
+            positions, _ = best_positions(self.whole, postures, self.candidates, limit=limit, progress=progress)
             assert plan.brackets is not None
             covered = round(plan.brackets.after * max(1, self.whole.weights.total))
             plan = replace(plan, converged=positions.covered <= covered, exact=plan.exact and positions.exact)

@@ -28,6 +28,7 @@ from lightopt.design.search._combinations import CombinationSpace, allowed_mask,
 from lightopt.design.search._exact_search import DEFAULT_LIMIT, TABLE_CELLS
 
 Rows = Sequence[Int64]
+ExposedPosture = tuple[Posture, tuple[float, ...]]  # with the exposures that an image of it may be taken with
 
 # of the counts of all candidate postures, and of all positions of the lights, that are held at a time
 MOST_COUNT_BYTES = 1_500_000_000
@@ -166,15 +167,11 @@ def position_counts_fit(evaluator: ImageEvaluator, candidates: Candidates | None
 
 
 def position_counts(
-    evaluator: ImageEvaluator,
-    postures: Sequence[tuple[Posture, tuple[float, ...]]],
-    candidates: Candidates,
-    *,
-    progress: Share | None = None,
+    evaluator: ImageEvaluator, postures: Sequence[ExposedPosture], candidates: Candidates, progress: Share | None
 ) -> list[PositionCounts]:
     """Units of evidence by each position of each light in postures, of each light of shape (positions, k, p, words).
 
-    Each posture comes with the exposures that an image of it may be taken with; k is what is needed.
+    k is what is needed.
     """
     empty = evaluator.weights.zero_counts(evaluator.needed)
     totals = [np.repeat(empty[None], len(some), axis=0) for some in candidates.panels]
@@ -190,7 +187,7 @@ def position_counts(
 
 def best_positions(
     evaluator: ImageEvaluator,
-    postures: Sequence[tuple[Posture, tuple[float, ...]]],
+    postures: Sequence[ExposedPosture],
     candidates: Candidates,
     *,
     limit: int = DEFAULT_LIMIT,
@@ -198,14 +195,7 @@ def best_positions(
 ) -> tuple[LightPositions, list[PositionCounts]]:
     """The positions of the lights that show most in postures, and the counts of all positions."""
     counted = len(postures) / (len(postures) + 1)
-    counts = position_counts(evaluator, postures, candidates, progress=part_of(progress, 0.0, counted))
-    positions = place_lights(
-        counts,
-        evaluator.weights,
-        candidates.space,
-        needed=evaluator.needed,
-        limit=limit,
-        threads=evaluator.threads,
-        progress=part_of(progress, counted, 1.0),
-    )
-    return positions, counts
+    counts = position_counts(evaluator, postures, candidates, part_of(progress, 0.0, counted))
+    weights, space, rest = evaluator.weights, candidates.space, part_of(progress, counted, 1.0)
+    how = {"needed": evaluator.needed, "limit": limit}
+    return place_lights(counts, weights, space, **how, threads=evaluator.threads, progress=rest), counts

@@ -77,7 +77,7 @@ def planned_answers(
     goal = PlannedDetectability(
         first.defects, first.min_images, first.false_alarms, area=int(evaluator.weights.areas.sum())
     )
-    answers = tuple(_planned(answer, goal, chosen, candidates, free) for answer in result.answers)
+    answers = tuple(_planned(answer, goal, chosen, candidates, free is not None) for answer in result.answers)
     return replace(result, answers=answers, curves=_curves(answers[0].found.best, chosen, candidates, free, progress))
 
 
@@ -85,14 +85,12 @@ def _curves(
     best: Ranked, chosen: ChosenPostures, candidates: Candidates, free: Candidates | None, progress: Share | None
 ) -> tuple[Curve, ...]:
     at, evaluator, weights = angles_of(candidates, best), chosen.evaluator, chosen.evaluator.weights
-    if (
-        free is None
-        or not all(angles in some for angles, some in zip(at, free.angles, strict=True))
-        or not position_counts_fit(evaluator, free)
-    ):
+    if free is None or not all(angles in some for angles, some in zip(at, free.angles, strict=True)):
+        return ()
+    if not position_counts_fit(evaluator, free):
         return ()
     postures = [(posture, chosen.choice.exposures_of(posture)) for posture in chosen.way.order]
-    lights = chosen.choice.position_counts or position_counts(evaluator, postures, free, progress=progress)
+    lights = chosen.choice.position_counts or position_counts(evaluator, postures, free, progress)
 
     def score(combination: tuple[int, ...]) -> int:
         shown = (places[k] for places, k in zip(lights, combination, strict=True))
@@ -103,11 +101,7 @@ def _curves(
 
 
 def _planned(
-    answer: ObjectiveResult,
-    goal: PlannedDetectability,
-    chosen: ChosenPostures,
-    candidates: Candidates,
-    free: Candidates | None,
+    answer: ObjectiveResult, goal: PlannedDetectability, chosen: ChosenPostures, candidates: Candidates, moves: bool
 ) -> ObjectiveResult:
     best, choice, evaluator = answer.found.best, chosen.choice, replace(chosen.evaluator, images=chosen.choice.images)
     panels = candidates.panels_at(best.candidates)
@@ -119,7 +113,7 @@ def _planned(
     score = evaluator.weights.covered(counts)
     scores = {**answer.scores, goal.name: score}
     if answer.objective.name != goal.name:
-        searched = free is None or any(len(some) > 1 for some in candidates.angles)
+        searched = not moves or any(len(some) > 1 for some in candidates.angles)
         return replace(answer, scores=scores, proven_of=None if searched else PROVEN_OF_ONE)
     # where no other positions show more in these postures; else no bound is known but all there is to see
     best_there = choice.exact and choice.converged
@@ -232,11 +226,7 @@ def _reasons(lost: Mapping[int, float], choice: PostureChoice) -> str:
 def plan_postures(
     rig: RigConfig, part: PartConfig, options: OptimizeOptions, plan: PlanOptions, run: RunContext
 ) -> ChosenPostures:
-    """Choose the postures, and the light positions that go with them.
-
-    Raises InputError: Whatever is wrong with the files or the options.
-    Raises CheckFailed: A target that cannot be reached, or no defect that any posture shows.
-    """
+    """Choose the postures, and the light positions that go with them."""
     candidates = candidates_of(rig, options)
     scene = build_scene(rig, part, points=options.points, defects=False)
     grid = posture_grid(rig, part, step_deg=plan.posture_step_deg)
@@ -254,26 +244,12 @@ def plan_postures(
     )
     scene = replace(scene, postures=postures)
     table = build_patches(scene, caster=caster, budget=options.patch_budget, edges=False, threads=run.threads)
-    whole = ImageEvaluator(
-        scene=scene,
-        table=table,
-        caster=caster,
-        detection=detection_model_of(scene, part, options),
-        shadows=options.shadows,
-        threads=run.threads,
-    )
+    detection = detection_model_of(scene, part, options)
+    whole = ImageEvaluator(scene, table, caster, detection, shadows=options.shadows, threads=run.threads)
     drawn = replace(whole, table=drawn_patches(table, DRAWN_PATCHES))
-    choice = choose_with_exposures(
-        whole,
-        drawn,
-        postures,
-        lights,
-        candidates,
-        PostureRequest(count=plan.choose_postures, target=plan.target, limit=options.limit),
-        exposures=plan.all_exposures,
-        gain_points=plan.exposure_gain,
-        run=run,
-    )
+    request = PostureRequest(count=plan.choose_postures, target=plan.target, limit=options.limit)
+    further = plan.all_exposures, plan.exposure_gain
+    choice = choose_with_exposures(whole, drawn, postures, lights, candidates, request, *further, run)
     if plan.target is not None and choice.cover.share < plan.target:
         all_exposures = replace(drawn, exposures=plan.all_exposures)
         raise target_not_reached(plan.target, choice, all_exposures, least=options.min_images)
@@ -283,17 +259,8 @@ def plan_postures(
             f"{counted(options.min_images, 'image')} or more: raise option 'false_alarms', lower option 'min_images', "
             "or change the lights' gain, their ranges, or the catalogue"
         )
-    return ChosenPostures(
-        choice=choice,
-        evaluator=whole,
-        drawn=len(drawn.patches),
-        left_out=left_out,
-        way=way_through(rig, choice.postures),
-        pace=pace_text(rig),
-        least=options.min_images,
-        false_alarms=options.false_alarms,
-        plan=plan,
-    )
+    travel, goal = (way_through(rig, choice.postures), pace_text(rig)), (options.min_images, options.false_alarms)
+    return ChosenPostures(choice, whole, len(drawn.patches), left_out, *travel, *goal, plan)
 
 
 def with_chosen(options: OptimizeOptions, rig: RigConfig, chosen: ChosenPostures) -> OptimizeOptions:
@@ -303,10 +270,5 @@ def with_chosen(options: OptimizeOptions, rig: RigConfig, chosen: ChosenPostures
         free = candidates_of(rig, options)
         assert free is not None
         places = tuple(angles[k] for angles, k in zip(free.angles, chosen.choice.lights, strict=True))
-    return replace(
-        options,
-        objectives=options.objectives or (DEFECT_OBJECTIVE,),
-        postures=chosen.way.order,
-        common_lights=True,
-        places=places,
-    )
+    objectives, postures = options.objectives or (DEFECT_OBJECTIVE,), chosen.way.order
+    return replace(options, objectives=objectives, postures=postures, common_lights=True, places=places)

@@ -19,7 +19,6 @@ DEFAULT_POSTURE_STEP = 22.5
 DEFAULT_OUTSIDE_PX = 10.0
 
 MOST_POSTURES = 2000  # more candidate postures are refused
-
 _SIDES = ("left", "top", "right", "bottom")
 
 
@@ -38,8 +37,6 @@ def posture_grid(rig: RigConfig, part: PartConfig, *, step_deg: float) -> tuple[
     Each angle takes the multiples of the step within the stage's range, 0 among them, and both ends of the range; a
     range of a full turn or more takes one turn, without its end. An axis that the rig's stage does not have stays at
     0.
-
-    Raises InputError: A step that is not a positive number, or that makes too many postures.
     """
     if not (math.isfinite(step_deg) and step_deg > 0.0):
         raise InputError(f"option 'posture_step_deg': expected degrees above 0, found {step_deg:g}")
@@ -62,7 +59,6 @@ def usable_postures(
 
     panels: Every position of a light, world frame; the scene's own lights are ignored.
     allow_outside_px: How far the part may leave the view at a side of the image [px].
-    Raises InputError: No posture is left.
     """
     usable: list[Posture] = []
     left_out: list[ExcludedPosture] = []

@@ -31,7 +31,7 @@ from lightopt.design.postures._light_positions import (
     position_counts_fit,
 )
 from lightopt.design.postures._posture_choice import Cover, Lights, PostureChoice, PostureRequest, Solution
-from lightopt.design.responses._image_evaluator import FlagCache, ImageCache, ImageEvaluator
+from lightopt.design.responses._image_evaluator import ImageCache, ImageEvaluator
 from lightopt.design.responses._packed_bits import Counts
 from lightopt.lights import PanelLight
 
@@ -81,12 +81,8 @@ class AlternatingSearch:
             return replace(solution, converged=True)
         for _ in range(most):
             positions = self.lights(solution.cover.chosen, request)
-            solution = replace(
-                solution,
-                exact=solution.exact and positions.exact,
-                iterations=solution.iterations + 1,
-                converged=positions.covered <= solution.cover.covered,
-            )
+            exact, converged = solution.exact and positions.exact, positions.covered <= solution.cover.covered
+            solution = replace(solution, exact=exact, iterations=solution.iterations + 1, converged=converged)
             if positions.candidates == solution.lights:
                 return solution
             panels = self.candidates.panels_at(positions.candidates)
@@ -131,12 +127,13 @@ class AlternatingSearch:
         key = tuple(sorted(chosen))
         if key not in self._positions:
             self._passes += 1
+            evaluator = replace(self.evaluator, images=self.images, keeps_images=True)
+            postures, progress = (
+                [(self.postures[i], evaluator.exposures) for i in key],
+                self._stage("lights for postures"),
+            )
             self._positions[key], counts = best_positions(
-                replace(self.evaluator, images=self.images, keeps_images=True),
-                [(self.postures[i], self.evaluator.exposures) for i in key],
-                self.candidates,
-                limit=request.limit,
-                progress=self._stage("lights for postures"),
+                evaluator, postures, self.candidates, limit=request.limit, progress=progress
             )
             small = sum(one.nbytes for one in counts) <= CACHED_BYTES
             self._last_counts = (key, counts) if small else None
@@ -218,7 +215,7 @@ class _MultiStartSearch:
 
     def __post_init__(self) -> None:
         search = partial(AlternatingSearch, postures=self.postures, candidates=self.candidates, run=self.run)
-        self.drawn_cache = FlagCache(CACHED_BYTES)  # lights and postures come back from pass to pass
+        self.drawn_cache = ImageCache(CACHED_BYTES)  # lights and postures come back from pass to pass
         self.images = ImageCache(CACHED_BYTES)  # the chosen postures are looked at again when they are found
         self.full_search = self.drawn_search = search(self.whole, where="all patches", prove=True, images=self.images)
         if self.drawn.table is not self.whole.table:

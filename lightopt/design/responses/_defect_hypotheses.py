@@ -51,16 +51,12 @@ class PlannedCatalogue:
         # a kind may have several sizes and slopes
         members = Counter(own.entry.name for own in self.entries)
         most = reduce(math.lcm, (len(own.turns) * members[own.entry.name] for own in self.entries))
-        return tuple(
-            PlannedDefect(
-                name=own.entry.name,
-                kind=own.entry.shape.kind,
-                weight=most // (len(own.turns) * members[own.entry.name]),
-                turn=float(turn) if len(own.turns) > 1 else None,
-            )
-            for own in self.entries
-            for turn in own.turns
-        )
+        found: list[PlannedDefect] = []
+        for own in self.entries:
+            name, weight = own.entry.name, most // (len(own.turns) * members[own.entry.name])
+            turns = map(float, own.turns) if len(own.turns) > 1 else (None,)
+            found += [PlannedDefect(name=name, kind=own.entry.shape.kind, weight=weight, turn=one) for one in turns]
+        return tuple(found)
 
 
 def planned_catalogue(catalogue: Sequence[CatalogueEntry]) -> PlannedCatalogue:
@@ -79,11 +75,8 @@ def planned_catalogue(catalogue: Sequence[CatalogueEntry]) -> PlannedCatalogue:
     ]
     if problems:
         raise InputError(*problems)
-    found = PlannedCatalogue(
-        entries=tuple(
-            defect_hypotheses(one, PLANNING_GRID) for entry in catalogue for one in entry.in_sizes_and_slopes()
-        )
-    )
+    entries = (one for entry in catalogue for one in entry.in_sizes_and_slopes())
+    found = PlannedCatalogue(entries=tuple(defect_hypotheses(one, PLANNING_GRID) for one in entries))
     if len(found.defects) > MOST_HYPOTHESES:
         raise InputError(
             f"defect catalogue: {len(catalogue)} entries in their orientations are {len(found.defects)} hypotheses, "

@@ -18,11 +18,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
 
-from lightopt.core.arrays import Float32, Float64, Int16, Int32, Int64
+from lightopt.core.arrays import Float32, Float64, Int16, Int32
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
 from lightopt.core.transforms import Posture
@@ -157,15 +158,7 @@ def _greatest_of_segments(own: DefectHypotheses) -> float:
 
 
 def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> Stencils:
-    right: list[Float64] = []
-    down: list[Float64] = []
-    variant: list[Int64] = []
-    share: list[Float64] = []
-    pieces: list[Int64] = []
-    ratios: list[float] = []
-    squares: list[float] = []
-    counts: list[int] = [0]
-    along: list[Float64] = []
+    groups: list[tuple[Any, ...]] = []
     before = 0
     for own in catalogue.entries:
         long = own.entry.shape.kind == "scratch"
@@ -189,18 +182,14 @@ def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> Stencils:
                 # those that see most of the defect come first: soon there is enough
                 order = np.argsort(-total, kind="stable")
                 by_pixel = np.argsort(np.argsort(order)[number], kind="stable")
-                right.append(ratio * pixels[0, order])
-                down.append(ratio * pixels[1, order])
-                pieces.append(np.bincount(number)[order])
-                variant.append(before + seen.variant[by_pixel].astype(np.int64))
-                share.append(seen.weight[by_pixel])
-                ratios.append(sides)
-                squares.append(max(1e-9, float((total**2).sum())))
-                counts.append(len(order))
-                along.append(ratio * step * to_image @ axis)
+                right, down = ratio * pixels[:, order]
+                variant, share = before + seen.variant[by_pixel].astype(np.int64), seen.weight[by_pixel]
+                square, along = max(1e-9, float((total**2).sum())), ratio * step * to_image @ axis
+                groups.append((along, right, down, np.bincount(number)[order], variant, share, sides, square))
         before += len(own.slope)
+    along, right, down, pieces, variant, share, ratios, squares = zip(*groups, strict=True)
     return Stencils(
-        first=np.cumsum(counts).astype(np.int32),
+        first=np.cumsum([0, *map(len, right)]).astype(np.int32),
         along=np.stack(along).astype(np.float32),
         right=np.concatenate(right).astype(np.float32),
         down=np.concatenate(down).astype(np.float32),
@@ -329,23 +318,11 @@ class PatchEvidence:
         varied, leant = varied[: variants[-1]], varied[variants[-1] :]
         codes = np.zeros((len(varied), len(good) + 1), np.int16)
         bounds = np.zeros((len(self._correlated), len(good) + 1, 3), np.float32)
-        _fill_changes(
-            good,
-            varied,
-            leant,
-            self._correlated,
-            variants if len(bounds) > 1 else variants[[0, -1]],
-            image.column,
-            image.row,
-            image.owner,
-            image.cell,
-            exposure * sensor.max_level / self._detection.full_scale,
-            sensor.saturated_from - sensor.black_level,
-            sensor.read_noise_levels,
-            sensor.electrons_per_level or math.inf,
-            codes,
-            bounds,
-        )
+        first = variants if len(bounds) > 1 else variants[[0, -1]]
+        scale = exposure * sensor.max_level / self._detection.full_scale
+        limit = sensor.saturated_from - sensor.black_level
+        noise = sensor.read_noise_levels, sensor.electrons_per_level or math.inf
+        _fill_changes(good, varied, leant, self._correlated, first, image, scale, limit, noise, codes, bounds)
         words = np.zeros((UNITS_OF_IMAGE, len(good), -(-len(self._planned.entry) // 64)), np.uint64)
         add_evidence(codes, bounds, image, self._class, self._angle, self._planned, self._stencils, self._limits, words)
         in_table = np.empty_like(words)
@@ -373,12 +350,8 @@ def _locate(scene: Scene, table: PatchTable, posture: Posture, areas: Float64) -
     none = -2
     owner = np.full(shape, none, np.int32)
     owner[y, x] = own[order]
-    return ImagePatches(
-        column=in_cells(columns[own >= 0], cell),
-        row=in_cells(rows[own >= 0], cell),
-        owner=_filled(owner, none),
-        cell=cell,
-    )
+    column, row = (in_cells(places[own >= 0], cell) for places in (columns, rows))
+    return ImagePatches(column, row, _filled(owner, none), cell)
 
 
 def _filled(owner: Int32, none: int) -> Int32:
@@ -406,14 +379,10 @@ def _fill_changes(
     leant: Float32,
     correlated: Float64,
     first: Int32,
-    column: Float32,
-    row: Float32,
-    owner: Int32,
-    cell: float,
+    image: ImagePatches,
     scale: float,
     limit: float,
-    read_noise: float,
-    electrons: float,
+    noise_of: tuple[float, float],
     codes: Int16,
     bounds: Float32,
 ) -> None:
@@ -421,6 +390,7 @@ def _fill_changes(
     # clipped, not those that are mixed. `bounds` are the least and the greatest change that it delivers, and the change
     # that is none: see expected_change. Levels are above black. The waviness of good parts is noise by what `leant`
     # variants change, `correlated` times in each set of bounds, which is of the variants from `first`
+    (column, row, owner, cell), (read_noise, electrons) = image, noise_of
     levels, variances, wavy = np.empty(len(good)), np.empty(len(good)), np.zeros(len(good))
     for p in range(len(good)):
         level = min(scale * good[p], limit)

@@ -16,7 +16,6 @@ from lightopt.defects import FORESHORTENINGS
 from lightopt.design.responses._packed_bits import Words
 
 CODES_PER_DEVIATION = 16  # changes are stored as whole numbers of 16 bits: of walls that glint, many deviations
-
 _MANY = 255  # code of changes that are bounded by nothing
 _AT_ONCE = 256  # patches whose evidence is added up together
 _ROUNDING = 1.001  # bounds are this much greater than needed: sums are rounded
@@ -132,12 +131,9 @@ def add_evidence(
         begin, end = (stencils.first[groups[i]] for i in (e, e + 1))
         near[e] = greatest_within(near[e], int(reach[begin:end].max(initial=0.0)) + 1)
     found = np.zeros((len(planned.entry), patches + 1), np.float32)
-    _fill_found(
-        codes, bounds, image.column, image.row, padded, pad, classes, planned.entry, stencils, limits, most, near, found
-    )
-    _set_flags(
-        found, image.column, image.row, padded, pad, classes, angle, planned.turns, stencils.along, limits, words
-    )
+    image = image._replace(owner=padded)
+    _fill_found(codes, bounds, image, pad, classes, planned.entry, stencils, limits, most, near, found)
+    _set_flags(found, image, pad, classes, angle, planned.turns, stencils.along, limits, words)
 
 
 def greatest_within(cells: UInt8, radius: int) -> UInt8:
@@ -186,9 +182,7 @@ def _cell(place: float, side: int, pad: int) -> np.uint64:
 def _fill_found(
     codes: Int16,
     bounds: Float32,
-    columns: Float32,
-    rows: Float32,
-    owner: Int32,
+    image: ImagePatches,
     pad: int,
     classes: Int32,
     entry: Int32,
@@ -202,6 +196,7 @@ def _fill_found(
     # Patches of a class see the same pixels of a defect: pixel after pixel is added for all of them that have not yet
     # enough, without branches
     first, _, right, down, piece, variant, share, ratio, square = stencils
+    columns, rows, owner, _ = image
     height, width = owner.shape
     active, energies = np.empty(_AT_ONCE, np.uint64), np.empty(_AT_ONCE, np.float32)
     start = 0
@@ -251,9 +246,7 @@ def _fill_found(
 @kernel
 def _set_flags(
     found: Float32,
-    columns: Float32,
-    rows: Float32,
-    owner: Int32,
+    image: ImagePatches,
     pad: int,
     classes: Int32,
     angle: Float64,
@@ -263,6 +256,7 @@ def _set_flags(
     words: Words,
 ) -> None:
     # the greatest along each defect: what its segments have is what the patches that they lie on have
+    columns, rows, owner, _ = image
     height, width = owner.shape
     energies, turn = np.empty(len(classes), np.float32), np.empty(len(classes), np.int32)
     first = 0

@@ -15,14 +15,15 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lightopt.core.arrays import Float32, Float64, Index, UInt8
+from lightopt.core.arrays import Float32, Float64, Index
 from lightopt.core.errors import InputError, counted
 from lightopt.core.run_context import Share, WorkCounter
 from lightopt.core.threads import Task, available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.design.responses._evidence import UNITS_OF_IMAGE, DetectionModel, PatchEvidence, units_needed
-from lightopt.design.responses._luminance_matrix import Levels, LuminanceMatrix, Visibility, area_units
+from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Visibility, area_units
 from lightopt.design.responses._packed_bits import (
     Counts,
     PairWeights,
@@ -49,14 +50,18 @@ DRAWN_PATCHES = 20_000
 """Patches that represent all where much is tried: the first iterations of the search, and tolerances."""
 
 
+_Passed = Float64 | float  # share of the light that the lens lets pass
+_Block = tuple[slice, SurfacePoints, _Passed]  # patches that are worked on together
+
+
 def _image_key(posture: Posture, exposures: Sequence[float], panel: PanelLight) -> Any:
     # the same wherever a light of these properties stands at this place, whichever object that is
     place = (value.tobytes() if isinstance(value, np.ndarray) else value for value in vars(panel).values())
     return posture, tuple(exposures), *place
 
 
-class FlagCache:
-    """What images of single lights show, by posture, exposures and place of the light, as long as there is room for it.
+class ImageCache:
+    """Arrays of images of single lights, by posture, exposures and place of the light, as long as there is room.
 
     Safe to use from several threads at once.
     """
@@ -64,51 +69,27 @@ class FlagCache:
     def __init__(self, most_bytes: int) -> None:
         self._most_bytes, self._bytes = most_bytes, 0
         self._lock = Lock()
-        self._words: dict[Any, tuple[UInt8, int]] = {}
+        self._images: dict[Any, tuple[NDArray[Any], ...]] = {}
 
     def clear(self) -> None:
         """Forget everything."""
         self._bytes = 0
-        self._words.clear()
+        self._images.clear()
 
-    def find(self, posture: Posture, exposures: tuple[float, ...], panel: PanelLight) -> Words | None:
-        """Flags of shape (units, p, words), where they are held."""
-        found = self._words.get(_image_key(posture, exposures, panel))
-        return None if found is None else widen_octets(*found)
-
-    def keep(self, posture: Posture, exposures: tuple[float, ...], panel: PanelLight, flags: Words) -> None:
-        """Hold flags of shape (units, p, words), if there is room left."""
-        octets = narrow_words(flags)
-        with self._lock:
-            if self._bytes + octets.nbytes <= self._most_bytes:
-                self._bytes += octets.nbytes
-                self._words[_image_key(posture, exposures, panel)] = octets, flags.shape[-1]
-
-
-class ImageCache:
-    """Images of single lights on the patches that a posture shows, as long as there is room for them.
-
-    They are found again by the same posture, exposures and place of the light.
-    """
-
-    def __init__(self, most_bytes: int) -> None:
-        self._most_bytes, self._bytes = most_bytes, 0
-        self._images: dict[Any, tuple[Levels, Words]] = {}
-
-    def find(self, posture: Posture, exposures: Sequence[float], panel: PanelLight) -> tuple[Levels, Words] | None:
-        """Levels and flags, of shapes (e, p) and (e, units, p, words), where they are held."""
+    def find(self, posture: Posture, exposures: Sequence[float], panel: PanelLight) -> tuple[NDArray[Any], ...] | None:
+        """The arrays of an image, where they are held."""
         return self._images.get(_image_key(posture, exposures, panel))
 
-    def keep(
-        self, posture: Posture, exposures: Sequence[float], panel: PanelLight, levels: Levels, flags: Words
-    ) -> None:
-        """Hold levels and flags, of shapes (e, p) and (e, units, p, words), if there is room left."""
-        if self._bytes + levels.nbytes + flags.nbytes <= self._most_bytes:
-            self._bytes += levels.nbytes + flags.nbytes
-            self._images[_image_key(posture, exposures, panel)] = levels.copy(), flags.copy()
+    def keep(self, posture: Posture, exposures: Sequence[float], panel: PanelLight, *arrays: NDArray[Any]) -> None:
+        """Hold copies of arrays, if there is room left."""
+        size = sum(array.nbytes for array in arrays)
+        with self._lock:
+            if self._bytes + size <= self._most_bytes:
+                self._bytes += size
+                self._images[_image_key(posture, exposures, panel)] = tuple(array.copy() for array in arrays)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class ImageEvaluator:
     """A part, its patches, and the defects that its images are tested for.
 
@@ -118,7 +99,8 @@ class ImageEvaluator:
     shadows: Whether the part casts shadows on itself.
     exposures: That an image may be taken with: it shows what it shows with any of them.
     cache: For what images show; only for an evaluator of these very patches.
-    images: The same for images with their levels; they are looked up first, and kept where `keeps_images` says so.
+    images: Levels and flags of images on the patches that a posture shows; they are looked up first, and kept where
+        `keeps_images` says so.
     """
 
     scene: Scene
@@ -128,7 +110,7 @@ class ImageEvaluator:
     shadows: bool = True
     threads: int | None = None
     exposures: tuple[float, ...] = (1.0,)
-    cache: FlagCache | None = None
+    cache: ImageCache | None = None
     images: ImageCache | None = None
     keeps_images: bool = False
 
@@ -170,7 +152,8 @@ class ImageEvaluator:
         """
         scene, caster, detection = self.scene, self.caster, self.detection
         surface, seen = patch_points(scene, self.table, posture)
-        surface = replace(surface, outside=caster.is_outside(view_from_part(scene, posture).camera.position))
+        camera = view_from_part(scene, posture).camera
+        surface = replace(surface, outside=caster.is_outside(camera.position))
         positions = sum(len(some) for some in panels)
         size = positions * self._position_bytes(len(seen), len(exposures))
         if size > most_bytes:
@@ -183,29 +166,31 @@ class ImageEvaluator:
         levels = np.zeros(shape, np.uint8 if scene.sensor.bit_depth <= 8 else np.uint16)
         words = np.zeros((len(exposures), positions, UNITS_OF_IMAGE, len(seen), self._words), np.uint64)
         flat = [panel for some in panels for panel in some]
-        missing = self._fill_in_kept(posture, exposures, flat, levels, words)
+        missing: list[int] = []
+        for at, panel in enumerate(flat):
+            image = None if self.images is None else self.images.find(posture, exposures, panel)
+            if image is None:
+                missing.append(at)
+            else:
+                levels[:, at], words[:, at] = image
         evidence = None
         if detection is not None and missing:
             evidence = PatchEvidence(scene, self.table, surface, posture, detection)
-        blocks = [
-            (start, surface.take(slice(start, start + BLOCK_PATCHES))) for start in range(0, len(seen), BLOCK_PATCHES)
-        ]
-        camera = view_from_part(scene, posture).camera
-        shares = {start: lens_share(camera, *project(camera, block.points)[:2]) for start, block in blocks}
-        passed = {start: 1.0 if share is None else share for start, share in shares.items()}
+        blocks: list[_Block] = []
+        for start in range(0, len(seen), BLOCK_PATCHES):
+            block = surface.take(slice(start, start + BLOCK_PATCHES))
+            share = lens_share(camera, *project(camera, block.points)[:2])
+            blocks.append((slice(start, start + len(block)), block, 1.0 if share is None else share))
         # the candidates as the part sees them
         moved = view_from_part(replace(scene, lights=tuple(flat)), posture).lights
-        blocker = caster if self.shadows else None
 
-        def shade(at: int, panel: PanelLight, some: Sequence[tuple[int, SurfacePoints]]) -> None:
-            for start, block in some:
-                store(
-                    at, slice(start, start + len(block)), _levels(scene, block, panel, caster, blocker, passed[start])
-                )
+        def shade(at: int, panel: PanelLight, some: Sequence[_Block]) -> None:
+            for here, block, passed in some:
+                store(at, here, _levels(scene, block, panel, caster, self.shadows, passed))
 
         def find_evidence(at: int, panel: PanelLight) -> None:
             assert evidence is not None
-            level, units = evidence.evaluate(panel, caster, blocker, exposures)
+            level, units = evidence.evaluate(panel, caster, caster if self.shadows else None, exposures)
             store(at, slice(None), level)
             for index, some in enumerate(units):
                 words[index, at] = some
@@ -241,36 +226,17 @@ class ImageEvaluator:
                 self.images.keep(posture, exposures, flat[at], levels[:, at], words[:, at])
         areas, grazing = self.table.patches.areas[seen], self.table.left_out(posture)
         ends = np.cumsum([len(some) for some in panels])[:-1]
-        return tuple(
-            LuminanceMatrix(
-                levels=tuple(np.split(levels[index], ends)),
-                areas=areas,
-                grazing_mm2=float(self.table.patches.areas[grazing].sum()),
-                visibility=None
-                if detection is None
-                else Visibility(
-                    defects=detection.catalogue.defects,
-                    words=tuple(np.split(words[index], ends)),
-                    areas=areas,
-                    patch=seen.astype(np.int32),
-                    grazing=grazing.astype(np.int32),
-                ),
-            )
-            for index in range(len(exposures))
-        )
+        grazing_mm2 = float(self.table.patches.areas[grazing].sum())
 
-    def _fill_in_kept(
-        self, posture: Posture, exposures: Sequence[float], panels: Sequence[PanelLight], levels: Levels, words: Words
-    ) -> list[int]:
-        # images that are kept, into arrays of shapes (e, panels, p) and (e, panels, units, p, words); the panels left
-        missing: list[int] = []
-        for at, panel in enumerate(panels):
-            image = None if self.images is None else self.images.find(posture, exposures, panel)
-            if image is None:
-                missing.append(at)
-            else:
-                levels[:, at], words[:, at] = image
-        return missing
+        def matrix(index: int) -> LuminanceMatrix:
+            shown = None
+            if detection is not None:
+                flags, left_out = tuple(np.split(words[index], ends)), grazing.astype(np.int32)
+                shown = Visibility(detection.catalogue.defects, flags, areas, seen.astype(np.int32), left_out)
+            own = tuple(np.split(levels[index], ends))
+            return LuminanceMatrix(levels=own, areas=areas, visibility=shown, grazing_mm2=grazing_mm2)
+
+        return tuple(map(matrix, range(len(exposures))))
 
     @property
     def _words(self) -> int:
@@ -303,15 +269,15 @@ class ImageEvaluator:
             return self._new_flags(posture, panels)
         found = [[cache.find(posture, exposures, panel) for panel in some] for some in panels]
         missing = [
-            [panel for panel, flags in zip(some, known, strict=True) if flags is None]
+            [panel for panel, one in zip(some, known, strict=True) if one is None]
             for some, known in zip(panels, found, strict=True)
         ]
         images: list[Words] = []
         for known, some, new in zip(found, missing, self._new_flags(posture, missing), strict=True):
             for panel, flags in zip(some, new, strict=True):
-                cache.keep(posture, exposures, panel, flags)
+                cache.keep(posture, exposures, panel, narrow_words(flags))
             rest = iter(new)
-            images.append(np.stack([next(rest) if flags is None else flags for flags in known]))
+            images.append(np.stack([next(rest) if one is None else widen_octets(one[0], self._words) for one in known]))
         return tuple(images)
 
     def _new_flags(self, posture: Posture, panels: Sequence[Sequence[PanelLight]]) -> tuple[Words, ...]:
@@ -361,9 +327,7 @@ def luminance_matrix(
     progress: Share | None = None,
 ) -> LuminanceMatrix:
     """Delivered levels of the inspectable patches at exposure 1: see :meth:`ImageEvaluator.matrices`."""
-    evaluator = ImageEvaluator(
-        scene=scene, table=table, caster=caster, detection=detection, shadows=shadows, threads=threads
-    )
+    evaluator = ImageEvaluator(scene, table, caster, detection, shadows=shadows, threads=threads)
     return evaluator.matrices(posture, panels, progress=progress)[0]
 
 
@@ -373,37 +337,30 @@ def patch_points(scene: Scene, table: PatchTable, posture: Posture) -> tuple[Sur
     seen = table.inspectable(posture)
     views = view_from_part(scene, posture).camera.position - patches.centroids[seen]
     views /= np.linalg.norm(views, axis=1, keepdims=True)
-    surface = SurfacePoints(
+    points, normals, facets = (
         patches.centroids[seen],
         patches.normals[seen],
         face_normals(scene.mesh)[patches.face[seen]],
-        views,
-        np.ones(len(seen), np.bool_),
     )
-    return surface, seen
+    return SurfacePoints(points, normals, facets, views, np.ones(len(seen), np.bool_)), seen
 
 
 def _levels(
-    scene: Scene,
-    surface: SurfacePoints,
-    panel: PanelLight,
-    caster: RayCaster,
-    blocker: RayCaster | None,
-    passed: Float64 | float,
+    scene: Scene, block: SurfacePoints, panel: PanelLight, caster: RayCaster, shadows: bool, passed: _Passed
 ) -> Float32:
-    reflectance = scene.reflectance
+    reflectance, blocker = scene.reflectance, caster if shadows else None
     if panel.points == "auto":
         diffuse, specular, _ = shade_converged(
-            surface,
+            block,
             converged_panel(panel, centre=caster.centre, radius=caster.radius),
             # every second place of a row: no patch is another's neighbour
-            sample=2 * np.arange(len(surface)),
-            shape=(1, 2 * len(surface)),
+            sample=2 * np.arange(len(block)),
+            shape=(1, 2 * len(block)),
             reflectance=reflectance,
             caster=blocker,
         )
     else:
-        diffuse, specular = shade_points(surface, panel, points=panel.points, sigma=reflectance.sigma, caster=blocker)
+        diffuse, specular = shade_points(block, panel, points=panel.points, sigma=reflectance.sigma, caster=blocker)
     # images are stored as float32, and a level is rounded from what is stored
     return (passed * (reflectance.R_d * diffuse + reflectance.R_s * specular)).astype(np.float32)
 

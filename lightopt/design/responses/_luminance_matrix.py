@@ -29,7 +29,7 @@ Levels = NDArray[np.uint8 | np.uint16]
 AREA_UNIT_MM2 = 1e-6  # areas are counted in whole square micrometres, so that sums are exact in any order
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Visibility:
     """Evidence of t planned defects on patches by the image of each light position in one posture.
 
@@ -78,12 +78,8 @@ class Visibility:
         return replace(self, words=words)
 
     def patches(self, start: int, end: int) -> Visibility:
-        return replace(
-            self,
-            words=tuple(layer[:, :, start:end] for layer in self.words),
-            areas=self.areas[start:end],
-            patch=self.patch[start:end],
-        )
+        words = tuple(layer[:, :, start:end] for layer in self.words)
+        return replace(self, words=words, areas=self.areas[start:end], patch=self.patch[start:end])
 
     def most_units(self, needed: int) -> Counts:
         """Units of evidence, up to `needed`, if each light takes for each defect the position that shows it best.
@@ -191,10 +187,8 @@ class LuminanceMatrix:
         return self.rows([np.array([index]) for index in candidates])
 
     def patches(self, start: int, end: int) -> LuminanceMatrix:
-        levels, areas = tuple(layer[:, start:end] for layer in self.levels), self.areas[start:end]
-        return replace(
-            self, levels=levels, areas=areas, visibility=self.visibility and self.visibility.patches(start, end)
-        )
+        levels, seen = tuple(layer[:, start:end] for layer in self.levels), self.visibility
+        return replace(self, levels=levels, areas=self.areas[start:end], visibility=seen and seen.patches(start, end))
 
 
 def area_units(areas: Float64) -> Int64:

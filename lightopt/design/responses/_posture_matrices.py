@@ -7,7 +7,7 @@ import hashlib
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from lightopt.design.responses._evidence import UNITS_OF_IMAGE, DetectionModel
 from lightopt.design.responses._image_evaluator import MOST_BYTES, ImageCache, ImageEvaluator
 from lightopt.design.responses._luminance_matrix import LuminanceMatrix, Visibility
 from lightopt.images import make_folder, posture_folder, write_npz_atomic
-from lightopt.rendering import PatchTable, build_patches, patches_for_edge
+from lightopt.rendering import PatchTable, patches_for_edge
 from lightopt.scene import chord_tolerance, pixel_footprint
 
 
@@ -32,11 +32,8 @@ def write_matrix(
     path: Path, matrix: LuminanceMatrix, angles: Sequence[Sequence[tuple[float, float]]], *, key: str
 ) -> str:
     """Write a matrix atomically, over one of other inputs if need be; returns the file's SHA-256."""
-    arrays: dict[str, NDArray[Any]] = {
-        "key": np.array(key),
-        "areas_mm2": matrix.areas,
-        "grazing_mm2": np.array(matrix.grazing_mm2),
-    }
+    arrays: dict[str, NDArray[Any]] = {"key": np.array(key), "areas_mm2": matrix.areas}
+    arrays["grazing_mm2"] = np.array(matrix.grazing_mm2)
     for index, (layer, places) in enumerate(zip(matrix.levels, angles, strict=True)):
         arrays[f"light_{index}"] = layer
         arrays[f"angles_{index}_deg"] = np.array(places, dtype=np.float64)
@@ -59,10 +56,8 @@ def read_matrix(
             levels, areas = tuple(arrays[f"light_{i}"] for i in range(lights)), arrays["areas_mm2"]
             seen = None
             if defects is not None:
-                words, patch = tuple(arrays[f"defects_{i}"] for i in range(lights)), arrays["patch"]
-                seen = Visibility(
-                    defects=tuple(defects), words=words, areas=areas, patch=patch, grazing=arrays["grazing"]
-                )
+                words = tuple(arrays[f"defects_{i}"] for i in range(lights))
+                seen = Visibility(tuple(defects), words, areas, arrays["patch"], arrays["grazing"])
             grazing_mm2 = float(arrays["grazing_mm2"])
             return LuminanceMatrix(levels=levels, areas=areas, visibility=seen, grazing_mm2=grazing_mm2)
     except Exception:  # noqa: BLE001 - zip, zlib, NumPy's header and tokenizer each have errors of their own
@@ -153,14 +148,7 @@ class PostureMatrices:
     def patches(self) -> PatchTable:
         """The patches, made when first needed."""
         if self.table is None:
-            problem, budget = self.problem, self.problem.options.patch_budget
-            self.table = build_patches(
-                problem.scene,
-                caster=problem.caster,
-                budget=budget,
-                edges=self.detection is None,
-                threads=self.run.threads,
-            )
+            self.table = self.problem.cut_patches(edges=self.detection is None, threads=self.run.threads)
         return self.table
 
     def matrix(self, posture: Posture, *, held: int) -> LuminanceMatrix:
@@ -199,15 +187,9 @@ class PostureMatrices:
 
     def evaluator(self, detection: DetectionModel | None) -> ImageEvaluator:
         """The part and its patches; `detection` as for :class:`ImageEvaluator`."""
-        return ImageEvaluator(
-            scene=self.problem.scene,
-            table=self.patches(),
-            caster=self.problem.caster,
-            detection=detection,
-            images=None if detection is None else self.images,
-            shadows=self.problem.options.shadows,
-            threads=self.run.threads,
-        )
+        scene, caster, shadows = self.problem.scene, self.problem.caster, self.problem.options.shadows
+        evaluator = ImageEvaluator(scene, self.patches(), caster, detection, shadows=shadows, threads=self.run.threads)
+        return evaluator if detection is None else replace(evaluator, images=self.images)
 
 
 def _matrix_facts(problem: Problem, detection: DetectionModel | None) -> dict[str, Any]:
@@ -219,15 +201,9 @@ def _matrix_facts(problem: Problem, detection: DetectionModel | None) -> dict[st
     defects: dict[str, Any] = {}
     if detection is not None:
         # evidence depends on the sensor's noise and saturation, too
-        defects = {
-            "defects": [asdict(own.entry) for own in detection.catalogue.entries],
-            "noise": asdict(detection.sensor),
-            "full_scale": detection.full_scale,
-            "false_alarms": detection.false_alarms,
-            "threshold": detection.threshold,
-            "min_images": detection.min_images,
-            "units": UNITS_OF_IMAGE,
-        }
+        defects = {name: getattr(detection, name) for name in ("full_scale", "false_alarms", "threshold", "min_images")}
+        defects |= {"noise": asdict(detection.sensor), "units": UNITS_OF_IMAGE}
+        defects["defects"] = [asdict(own.entry) for own in detection.catalogue.entries]
     return {
         **defects,
         "camera": rig.camera.model_dump(mode="json", exclude={"sensor"}),
@@ -241,8 +217,6 @@ def _matrix_facts(problem: Problem, detection: DetectionModel | None) -> dict[st
         "mesh": {"sha256": file_sha256(mesh), "suffix": mesh.suffix.lower()},
         # the patches are refined for all postures together
         "postures": [posture.as_dict() for posture in scene.postures],
-        "points": options.points,
-        "shadows": options.shadows,
-        "patch_budget": options.patch_budget,
+        **{name: getattr(options, name) for name in ("points", "shadows", "patch_budget")},
         "computed_by": computed_by(),
     }

@@ -11,22 +11,24 @@ from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates, can_move
 from lightopt.design._result import ObjectiveResult, SetResult
 from lightopt.design.blind_spots._blind_spots import PostureVisibility, by_light, defect_visibility
-from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import Objective
 from lightopt.design.responses._luminance_matrix import AREA_UNIT_MM2, LevelThresholds, LuminanceMatrix, area_units
 from lightopt.design.responses._posture_matrices import PostureMatrices
+from lightopt.design.search._combinations import CombinationSpace
 from lightopt.design.search._curves import score_curves
 from lightopt.design.search._exact_search import SearchResult, search
 from lightopt.rendering import GRAZING_DEG, grain_of
 
 PIECE_PATCHES = 1 << 15  # patches for which an objective's definition is evaluated at once
 
+_Matrices = Sequence[LuminanceMatrix]  # one of each posture
+
 
 def search_objectives(
     source: PostureMatrices, objectives: tuple[Objective, ...]
 ) -> tuple[tuple[SetResult, ...], list[PostureVisibility]]:
     """The best sets of every posture, or of all together, and their blind spots where defects are wanted."""
-    defects = next((one for one in objectives if isinstance(one, DetectabilityObjective)), None)
+    defects = source.problem.defects if source.problem.defects in objectives else None
     thresholds, all_postures = source.problem.thresholds, source.problem.scene.postures
     results: list[SetResult] = []
     blind_spots: list[PostureVisibility] = []
@@ -36,14 +38,12 @@ def search_objectives(
         result = answer_set(matrices, postures, objectives, source)
         if defects is not None:
             best, least = result.answers[0].found.best.candidates, defects.min_images
-            blind_spots += [
-                PostureVisibility(
-                    posture=posture,
-                    chosen=defect_visibility(by_light([matrix.combination(best)]), thresholds, least=least),
-                    possible=defect_visibility(by_light([matrix]), thresholds, least=least),
+            for matrix, posture in zip(matrices, postures, strict=True):
+                chosen, possible = (
+                    defect_visibility(by_light([one]), thresholds, least=least)
+                    for one in (matrix.combination(best), matrix)
                 )
-                for matrix, posture in zip(matrices, postures, strict=True)
-            ]
+                blind_spots.append(PostureVisibility(posture, chosen, possible))
         del matrices
         _warn_of_limit(result.answers, postures, source)
         results.append(result)
@@ -51,15 +51,9 @@ def search_objectives(
 
 
 def answer_set(
-    matrices: Sequence[LuminanceMatrix],
-    postures: Sequence[Posture],
-    objectives: Sequence[Objective],
-    source: PostureMatrices,
+    matrices: _Matrices, postures: Sequence[Posture], objectives: Sequence[Objective], source: PostureMatrices
 ) -> SetResult:
-    """The best light positions for postures that share them: each objective is optimised, and scored under all.
-
-    Raises InputError: As :func:`lightopt.design.search`.
-    """
+    """The best light positions for postures that share them: each objective is optimised, and scored under all."""
     for matrix, posture in zip(matrices, postures, strict=True):
         if not len(matrix.areas):
             edges = " or at edges" if source.detection is not None else ""
@@ -71,9 +65,9 @@ def answer_set(
     thresholds, candidates = source.problem.thresholds, source.problem.candidates
     answers: list[ObjectiveResult] = []
     for objective in objectives:
-        found = _search(matrices, postures, candidates, objective, source)
+        found = _search(matrices, postures, candidates.space, objective, source)
         chosen = [matrix.combination(found.best.candidates) for matrix in matrices]
-        answer = _answer(objective, found, chosen, matrices, objectives, thresholds)
+        answer = _answer(found, chosen, matrices, objective, objectives, thresholds)
         if answer.scores[objective.name] != found.best.score:
             raise LightoptError(
                 f"internal error: objective {objective.name} scores the best set {found.best.score:,} in the search "
@@ -100,7 +94,7 @@ def answer_set(
 
 
 def _initial_score(
-    matrices: Sequence[LuminanceMatrix], postures: Sequence[Posture], objective: Objective, source: PostureMatrices
+    matrices: _Matrices, postures: Sequence[Posture], objective: Objective, source: PostureMatrices
 ) -> int | None:
     # of the lights as the rig file has them; None where the positions were chosen before
     problem = source.problem
@@ -153,40 +147,31 @@ def search_other_objectives(
                 chosen = result.answers[0].found
                 found = replace(chosen, ranking=(replace(chosen.best, candidates=at),))
             else:
-                found = _search(levels, result.postures, candidates, objective, source)
+                found = _search(levels, result.postures, candidates.space, objective, source)
             panels = candidates.panels_at(found.best.candidates)
             evaluator = source.evaluator(source.detection)
             matrices = [evaluator.matrices(one, [[panel] for panel in panels])[0] for one in result.postures]
-            answers.append(_answer(objective, found, matrices, levels, objectives, thresholds))
+            answers.append(_answer(found, matrices, levels, objective, objectives, thresholds))
         completed.append(replace(result, answers=tuple(answers)))
         _warn_of_limit(answers[1:], result.postures, source)
     return tuple(completed)
 
 
 def _search(
-    matrices: Sequence[LuminanceMatrix],
-    postures: Sequence[Posture],
-    candidates: Candidates,
-    objective: Objective,
-    source: PostureMatrices,
+    matrices: _Matrices, postures: Sequence[Posture], space: CombinationSpace, goal: Objective, source: PostureMatrices
 ) -> SearchResult:
+    options, run, thresholds = source.problem.options, source.run, source.problem.thresholds
+    stage, keep = run.stage(f"{goal.name}, {', '.join(map(str, postures))}"), options.rows
     return search(
-        matrices,
-        objective,
-        source.problem.thresholds,
-        space=candidates.space,
-        keep=source.problem.options.rows,
-        limit=source.problem.options.limit,
-        threads=source.run.threads,
-        progress=source.run.stage(f"{objective.name}, {', '.join(map(str, postures))}"),
+        matrices, goal, thresholds, space=space, keep=keep, limit=options.limit, threads=run.threads, progress=stage
     )
 
 
 def _answer(
-    objective: Objective,
     found: SearchResult,
-    chosen: Sequence[LuminanceMatrix],
-    matrices: Sequence[LuminanceMatrix],
+    chosen: _Matrices,
+    matrices: _Matrices,
+    objective: Objective,
     objectives: Sequence[Objective],
     thresholds: LevelThresholds,
 ) -> ObjectiveResult:
@@ -220,7 +205,7 @@ def limit_warning(answer: ObjectiveResult, postures: Sequence[Posture]) -> str:
     )
 
 
-def _score(matrices: Sequence[LuminanceMatrix], objective: Objective, thresholds: LevelThresholds) -> int:
+def _score(matrices: _Matrices, objective: Objective, thresholds: LevelThresholds) -> int:
     # of matrices with one candidate of each light
     total = 0
     for matrix in matrices:
@@ -231,7 +216,7 @@ def _score(matrices: Sequence[LuminanceMatrix], objective: Objective, thresholds
     return total
 
 
-def _reason_for_zero(matrices: Sequence[LuminanceMatrix], thresholds: LevelThresholds, found: SearchResult) -> str:
+def _reason_for_zero(matrices: _Matrices, thresholds: LevelThresholds, found: SearchResult) -> str:
     layers = [layer for matrix in matrices for layer in matrix.levels]
     count = sum(layer.size for layer in layers)
     dark = sum(int(np.count_nonzero(layer < thresholds.shade)) for layer in layers)

@@ -28,12 +28,9 @@ class Curve:
     scores: tuple[int, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        return {
-            "light": None if self.name == TOGETHER else self.name,
-            "axis": self.axis,
-            "angles_deg": list(self.angles_deg),
-            "scores": list(self.scores),
-        }
+        light = None if self.name == TOGETHER else self.name
+        lists = {"angles_deg": list(self.angles_deg), "scores": list(self.scores)}
+        return {"light": light, "axis": self.axis, **lists}
 
 
 def score_curves(candidates: Candidates, best: Ranked, score: Callable[[tuple[int, ...]], int]) -> tuple[Curve, ...]:
@@ -58,12 +55,8 @@ def score_curves(candidates: Candidates, best: Ranked, score: Callable[[tuple[in
                 points.append((angle, combination))
         stride = -(-len(points) // MOST_POINTS)
         points = [p for k, p in enumerate(points) if k % max(1, stride) == 0 or p[1] == best.candidates]
-        return Curve(
-            name=name,
-            axis=("elevation", "azimuth")[axis],
-            angles_deg=tuple(angle for angle, _ in points),
-            scores=tuple(score(combination) for _, combination in points),
-        )
+        angles, scores = tuple(angle for angle, _ in points), tuple(score(combination) for _, combination in points)
+        return Curve(name=name, axis=("elevation", "azimuth")[axis], angles_deg=angles, scores=scores)
 
     moving = [k for k, angles in enumerate(candidates.angles) if len({elevation for elevation, _ in angles}) > 1]
     curves = [curve(TOGETHER, moving, 0)] if len(moving) > 1 else []

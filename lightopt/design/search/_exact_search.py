@@ -235,13 +235,8 @@ class _BoxScorer:
         patches = [len(weights) for weights in self.weights]
         for i, (matrix, weights) in enumerate(zip(self.matrices, self.weights, strict=True)):
             done = [sum(patches[:k]) / sum(patches) for k in (i, i + 1)]
-            total += self.objective.scores(
-                matrix.rows(rows),
-                weights,
-                self.thresholds,
-                threads=self.threads,
-                progress=part_of(progress, done[0], done[1]),
-            )
+            part = part_of(progress, done[0], done[1])
+            total += self.objective.scores(matrix.rows(rows), weights, self.thresholds, self.threads, part)
         return total
 
     def bound(self, rows: Rows) -> int:

@@ -18,11 +18,10 @@ from lightopt.estimate.reflectance._likelihood import (
     DARK,
     LOG_SIGMA,
     Evaluation,
-    add_curvature,
+    add_slopes,
     clipped_levels,
     image_factors,
     lagrange,
-    mirror_curvature,
     parameter_count,
     predicted,
     specular_and_slope,
@@ -39,7 +38,6 @@ NODES = 121
 WINDOW = 5
 
 LEAST_MEAN_SQUARE = 1.0 / 12.0  # that of rounding to whole levels: no model can be nearer
-
 RINGS = 3
 # pixels of one exposure are compared with those of a like geometry: rings per octave of the angle from the mirror
 # direction, and steps of the diffuse light
@@ -130,8 +128,8 @@ class LeastSquares:
 
         observed, light = (s.sample, s.level, s.image, self.weight), (s.diffuse, columns, c, dc)
 
-        def add(start: int, end: int, gradient: Float64, curvature: Float64) -> float:
-            return _accumulate(observed, start, end, light, s.facts, s.sensor.black_level, top, x, gradient, curvature)
+        def add(start: int, end: int, *sums: Float64) -> float:
+            return _accumulate(observed, start, end, light, s.facts, (s.sensor.black_level, top), x, sums)
 
         return sum_in_chunks(add, len(s.sample), self.size, chunk=_CHUNK, threads=s.threads)
 
@@ -143,14 +141,12 @@ def _accumulate(
     end: int,
     light: tuple[Float64, Float64, Float64, Float64],
     facts: ImageFacts,
-    black: float,
-    top: float,
+    ends: tuple[float, float],
     x: Float64,
-    gradient: Float64,
-    curvature: Float64,
+    sums: tuple[Float64, ...],
 ) -> float:
     # minus half the sum of weighted squares, its gradient, and the matrix of Gauss and Newton
-    (sample, level, image, weights), (diffuse, specular, c, dc) = observed, light
+    (sample, level, image, weights), (diffuse, specular, c, dc), (black, top) = observed, light, ends
     r_d, r_s, dark = x[0], math.exp(x[1]), x[3]
     factor_of = image_factors(facts, x)
     total = 0.0
@@ -165,15 +161,8 @@ def _accumulate(
         total -= 0.5 * weight * residual * residual
         if mean < 0.0 or mean > top:
             continue
-        by_r_d, by_r_s, by_sigma, gain = (factor * diffuse[i], factor * r_s * s, factor * r_s * ds, 4 + facts.light[m])
-        pull = weight * residual
-        gradient[0] += pull * by_r_d
-        gradient[1] += pull * by_r_s
-        gradient[2] += pull * by_sigma
-        gradient[3] += pull
-        gradient[gain] += pull * signal
-        add_curvature(weight, gain, by_r_d, by_r_s, by_sigma, signal, curvature)
-    mirror_curvature(curvature)
+        slopes, pull = (factor * diffuse[i], factor * r_s * s, factor * r_s * ds, signal), weight * residual
+        add_slopes(pull, pull, weight, 4 + facts.light[m], slopes, sums)
     return total
 
 

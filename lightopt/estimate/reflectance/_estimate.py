@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from lightopt.core.arrays import Float64
-from lightopt.estimate.reflectance._likelihood import LOG_R_S, LOG_SIGMA, R_D, Criterion, outlier_share
+from lightopt.estimate.reflectance._likelihood import LOG_R_S, LOG_SIGMA, R_D, Criterion, outlier_share, significant
 from lightopt.estimate.reflectance._newton import Maximum
 
 Interval = tuple[float | None, float | None]  # 95 %; None for an end that the images do not bound
@@ -56,6 +56,12 @@ class ScanPoint(_Reflectance):
     value: float
     drop: float
 
+    def as_dict(self, best: float) -> dict[str, float]:
+        """JSON form; `best` is the greatest value of the profile."""
+        values = {"sigma_rad": self.sigma, "R_d": self.R_d, "R_s": self.R_s}
+        below = significant(2.0 * (best - self.value), 6)
+        return {n: significant(v, 8) for n, v in values.items()} | {"twice_log_likelihood_below_best": below}
+
 
 @dataclass(frozen=True, kw_only=True)
 class Optimum(_Reflectance):
@@ -73,7 +79,7 @@ class Optimum(_Reflectance):
 
     def as_dict(self) -> dict[str, Any]:
         names = ("start_sigma", "sigma", "R_d", "R_s", "value")
-        return {**{name: float(f"{getattr(self, name):.8g}") for name in names}, "converged": self.converged}
+        return {**{name: significant(getattr(self, name), 8) for name in names}, "converged": self.converged}
 
 
 def optimum_of(start_sigma: float, top: Maximum, criterion: Criterion | None) -> Optimum:

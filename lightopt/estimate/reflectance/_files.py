@@ -29,15 +29,8 @@ class FitFolder(ResultFolder):
     """
 
     def __init__(self, folder: Path, made_from: Mapping[str, Any], *, force: bool) -> None:
-        super().__init__(
-            folder,
-            made_from,
-            name=FIT_NAME,
-            format="lightopt-fit/1",
-            what="a fit",
-            also=(PART_NAME, RIG_NAME),
-            force=force,
-        )
+        names = {"name": FIT_NAME, "format": "lightopt-fit/1", "what": "a fit"}
+        super().__init__(folder, made_from, **names, also=(PART_NAME, RIG_NAME), force=force)
 
     def write(self, result: FitResult, rig: RigConfig, part: PartConfig) -> list[Path]:
         """Write the part, where gains, the dark level or the noise are written the rig, and at last ``fit.json``.

@@ -54,7 +54,6 @@ HIGHLIGHT_LEVEL = 0.1  # pixels that a highlight lights by less than this are di
 WIDENINGS = (2.0, 1.5, 1.2, 1.0)
 
 LEAST_PIXELS = 200  # so many pixels must be left
-
 LEAST_R_S = 1e-3
 
 # second opinions: their pixels per octave, light and posture, the least change of ln R_s or ln σ to report, and the
@@ -97,30 +96,20 @@ def fit_diffuse(
     found = fit_reflectance(plain, freed=replace(freed, specular=False), held=held, run=run)
     quality = assess_quality(plain, found)
     first = [f"first fit, which locates the highlights: {text}" for text in convergence_warnings(whole)]
-    warnings = [
-        *setup.warnings,
-        *first,
-        *convergence_warnings(found),
-        *poor_fit_warnings(found, quality, placed=placed),
-    ]
+    warnings = [*setup.warnings, *first, *convergence_warnings(found)]
+    warnings += poor_fit_warnings(found, quality, placed=placed)
     if widening < max(WIDENINGS):
         warnings.append(
             f"few pixels are away from the highlights: R_d was fitted to those beyond {widening:g} times the width of "
             "the fitted lobe. If the true lobe has heavier tails than a Gaussian, R_d is too high"
         )
-    values = fitted_values(found, full_scale=setup.scene.reflectance.full_scale)[:1]
-    unfitted = (
-        FittedValue(name="R_s", value=setup.scene.reflectance.R_s),
-        FittedValue(name="sigma_rad", value=setup.scene.reflectance.sigma),
-    )
+    own = setup.scene.reflectance
+    values = fitted_values(found, full_scale=own.full_scale)[:1]
+    unfitted = FittedValue(name="R_s", value=own.R_s), FittedValue(name="sigma_rad", value=own.sigma)
     result = _result("diffuse", setup, plain, found, quality, (*values, *unfitted), warnings)
     run.warn(*result.warnings)
-    return replace(
-        result,
-        highlight_fit=whole,
-        pixels=len(np.unique(found.criterion.samples.sample)),
-        estimate=replace(found, scan=whole.scan),
-    )
+    pixels, estimate = len(np.unique(found.criterion.samples.sample)), replace(found, scan=whole.scan)
+    return replace(result, highlight_fit=whole, pixels=pixels, estimate=estimate)
 
 
 def fit_specular(
@@ -154,17 +143,9 @@ def fit_specular(
     if result.estimate is not None and "auto" not in options.points:
         result = replace(result, warnings=(*result.warnings, *_evenly_lit_warnings(setup, samples, result.estimate)))
     if options.validate and result.estimate is not None:
-        left_out = leave_lights_out(
-            setup.scene,
-            samples,
-            result.estimate,
-            caster=setup.caster,
-            save_prediction=save_prediction,
-            progress=run.stage("validating"),
-        )
-        result = replace(
-            result, left_out=left_out, warnings=(*result.warnings, *validation_warnings(left_out, setup.scene.sensor))
-        )
+        left_out = leave_lights_out(setup, samples, result.estimate, save_prediction)
+        noted = validation_warnings(left_out, setup.scene.sensor)
+        result = replace(result, left_out=left_out, warnings=(*result.warnings, *noted))
     run.warn(*result.warnings)
     return result
 

@@ -57,7 +57,6 @@ def fit_reflectance(
     """Fit R_d, R_s and σ, and what else is freed, to samples.
 
     held: Values (R_d, R_s, σ) of those that are not freed; required for those.
-    Raises InputError: every pixel is saturated or black.
     """
     run = run or RunContext()
     scan = scan_sigma(samples, freed or FreeParameters(), held, part_of(run.stage("scanning σ"), 0.0, 0.5))
@@ -75,10 +74,7 @@ def fit_reflectance(
 def least_squares_reflectance(
     samples: Samples, reflectance: Reflectance, *, freed: FreeParameters | None = None
 ) -> Reflectance:
-    """R_d, R_s and σ by least squares alone, without intervals: good enough to find a part by.
-
-    Raises InputError: every pixel is saturated or black.
-    """
+    """R_d, R_s and σ by least squares alone, without intervals: good enough to find a part by."""
     x = scan_sigma(samples, freed or FreeParameters(), None).best.x
     return replace(reflectance, R_d=float(x[R_D]), R_s=math.exp(x[LOG_R_S]), sigma=math.exp(x[LOG_SIGMA]))
 
@@ -180,12 +176,8 @@ def leave_groups_out(criterion: LeastSquares, x: Float64, free: Sequence[int]) -
     if groups is by_block or all(place < FIRST_GAIN for place in free):
         return found
     blocks = _scatter(criterion, x, free, *by_block)
-    return Jackknife(
-        covariance=upper_covariance(found.covariance, blocks.covariance),
-        of=f"{found.of} and {blocks.of}",
-        quantile=found.quantile,
-        refits=found.refits + blocks.refits,
-    )
+    covariance = upper_covariance(found.covariance, blocks.covariance)
+    return replace(found, covariance=covariance, of=f"{found.of} and {blocks.of}", refits=found.refits + blocks.refits)
 
 
 def upper_covariance(covariance: Float64, other: Float64) -> Float64:
@@ -237,9 +229,6 @@ def _groups(samples: Samples) -> list[tuple[Index, str]]:
     light = samples.facts.light[samples.image]
     postures = list(dict.fromkeys(image.posture for image in samples.images))
     posture = np.array([postures.index(image.posture) for image in samples.images])[samples.image]
-    labels = {
-        "lights": light,
-        "lights and postures": light * len(postures) + posture,
-        "pieces of the images": samples.block[samples.sample],
-    }
+    both, block = light * len(postures) + posture, samples.block[samples.sample]
+    labels = {"lights": light, "lights and postures": both, "pieces of the images": block}
     return [(np.unique(label, return_inverse=True)[1], name) for name, label in labels.items()]

@@ -32,6 +32,8 @@ _CHUNK = 16_384
 _SQRT_HALF = math.sqrt(0.5)
 _SQRT_TWO_PI = math.sqrt(2.0 * math.pi)
 
+_Sums = tuple[Float64, Float64]  # gradient, shape (K,), and curvature, shape (K, K)
+
 
 @dataclass(frozen=True)
 class Evaluation:
@@ -78,17 +80,24 @@ def parameter_name(place: int, lights: tuple[str, ...]) -> str:
     return ("R_d", "R_s", "σ", "the dark level", *gains, *noise)[place]
 
 
+def significant(value: float, digits: int) -> float:
+    """A number for a file, with so many significant digits."""
+    return float(f"{value:.{digits}g}")
+
+
 def sum_in_chunks(
     add: Callable[[int, int, Float64, Float64], float], count: int, size: int, *, chunk: int, threads: int | None
 ) -> tuple[float, Float64, Float64]:
     """Value, gradient and curvature of all observations, computed in chunks in parallel.
 
-    add: Returns the value of the observations `start` to `end`, and adds to gradient (K,) and curvature (K, K).
+    add: Returns the value of the observations `start` to `end`, and adds to gradient (K,) and to the upper triangle of
+        the curvature (K, K).
     """
 
     def one(start: int) -> tuple[float, Float64, Float64]:
         gradient, curvature = np.zeros(size), np.zeros((size, size))
-        return add(start, min(start + chunk, count), gradient, curvature), gradient, curvature
+        value = add(start, min(start + chunk, count), gradient, curvature)
+        return value, gradient, np.triu(curvature) + np.triu(curvature, 1).T
 
     parts = in_threads(one, range(0, count, chunk), threads)
     if len(parts) == 1:
@@ -113,15 +122,22 @@ def specular_and_slope(i: int, specular: Float64, c: Float64, dc: Float64) -> tu
 
 
 @kernel
-def add_curvature(
-    bend: float, gain: int, r_d: float, r_s: float, sigma: float, signal: float, curvature: Float64
+def add_slopes(
+    score: float, dark: float, bend: float, gain: int, slopes: tuple[float, float, float, float], sums: _Sums
 ) -> None:
-    """Add the curvature of one observation to the upper triangle.
+    """Add the gradient of one observation, and its curvature to the upper triangle.
 
+    score, dark: Slopes of the criterion by the level, and by the dark level.
     bend: Minus the second derivative of the criterion by the level.
     gain: Place of the gain of its light.
-    r_d, r_s, sigma, signal: Slopes of the level by R_d, ln R_s, ln σ and ln gain; that by the dark level is 1.
+    slopes: Of the level by R_d, ln R_s, ln σ and ln gain; that by the dark level is 1.
     """
+    (r_d, r_s, sigma, signal), (gradient, curvature) = slopes, sums
+    gradient[0] += score * r_d
+    gradient[1] += score * r_s
+    gradient[2] += score * sigma
+    gradient[3] += dark
+    gradient[gain] += score * signal
     by_r_d, by_r_s, by_sigma = bend * r_d, bend * r_s, bend * sigma
     curvature[0, 0] += by_r_d * r_d
     curvature[0, 1] += by_r_d * r_s
@@ -138,14 +154,6 @@ def add_curvature(
     curvature[3, 3] += bend
     curvature[3, gain] += bend * signal
     curvature[gain, gain] += bend * signal * signal
-
-
-@kernel
-def mirror_curvature(curvature: Float64) -> None:
-    """Copy the upper triangle to the lower, shape (K, K)."""
-    for k in range(len(curvature)):
-        for n in range(k):
-            curvature[k, n] = curvature[n, k]
 
 
 class SensorNumbers(NamedTuple):
@@ -201,16 +209,14 @@ class Likelihood:
         curvatures = np.zeros((len(ends) - 1, self.size, self.size))
         for number, (start, end) in enumerate(itertools.pairwise(ends)):
             add(start, end, gradients[number], curvatures[number])
-        return gradients, curvatures
+        return gradients, np.triu(curvatures) + np.triu(curvatures, 1).transpose(0, 2, 1)
 
     def _summation(self, s: Samples, x: Float64) -> Callable[[int, int, Float64, Float64], float]:
         # sums over a range of the observations of some samples, as :func:`sum_in_chunks` takes it
         c, dc = lagrange(self.log_sigmas, float(x[LOG_SIGMA]))
         sensor = _sensor_numbers(s.sensor)
         observed, light = (s.sample, s.level, s.saturated, s.image), (s.diffuse, self.specular, c, dc)
-        return lambda start, end, gradient, curvature: _accumulate(
-            observed, start, end, light, s.facts, sensor, x, gradient, curvature
-        )
+        return lambda start, end, *sums: _accumulate(observed, start, end, light, s.facts, sensor, x, sums)
 
 
 def likelihood_at(samples: Samples, log_sigma: float) -> Likelihood:
@@ -268,10 +274,10 @@ def _accumulate(
     facts: ImageFacts,
     sensor: SensorNumbers,
     x: Float64,
-    gradient: Float64,
-    curvature: Float64,
+    sums: _Sums,
 ) -> float:
     (sample, level, saturated, image), (diffuse, specular, c, dc) = observed, light
+    gradient, curvature = sums
     size = len(x)
     r_d, r_s, dark = x[0], math.exp(x[1]), x[3]
     factor_of = image_factors(facts, x)
@@ -321,17 +327,12 @@ def _accumulate(
             ratio = by_mean / f
             bend = min(max(ratio * ratio - (apa - bpb) / (variance * f), 0.0), 1.0 / variance)
         bend *= surely
-        by_r_d, by_r_s, by_sigma, gain = (factor * diffuse[i], factor * r_s * s, factor * r_s * ds, 4 + facts.light[m])
-        gradient[0] += score * by_r_d
-        gradient[1] += score * by_r_s
-        gradient[2] += score * by_sigma
-        gradient[3] += inside * by_mean  # the dark level makes no shot noise
-        gradient[gain] += score * signal
-        add_curvature(bend, gain, by_r_d, by_r_s, by_sigma, signal, curvature)
+        slopes = factor * diffuse[i], factor * r_s * s, factor * r_s * ds, signal
+        # the dark level makes no shot noise
+        add_slopes(score, inside * by_mean, bend, 4 + facts.light[m], slopes, sums)
         part = tau2 / variance
         gradient[size - 2] += inside * by_variance * tau2
         curvature[size - 2, size - 2] += 0.5 * surely * part * part
         gradient[size - 1] += (outlier - f) / p * epsilon * (1.0 - epsilon)
         curvature[size - 1, size - 1] += epsilon * (1.0 - epsilon)
-    mirror_curvature(curvature)
     return total

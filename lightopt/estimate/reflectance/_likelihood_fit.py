@@ -32,7 +32,6 @@ SUBSET_SHARE = 4  # by how much fewer pixels than least squares the likelihood s
 CLOSE_CALL = 20.0
 
 MOST_RESTARTS = 3
-
 TABLE_NODES, WIDE_TABLE_NODES = 5, 9
 MOST_TABLES = 8
 USUAL_TABLE = 0.06
@@ -114,13 +113,8 @@ def likelihood_estimate(samples: Samples, scan: SigmaScan, run: RunContext) -> E
         found = replace(found, maximum=replace(found.maximum, converged=False))
         points = scan_points(profile, share=_share_of(few, samples))
     report(1.0)
-    return replace(
-        found,
-        scan=points,
-        optima=tuple(optimum for optimum, _ in peaks),
-        unexplained=max(found.unexplained, outlier_share(tops[0][1].x)),
-        misfit=scan.misfit,
-    )
+    optima, unexplained = tuple(optimum for optimum, _ in peaks), max(found.unexplained, outlier_share(tops[0][1].x))
+    return replace(found, scan=points, optima=optima, unexplained=unexplained, misfit=scan.misfit)
 
 
 def climb(samples: Samples, x: Float64, free: Sequence[int], width: float) -> Climb:
@@ -171,14 +165,8 @@ def _profile_on_subset(few: Samples, scan: SigmaScan, progress: Share | None) ->
         return [other, scan.starts[number]]
 
     values = [point.value for point in scan.profile]
-    return profile_outwards(
-        lambda at: likelihood_at(few, at),
-        starts_at,
-        scan.log_sigmas,
-        scan.free,
-        begin=values.index(max(values)),
-        progress=progress,
-    )
+    at, begin = scan.log_sigmas, values.index(max(values))
+    return profile_outwards(lambda s: likelihood_at(few, s), starts_at, at, scan.free, begin=begin, progress=progress)
 
 
 def _climb_on_all(samples: Samples, tops: Sequence[tuple[float, Climb]]) -> list[Peak]:

@@ -31,7 +31,6 @@ LEAST_EXCESS = 0.1  # residuals beyond the noise count from this share of its va
 LEAST_CERTAIN = 3.0  # a displacement counts from this many of its standard errors on
 BUDGET = 250  # pixels per octave, light and posture that are compared at both places
 TRIAL_LIGHTS = 6  # lights whose images a displaced part is searched in
-
 FLIP_BUDGET = 150
 MOST_LIGHTS = 8  # exchanged lights are only tried where there are no more than these
 
@@ -51,10 +50,8 @@ def refuse_unexplained_images(setup: FitSetup, samples: Samples, found: Estimate
     own = _agreement(samples, found)
     if not own.mismatch:
         return excluded
-    hint = (
-        _better_explanation(samples, quality.floor**2)
-        or "check that rig, part, placement and postures are those of the images"
-    )
+    hint = _better_explanation(samples, quality.floor**2)
+    hint = hint or "check that rig, part, placement and postures are those of the images"
     raise InputError(
         f"the images do not look like this part on this rig: {100.0 * quality.epsilon:.0f} % of the pixels are "
         f"outliers, and the residual is {own.residual:.3g} sensor levels rms, where the noise is {quality.floor:.2g} "
@@ -91,13 +88,8 @@ def _displacement(
 ) -> tuple[str | None, bool]:
     # the part is registered, and the reflectance fitted again: one fitted to a misplaced part is another one
     try:
-        registration = register_with_fit(
-            scene,
-            _light_subset(observations),
-            caster=cast_rays_at(scene),
-            reduced=True,
-            run=RunContext(threads=samples.threads),
-        )
+        some, run = _light_subset(observations), RunContext(threads=samples.threads)
+        registration = register_with_fit(scene, some, caster=cast_rays_at(scene), reduced=True, run=run)
     except InputError:  # a trial: those few lights show nothing
         return None, False
     frame, place = PoseFrame.of(scene), registration.placement
@@ -210,8 +202,6 @@ def _swaps(samples: Samples, own: Float64, noise: float) -> tuple[list[tuple[str
 def _exchanged(samples: Samples, pairs: list[tuple[str, str]]) -> Samples:
     other = {a: b for pair in pairs for a, b in (pair, pair[::-1])}
     by_key = {(image.light, image.posture, image.exposure): image for image in samples.images}
-    taken = [
-        by_key.get((other.get(image.light, image.light), image.posture, image.exposure), image)
-        for image in samples.images
-    ]
+    keys = ((other.get(image.light, image.light), image.posture, image.exposure) for image in samples.images)
+    taken = [by_key.get(key, image) for key, image in zip(keys, samples.images, strict=True)]
     return samples.with_levels([image.levels for image in taken], [image.saturated for image in taken])

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from lightopt.core.arrays import Float64
+from lightopt.estimate.reflectance._likelihood import significant
 from lightopt.estimate.reflectance._samples import Samples
 from lightopt.optics import Sensor
 
@@ -19,7 +20,6 @@ CLEAR_OF_ENDS = 4.0
 TRIM, TRIMMED_VARIANCE = 3.0, 0.97334
 
 _WINDOW = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]])
-
 SIGNIFICANT = 3.0
 WELL_KNOWN = 0.3  # a figure is determined where its standard error is no more than this share of it
 
@@ -41,13 +41,9 @@ class MeasuredNoise:
     hindrance: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        values = {
-            "read_noise_levels": self.read_noise,
-            "read_noise_standard_error": self.read_noise_error,
-            "electrons_per_level": self.electrons,
-            "electrons_standard_error": self.electrons_error,
-        }
-        numbers = {k: None if v is None else float(f"{v:.4g}") for k, v in values.items()}
+        names = ("read_noise_levels", "read_noise_standard_error", "electrons_per_level", "electrons_standard_error")
+        values = (self.read_noise, self.read_noise_error, self.electrons, self.electrons_error)
+        numbers = {k: None if v is None else significant(v, 4) for k, v in zip(names, values, strict=True)}
         return {**numbers, "hindrance": self.hindrance or None}
 
 

@@ -15,12 +15,12 @@ import numpy as np
 from lightopt.core.arrays import Float64
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import Share
+from lightopt.estimate.reflectance._likelihood import significant
 from lightopt.estimate.reflectance._samples import Samples
 
 MOST_ITERATIONS = 500
 MOST_R_S = 1e15
 MOST_STEPS = 1000
-
 WIDE_RANGE = 1.5  # where the σ of the sweep within λ_s2 reach over more than this factor, it is reported
 
 
@@ -108,8 +108,13 @@ class SigmaStep:
     brightness: float
     iterations: tuple[tuple[float, int], ...]
 
+    def as_dict(self) -> dict[str, Any]:
+        rounds = [{"R_s": r_s, "N_s": n_s} for r_s, n_s in self.iterations]
+        facts = {"sigma_rad": significant(self.sigma, 6), "R_s": self.R_s, "reached": self.reached}
+        return {**facts, "brightness_ratio": self.brightness, "iterations": rounds}
 
-@dataclass(frozen=True, kw_only=True)
+
+@dataclass(frozen=True)
 class PaperSpecular:
     """R_s and σ by section 4.3.
 
@@ -124,24 +129,9 @@ class PaperSpecular:
     matching_sigmas: tuple[float, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        steps = [
-            {
-                "sigma_rad": float(f"{step.sigma:.6g}"),
-                "R_s": step.R_s,
-                "reached": step.reached,
-                "brightness_ratio": step.brightness,
-                "iterations": [{"R_s": r_s, "N_s": n_s} for r_s, n_s in step.iterations],
-            }
-            for step in self.steps
-        ]
-        return {
-            "R_s": self.R_s,
-            "sigma_rad": self.sigma,
-            "image": self.image,
-            "N_m": self.saturated,
-            "alike_sigma_rad": list(self.matching_sigmas),
-            "sweep": steps,
-        }
+        facts = {"R_s": self.R_s, "sigma_rad": self.sigma, "image": self.image, "N_m": self.saturated}
+        sweep = [step.as_dict() for step in self.steps]
+        return {**facts, "alike_sigma_rad": list(self.matching_sigmas), "sweep": sweep}
 
     def warnings(self) -> Iterator[str]:
         """Warn where the procedure hardly determines σ."""
@@ -154,10 +144,7 @@ class PaperSpecular:
 
 
 def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
-    """R_d from the mean brightness of the pixels without specular reflection (paper, section 4.2).
-
-    Raises InputError: no image has a pixel that is diffuse only, or the iteration does not end.
-    """
+    """R_d from the mean brightness of the pixels without specular reflection (paper, section 4.2)."""
     if problems := options.problems():
         raise InputError(*problems)
     plain = (samples.deflection[samples.sample] >= options.away) & ~samples.saturated
@@ -196,11 +183,7 @@ def paper_diffuse(samples: Samples, options: PaperOptions) -> PaperDiffuse:
 def paper_specular(
     samples: Samples, options: PaperOptions, *, R_d: float, progress: Share | None = None
 ) -> PaperSpecular:
-    """R_s and σ from the saturated pixels and the total specular brightness of one image (paper, section 4.3).
-
-    Raises InputError: impossible options, no saturated pixel, or no σ with which as many pixels are saturated and as
-        bright.
-    """
+    """R_s and σ from the saturated pixels and the total specular brightness of one image (paper, section 4.3)."""
     if problems := options.problems():
         raise InputError(*problems)
     counts = np.bincount(samples.image[samples.saturated], minlength=len(samples.images))
@@ -238,16 +221,9 @@ def paper_specular(
             f"{100.0 * abs(best.brightness - 1.0):.1f} % to the measured one (σ = {best.sigma:g} rad), and "
             f"λ_s2 = {options.lambda_s2:g}; raise it, or use the default method"
         )
-    return PaperSpecular(
-        R_s=best.R_s,
-        sigma=best.sigma,
-        image=samples.images[image].name,
-        saturated=measured,
-        steps=tuple(steps),
-        matching_sigmas=tuple(
-            sorted(step.sigma for step in reached if abs(step.brightness - 1.0) <= options.lambda_s2)
-        ),
-    )
+    alike = sorted(step.sigma for step in reached if abs(step.brightness - 1.0) <= options.lambda_s2)
+    name = samples.images[image].name
+    return PaperSpecular(best.R_s, best.sigma, name, measured, tuple(steps), matching_sigmas=tuple(alike))
 
 
 def _sweep(options: PaperOptions) -> list[float]:

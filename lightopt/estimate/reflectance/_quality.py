@@ -18,6 +18,7 @@ from lightopt.estimate.reflectance._likelihood import (
     R_D,
     parameter_name,
     predicted,
+    significant,
 )
 from lightopt.estimate.reflectance._noise import image_noise
 from lightopt.estimate.reflectance._samples import Samples
@@ -75,7 +76,7 @@ class Quality:
         return self.epsilon > POOR_EPSILON or self.typical > POOR_NOISE * self.floor
 
     def as_dict(self) -> dict[str, float | bool]:
-        return {name: value if isinstance(value, bool) else float(f"{value:.6g}") for name, value in vars(self).items()}
+        return {name: value if isinstance(value, bool) else significant(value, 6) for name, value in vars(self).items()}
 
 
 def assess_quality(samples: Samples, found: Estimate) -> Quality:
@@ -203,8 +204,6 @@ def refuse_out_of_range(found: Estimate, brightest: float) -> None:
     """Refuse images that do not determine R_s and σ, and values that no real surface has.
 
     brightest: Greatest specular light of a pixel [grey level].
-    Raises InputError: no pixel is brighter by a level for a highlight, σ is at an edge of its range or beyond, or R_s
-        runs away.
     """
     if brightest < 1.0:
         raise InputError(

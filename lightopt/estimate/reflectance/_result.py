@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from lightopt.config import PlacementConfig
 from lightopt.estimate.reflectance._estimate import Estimate, Interval
-from lightopt.estimate.reflectance._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
+from lightopt.estimate.reflectance._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, significant
 from lightopt.estimate.reflectance._noise import MeasuredNoise
 from lightopt.estimate.reflectance._paper import PaperDiffuse, PaperSpecular
 from lightopt.estimate.reflectance._quality import Quality, convergence_warnings
@@ -17,7 +17,7 @@ from lightopt.estimate.registration import Placement, Registration
 from lightopt.scene import Scene
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class FittedValue:
     """A coefficient and its uncertainty.
 
@@ -38,15 +38,15 @@ class FittedValue:
 
     def as_dict(self) -> dict[str, Any]:
         facts: dict[str, Any] = {
-            "value": float(f"{self.value:.8g}"),
-            "standard_error": float(f"{self.standard_error:.4g}") if self.standard_error else None,
+            "value": significant(self.value, 8),
+            "standard_error": significant(self.standard_error, 4) if self.standard_error else None,
             "interval_95": None if self.interval is None else _rounded(self.interval),
         }
         return facts | ({"regions_95": [_rounded(region) for region in self.regions]} if self.regions else {})
 
 
 def _rounded(interval: Interval) -> list[float | None]:
-    return [None if end is None else float(f"{end:.8g}") for end in interval]
+    return [None if end is None else significant(end, 8) for end in interval]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,7 +133,7 @@ class FitResult:
             "values": {v.name: v.as_dict() for v in self.values},
             "highlights_by": None
             if self.highlights is None
-            else {"R_s": float(f"{self.highlights[0]:.6g}"), "sigma_rad": float(f"{self.highlights[1]:.6g}")},
+            else {"R_s": significant(self.highlights[0], 6), "sigma_rad": significant(self.highlights[1], 6)},
             "correlation_ln_R_s_ln_sigma": self.correlation,
             "gains": None if self.gains is None else {k: v.as_dict() for k, v in self.gains.items()},
             "black_level": facts(self.dark),
@@ -148,15 +148,7 @@ class FitResult:
             "pixels": self.pixels,
             "quality": facts(self.quality),
             "warnings": list(self.warnings),
-            "ridge": [
-                {
-                    "sigma_rad": float(f"{point.sigma:.8g}"),
-                    "R_d": float(f"{point.R_d:.8g}"),
-                    "R_s": float(f"{point.R_s:.8g}"),
-                    "twice_log_likelihood_below_best": float(f"{2.0 * (best - point.value):.6g}"),
-                }
-                for point in scan
-            ],
+            "ridge": [point.as_dict(best) for point in scan],
             "left_out": [left.as_dict() for left in self.left_out],
             "not_left_out": list(self.not_left_out) if self.left_out else [],
             "by_points": [row.as_dict() for row in self.rows],
@@ -195,13 +187,8 @@ def _fitted(
     if place not in found.free:
         return FittedValue(name=name, value=value)
     regions = tuple(bounded(ends, of) for ends in profile_regions(found, place))
-    return FittedValue(
-        name=name,
-        value=value,
-        standard_error=slope * found.standard_error(place),
-        interval=(regions[0][0], regions[-1][1]),
-        regions=regions if len(regions) > 1 else (),
-    )
+    error, interval = slope * found.standard_error(place), (regions[0][0], regions[-1][1])
+    return FittedValue(name, value, error, interval, regions=regions if len(regions) > 1 else ())
 
 
 def fitted_values(found: Estimate, *, full_scale: float) -> tuple[FittedValue, ...]:

@@ -147,7 +147,6 @@ def collect_samples(
 
     uniform: Whether `budget` is one for all octaves together, so that shares of the pixels are shares of the image.
     scene: With the postures and lights of the images.
-    Raises InputError: no pixel is left.
     """
     names = [light.name for light in scene.lights]
     groups: list[SampleGroup] = []

@@ -31,7 +31,6 @@ from lightopt.estimate.reflectance._samples import Samples, subsample
 SCAN_SAMPLES = 50_000  # pixels of the scan over σ, in all
 SCAN_STRIDE = 5  # the scan takes each fifth node of the specular table: 25 σ, each 1.29 times the one before
 WEAK_START = 0.1  # share of the R_s that saturates as many pixels as measured, from which least squares climb as well
-
 MOST_PEAKS = 4
 SAME_PEAK = 0.02  # climbs that end within this of ln σ have found the same peak
 HELD_SIGMA = 0.05  # width of a lobe that is neither fitted nor given [rad]
@@ -40,7 +39,6 @@ HELD_SIGMA = 0.05  # width of a lobe that is neither fitted nor given [rad]
 Climbs = list[tuple[float, Maximum]]
 
 LEAST_DIFFUSE = 0.1  # r_d is guessed where at least this much light arrives per unit of it
-
 START_EPSILON = 0.03
 # a climb begins with wide shoulders [sensor level], so that pixels far from the first guess still pull at it
 START_DEVIATION = 4.0

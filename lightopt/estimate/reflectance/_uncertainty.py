@@ -17,7 +17,6 @@ from lightopt.estimate.reflectance._newton import bounds, maximise
 
 STEP = 0.3  # differences of the gradient are taken this many (conditional) standard errors to either side
 LONGEST_DIFFERENCE = 0.1  # but no logarithm is moved by more than this for it
-
 AT_BOUND = 1e-6
 # a noise parameter with less information than this [nat] is as good as at its bound: others do not depend on it
 LEAST_INFORMATION = 0.05
@@ -42,12 +41,8 @@ def _determined_parameters(likelihood: Likelihood, x: Float64, free: Sequence[in
     # nor scores mean anything
     low, high = bounds(likelihood)
     curvature = np.diag(likelihood.evaluate(x).curvature)
-    return [
-        place
-        for place in free
-        if place < likelihood.size - 2
-        or (low[place] + AT_BOUND < x[place] < high[place] - AT_BOUND and curvature[place] > LEAST_INFORMATION)
-    ]
+    determined = (low + AT_BOUND < x) & (x < high - AT_BOUND) & (curvature > LEAST_INFORMATION)
+    return [place for place in free if place < likelihood.size - 2 or determined[place]]
 
 
 def _information(likelihood: Likelihood, x: Float64, places: Sequence[int]) -> Float64:
@@ -133,14 +128,9 @@ def _at_optimum(estimate: Estimate, other: Optimum) -> Estimate | None:
     if other.criterion is None:
         return None
     here = other.criterion.evaluate(other.x)
-    index = list(estimate.free)
-    return replace(
-        estimate,
-        x=other.x,
-        criterion=other.criterion,
-        maximum=replace(estimate.maximum, x=other.x, evaluation=here),
-        covariance=_inverse(here.curvature[np.ix_(index, index)]),
-    )
+    covariance = _inverse(here.curvature[np.ix_(estimate.free, estimate.free)])
+    top = replace(estimate.maximum, x=other.x, evaluation=here)
+    return replace(estimate, x=other.x, criterion=other.criterion, maximum=top, covariance=covariance)
 
 
 def _joined(regions: list[tuple[float, float]]) -> tuple[tuple[float, float], ...]:

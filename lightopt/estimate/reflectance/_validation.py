@@ -14,10 +14,9 @@ from scipy.ndimage import binary_erosion
 from scipy.spatial import KDTree
 
 from lightopt.core.arrays import Bool, Float32, Float64
-from lightopt.core.run_context import Share
 from lightopt.estimate.reflectance._estimate import Estimate
 from lightopt.estimate.reflectance._fit_samples import refit
-from lightopt.estimate.reflectance._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D
+from lightopt.estimate.reflectance._likelihood import DARK, FIRST_GAIN, LOG_R_S, LOG_SIGMA, R_D, significant
 from lightopt.estimate.reflectance._samples import Samples, subsample
 from lightopt.estimate.reflectance._setup import FitSetup
 from lightopt.estimate.registration import Observation
@@ -27,9 +26,7 @@ from lightopt.rendering import render_posture
 from lightopt.scene import Scene
 
 BUDGET = 1500  # pixels per octave, light and posture that the fits without a light use
-
 MOST_BORDER_PIXELS = 4000
-
 POOR_SHARE = 5.0 / 255.0  # a prediction that is further off than this share of the sensor's full scale is reported
 
 # gets each image that was left out and the sensor levels that were predicted for it
@@ -58,16 +55,21 @@ class Comparison:
     def as_dict(self) -> dict[str, Any]:
         return {
             "image": self.image,
-            "rms_grey_levels": float(f"{self.rms:.5g}"),
-            "rms_sensor_levels": float(f"{self.rms_sensor:.5g}"),
+            "rms_grey_levels": significant(self.rms, 5),
+            "rms_sensor_levels": significant(self.rms_sensor, 5),
             "iou": None if self.iou is None else round(self.iou, 5),
-            "border_px": None if self.border is None else float(f"{self.border:.4g}"),
+            "border_px": None if self.border is None else significant(self.border, 4),
             "saturated_px": self.area,
             "predicted_saturated_px": self.predicted_area,
         }
 
 
-@dataclass(frozen=True, kw_only=True)
+def _coefficients(found: "LeftOut | PointsRow") -> dict[str, float]:
+    values = {"R_d": found.R_d, "R_s": found.R_s, "sigma_rad": found.sigma}
+    return {name: significant(value, 6) for name, value in values.items()}
+
+
+@dataclass(frozen=True)
 class LeftOut:
     """A light whose images were predicted from those of the others; values are those fitted to the others."""
 
@@ -79,24 +81,12 @@ class LeftOut:
     converged: bool = True
 
     def as_dict(self) -> dict[str, Any]:
-        return {
-            "light": self.light,
-            "R_d": float(f"{self.R_d:.6g}"),
-            "R_s": float(f"{self.R_s:.6g}"),
-            "sigma_rad": float(f"{self.sigma:.6g}"),
-            "converged": self.converged,
-            "images": [image.as_dict() for image in self.images],
-        }
+        images = [image.as_dict() for image in self.images]
+        return {"light": self.light, **_coefficients(self), "converged": self.converged, "images": images}
 
 
 def leave_lights_out(
-    scene: Scene,
-    samples: Samples,
-    found: Estimate,
-    *,
-    caster: RayCaster,
-    save_prediction: SavePrediction | None = None,
-    progress: Share | None = None,
+    setup: FitSetup, samples: Samples, found: Estimate, save_prediction: SavePrediction | None = None
 ) -> tuple[LeftOut, ...]:
     """Predict the images of each light from a fit to those of all others; nothing where there is only one light.
 
@@ -105,6 +95,7 @@ def leave_lights_out(
     used = sorted(set(samples.facts.light.tolist()))
     if len(used) < 2:
         return ()
+    scene, progress = setup.scene, setup.run.stage("validating")
     few = subsample(samples, BUDGET)
     results: list[LeftOut] = []
     for done, light in enumerate(used):
@@ -112,20 +103,12 @@ def leave_lights_out(
         fitted = refit(others, found, only_reflectance=True)
         mine = [o for o in samples.images if o.light == samples.lights[light]]
         comparisons: list[Comparison] = []
-        for seen, levels, hit in predict_images(scene, fitted.x, mine, caster=caster, threads=samples.threads):
+        for seen, levels, hit in predict_images(scene, fitted.x, mine, caster=setup.caster, threads=samples.threads):
             comparisons.append(compare_image(seen, levels, hit, scene.sensor, scene.reflectance.full_scale))
             if save_prediction is not None:
                 save_prediction(seen, levels)
-        results.append(
-            LeftOut(
-                light=samples.lights[light],
-                R_d=fitted.R_d,
-                R_s=fitted.R_s,
-                sigma=fitted.sigma,
-                images=tuple(comparisons),
-                converged=fitted.maximum.converged,
-            )
-        )
+        name, images, converged = samples.lights[light], tuple(comparisons), fitted.maximum.converged
+        results.append(LeftOut(name, fitted.R_d, fitted.R_s, fitted.sigma, images, converged))
         if progress is not None:
             progress((done + 1) / len(used))
     return tuple(results)
@@ -240,14 +223,12 @@ class PointsRow:
     def as_dict(self) -> dict[str, Any]:
         return {
             "points": self.points,
-            "R_d": float(f"{self.R_d:.6g}"),
-            "R_s": float(f"{self.R_s:.6g}"),
-            "sigma_rad": float(f"{self.sigma:.6g}"),
+            **_coefficients(self),
             "area_px": self.area,
             "measured_area_px": self.measured_area,
             "perimeter_px": round(self.perimeter, 1),
             "measured_perimeter_px": round(self.measured_perimeter, 1),
-            "mean_log_likelihood": None if self.likelihood is None else float(f"{self.likelihood:.6g}"),
+            "mean_log_likelihood": None if self.likelihood is None else significant(self.likelihood, 6),
         }
 
 

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from lightopt.config import PartConfig, RigConfig
 from lightopt.core.errors import InputError
@@ -84,12 +85,7 @@ class _GoodPosture:
 
 
 def calibrate(
-    rig: RigConfig,
-    part: PartConfig,
-    sets: Sequence[ImageSet],
-    *,
-    options: InspectOptions,
-    run: RunContext | None = None,
+    rig: RigConfig, part: PartConfig, sets: Sequence[ImageSet], options: InspectOptions, run: RunContext | None = None
 ) -> Calibration:
     """Learn from image sets of good parts.
 
@@ -108,15 +104,11 @@ def calibrate(
     cache = PredictionCache()
     catalogue = build_catalogue(part) if DETECTORS[options.scored_by].uses_catalogue else ()
 
+    how: dict[str, Any] = {"register": options.register, "reference": options.reference, "cache": cache}
+
     def registered() -> Iterator[tuple[str, RegisteredSet]]:
         for one in sets:
-            inner = run.within(f"good set {one.folder.name}")
-            yield (
-                str(one.folder),
-                register_set(
-                    rig, part, one, register=options.register, reference=options.reference, cache=cache, run=inner
-                ),
-            )
+            yield str(one.folder), register_set(rig, part, one, **how, run=run.within(f"good set {one.folder.name}"))
 
     def banks() -> Iterator[tuple[Posture, TemplateBank]]:
         for _, one in registered():
@@ -188,17 +180,12 @@ def calibrate_registered(
             for gathered in postures.values():
                 for _ in gathered.packed:
                     gathered.judge_next(options, (), threads)
-        return Calibration(
-            rate=options.false_alarms,
-            sets=tuple(names),
-            postures=tuple(
-                CalibratedPosture(
-                    posture=posture, exposures=one.exposures, peaks=tuple(one.peaks), systematic=one.systematic
-                )
-                for posture, one in postures.items()
-            ),
-            fingerprint=fingerprint,
+        learned_of = tuple(
+            CalibratedPosture(posture, one.exposures, tuple(one.peaks), one.systematic)
+            for posture, one in postures.items()
         )
+        rate = options.false_alarms
+        return Calibration(rate=rate, sets=tuple(names), postures=learned_of, fingerprint=fingerprint)
 
 
 def require_good_sets(sets: int, options: InspectOptions) -> None:

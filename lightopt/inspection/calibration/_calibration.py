@@ -33,7 +33,7 @@ LEAST: Final = 3.0  # no threshold is below this: of so many pixels, some have a
 CONFIDENCE: Final = 0.95  # probability with which a threshold holds its rate
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class CalibratedPosture:
     """What was learned from good parts of one posture.
 
@@ -153,22 +153,17 @@ def calibration_fingerprint(rig: RigConfig, part: PartConfig, options: InspectOp
     if DETECTORS[options.scored_by].uses_catalogue or options.reference == "self":
         del of_part["defect_catalogue"]
     ranges = {"elevation_range_deg", "azimuth_range_deg"}
-    chosen: dict[str, Any] = {
-        "reference": options.reference,
-        "detector": options.detector,
-        "register": options.register,
-    }
     by_synthetic = DETECTORS[options.detector].uses_synthetic
-    chosen |= {"fusion": options.fusion} if by_synthetic else {"min_images": options.min_images}
+    names = ("reference", "detector", "register", "fusion" if by_synthetic else "min_images")
+    chosen = {name: getattr(options, name) for name in names}
+    of_rig = {
+        "camera": rig.camera.model_dump(mode="json"),
+        "light_source": rig.light_source.model_dump(mode="json"),
+        "lights": [light.model_dump(mode="json", exclude=ranges) for light in rig.lights],
+        "stage": rig.stage.model_dump(mode="json", exclude={"elevation_range_deg", "rotation_range_deg"}),
+    }
     return {
-        "rig": _hash(
-            {
-                "camera": rig.camera.model_dump(mode="json"),
-                "light_source": rig.light_source.model_dump(mode="json"),
-                "lights": [light.model_dump(mode="json", exclude=ranges) for light in rig.lights],
-                "stage": rig.stage.model_dump(mode="json", exclude={"elevation_range_deg", "rotation_range_deg"}),
-            }
-        ),
+        "rig": _hash(of_rig),
         "part": _hash(part.model_dump(mode="json", exclude=of_part)),
         "mesh_sha256": file_sha256(part.source.resolve(part.mesh.file)),
         "options": chosen,
@@ -304,11 +299,5 @@ def _posture(path: Path, one: Mapping[str, Any], sets: int) -> CalibratedPosture
     peaks = tuple(float(peak) for peak in one["peaks"])
     if len(peaks) != sets:
         raise ValueError(f"peaks: {len(peaks)} of {sets} good sets")
-    return CalibratedPosture(
-        posture=Posture(
-            elevation_deg=float(one["posture"]["elevation_deg"]), rotation_deg=float(one["posture"]["rotation_deg"])
-        ),
-        exposures=exposures,
-        peaks=peaks,
-        systematic=systematic,
-    )
+    posture = Posture(*(float(one["posture"][axis]) for axis in ("elevation_deg", "rotation_deg")))
+    return CalibratedPosture(posture=posture, exposures=exposures, peaks=peaks, systematic=systematic)

@@ -25,9 +25,7 @@ LEAST_SCORE = 3.0  # defects of lower scores are not sought
 LEAST_MIDDLE = 3.0
 
 MARGIN_PX = 2  # pixels around what an accepted defect explains are explained, too: models of defects are not exact
-
 MOST_DEFECTS = 2000  # that are accepted or refused; beyond, the model does not describe the part
-
 _ROWS = 16  # rows of places that a thread works on at once
 
 
@@ -106,10 +104,9 @@ class _Entry:
         sums, energies = np.zeros((len(some.row), lights), np.float32), np.zeros((len(some.row), lights), np.float32)
         shares = np.zeros((len(some.row), lights, 2), np.float32)
         groups = _group(t, some.row, some.column, some.size, some.pose)
-        _light_sums(
-            t.change, self.z, np.float32(t.unit), self.free, t.pieces.first, t.pieces.pixel, t.pieces.variant,
-            t.pieces.weight, groups, some.row, some.column, sums, energies, shares,
-        )  # fmt: skip
+        pieces = t.pieces.first, t.pieces.pixel, t.pieces.variant, t.pieces.weight
+        images, places = (t.change, self.z, self.free), (groups, some.row, some.column)
+        _light_sums(images, np.float32(t.unit), pieces, places, sums, energies, shares)
         return sums, energies, shares
 
     def rate(self, some: _Candidates) -> None:
@@ -136,7 +133,6 @@ def explain_deviations(
 
     min_images: A defect counts where the images without the `min_images` − 1 that support it most confirm it. Where
         fewer are lit it has to show in these alone.
-    Raises InputError: More than :data:`MOST_DEFECTS` places look like a defect.
     """
     pixels = max(1, int(np.count_nonzero(found.usable.any(axis=0))))
     entries = [
@@ -207,10 +203,8 @@ def _scan(number: int, entry: _Entry, threads: int | None) -> _Candidates:
         bottom = min(top + _ROWS, rows)
         start, end = top * t.step, (bottom - 1) * t.step + 2 * t.border + 1
         products = _multiply(t.change, entry.z, start, end)
-        _best_poses(
-            products, start, t.foreshortening, t.pieces.first, offset, t.pieces.weight, len(t.hypotheses.shapes),
-            t.border, t.step, top, bottom, t.inverse, best, pose,
-        )  # fmt: skip
+        pieces, grid = (t.pieces.first, offset, t.pieces.weight), (len(t.hypotheses.shapes), t.border, t.step)
+        _best_poses(products, start, t.foreshortening, pieces, grid, top, bottom, t.inverse, best, pose)
 
     in_threads(scan, range(0, rows, _ROWS), threads)
     i, k = np.nonzero(np.abs(best) >= LEAST_MIDDLE)
@@ -344,12 +338,8 @@ def _best_poses(
     products: Float32,
     start: int,
     foreshortening: Int16,
-    first: Int32,
-    offset: Int32,
-    weight: Float32,
-    sizes: int,
-    border: int,
-    step: int,
+    pieces: tuple[Int32, Int32, Float32],
+    grid: tuple[int, int, int],
     top: int,
     bottom: int,
     inverse: Float32,
@@ -358,6 +348,7 @@ def _best_poses(
 ) -> None:
     # rows of places from `top` to `bottom`: Z of the middle size at the pose where it is greatest; `products` begin
     # with the row `start` of the images
+    (first, offset, weight), (sizes, border, step) = pieces, grid
     poses, _, columns = inverse.shape
     _, variants, width = products.shape
     flat = products.reshape(-1)
@@ -393,22 +384,16 @@ def _best_poses(
 
 @kernel
 def _light_sums(
-    change: Int8,
-    z: Float32,
+    images: tuple[Int8, Float32, Bool],
     unit: np.float32,
-    free: Bool,
-    first: Int32,
-    pixel: Int32,
-    variant: Int32,
-    weight: Float32,
-    groups: Int32,
-    row: Int32,
-    column: Int32,
+    pieces: tuple[Int32, Int32, Int32, Float32],
+    places: tuple[Int32, Int32, Int32],
     sums: Float32,
     energies: Float32,
     shares: Float32,
 ) -> None:
     # of each hypothesis U and E by light over the pixels that are free, and of those whose change is not clipped
+    (change, z, free), (first, pixel, variant, weight), (groups, row, column) = images, pieces, places
     _, width, lights, variants = change.shape
     flat, flat_z, flat_free = change.reshape(-1), z.reshape(-1), free.reshape(-1)
     own, whole = np.zeros(lights, np.float32), np.ones(lights, np.bool_)

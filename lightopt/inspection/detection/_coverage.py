@@ -26,7 +26,6 @@ CONTRASTS: Final = (0.05, 0.1, 0.2, 0.4)
 """Shares of the light that a defect takes away, for which the sensitivity is reported."""
 
 REFERENCE_DISC_PX = 5.0  # diameter of the even disc that it is reported for
-
 REFERENCE_CONTRAST: Final = 0.2
 REFERENCE_DEFECT: Final = (
     f"a disc of {REFERENCE_DISC_PX:g} px that changes the light by {100.0 * REFERENCE_CONTRAST:g} %"
@@ -168,12 +167,11 @@ def measure_coverage(
     needed = _needed(images, min(min_images, images), high, found.correlation) / disc_gain(REFERENCE_DISC_PX)
     contrasts = np.array(CONTRASTS)
 
+    surface = view.part, view.clean, view.prediction.grazing, view.prediction.area
+    levels, judged = (view.predicted, view.limit, view.saturated), (found.usable, found.lit, found.scale)
+
     def judge(rows: slice) -> Float64:
-        return _judge_rows(
-            view.part, view.clean, view.prediction.grazing, view.prediction.area, view.predicted, view.limit,
-            view.saturated, found.usable, found.lit, found.scale, min_images, needed, contrasts, rows.start, rows.stop,
-            state, least,
-        )  # fmt: skip
+        return _judge_rows(surface, levels, judged, min_images, needed, contrasts, rows.start, rows.stop, state, least)
 
     areas = np.sum(in_row_blocks(judge, height, threads), axis=0)
     of_state, of_contrast = areas[: len(SurfaceState)], areas[len(SurfaceState) :]
@@ -182,16 +180,9 @@ def measure_coverage(
 
 @kernel
 def _judge_rows(
-    part: Bool,
-    clean: Bool,
-    grazing: Bool,
-    area: Float32,
-    predicted: Float32,
-    limit: Float32,
-    saturated: Bool,
-    usable: Bool,
-    lit: Bool,
-    scale: Float32,
+    surface: tuple[Bool, Bool, Bool, Float32],
+    levels: tuple[Float32, Float32, Bool],
+    judged: tuple[Bool, Bool, Float32],
     min_images: int,
     needed: Float64,
     contrasts: Float64,
@@ -202,6 +193,7 @@ def _judge_rows(
 ) -> Float64:
     # writes state and least contrast of some rows, and gives their area in each state, and in which a disc of each
     # contrast is found [mm²]. `needed`: share of a standard deviation, by the numbers of usable and of judging images
+    (part, clean, grazing, area), (predicted, limit, saturated), (usable, lit, scale) = surface, levels, judged
     images, _, width = predicted.shape
     areas = np.zeros(_STATES + len(contrasts))
     shares = np.empty(images, np.float32)

@@ -149,15 +149,10 @@ def merge_detections(detections: Sequence[Detection]) -> tuple[FoundDefect, ...]
     order = sorted(detections, key=lambda s: (-s.score, s.position))
     groups: list[list[Detection]] = []
     for detection in order:
-        near = [
-            (distance, i)
-            for i, group in enumerate(groups)
-            if all(other.posture != detection.posture for other in group)
-            for distance in [min(_distance(detection, other) for other in group)]
-            if distance <= NEAR_MM
-        ]
-        if near:
-            groups[min(near)[1]].append(detection)
+        others = [group for group in groups if all(other.posture != detection.posture for other in group)]
+        distances = [min(_distance(detection, other) for other in group) for group in others]
+        if min(distances, default=math.inf) <= NEAR_MM:
+            others[distances.index(min(distances))].append(detection)
         else:
             groups.append([detection])
     return tuple(FoundDefect(number=i + 1, detections=tuple(group)) for i, group in enumerate(groups))

@@ -72,10 +72,9 @@ def deviations(view: PostureView, *, local: bool = True, threads: int | None = N
     sums, counts = np.zeros(blocks), np.zeros(blocks)
 
     def compare(i: int, rows: slice) -> None:
-        _compare(
-            view.level[i], view.predicted[i], view.deviation[i], view.slack[i], view.limit[i], view.saturated[i],
-            view.clean, rows.start, rows.stop, z[i], scale[i], usable[i], lit[i], sums[i], counts[i],
-        )  # fmt: skip
+        image = view.level[i], view.predicted[i], view.deviation[i], view.slack[i], view.limit[i], view.saturated[i]
+        found = z[i], scale[i], usable[i], lit[i]
+        _compare(image, view.clean, rows.start, rows.stop, found, sums[i], counts[i])
 
     in_image_blocks(compare, lights, height, threads)
     if not local:
@@ -98,22 +97,15 @@ def _around(sums: Float64, counts: Float64) -> Float32:
 
 @kernel
 def _compare(
-    level: Float32,
-    predicted: Float32,
-    deviation: Float32,
-    slack: Float32,
-    limit: Float32,
-    saturated: Bool,
+    image: tuple[Float32, Float32, Float32, Float32, Float32, Bool],
     clean: Bool,
     top: int,
     bottom: int,
-    z: Float32,
-    scale: Float32,
-    usable: Bool,
-    lit: Bool,
+    found: tuple[Float32, Float32, Bool, Bool],
     sums: Float64,
     counts: Float64,
 ) -> None:
+    (level, predicted, deviation, slack, limit, saturated), (z, scale, usable, lit) = image, found
     height, width = level.shape
     for y in range(top, bottom):
         above, below = max(y - 1, 0), min(y + 1, height - 1)

@@ -21,7 +21,6 @@ width and length, in so many directions."""
 LOCAL_PX = 18.0
 
 MEDIAN_PX = 3
-
 BORDER_PX = 3.0  # nothing is scored within this distance of the border of the mask
 
 

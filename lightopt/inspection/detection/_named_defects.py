@@ -26,8 +26,7 @@ from lightopt.inspection.prediction._registered_set import world_to_mesh_file
 from lightopt.scene import Scene
 
 NORMAL_95: Final = 1.959964
-
-GAP_PX = 3  # explained defects this near to each other are one: segments of a scratch, or two walls of a dent
+GAP_PX = 3  # what is this near to each other is one defect: segments of a scratch, or two walls of a dent
 
 # deviations that go beyond explained defects by more than this share of their pixels are not described by them
 _DESCRIBED = 1.0
@@ -39,7 +38,7 @@ SIZE_ERROR, SIZE_ERROR_PX = 0.1, 0.5
 OPPOSITE: Final[Mapping[DefectKind, DefectKind]] = {"dent": "bump", "bump": "dent", "blister": "dent", "pit": "bump"}
 """Kind of a defect whose walls lean the other way than the hypothesis' do."""
 
-_DISC = np.hypot(*np.mgrid[-GAP_PX : GAP_PX + 1, -GAP_PX : GAP_PX + 1]) <= GAP_PX + 0.5
+DISC = np.hypot(*np.mgrid[-GAP_PX : GAP_PX + 1, -GAP_PX : GAP_PX + 1]) <= GAP_PX + 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,8 +106,8 @@ def join_explained(
     mask = np.zeros(labels.shape, np.bool_)
     for one in explained:
         mask[one.rows, one.columns] = True
-    wide = np.asarray(ndimage.binary_dilation(mask, _DISC), np.bool_)
-    near, number = _label(wide)
+    wide = np.asarray(ndimage.binary_dilation(mask, DISC), np.bool_)
+    near, number = label_connected(wide)
     # regions of either kind that touch are one
     touching = np.unique(np.stack([labels[wide], near[wide]]), axis=1)
     touching = touching[:, touching[0] > 0]
@@ -149,7 +148,8 @@ def _renumbered(
     return new[labels], len(present), {int(new[region]): some for region, some in owners.items() if new[region]}
 
 
-def _label(mask: Bool) -> tuple[Int32, int]:
+def label_connected(mask: Bool) -> tuple[Int32, int]:
+    """Number of the connected component of each pixel, across corners too, 0 for none; and how many there are."""
     number = np.zeros(mask.shape, np.int32)
     return number, int(ndimage.label(mask, np.ones((3, 3)), output=number))  # pyright: ignore[reportArgumentType]
 

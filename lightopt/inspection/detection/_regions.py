@@ -15,14 +15,13 @@ from lightopt.inspection._image_blocks import gaussian_taps
 from lightopt.inspection.detection._catalogue_score import ExplainedDefect
 from lightopt.inspection.detection._defects import Detection, Kind
 from lightopt.inspection.detection._deviation import Deviations
-from lightopt.inspection.detection._named_defects import NamedDefect, name_defect
+from lightopt.inspection.detection._named_defects import DISC, GAP_PX, NamedDefect, label_connected, name_defect
 from lightopt.inspection.detection._residual_score import smoothed_deviations
 from lightopt.inspection.prediction._posture_view import PostureView
 from lightopt.inspection.prediction._registered_set import world_to_mesh_file
 from lightopt.scene import Scene
 
 LOW_SHARE = 0.5  # a region spreads from where it is certain to where its score is above this share of the threshold
-GAP_PX = 3  # pixels this near to each other belong to one defect: a dent shows at its walls, and not in its middle
 
 # of a region remains what is above this share of the greatest score around, and its core: sums over Gaussians spread a
 # strong defect beyond its outline …
@@ -46,8 +45,6 @@ CLEAR_OPPOSITE_Z = 8.0
 EVEN_CONTRAST = 0.35  # a stain changes the light of every panel by the same share, within this share of it
 MOST_BRIGHTER = 0.5  # what makes a surface brighter than this is no stain: it spreads a highlight
 
-_DISC = np.hypot(*np.mgrid[-GAP_PX : GAP_PX + 1, -GAP_PX : GAP_PX + 1]) <= GAP_PX + 0.5
-
 
 def find_regions(score: Float32, high: float) -> tuple[Int32, int]:
     """Number of the region that each pixel belongs to, 0 for none, shape (H, W), and how many there are.
@@ -55,7 +52,7 @@ def find_regions(score: Float32, high: float) -> tuple[Int32, int]:
     Hysteresis: a region has a pixel of at least `high`, and spreads over what is connected to it and lower.
     """
     low = score >= LOW_SHARE * high
-    number, count = _label(_dilated(low)[GAP_PX:-GAP_PX, GAP_PX:-GAP_PX])
+    number, count = label_connected(_dilated(low)[GAP_PX:-GAP_PX, GAP_PX:-GAP_PX])
     own = number[low]
     peak = np.zeros(count + 1)
     np.maximum.at(peak, own, score[low])
@@ -71,15 +68,9 @@ def _dilated(mask: Bool) -> Bool:
     # pixels within GAP_PX of a mask, with a border of as many pixels; of few pixels a small part of SciPy's time
     dilated = np.zeros([side + 2 * GAP_PX for side in mask.shape], np.bool_)
     row, column = np.nonzero(mask)
-    for down, right in np.argwhere(_DISC):
+    for down, right in np.argwhere(DISC):
         dilated[row + down, column + right] = True
     return dilated
-
-
-def _label(mask: Bool) -> tuple[Int32, int]:
-    # connected components, across corners too
-    number = np.zeros(mask.shape, np.int32)
-    return number, int(ndimage.label(mask, np.ones((3, 3)), output=number))  # pyright: ignore[reportArgumentType]
 
 
 def region_pixels(labels: Int32, count: int) -> list[tuple[Index, Index]]:
@@ -134,7 +125,7 @@ def split_regions(labels: Int32, count: int, score: Float32, found: Deviations, 
         within = np.where(region, score[box], np.float32(0.0))
         region &= core | (within >= PEAK_SHARE * ndimage.maximum_filter(within, 2 * SPREAD_PX + 1))
         # cores within GAP_PX of each other are one, as in find_regions
-        joined, most = _label(_dilated(core))
+        joined, most = label_connected(_dilated(core))
         cores = np.where(core, joined[GAP_PX:-GAP_PX, GAP_PX:-GAP_PX], np.int32(0))
         peak = ndimage.maximum(np.where(region, score[box], 0.0), cores, np.arange(1, most + 1))
         certain = 1 + np.flatnonzero(np.asarray(peak) >= high)

@@ -16,7 +16,7 @@ from lightopt.inspection.detection._residual_score import score_deviations
 from lightopt.inspection.fusion._synthetic_image import SyntheticImage
 from lightopt.inspection.prediction._template_bank import TemplateBank
 
-MakeSynthetic = Callable[[], SyntheticImage]
+_Make = Callable[[], SyntheticImage] | None  # makes the synthetic image
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,38 +49,28 @@ class Detector:
     caveat: Warning where there is no calibration; empty for none.
     """
 
-    score: Callable[[Deviations, int, MakeSynthetic | None, TemplateBank, int | None], Scores]
+    score: Callable[[Deviations, int, _Make, TemplateBank, int | None], Scores]
     tests: int
     uses_synthetic: bool = False
     uses_catalogue: bool = False
     caveat: str = ""
 
 
-def _score_deviations(
-    found: Deviations, min_images: int, _make_synthetic: MakeSynthetic | None, _bank: TemplateBank, threads: int | None
-) -> Scores:
-    score = score_deviations(found, min_images=min_images, threads=threads)
+def _score_deviations(found: Deviations, least: int, _make: _Make, _bank: TemplateBank, threads: int | None) -> Scores:
+    score = score_deviations(found, min_images=least, threads=threads)
     return Scores(score=score, unexplained=score)
 
 
-def _score_synthetic(
-    _found: Deviations,
-    _min_images: int,
-    make_synthetic: MakeSynthetic | None,
-    _bank: TemplateBank,
-    _threads: int | None,
-) -> Scores:
-    assert make_synthetic is not None
-    score = score_templates(make_synthetic())
+def _score_synthetic(_found: Deviations, _least: int, make: _Make, _bank: TemplateBank, _threads: int | None) -> Scores:
+    assert make is not None
+    score = score_templates(make())
     return Scores(score=score, unexplained=score)
 
 
-def _score_catalogue(
-    found: Deviations, min_images: int, _make_synthetic: MakeSynthetic | None, bank: TemplateBank, threads: int | None
-) -> Scores:
-    explained = explain_deviations(found, bank, share=CATALOGUE_SHARE, min_images=min_images, threads=threads)
+def _score_catalogue(found: Deviations, least: int, _make: _Make, bank: TemplateBank, threads: int | None) -> Scores:
+    explained = explain_deviations(found, bank, share=CATALOGUE_SHARE, min_images=least, threads=threads)
     handicap = math.log10(len(SCALES_PX) / (1.0 - CATALOGUE_SHARE))
-    unexplained = score_deviations(found, min_images=min_images, threads=threads)
+    unexplained = score_deviations(found, min_images=least, threads=threads)
     unexplained = np.maximum(unexplained - np.float32(handicap), np.float32(0.0))
     score = unexplained.copy()
     for one in explained:

@@ -30,7 +30,6 @@ STRONGEST_Z = 6.0
 TABLED_Z = 25.0
 
 TABLE_STEPS = 256  # scores are tabulated in steps of 1/256 of a standard deviation
-
 COARSE_STEPS = 1001  # where images are correlated, scores are worked out at so many deviations
 
 # and as a mean over so many values of what they have in common, up to so many standard deviations

@@ -20,14 +20,12 @@ from lightopt.inspection._results import InspectionResult
 from lightopt.inspection.evaluation._ground_truth import true_labels
 
 SLACK_PX = 2  # a region that comes this near to a labelled pixel is that defect's
-
 MOST_TIMES = 10.0
 # A region finds a defect only if it has at most this many times the defect's pixels, and this many more: one all over
 # the part finds nothing. Defects of few pixels look larger, since they are found in sums over Gaussians.
 MOST_MORE_PX = 50
 
 _DISC = np.hypot(*np.mgrid[-SLACK_PX : SLACK_PX + 1, -SLACK_PX : SLACK_PX + 1]) <= SLACK_PX + 0.5
-
 WANTED = 0.9
 # twice the fall of the log-likelihood at a one-sided bound of 95 %: the square of the normal quantile 1.645
 ONE_SIDED_95 = 2.7055
@@ -38,7 +36,7 @@ STEEPEST = 200.0
 FURTHEST, PLACES = 30.0, 120
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class KnownDefect:
     """A defect that the images show, and whether it was found.
 
@@ -56,14 +54,8 @@ class KnownDefect:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
-        return {
-            "name": self.name,
-            "kind": self.kind,
-            "size_mm": round(self.size, 5),
-            "pixels": self.pixels,
-            "posture": self.posture.as_dict(),
-            "found": self.found,
-        }
+        facts = {"name": self.name, "kind": self.kind, "size_mm": round(self.size, 5), "pixels": self.pixels}
+        return {**facts, "posture": self.posture.as_dict(), "found": self.found}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,6 +75,12 @@ class SetEvaluation:
     areas: tuple[float, ...]
     labels: Literal["images", "part file", "no defects"] = "images"
     name: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON form, without its defects."""
+        counts = {"defects": len(self.defects), "found": sum(one.found for one in self.defects)}
+        rest = {"hidden": list(self.hidden), "false_alarms": self.false_alarms}
+        return {"set": self.name, "labels": self.labels, **counts, **rest}
 
 
 def evaluate_set(image_set: ImageSet, result: InspectionResult, *, known: Sequence[PlacedDefect]) -> SetEvaluation:
@@ -104,17 +102,10 @@ def evaluate_set(image_set: ImageSet, result: InspectionResult, *, known: Sequen
             false_alarms += not len(hit)
         if mine.any():
             areas.append(area_under_roc(posture.score[clean].astype(np.float64), truth[clean] >= 0))
-    defects = [
-        KnownDefect(
-            name=str(one["name"]),
-            kind=str(one["kind"]),
-            size=defect_size(one),
-            pixels=int(pixels[:, i].max()),
-            posture=result.postures[int(pixels[:, i].argmax())].view.posture,
-            found=bool(found[i]),
-        )
-        for i, one in enumerate(listed)
-    ]
+    defects: list[KnownDefect] = []
+    for one, own, hit in zip(listed, pixels.T, found.tolist(), strict=True):
+        name, kind, posture = str(one["name"]), str(one["kind"]), result.postures[int(own.argmax())].view.posture
+        defects.append(KnownDefect(name, kind, defect_size(one), int(own.max()), posture, found=hit))
     return SetEvaluation(
         defects=tuple(d for d in defects if d.pixels),
         hidden=tuple(d.name for d in defects if not d.pixels),
@@ -186,17 +177,7 @@ def summarise(sets: Sequence[SetEvaluation]) -> dict[str, Any]:
             for mine in [[d for d in defects if kind in ("all", d.kind)]]
         },
         "each": [{"set": one.name, **d.as_dict()} for one in sets for d in one.defects],
-        "sets": [
-            {
-                "set": one.name,
-                "labels": one.labels,
-                "defects": len(one.defects),
-                "found": sum(d.found for d in one.defects),
-                "hidden": list(one.hidden),
-                "false_alarms": one.false_alarms,
-            }
-            for one in sets
-        ],
+        "sets": [one.as_dict() for one in sets],
     }
 
 

@@ -38,7 +38,6 @@ def truth_source(image_set: ImageSet, part: PartConfig) -> TruthSource:
     by this file before it was edited, has the defects that `part` names.
 
     part: That the images are inspected by.
-    Raises InputError: there is no source, or labels are listed and their images are not.
     """
     manifest = image_set.manifest
     if isinstance(manifest.extra.get("defects"), list):
@@ -110,7 +109,6 @@ def true_labels(image_set: ImageSet, result: InspectionResult, *, known: Sequenc
 
     known: defects of the part, in the frame of the inspection's nominal scene (:func:`lightopt.scene.place_defects`);
         empty where it has none.
-    Raises InputError: labels are missing, or they are those of images of another size.
     """
     listed = image_set.manifest.extra.get("defects")
     if isinstance(listed, list):

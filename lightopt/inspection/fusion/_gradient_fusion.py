@@ -59,24 +59,17 @@ def pixel_weights(
     images, height, _ = predicted.shape
 
     def weigh(i: int, rows: slice) -> None:
-        own = weights[i, rows]
-        _weigh_rows(saturated[i], predicted[i], specular[i], deviations[i], limit[i], rows.start, own)
+        image = saturated[i], predicted[i], specular[i], deviations[i], limit[i]
+        _weigh_rows(image, rows.start, weights[i, rows])
 
     in_image_blocks(weigh, images, height, threads)
     return weights
 
 
 @kernel
-def _weigh_rows(
-    saturated: Bool,
-    predicted: Float32,
-    specular: Float32,
-    deviations: Float32,
-    limit: Float32,
-    top: int,
-    weights: Float32,
-) -> None:
+def _weigh_rows(image: tuple[Bool, Float32, Float32, Float32, Float32], top: int, weights: Float32) -> None:
     # rows of an image's weights from `top` on; a third of the time that NumPy takes
+    saturated, predicted, specular, deviations, limit = image
     height, width = predicted.shape
     rows = len(weights)
     hidden = np.zeros((rows, width), np.bool_)

@@ -27,7 +27,6 @@ from lightopt.core.kernels import kernel
 from lightopt.inspection._image_blocks import mask_window
 
 TOLERANCE = 1e-10  # residual that is left, as a share of the right side's
-
 MOST_STEPS = 400
 SMALLEST_SIDE = 3
 COARSEST_SWEEPS = 12
@@ -93,7 +92,6 @@ class PoissonGrid:
 
         gx, gy: differences to the pixel to the right, shape (H, W − 1), and below, shape (H − 1, W).
         level: shape (H, W).
-        Raises LightoptError: gradients that are not finite.
         """
         b = divergence(_edges(gx, self.window, 1), _edges(gy, self.window, 0), self._wx, self._wy)
         try:

@@ -23,7 +23,6 @@ AVERAGING: Final = ("paper",)
 FILL_WEIGHT = 1e-3
 
 MARGIN_PX = 2  # around the pixels of the mask, as far as the rules reach
-
 PROBES = 4
 PROBE_TOLERANCE = 1e-4
 # the uncertainty is the spread of so many images made from levels with noise added, smoothed over so many pixels; what

@@ -6,7 +6,7 @@ from pathlib import Path
 from PIL import Image
 
 from lightopt.design import Curve, DesignOutput, DetectabilityObjective, SetResult
-from lightopt.images import ImageSet, read_image_set, read_png
+from lightopt.images import ImageEntry, ImageSet, read_image_set, read_png
 from lightopt.report._charts import COLOURS, chart, name_lines
 from lightopt.report._contact_sheet import entry_thumbnail, light_position, saturation_text
 from lightopt.report._drawing import figure_image, fixed_style, printable
@@ -31,29 +31,23 @@ def image_blocks(output: DesignOutput) -> list[Block]:
         shots = dict.fromkeys((entry.posture, entry.exposure) for entry in images.images)
         levels = {entry.exposure for entry in images.images}
         for posture, exposure in shots:
-            pictures = [
-                _picture(images, index)
-                for index, entry in enumerate(images.images)
-                if (entry.posture, entry.exposure) == (posture, exposure)
-            ]
+            own = [one for one in images.images if (one.posture, one.exposure) == (posture, exposure)]
+            pictures = [_picture(images, one) for one in own]
             # one light has no others for its highlights to overlap with
             together = [_overlap(*maps[posture, exposure])] if maps else []
             at = f", exposure {exposure:.9g}" * (levels != {1.0})
             rows.append((f"posture {posture}{at}", [*pictures, *together]))
     which = "the planned exposures" if output.document.get("exposures") else "exposure 1"
     right = " On the right: blue where one image is saturated, red where several are." * bool(maps)
-    return [
-        Gallery(
-            header=[*output.result.candidates.names, *(["highlights together"] if maps else [])],
-            rows=rows,
-            caption=f"What the camera would deliver at {which}; red: saturated pixels.{right} Images are averaged "
-            "down, counts are of the full ones.",
-        )
-    ]
+    header = [*output.result.candidates.names, *(["highlights together"] if maps else [])]
+    caption = (
+        f"What the camera would deliver at {which}; red: saturated pixels.{right} Images are averaged down, counts are "
+        "of the full ones."
+    )
+    return [Gallery(header=header, rows=rows, caption=caption)]
 
 
-def _picture(images: ImageSet, index: int) -> Picture:
-    entry = images.images[index]
+def _picture(images: ImageSet, entry: ImageEntry) -> Picture:
     small = entry_thumbnail(images, entry, SIDE)
     return Picture(
         png=png_bytes(Image.fromarray(small.picture)),

@@ -22,15 +22,11 @@ def defect_tables(document: Mapping[str, Any]) -> list[Table]:
     if not answers:
         return []
     names = list(answers[0][1]["defects"])
-    rows = [
-        [
-            _postures(postures),
-            *(share_text(answer["defects"][name], grain) for name in names),
-            str(answer["worst_defect"]),
-            f"{answer['worst_direction_deg']:g}°" if "worst_direction_deg" in answer else "-",
-        ]
-        for postures, answer, grain in answers
-    ]
+    rows: list[list[str]] = []
+    for postures, answer, grain in answers:
+        turn = f"{answer['worst_direction_deg']:g}°" if "worst_direction_deg" in answer else "-"
+        shares = (share_text(answer["defects"][name], grain) for name in names)
+        rows.append([_postures(postures), *shares, str(answer["worst_defect"]), turn])
     caption = (
         f"Shares of {answers[0][1]['share_of']}, on which the defect is found. Orientations of long defects are "
         "counted as direction_deg of defects: in the tangent plane, counterclockwise seen from outside, from the X "
@@ -81,17 +77,11 @@ def posture_table(chosen: Mapping[str, Any], *, with_exposures: bool = True) -> 
     """The chosen postures in the order of travel, from ``chosen_postures`` of result.json."""
     text = partial(share_text, grain=chosen["patches"]["grain"])
     numbered = {Posture.from_dict(one): (number, one) for number, one in enumerate(chosen["postures"], start=1)}
-    rows = [
-        [
-            str(posture),
-            str(number),
-            *([", ".join(f"{exposure:.9g}" for exposure in one["exposures"])] if with_exposures else []),
-            text(one["gain"]),
-            text(one["share"]),
-        ]
-        for posture in map(Posture.from_dict, chosen["order_of_travel"])
-        for number, one in [numbered[posture]]
-    ]
+    rows: list[list[str]] = []
+    for posture in map(Posture.from_dict, chosen["order_of_travel"]):
+        number, one = numbered[posture]
+        exposures = [", ".join(f"{exposure:.9g}" for exposure in one["exposures"])] if with_exposures else []
+        rows.append([str(posture), str(number), *exposures, text(one["gain"]), text(one["share"])])
     caption = (
         "In the order of least travel, if all postures are captured in one round. Of the surface × defects: adds, the "
         "evidence that the posture adds to that of the postures chosen before it, as a share of all that is needed; "
@@ -162,15 +152,10 @@ def exposure_note(planned: Mapping[str, Any]) -> str:
 
 def exposure_table(planned: Mapping[str, Any]) -> Table:
     """The exposures that were considered, from ``exposures`` of result.json."""
-    rows = [
-        [
-            str(Posture.from_dict(shot["posture"])),
-            f"{shot['exposure']:g}",
-            share_text(shot["gain"], planned["grain"]),
-            "yes" if shot["planned"] else "no",
-        ]
-        for shot in planned["shots"]
-    ]
+    rows: list[list[str]] = []
+    for shot in planned["shots"]:
+        gain, is_planned = share_text(shot["gain"], planned["grain"]), "yes" if shot["planned"] else "no"
+        rows.append([str(Posture.from_dict(shot["posture"])), f"{shot['exposure']:g}", gain, is_planned])
     return Table(header=["posture", "exposure", "adds", "planned"], rows=rows)
 
 
@@ -194,12 +179,9 @@ def tolerance_table(tolerances: Sequence[Mapping[str, Any]]) -> Table:
     corners = [share_text(one["worst_corner"]["share_of_score"], one["grain"]) for one in tolerances]
     draws = [share_text(one["quantile_5_percent"], one["grain"]) for one in tolerances]
     rows = [["worst corner keeps", *corners], ["95 % of draws keep", *draws]]
-    for index, widest in enumerate(tolerances[0]["widest"]):
-        cells = [
-            f"{'≥ ' if one['widest'][index]['or_more'] else ''}{one['widest'][index]['degrees']:.2f}°"
-            for one in tolerances
-        ]
-        rows.append([f"widest: {widest['what']}, {widest['angle']}", *cells])
+    for same in zip(*(one["widest"] for one in tolerances), strict=True):
+        cells = [f"{'≥ ' * widest['or_more']}{widest['degrees']:.2f}°" for widest in same]
+        rows.append([f"widest: {same[0]['what']}, {same[0]['angle']}", *cells])
     return Table(header=["off by the tolerance", *(_postures(one["postures"]) for one in tolerances)], rows=rows)
 
 

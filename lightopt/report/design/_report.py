@@ -57,33 +57,22 @@ def design_page(output: DesignOutput) -> Page:
         Section(heading="Scores", blocks=[scores_table(output)]),
         Section(heading="Assumptions", blocks=fact_blocks(output)),
     ]
-    rig, part = output.result.rig, output.result.part
-    return Page(
-        title=f"Light positions: {part.name}",
-        subtitle=f"{part.name} on {rig.name}, lightopt {output.document['provenance']['lightopt']}",
-        lead=answer_blocks(output),
-        sections=[section for section in sections if section.blocks],
-    )
+    rig, part = output.result.rig.name, output.result.part.name
+    subtitle = f"{part} on {rig}, lightopt {output.document['provenance']['lightopt']}"
+    return Page(title=f"Light positions: {part}", subtitle=subtitle, lead=answer_blocks(output), sections=sections)
 
 
 def answer_blocks(output: DesignOutput) -> list[Block]:
     """The result in a sentence and a table of angles, its proof, and warnings."""
     chosen = output.document.get("chosen_postures")
-    blocks: list[Block] = (
-        [_answer(result) for result in output.result.results]
-        if chosen is None
-        else [_plan_answer(chosen, output.document.get("exposures"))]
-    )
+    plan = [] if chosen is None else [_plan_answer(chosen, output.document.get("exposures"))]
+    blocks: list[Block] = [*(plan or map(_answer, output.result.results))]
     header = ["posture", *output.result.candidates.names, "score"]
     found = [(result, result.answers[0]) for result in output.result.results if result.answers[0].nothing is None]
-    rows = [
-        [
-            postures_text(result.postures),
-            *_angles(output, best),
-            result.score_text(best.found.best.score, best.objective),
-        ]
-        for result, best in found
-    ]
+    rows: list[list[str]] = []
+    for result, best in found:
+        score = result.score_text(best.found.best.score, best.objective)
+        rows.append([postures_text(result.postures), *_angles(output, best), score])
     if rows:
         caption = (
             "Angles of each light: elevation from the table plane, and azimuth about Z from the world's +X towards +Y."
@@ -103,12 +92,8 @@ def answer_blocks(output: DesignOutput) -> list[Block]:
 def scores_table(output: DesignOutput) -> Table:
     """The best set of every objective, scored under all."""
     names = [answer.objective.name for answer in output.result.results[0].answers]
-    rows = [
-        _scores(output, result, answer, names)
-        for result in output.result.results
-        for answer in result.answers
-        if answer.nothing is None
-    ]
+    answers = [(one, answer) for one in output.result.results for answer in one.answers if answer.nothing is None]
+    rows = [_scores(output, one, answer, names) for one, answer in answers]
     counts = ("left out", "runner-up", "ties / near best", "combinations")
     header = ["posture", "best for", *output.result.candidates.names, *names, *counts]
     objectives = [answer.objective for answer in output.result.results[0].answers]
@@ -197,10 +182,8 @@ def _unbroken(score: str) -> str:
 def fact_blocks(output: DesignOutput) -> list[Block]:
     """LevelThresholds, sensor, reflectance, patches, options, versions and hashes; and the positions left out."""
     blocks: list[Block] = [Facts(rows=[*_physics(output), *_search(output)]), Facts(rows=_provenance(output))]
-    left_out = [
-        [out.light, f"{out.elevation_deg:g}°, {out.azimuth_deg:g}°", out.reason]
-        for out in output.result.all_candidates.left_out
-    ]
+    excluded = output.result.all_candidates.left_out
+    left_out = [[one.light, f"{one.elevation_deg:g}°, {one.azimuth_deg:g}°", one.reason] for one in excluded]
     if left_out:
         blocks.append(Table(header=["light", "position", "left out because it"], rows=left_out, numbers_from=3))
     return blocks
@@ -209,16 +192,14 @@ def fact_blocks(output: DesignOutput) -> list[Block]:
 def _physics(output: DesignOutput) -> list[tuple[str, str]]:
     scene, thresholds = output.result.scene, output.result.thresholds
     sensor, reflectance = scene.sensor, scene.reflectance
-    shot = (
-        "no shot noise" if sensor.electrons_per_level is None else f"{sensor.electrons_per_level:g} electrons per level"
-    )
+    electrons = sensor.electrons_per_level
+    shot = "no shot noise" if electrons is None else f"{electrons:g} electrons per level"
     levels = (
         f"{sensor.bit_depth} bit, black level {sensor.black_level:g}; shaded below {thresholds.shade}, saturated from "
         f"{thresholds.saturation} on; at exposure 1, without noise"
     )
     options = output.document["provenance"]["options"]
-    seen_against = "used for detectability only"
-    use = seen_against if "false_alarms" in options else "not part of the score"
+    use = "used for detectability only" if "false_alarms" in options else "not part of the score"
     coefficients = f"R_d {reflectance.R_d:g}, R_s {reflectance.R_s:g}, σ {reflectance.sigma:g} rad"
     return [
         ("levels", levels),
@@ -263,10 +244,8 @@ def _search(output: DesignOutput) -> list[tuple[str, str]]:
             f"where the expected evidence of all images passes the threshold of {options['false_alarms']:g} false "
             f"alarms per posture; {deciding_text(options['min_images'])}"
         )
-        facts += [
-            ("defect catalogue", f"{', '.join(entry.name for entry in entries)}: {hypotheses}"),
-            ("a defect is found", found),
-        ]
+        names = ", ".join(entry.name for entry in entries)
+        facts += [("defect catalogue", f"{names}: {hypotheses}"), ("a defect is found", found)]
     if (tolerances := options.get("tolerances")) is not None:
         text = (
             f"lights {tolerances['light_deg']:g}°, part {tolerances['pose_deg']:g}°; "

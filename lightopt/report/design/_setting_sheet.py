@@ -2,11 +2,8 @@
 
 from dataclasses import replace
 
-import numpy as np
-
 from lightopt.core.errors import InputError, counted
 from lightopt.design import DesignOutput, DesignResult, SetResult, angles_of
-from lightopt.lights import PanelLight
 from lightopt.report._contact_sheet import degrees
 from lightopt.report._images import png_bytes
 from lightopt.report._page import Block, Note, Picture, Table
@@ -44,39 +41,32 @@ def setting_blocks(output: DesignOutput) -> list[Block]:
     return blocks
 
 
-def _panels(output: DesignOutput, best: tuple[int, ...]) -> tuple[PanelLight, ...]:
-    return output.result.candidates.panels_at(best)
-
-
 def _table(output: DesignOutput, best: tuple[int, ...], results: list[SetResult], *, name_postures: bool) -> Table:
     rows: list[list[str]] = []
     found = angles_of(output.result.candidates, results[0].answers[0].found.best)
-    for panel, (elevation, azimuth), light in zip(_panels(output, best), found, output.result.rig.lights, strict=True):
+    panels = output.result.candidates.panels_at(best)
+    for panel, (elevation, azimuth), light in zip(panels, found, output.result.rig.lights, strict=True):
         now = (light.elevation_deg, light.azimuth_deg)
         centre = [f"{coordinate:.1f}" for coordinate in panel.centre]
         before = "stays" if now == (elevation, azimuth) else f"{degrees(now[0])}, {degrees(now[1])}"
-        rows.append(
-            [panel.name, degrees(elevation), degrees(azimuth), f"{panel.distance:g} mm", ", ".join(centre), before]
-        )
+        angles = degrees(elevation), degrees(azimuth)
+        rows.append([panel.name, *angles, f"{panel.distance:g} mm", ", ".join(centre), before])
     postures = ", ".join(postures_text(result.postures) for result in results)
     caption = (
         "Elevation from the table plane, azimuth about Z from +X towards +Y, distance from the table's centre to the "
         "panel's centre. Each panel faces the table's centre."
     )
-    return Table(
-        header=["light", "elevation", "azimuth", "distance", "centre of the panel X, Y, Z [mm]", "now"],
-        rows=rows,
-        caption=f"For {postures}. {caption}" if name_postures else caption,
-    )
+    header = ["light", "elevation", "azimuth", "distance", "centre of the panel X, Y, Z [mm]", "now"]
+    return Table(header=header, rows=rows, caption=f"For {postures}. {caption}" if name_postures else caption)
 
 
 def _drawing(output: DesignOutput, best: tuple[int, ...], results: list[SetResult]) -> Picture:
-    panels = _panels(output, best)
+    panels = output.result.candidates.panels_at(best)
     postures = tuple(posture for result in results for posture in result.postures)
+    found = angles_of(output.result.candidates, results[0].answers[0].found.best)
     angles = "; ".join(
-        f"{panel.name} {degrees(round(float(np.degrees(panel.elevation)), 9))}, "
-        f"{degrees(round(float(np.degrees(panel.azimuth)), 9))}"
-        for panel in panels
+        f"{panel.name} {degrees(elevation)}, {degrees(azimuth)}"
+        for panel, (elevation, azimuth) in zip(panels, found, strict=True)
     )
     return Picture(
         png=png_bytes(rig_image(replace(output.result.scene, lights=panels, postures=postures))),

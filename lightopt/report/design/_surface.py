@@ -61,14 +61,12 @@ SHARES = (
 )
 
 BACKGROUND = (255, 255, 255)
-
 LEAST_SHADE = 0.8  # brightness of a surface that is seen edge on; one that faces the camera has its legend's colour
 BLOCK_ROWS = 64  # of a picture, traced at once
-
 SMALLEST_LEGEND, LARGEST_LEGEND = 13, 26  # sizes of a legend's text [px]; in between a fiftieth of the picture's width
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class PostureClasses:
     """Class of each patch in a posture, indices into :data:`LEVEL_CLASSES`, shape (p,), uint8.
 
@@ -122,24 +120,24 @@ def surface_blocks(output: DesignOutput) -> list[Block]:
             toward=first_view(output.result.scene.camera),
         ),
         alt=f"{output.result.part.name}, coloured by what the images of the best set show of it",
-        caption=" ".join(_captions(output)),
+        caption=_caption(output),
     )
     return [view, *summary]
 
 
-def _captions(output: DesignOutput) -> list[str]:
+def _caption(output: DesignOutput) -> str:
     low, high = output.result.thresholds.shade, output.result.thresholds.saturation
-    captions = [
-        f"{output.result.part.name} at posture (0°, 0°), Z up.",
-        f"A level from {low} on and below {high} is usable, one from {high} on saturated, one below {low} shaded.",
-    ]
-    if output.result.blind is not None:
-        captions.append(
-            "Defects are those of the catalogue, by weight. How many are seen: percentages are of the part's surface. "
-            "Why not: they are of its surface × defects, as in the table of blind spots; blue where all are seen, pale "
-            "where some are and others not."
-        )
-    return captions
+    caption = (
+        f"{output.result.part.name} at posture (0°, 0°), Z up. A level from {low} on and below {high} is usable, one "
+        f"from {high} on saturated, one below {low} shaded."
+    )
+    if output.result.blind is None:
+        return caption
+    return (
+        f"{caption} Defects are those of the catalogue, by weight. How many are seen: percentages are of the part's "
+        "surface. Why not: they are of its surface × defects, as in the table of blind spots; blue where all are seen, "
+        "pale where some are and others not."
+    )
 
 
 def _postures(output: DesignOutput) -> list[PostureClasses]:
@@ -154,15 +152,9 @@ def _postures(output: DesignOutput) -> list[PostureClasses]:
             classes[seen] = level_classes(levels, output.result.thresholds)
             own = table.patches.areas[seen]
             units, grazing = area_units(own), float(table.patches.areas[left_out].sum())
-            found.append(
-                PostureClasses(
-                    posture=posture,
-                    classes=classes,
-                    areas=tuple(int(units[classes[seen] == k].sum()) for k in range(_LEFT_OUT)),
-                    left_out=grazing / (grazing + float(own.sum())),
-                    grain=grain_of(own),
-                )
-            )
+            areas = tuple(int(units[classes[seen] == k].sum()) for k in range(_LEFT_OUT))
+            share = grazing / (grazing + float(own.sum()))
+            found.append(PostureClasses(posture, classes, areas, left_out=share, grain=grain_of(own)))
     return found
 
 
@@ -184,18 +176,11 @@ def _shares(output: DesignOutput, classes: UInt8) -> list[str]:
 
 
 def _table(shown: list[PostureClasses]) -> Table:
-    rows = [
-        [
-            str(one.posture),
-            *(
-                f"{area_text(area, one.grain * counted)} ({share_text(area / max(1, counted), one.grain)})"
-                for area in one.areas
-            ),
-            share_text(one.left_out, one.grain),
-        ]
-        for one in shown
-        for counted in [sum(one.areas)]
-    ]
+    rows: list[list[str]] = []
+    for one in shown:
+        grain, counted = one.grain, sum(one.areas)
+        areas = (f"{area_text(a, grain * counted)} ({share_text(a / max(1, counted), grain)})" for a in one.areas)
+        rows.append([str(one.posture), *areas, share_text(one.left_out, grain)])
     return Table(
         header=["posture", *(label for label, _ in LEVEL_CLASSES[:_UNSEEN])],
         rows=rows,

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -74,19 +74,11 @@ def overlay_image(
         defect = found[id(detection)]
         left, top, right, bottom = (enlarge * side for side in detection.box_px)
         m = BOX_MARGIN_PX * enlarge
-        draw.rectangle(
-            [left - m, top - m, right + m - 1, bottom + m - 1], outline=KIND_COLOURS[defect.best.kind], width=line
-        )
-        number = str(defect.number)
-        draw.text(
-            _label_place(image, font, number, (left - m, top - m, right + m)),
-            number,
-            font=font,
-            anchor="ls",
-            fill=LABEL_COLOURS[defect.best.kind],
-            stroke_width=max(2, size // 7),
-            stroke_fill="#000000",
-        )
+        kind, number = defect.best.kind, str(defect.number)
+        draw.rectangle([left - m, top - m, right + m - 1, bottom + m - 1], outline=KIND_COLOURS[kind], width=line)
+        at = _label_place(image, font, number, (left - m, top - m, right + m))
+        border: dict[str, Any] = {"stroke_width": max(2, size // 7), "stroke_fill": "#000000"}
+        draw.text(at, number, font=font, anchor="ls", fill=LABEL_COLOURS[kind], **border)
     return image, shown
 
 
@@ -120,15 +112,10 @@ def image_blocks(result: InspectionResult) -> list[Block]:
         )
         caption = (
             f"Posture {where}: red for a defect of shape, blue for a stain, orange for an unknown kind; the background "
-            f"is {beneath}"
+            f"is {beneath}; {shown.legend}."
         )
-        blocks.append(
-            Picture(
-                png=_small(picture, OVERLAY_PX),
-                alt=f"Posture {where}: the part with its defects outlined and numbered",
-                caption=f"{caption}; {shown.legend}.",
-            )
-        )
+        alt = f"Posture {where}: the part with its defects outlined and numbered"
+        blocks.append(Picture(png=_small(picture, OVERLAY_PX), alt=alt, caption=caption))
     rows = [(f"posture {p.view.posture}", pictures) for p in result.postures if (pictures := _synthetic(p))]
     if rows:
         blocks.append(Gallery(header=["without highlights", "its uncertainty"], rows=rows))
@@ -143,13 +130,8 @@ def _synthetic(posture: InspectedPosture) -> list[Picture | None]:
     for what, level in (("without highlights", image.level), ("uncertainty", image.deviation)):
         shown = grey_picture(level, image.mask)
         picture = Image.fromarray(shown.grey).convert("RGB")
-        pictures.append(
-            Picture(
-                png=_small(enlarged(picture, _times(picture.size, SMALL_PX)), SMALL_PX),
-                alt=f"Posture {posture.view.posture}: {what}",
-                caption=shown.legend,
-            )
-        )
+        png = _small(enlarged(picture, _times(picture.size, SMALL_PX)), SMALL_PX)
+        pictures.append(Picture(png=png, alt=f"Posture {posture.view.posture}: {what}", caption=shown.legend))
     return pictures
 
 

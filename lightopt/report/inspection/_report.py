@@ -33,25 +33,18 @@ def inspection_report(
     provenance: From :func:`lightopt.inspection.inspection_provenance`.
     truth: From :func:`lightopt.inspection.summarise`; None where nothing is known of the part.
     """
+    defects = defect_table(result, verdict) if result.defects else Note(text="No defect was found.")
     sections = [
         Section(heading="Positions of the defects", blocks=[marked_part(result, part)]),
-        Section(
-            heading="Defects",
-            blocks=[defect_table(result, verdict) if result.defects else Note(text="No defect was found.")],
-        ),
+        Section(heading="Defects", blocks=[defects]),
         Section(heading="Images", blocks=image_blocks(result)),
         Section(heading="Inspected surface", blocks=[surface_table(result)]),
         Section(heading="Comparison with ground truth", blocks=[] if truth is None else truth_blocks(truth)),
         Section(heading="Inputs and settings", blocks=[_facts(result, verdict, provenance)]),
     ]
-    return page_html(
-        Page(
-            title=f"{verdict.word}: {part}",
-            subtitle=f"{part} on {rig}, lightopt {provenance['lightopt']}",
-            lead=[_answer(result, verdict), Warnings(texts=result.warnings)],
-            sections=[section for section in sections if section.blocks],
-        )
-    )
+    lead = [_answer(result, verdict), Warnings(texts=result.warnings)]
+    subtitle = f"{part} on {rig}, lightopt {provenance['lightopt']}"
+    return page_html(Page(title=f"{verdict.word}: {part}", subtitle=subtitle, lead=lead, sections=sections))
 
 
 def _answer(result: InspectionResult, verdict: Verdict) -> Answer:
@@ -74,10 +67,8 @@ def _facts(result: InspectionResult, verdict: Verdict, provenance: Mapping[str, 
     rate, limits = options["false_alarms"], verdict.limits
     reference = REFERENCES[result.reference]
     detector = InspectOptions(detector=options["detector"], reference=result.reference).scored_by
-    alarms = (
-        f"{rate:g} of good parts with a false alarm in a posture"
-        if "calibration" in inputs
-        else f"{rate:g} per posture"
+    alarms = f"{rate:g} " + (
+        "of good parts with a false alarm in a posture" if "calibration" in inputs else "per posture"
     )
     counting = (
         f"at most {counted(limits.most_defects, 'defect')} of {limits.least_size_mm:g} mm or more and a contrast of "
@@ -85,6 +76,8 @@ def _facts(result: InspectionResult, verdict: Verdict, provenance: Mapping[str, 
         "inspected"
     )
     shows = f"a defect must show in {counted(min_images, 'image')}"
+    without = {"file": "none; the threshold follows from the sensor's noise"}
+    calibration = inputs.get("calibration", without)["file"]
     rows = [
         ("rig", f"{inputs['rig']['file']}, sha256 {inputs['rig']['sha256'][:16]}"),
         ("part", f"{inputs['part']['file']}, sha256 {inputs['part']['sha256'][:16]}"),
@@ -93,10 +86,7 @@ def _facts(result: InspectionResult, verdict: Verdict, provenance: Mapping[str, 
         ("image without highlights", options["fusion"] or "none"),
         ("false-alarm rate", alarms),
         ("limits", counting),
-        (
-            "calibration",
-            inputs.get("calibration", {}).get("file", "none; the threshold follows from the sensor's noise"),
-        ),
+        ("calibration", calibration),
     ]
     if result.placement is not None:
         place = placement_text(result.placement) or "cannot be determined; assumed as in the part file"
@@ -119,17 +109,9 @@ def batch_report(
     """
     good = sum(row.verdict is not None and row.verdict.good for row in rows)
     refused = sum(row.verdict is None for row in rows)
+    finds = f"finds {100 * REFERENCE_CONTRAST:g} %"
     table = Table(
-        header=[
-            "set",
-            "verdict",
-            "reasons",
-            "defects",
-            "that count",
-            "inspected",
-            f"finds {100 * REFERENCE_CONTRAST:g} %",
-            "only glints",
-        ],
+        header=["set", "verdict", "reasons", "defects", "that count", "inspected", finds, "only glints"],
         rows=[_cells(row) for row in rows],
         numbers_from=3,
         caption="A set's name leads to its own report. Inspected: share of the surface that the part's postures show. "
@@ -142,27 +124,14 @@ def batch_report(
         Section(heading="Parts", blocks=[table]),
         Section(heading="Comparison with ground truth", blocks=[] if truth is None else truth_blocks(truth)),
     ]
-    return page_html(
-        Page(
-            title=f"{counted(len(rows), 'part')}: {part}",
-            subtitle=f"{part} on {rig}, lightopt {version}",
-            lead=[Answer(figure=f"{good} of {len(rows)}", text=f"parts are OK{rest}")],
-            sections=[section for section in sections if section.blocks],
-        )
-    )
+    title, subtitle = f"{counted(len(rows), 'part')}: {part}", f"{part} on {rig}, lightopt {version}"
+    lead = [Answer(figure=f"{good} of {len(rows)}", text=f"parts are OK{rest}")]
+    return page_html(Page(title=title, subtitle=subtitle, lead=lead, sections=sections))
 
 
 def _cells(row: BatchRow) -> list[str]:
     verdict = row.verdict
     if verdict is None:
         return [row.name, row.word, "; ".join(row.refused), *"-----"]
-    return [
-        row.name,
-        row.word,
-        verdict.explanation,
-        str(row.defects),
-        str(len(verdict.counting)),
-        percent(verdict.inspected),
-        percent(verdict.finds),
-        percent(verdict.glints),
-    ]
+    shares = map(percent, (verdict.inspected, verdict.finds, verdict.glints))
+    return [row.name, row.word, verdict.explanation, str(row.defects), str(len(verdict.counting)), *shares]

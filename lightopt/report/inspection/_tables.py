@@ -109,14 +109,8 @@ def dark_text(verdict: Verdict) -> str:
 def placement_text(placement: Placement) -> str:
     """How far a part lies off its place, of what the images determine: shifts [mm] and rotations [°], with signs."""
     found = placement.as_dict()
-    forms = {
-        "x_mm": "{} mm in x",
-        "y_mm": "{} mm in y",
-        "turn_deg": "rotated by {}°",
-        "z_mm": "{} mm in z",
-        "tilt_x_deg": "tilted by {}° about x",
-        "tilt_y_deg": "tilted by {}° about y",
-    }
+    forms = {"x_mm": "{} mm in x", "y_mm": "{} mm in y", "turn_deg": "rotated by {}°", "z_mm": "{} mm in z"}
+    forms |= {f"tilt_{axis}_deg": f"tilted by {{}}° about {axis}" for axis in "xy"}
     # adding 0 makes a nought of what is rounded to minus nought
     words = [
         form.format(f"{round(float(f'{found[key]}'), 3) + 0.0:+.3f}") for key, form in forms.items() if key in found
