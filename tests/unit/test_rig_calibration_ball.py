@@ -14,7 +14,8 @@ from scipy.optimize import minimize
 
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
-from lightopt.estimate.rig_calibration import PANEL_PARAMETERS, MirroredPanel, fit_ball, measure_ball
+from lightopt.estimate.rig_calibration._ball_fit import PANEL_PARAMETERS, MirroredPanel, fit_ball
+from lightopt.estimate.rig_calibration._ball_images import measure_ball
 from lightopt.estimate.rig_calibration._mirror_ball import mirror_points, mirrored_image, outline_distances
 from lightopt.geometry import TriangleMesh
 from lightopt.lights import panel_corners

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from lightopt.core.errors import InputError
-from lightopt.estimate.rig_calibration import FramePair, photon_transfer
-from lightopt.estimate.rig_calibration._photon_transfer import gaussian_of_levels
+from lightopt.estimate.rig_calibration._photon_transfer import FramePair, gaussian_of_levels, photon_transfer
 from lightopt.optics import Sensor, expose
 
 EIGHT_BITS = Sensor(bit_depth=8, read_noise_levels=0.8, electrons_per_level=60.0)

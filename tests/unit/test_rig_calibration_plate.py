@@ -12,9 +12,8 @@ from rig_targets import CAMERA, LIGHTS, STAGE
 
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
-from lightopt.estimate.rig_calibration import Plate, fit_plate, plate_cells
 from lightopt.estimate.rig_calibration._ball_fit import posed_panel
-from lightopt.estimate.rig_calibration._plate_fit import irradiance
+from lightopt.estimate.rig_calibration._plate_fit import Plate, fit_plate, irradiance, plate_cells
 from lightopt.geometry import TriangleMesh
 from lightopt.optics import Reflectance, Sensor
 from lightopt.rendering import render
