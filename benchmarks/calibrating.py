@@ -30,7 +30,7 @@ RIG, PART = CONFIGS / "rigs" / "four-panel.yaml", CONFIGS / "parts" / "cover-kno
 CAMERA_DEG, CAMERA_MM, FOCAL_SHARE, CENTRE_PX = 1.0, 2.0, 0.005, 8.0
 AXIS_DEG, AXIS_MM = 0.1, 0.3
 PANEL_MM, PANEL_DEG, GAIN = 3.0, 2.0, 0.08
-RAYS = 3  # along each side of a pixel
+RAYS = 2  # along each side of a pixel
 
 
 def main() -> None:
