@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -138,7 +139,8 @@ def good_part_seen(request, shared_bench, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param)
     path = folder / "part.yaml"
     path.write_text(text, encoding="utf-8")
-    render_image_set(rig, load_part(path), folder / "images", options=OPTIONS)
+    # the mean over each pixel, as of a camera
+    render_image_set(rig, load_part(path), folder / "images", options=replace(OPTIONS, supersample=3))
     images = read_image_set(folder / "images")
     result = inspect_set(rig, load_part(path), images, options=InspectOptions(fusion=None, register=False))
     assert result.defects == ()
