@@ -36,20 +36,16 @@ def exchanged_lights(
             continue
         for a, name in enumerate(names):
             image = longest[name]
-            seen = np.minimum(image.levels, image.top)[clean]
-            scale = sensor_scale(scene, image.source)
+            top, scale = image.top[clean], sensor_scale(scene, image.source)
+            seen = np.minimum(image.levels[clean], top)
             for b, other in enumerate(names):
-                model = np.minimum(prediction.levels[other][clean] * scale + scene.sensor.black_level, image.top[clean])
+                model = np.minimum(prediction.levels[other][clean] * scale + scene.sensor.black_level, top)
                 total[a, b] += _correlation(seen.astype(np.float64), model.astype(np.float64))
     shown, real = optimize.linear_sum_assignment(-total)
-    changed = {names[a]: names[b] for a, b in zip(shown, real, strict=True) if a != b}
-    if not changed:
-        return {}
-    at = [names.index(name) for name in changed]
-    gain = sum(
-        total[names.index(a), names.index(b)] - total[names.index(a), names.index(a)] for a, b in changed.items()
-    )
-    return changed if gain > LEAST_GAIN * len(at) * len(predictions) else {}
+    changed = [(a, b) for a, b in zip(shown, real, strict=True) if a != b]
+    gain = sum(total[a, b] - total[a, a] for a, b in changed)
+    enough = gain > LEAST_GAIN * len(changed) * len(predictions)
+    return {names[a]: names[b] for a, b in changed} if enough else {}
 
 
 def renamed(images: Sequence[CoarseImage], exchanged: Mapping[str, str]) -> tuple[CoarseImage, ...]:
