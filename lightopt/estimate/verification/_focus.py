@@ -10,8 +10,8 @@ from scipy import ndimage, stats
 
 from lightopt.core.arrays import Bool, Float64, Int32
 from lightopt.estimate.registration import PixelSet, light_at, sensor_scale
-from lightopt.estimate.verification._coarse import some_blocks
-from lightopt.estimate.verification._fit import Fit, Work
+from lightopt.estimate.verification._coarse import Work, some_blocks
+from lightopt.estimate.verification._fit import Fit
 
 WIDTHS = (0.0, 1.0, 1.5, 2.5, 4.0)  # standard deviations of the blur that are compared [px]
 

@@ -12,8 +12,8 @@ import numpy as np
 from lightopt.core.arrays import Bool, Float32, Float64
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import sensor_scale
-from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction
-from lightopt.estimate.verification._fit import Fit, Work
+from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction, Work
+from lightopt.estimate.verification._fit import Fit
 from lightopt.estimate.verification._model import MISFIT_SHARE
 from lightopt.optics import clipped_mean
 

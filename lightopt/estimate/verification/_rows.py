@@ -16,7 +16,6 @@ BACKGROUND_BLOCKS = 300  # of each image
 
 # the background shows the black level if its mean is the same in all images, and even, to so many sensor levels
 EVEN_LEVELS = 0.3
-_EVEN_CELLS = 4
 
 CELLS = 24  # of neighbouring blocks, along the width of an image
 
@@ -27,7 +26,7 @@ BLUR_PX = 1.5  # blur for the difference
 class Rows:
     """The blocks of all images, n of them, each array of shape (n,); those of the background come last.
 
-    sets: Of each posture the blocks that show the part; numbers: Which images its images are.
+    sets: Of each posture the blocks that show the part.
     image: Which image each row is of.
     measured, top: Level, black level included, and that from which a pixel is saturated [sensor level].
     unsaturated: Whether no pixel of the block is saturated.
@@ -37,7 +36,6 @@ class Rows:
     """
 
     sets: tuple[PixelSet, ...]
-    numbers: tuple[tuple[int, ...], ...]
     image: Int32
     measured: Float64
     top: Float64
@@ -55,10 +53,14 @@ def choose_rows(
     budget: Blocks of each posture; side: Of the blocks [px].
     """
     sets: list[PixelSet] = []
-    numbers: list[tuple[int, ...]] = []
-    parts: list[tuple[int, Float64, Float64, Bool, Bool, Int32, Float64]] = []
+    # image, measured, top, unsaturated, background, cell, blur
+    columns: list[list[Float64]] = []
+
+    def add(n: int, levels: Float64, *rest: object) -> None:
+        columns.append([np.broadcast_to(np.asarray(one, np.float64), levels.shape) for one in (n, levels, *rest)])
+
     for posture, prediction in predictions.items():
-        mine = tuple(n for n, image in enumerate(images) if image.source.posture == posture)
+        mine = [n for n, image in enumerate(images) if image.source.posture == posture]
         row, column = some_blocks(prediction.clean, budget)
         if not len(row):
             continue
@@ -66,47 +68,40 @@ def choose_rows(
         full = np.stack([images[n].saturated[row, column] for n in mine])
         sources = tuple(images[n].source for n in mine)
         sets.append(PixelSet(posture=posture, row=row, column=column, images=sources, levels=levels, saturated=full))
-        numbers.append(mine)
         width = max(8, prediction.clean.shape[1] // CELLS)
-        cell = (row // width) * np.int32(1000) + column // width
+        cell = (row // width) * 1000 + column // width
         for own, n in enumerate(mine):
             level = prediction.levels[images[n].source.light]
             change = (blurred(level, BLUR_PX / side) - level)[row, column].astype(np.float64) / BLUR_PX**2
-            top = images[n].top[row, column].astype(np.float64)
-            parts.append((n, levels[own], top, ~full[own], np.zeros(len(row), np.bool_), cell, change))
-    for n, levels in _black_background(images, predictions):
-        count, yes = len(levels), np.ones(len(levels), np.bool_)
-        parts.append((n, levels, np.full(count, np.inf), yes, yes, np.full(count, -1, np.int32), np.zeros(count)))
-    image = np.concatenate([np.full(len(one[1]), one[0], np.int32) for one in parts] or [np.zeros(0, np.int32)])
-    columns = [np.concatenate(some) for some in zip(*(one[1:] for one in parts), strict=True)]
-    measured, top, unsaturated, background, cell, blur = columns or [np.zeros(0)] * 6
-    keys = image.astype(np.int64) * 10_000_000 + cell
+            add(n, levels[own], images[n].top[row, column], ~full[own], False, cell, change)
+    for n, levels in enumerate(_black_background(images, predictions)):
+        add(n, levels, np.inf, True, True, -1, 0.0)
+    image, measured, top, unsaturated, background, cell, blur = np.concatenate(
+        [np.zeros((7, 0)), *(np.stack(some) for some in columns)], axis=1
+    )
     return Rows(
         sets=tuple(sets),
-        numbers=tuple(numbers),
-        image=image,
+        image=image.astype(np.int32),
         measured=measured,
         top=top,
-        unsaturated=unsaturated,
-        background=background,
-        cell=np.unique(keys, return_inverse=True)[1].astype(np.int32),
+        unsaturated=unsaturated > 0.0,
+        background=background > 0.0,
+        cell=np.unique(image * 1e7 + cell, return_inverse=True)[1].astype(np.int32),
         blur=blur,
     )
 
 
-def _black_background(
-    images: Sequence[CoarseImage], predictions: Mapping[Posture, CoarsePrediction]
-) -> list[tuple[int, Float64]]:
-    # of each image the levels of blocks off the part, if they show nothing but black
-    found: list[tuple[int, Float64]] = []
+def _black_background(images: Sequence[CoarseImage], predictions: Mapping[Posture, CoarsePrediction]) -> list[Float64]:
+    # of each image the levels of blocks off the part; none if one of them shows more than black
+    found: list[Float64] = []
     means: list[float] = []
-    for n, image in enumerate(images):
+    for image in images:
         row, column = some_blocks(predictions[image.source.posture].background, BACKGROUND_BLOCKS)
         if len(row) < BACKGROUND_BLOCKS // 4 or not isinstance(image.source.subtracted, float):
             return []
         levels = image.levels[row, column].astype(np.float64)
         # in four directions about the part
         cell = 2 * (row > np.median(row)) + (column > np.median(column))
-        means += [float(levels[cell == c].mean()) for c in range(_EVEN_CELLS) if np.any(cell == c)]
-        found.append((n, levels))
+        means += [float(levels[cell == c].mean()) for c in range(4) if np.any(cell == c)]
+        found.append(levels)
     return found if max(means) - min(means) < EVEN_LEVELS else []

@@ -10,8 +10,8 @@ from scipy import ndimage
 
 from lightopt.core.arrays import Float32, Int32
 from lightopt.core.transforms import Posture
-from lightopt.estimate.verification._coarse import CoarsePrediction
-from lightopt.estimate.verification._fit import Fit, Work
+from lightopt.estimate.verification._coarse import CoarsePrediction, Work
+from lightopt.estimate.verification._fit import Fit
 from lightopt.scene import project, view_from_part
 
 LEAST_SCORE = 8.0  # of a spot, in standard deviations of the noise and of the rest of the image

@@ -15,6 +15,7 @@ from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, observed_postures, read_observations
+from lightopt.estimate.verification._coarse import Work
 from lightopt.estimate.verification._findings import (
     Finding,
     dark_findings,
@@ -23,7 +24,7 @@ from lightopt.estimate.verification._findings import (
     spot_findings,
     swap_findings,
 )
-from lightopt.estimate.verification._fit import Fit, Work, fit_faults
+from lightopt.estimate.verification._fit import Fit, fit_faults
 from lightopt.estimate.verification._focus import outline_blur
 from lightopt.estimate.verification._lights import Compared, LightComparison, compare_image, compare_lights
 from lightopt.estimate.verification._parameters import Parameters, VerifyLimits
