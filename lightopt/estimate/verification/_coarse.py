@@ -101,7 +101,7 @@ class Work:
                 levels=_blocks(o.levels, side),
                 saturated=share > 0.0,
                 mostly=share >= 0.5,
-                top=np.float32(self.scene.sensor.saturated_from - subtracted),
+                top=(self.scene.sensor.saturated_from - subtracted).astype(np.float32),
                 count=o.frames * side**2,
             )
 

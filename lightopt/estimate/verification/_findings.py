@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -42,6 +43,8 @@ _TELLING = {
     ("camera", "camera"): "a calibration board on the tilted stage",
 }
 _ANOTHER_POSTURE = "images of another posture, with the stage rotated and tilted"
+
+SURE = 3.0  # a blur is reported whose variance is so many standard errors
 
 LEAST_DARK = 0.1  # a dark level that is off by less is not reported [sensor level]
 
@@ -102,8 +105,9 @@ class Finding:
     def remedy(self) -> str:
         """What would tell the causes apart; empty where there is one."""
         own = self.kind.partition("_")[0]
-        pairs = [tuple(sorted((own, kind.partition("_")[0]))) for kind, _ in self.alternatives]
-        return "; ".join(dict.fromkeys(_TELLING.get(pair, _ANOTHER_POSTURE) for pair in pairs))
+        others = [kind.partition("_")[0] for kind, _ in self.alternatives]
+        texts = [_TELLING.get((min(own, other), max(own, other)), _ANOTHER_POSTURE) for other in others]
+        return "; ".join(dict.fromkeys(texts))
 
     def as_dict(self) -> dict[str, Any]:
         return {
@@ -168,6 +172,14 @@ def dark_findings(images: Sequence[Observation], good: Sequence[Observation], li
     if not some[0] or abs(off) <= LEAST_DARK:
         return []
     return [Finding(kind="black", size=abs(off), parts={"": off}, limit=limit, note=" in frames without light")]
+
+
+def focus_findings(variance: float, error: float, limit: float) -> list[Finding]:
+    """A finding of a blur that exceeds the limit [px]; its variance with a standard error [px²]."""
+    if variance < max(limit**2, SURE * error):
+        return []
+    blur = math.sqrt(variance)
+    return [Finding(kind="focus", size=blur, error=0.5 * error / blur, limit=limit)]
 
 
 def spot_findings(spots: Sequence[Spot]) -> list[Finding]:

@@ -88,8 +88,8 @@ def compare_image(
     difference = np.where(known, image.levels - mean, 0.0)
     misfit = MISFIT_SHARE * np.maximum(mean - work.scene.sensor.black_level, 0.0)
     deviation = np.where(known, difference / np.hypot(noise, misfit), 0.0)
-    arrays = (one.astype(np.float32) for one in (difference, noise, deviation))
-    return Compared(image, *arrays, expected, known)
+    difference, noise, deviation = (one.astype(np.float32) for one in (difference, noise, deviation))
+    return Compared(image, difference, noise, deviation, expected, known)
 
 
 def _delivered(

@@ -25,7 +25,7 @@ class VerifyLimits:
 
     gain, exposure: Shares of the brightness of one light, and of all of them.
     black: [sensor level]
-    blur_px: Standard deviation of the blur at the part's outline beyond that of the pixel.
+    blur_px: Standard deviation of the blur of the image beyond that of the pixel.
     """
 
     gain: float = 0.03
@@ -96,7 +96,7 @@ _OF_LIGHTS = ("gain", "panel_shift", "panel_turn")
 
 NUISANCE = {"ln R_s": 0.03, "ln sigma": 0.03, "blur [px²]": 2.0}
 """What a calibrated reflectance may still be off, and the focus, with the standard deviations. R_d is that of the part
-file, since a change of both coefficients is a change of the exposure. The blur is measured at the outline."""
+file, since a change of both coefficients is a change of the exposure."""
 
 SIGMA_STEP = 0.01
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,15 +16,16 @@ from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, observed_postures, read_observations
 from lightopt.estimate.verification._coarse import Work
 from lightopt.estimate.verification._findings import (
+    SURE,
     Finding,
     dark_findings,
     fault_name,
+    focus_findings,
     group_finding,
     spot_findings,
     swap_findings,
 )
-from lightopt.estimate.verification._fit import Fit, fit_faults
-from lightopt.estimate.verification._focus import outline_blur
+from lightopt.estimate.verification._fit import fit_faults
 from lightopt.estimate.verification._lights import Compared, LightComparison, compare_image, compare_lights
 from lightopt.estimate.verification._parameters import Parameters, VerifyLimits
 from lightopt.estimate.verification._selection import alternatives
@@ -149,7 +149,8 @@ def verify_observations(
     before = [compare_image(work, fit, good, number, plain, predictions) for number in range(len(images))]
     after = [compare_image(work, fit, good, number, theta, fit.predictions) for number in range(len(images))]
     spots, many = find_spots(work, fit, _by_posture(after))
-    blur = _blur(work, fit, good)
+    blur = p.nuisance[-1]
+    blur_error = float(np.sqrt(fit.covariance[blur, blur]))
     own, known_good = ([i.source for i in one.images] if one else () for one in (fit, good))
     findings = [
         *swap_findings(exchanged),
@@ -158,7 +159,7 @@ def verify_observations(
             for group in fit.chosen
         ),
         *dark_findings(own, known_good, limits.black),
-        *([Finding(kind="focus", size=blur, limit=limits.blur_px)] if blur and blur > limits.blur_px else ()),
+        *focus_findings(float((theta - origin)[blur]), blur_error, limits.blur_px),
         *spot_findings(spots),
     ]
     hidden = [group for group in p.groups if group not in fit.chosen and not fit.evidence.visible(group)]
@@ -166,7 +167,7 @@ def verify_observations(
     return Verification(
         findings=tuple(sorted(findings, key=lambda f: not f.exceeds)),
         lights=compare_lights(work, before, after, predictions),
-        unseen=(*unseen, *(("focus",) if blur is None else ())),
+        unseen=(*unseen, *(("focus",) if SURE * blur_error > limits.blur_px**2 else ())),
         warnings=(_MANY_SPOTS,) if many else (),
         limits=limits,
         registered=fit.registered,
@@ -193,9 +194,3 @@ def _by_posture(compared: Sequence[Compared]) -> dict[Posture, list[Float32]]:
     for one in compared:
         found.setdefault(one.image.source.posture, []).append(one.deviation)
     return found
-
-
-def _blur(work: Work, fit: Fit, good: Fit | None) -> float | None:
-    # beyond that of the pixel, or of the known good set
-    own, before = (outline_blur(work, one) if one else 0.0 for one in (fit, good))
-    return None if own is None else math.sqrt(max(own**2 - (before or 0.0) ** 2, 0.0))
