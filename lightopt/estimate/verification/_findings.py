@@ -182,13 +182,15 @@ def focus_findings(variance: float, error: float, limit: float) -> list[Finding]
     return [Finding(kind="focus", size=blur, error=0.5 * error / blur, limit=limit)]
 
 
-def spot_findings(spots: Sequence[Spot]) -> list[Finding]:
-    """Dust, on the part (no fault of the rig) and on lens or sensor."""
+def spot_findings(spots: Sequence[Spot], side: int) -> list[Finding]:
+    """Dust, on the part (no fault of the rig) and on lens or sensor; side: of the blocks [px]."""
     found: list[Finding] = []
     for where, kind, limit in (("lens", "dust_lens", 0.0), ("part", "dust_part", None), ("unknown", "dust_part", None)):
         some = [spot for spot in spots if spot.where == where]
         if some:
-            places = "; ".join(f"column {s.column:.0f}, row {s.row:.0f}" for s in some[:3])
+            places = "; ".join(
+                f"column {side * (s.column + 0.5):.0f}, row {side * (s.row + 0.5):.0f}" for s in some[:3]
+            )
             more = ", …" if len(some) > 3 else ""
             note = f" {'place' if len(some) == 1 else 'places'} (at {places} in posture {some[0].posture}{more})"
             others = (("dust_lens", ""),) if where == "unknown" else ()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
@@ -12,6 +13,7 @@ from lightopt.core.arrays import Float32, Int32
 from lightopt.core.transforms import Posture
 from lightopt.estimate.verification._coarse import CoarsePrediction, Work
 from lightopt.estimate.verification._fit import Fit
+from lightopt.estimate.verification._lights import Compared
 from lightopt.scene import project, view_from_part
 
 LEAST_SCORE = 8.0  # of a spot, in standard deviations of the noise and of the rest of the image
@@ -28,37 +30,31 @@ NEAR_BLOCKS = 3
 class Spot:
     """A small place that differs.
 
+    posture, row, column: A posture that shows it, and where in its image [block].
+    score: In standard deviations; below 0 where it is darker than predicted.
     where: ``part`` (moves with it), ``lens`` (fixed in the image), or ``unknown`` where one posture alone shows it.
-    posture, column, row: A posture that shows it, and where in its image [px].
     """
 
-    where: str
-    posture: Posture
-    column: float
-    row: float
-
-
-@dataclass(frozen=True)
-class _Candidate:
     posture: Posture
     row: int
     column: int
     score: float
+    where: str = "unknown"
 
 
-def find_spots(work: Work, fit: Fit, residuals: Mapping[Posture, Sequence[Float32]]) -> tuple[tuple[Spot, ...], bool]:
-    """Spots, and whether there were too many to be dust.
-
-    residuals: For each posture one image per light, measured minus predicted in standard deviations, 0 where unknown,
-        shape (h, w).
-    """
-    scores = {p: _score(some, fit.predictions[p]) for p, some in residuals.items()}
-    found = {posture: _candidates(posture, score) for posture, score in scores.items()}
-    if any(len(some) > MOST_SPOTS for some in found.values()):
+def find_spots(work: Work, fit: Fit, images: Sequence[Compared]) -> tuple[tuple[Spot, ...], bool]:
+    """Spots in the images of a fit, and whether there were too many to be dust."""
+    scores: dict[Posture, Float32] = {}
+    for posture, prediction in fit.predictions.items():
+        residuals = [one.deviation for one in images if one.image.source.posture == posture]
+        if residuals:
+            scores[posture] = _score(residuals, prediction)
+    found = [_candidates(posture, score) for posture, score in scores.items()]
+    if any(len(some) > MOST_SPOTS for some in found):
         return (), True
     spots: list[Spot] = []
     explained: list[tuple[Posture, float, float]] = []
-    for one in sorted((c for some in found.values() for c in some), key=lambda c: -abs(c.score)):
+    for one in sorted(itertools.chain.from_iterable(found), key=lambda c: -abs(c.score)):
         beside = [max(abs(y - one.row), abs(x - one.column)) for p, y, x in explained if p == one.posture]
         if min(beside, default=np.inf) <= 2 * NEAR_BLOCKS:
             continue
@@ -79,7 +75,7 @@ def find_spots(work: Work, fit: Fit, residuals: Mapping[Posture, Sequence[Float3
             if share[name] < 0.5:
                 continue
         explained += [(p, *at) for p, at in places[name].items()]
-        spots.append(Spot(where, one.posture, work.side * (one.column + 0.5), work.side * (one.row + 0.5)))
+        spots.append(replace(one, where=where))
     return tuple(spots), False
 
 
@@ -98,8 +94,8 @@ def _score(residuals: Sequence[Float32], prediction: CoarsePrediction) -> Float3
     return (score / scatter).astype(np.float32)
 
 
-def _candidates(posture: Posture, score: Float32) -> list[_Candidate]:
-    found: list[_Candidate] = []
+def _candidates(posture: Posture, score: Float32) -> list[Spot]:
+    found: list[Spot] = []
     for sign in (-1.0, 1.0):
         labels: Int32 = np.empty(score.shape, np.int32)
         ndimage.label(sign * score > 0.5 * LEAST_SCORE, structure=np.ones((3, 3)), output=labels)
@@ -110,12 +106,12 @@ def _candidates(posture: Posture, score: Float32) -> list[_Candidate]:
             if small and best >= LEAST_SCORE:
                 centre = np.average(np.nonzero(inside), axis=1, weights=np.abs(score[box][inside]))
                 row, column = (axis.start + round(float(at)) for axis, at in zip(box, centre, strict=True))
-                found.append(_Candidate(posture, row, column, sign * best))
+                found.append(Spot(posture, row, column, sign * best))
     return found
 
 
 def _seen_again(
-    one: _Candidate,
+    one: Spot,
     places: Mapping[Posture, tuple[float, float]],
     scores: Mapping[Posture, Float32],
     predictions: Mapping[Posture, CoarsePrediction],

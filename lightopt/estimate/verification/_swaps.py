@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 from scipy import optimize
 
-from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import sensor_scale
 from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction
@@ -40,7 +39,8 @@ def exchanged_lights(
             seen = np.minimum(image.levels[clean], top)
             for b, other in enumerate(names):
                 model = np.minimum(prediction.levels[other][clean] * scale + scene.sensor.black_level, top)
-                total[a, b] += _correlation(seen.astype(np.float64), model.astype(np.float64))
+                if np.ptp(seen) > 0.0 and np.ptp(model) > 0.0:
+                    total[a, b] += np.corrcoef(seen, model)[0, 1]
     shown, real = optimize.linear_sum_assignment(-total)
     changed = [(a, b) for a, b in zip(shown, real, strict=True) if a != b]
     gain = sum(total[a, b] - total[a, a] for a, b in changed)
@@ -54,9 +54,3 @@ def renamed(images: Sequence[CoarseImage], exchanged: Mapping[str, str]) -> tupl
         replace(image, source=replace(image.source, light=exchanged.get(image.source.light, image.source.light)))
         for image in images
     )
-
-
-def _correlation(a: Float64, b: Float64) -> float:
-    a, b = a - a.mean(), b - b.mean()
-    size = float(np.sqrt(np.sum(a * a) * np.sum(b * b)))
-    return float(np.sum(a * b)) / size if size > 0.0 else 0.0

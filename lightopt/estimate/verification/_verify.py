@@ -26,7 +26,7 @@ from lightopt.estimate.verification._findings import (
     swap_findings,
 )
 from lightopt.estimate.verification._fit import fit_faults
-from lightopt.estimate.verification._lights import Compared, LightComparison, compare_image, compare_lights
+from lightopt.estimate.verification._lights import LightComparison, compare_image, compare_lights
 from lightopt.estimate.verification._parameters import Parameters, VerifyLimits
 from lightopt.estimate.verification._selection import alternatives
 from lightopt.estimate.verification._spots import find_spots
@@ -148,7 +148,7 @@ def verify_observations(
     predictions = work.predict(plain)
     before = [compare_image(work, fit, good, number, plain, predictions) for number in range(len(images))]
     after = [compare_image(work, fit, good, number, theta, fit.predictions) for number in range(len(images))]
-    spots, many = find_spots(work, fit, _by_posture(after))
+    spots, many = find_spots(work, fit, after)
     blur = p.nuisance[-1]
     blur_error = float(np.sqrt(fit.covariance[blur, blur]))
     own, known_good = ([i.source for i in one.images] if one else () for one in (fit, good))
@@ -160,7 +160,7 @@ def verify_observations(
         ),
         *dark_findings(own, known_good, limits.black),
         *focus_findings(float((theta - origin)[blur]), blur_error, limits.blur_px),
-        *spot_findings(spots),
+        *spot_findings(spots, work.side),
     ]
     hidden = [group for group in p.groups if group not in fit.chosen and not fit.evidence.visible(group)]
     unseen = [fault_name(group.kind, group.light) for group in hidden]
@@ -187,10 +187,3 @@ def _matching(observations: Sequence[Observation], good: Sequence[Observation], 
             "it with the same lights, postures and exposures"
         )
     return tuple(one for one in found if one is not None)
-
-
-def _by_posture(compared: Sequence[Compared]) -> dict[Posture, list[Float32]]:
-    found: dict[Posture, list[Float32]] = {}
-    for one in compared:
-        found.setdefault(one.image.source.posture, []).append(one.deviation)
-    return found
