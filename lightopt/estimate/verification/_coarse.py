@@ -54,14 +54,12 @@ class CoarsePrediction:
     levels: By light.
     hit: Of the part.
     clean: Off silhouettes, creases and grazing views.
-    background: Well off the part.
     points, normals: World frame, shape (h, w, 3).
     """
 
     levels: dict[str, Float32]
     hit: Bool
     clean: Bool
-    background: Bool
     points: Float32
     normals: Float32
 
@@ -138,7 +136,6 @@ class Work:
             levels={i.light: blurred(i.level, width) if width else i.level for i in images.lights},
             hit=hit,
             clean=np.asarray(ndimage.binary_erosion(masks.clean & hit, border_value=1), np.bool_),
-            background=~np.asarray(ndimage.binary_dilation(hit, iterations=4), np.bool_),
             points=images.geometry.points,
             normals=images.geometry.normals,
         )

@@ -89,15 +89,14 @@ def _descend(work: Work, images: tuple[CoarseImage, ...], good: Fit | None, orig
     report = work.run.stage("comparing with the prediction")
     at, predictions = start, work.predict(start)
     model = _model(work, images, good, predictions)
-    theta = model.with_black_level(start) if good is None else start
-    step = 0
+    theta, step = start, 0
     while True:
         if report is not None:
             report(step / MOST_STEPS)
         if step and work.moved_blocks(theta, at) > STALE_BLOCKS:
             at, predictions = theta, work.predict(theta)
             model = _model(work, images, good, predictions)
-        evidence = gather(p, model.linearise(theta), theta - origin, model.rows.cell)
+        evidence = gather(p, model.linearise(theta), theta - origin, model.cell)
         chosen = choose(evidence)
         _, found, covariance = evidence.solve(chosen)
         change = np.abs(origin + found - theta)[: len(limits)] / limits
@@ -107,8 +106,8 @@ def _descend(work: Work, images: tuple[CoarseImage, ...], good: Fit | None, orig
             break
     mean, noise = model.predicted(theta)
     black = work.scene.sensor.black_level
-    known = ~model.rows.background & np.isfinite(mean) & (evidence.weight > 0.0)
-    left = agreement(model.rows.measured[known] - black, mean[known] - black, noise[known])
+    known = np.isfinite(mean) & (evidence.weight > 0.0)
+    left = agreement(model.measured[known] - black, mean[known] - black, noise[known])
     return Fit(images, theta, covariance, chosen, evidence, work.predict(theta), left)
 
 

@@ -6,15 +6,16 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lightopt.core.arrays import Bool, Float64
 from lightopt.core.transforms import Posture
-from lightopt.estimate.registration import light_at, sensor_scale
-from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction, Work
+from lightopt.estimate.registration import PixelSet, light_at, sensor_scale
+from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction, Work, blurred, some_blocks
 from lightopt.estimate.verification._parameters import SIGMA_STEP, Group
-from lightopt.estimate.verification._rows import choose_rows
 from lightopt.optics import clipped_mean
 
 MOST_ENTRIES = 2_500_000  # of the matrix of derivatives
@@ -26,6 +27,11 @@ CLEAR = 4.0  # blocks that the model has this many standard deviations of a pixe
 # blocks that change this many times as much as nine of ten do lie across the edge of a shadow: few of them would
 # outweigh all others
 STEEP = 15.0
+
+
+CELLS = 24  # of neighbouring blocks, along the width of an image
+
+BLUR_PX = 1.5  # blur for the difference
 
 
 @dataclass(frozen=True)
@@ -43,7 +49,13 @@ class Linearised:
 
 
 class Model:
-    """What the rig with some faults shows at the chosen blocks; arrays of shape (n,) unless said."""
+    """What the rig with some faults shows at n blocks of all images; arrays of shape (n,) unless said.
+
+    Blocks are chosen at random, the same ones each time.
+
+    measured: Level, black level included [sensor level].
+    cell: Number of a cell of neighbouring blocks of an image.
+    """
 
     def __init__(
         self, work: Work, images: Sequence[CoarseImage], predictions: Mapping[Posture, CoarsePrediction]
@@ -51,14 +63,42 @@ class Model:
         self._work = work
         self.scene, self.parameters = work.coarse, work.parameters
         budget = int(min(BLOCKS, max(200, MOST_ENTRIES // (len(images) * self.parameters.size))))
-        self.rows = choose_rows(images, predictions, budget=budget, side=work.side)
-        on = self.rows.image
+        self._sets: list[PixelSet] = []  # of each posture
+        columns: list[list[NDArray[Any]]] = []  # of each image
+        for posture, prediction in predictions.items():
+            mine = [n for n, image in enumerate(images) if image.source.posture == posture]
+            row, column = some_blocks(prediction.clean, budget)
+            if not len(row):
+                continue
+            levels = np.stack([images[n].levels[row, column] for n in mine]).astype(np.float64)
+            full = np.stack([images[n].saturated[row, column] for n in mine])
+            pixels = PixelSet(
+                posture=posture,
+                row=row,
+                column=column,
+                images=tuple(images[n].source for n in mine),
+                levels=levels,
+                saturated=full,
+            )
+            self._sets.append(pixels)
+            width = max(8, prediction.clean.shape[1] // CELLS)
+            for own, n in enumerate(mine):
+                level = prediction.levels[images[n].source.light]
+                change = (blurred(level, BLUR_PX / work.side) - level)[row, column].astype(np.float64) / BLUR_PX**2
+                cell = n * 1e7 + (row // width) * 1000 + column // width
+                top = images[n].top[row, column]
+                columns.append([np.full(len(row), n), levels[own], top, ~full[own], cell, change])
+        # blur: change of the grey level per px² of variance of a blur
+        some = np.concatenate([np.zeros((6, 0)), *map(np.stack, columns)], axis=1)
+        image, self.measured, self._top, unsaturated, cell, self._blur = some
+        self._open = unsaturated > 0.0
+        self.cell = np.unique(cell, return_inverse=True)[1].astype(np.int32)
+        on = image.astype(np.intp)
         self._light = np.array([self.parameters.lights.index(i.source.light) for i in images], np.intp)[on]
         self._scale = np.array([sensor_scale(self.scene, i.source) for i in images])[on]
         self._count = np.array([float(i.count) for i in images])[on]
         self._corrected = False
         self._correction = np.zeros(len(on))
-        self._open = self.rows.unsaturated.copy()
 
     def levels(self, theta: Float64) -> Float64:
         """Grey level of each row at exposure 1, its specular part, and the level with a lobe wider by SIGMA_STEP.
@@ -68,7 +108,7 @@ class Model:
         # the mean of a cubic over the centres of n pixels is that of its values at two points
         off = math.sqrt((1.0 - 1.0 / self._work.side**2) / 12.0)
         some = [self._levels_at(theta, x, y) for x, y in dict.fromkeys(product((-off, off), repeat=2))]
-        blur = theta[self.parameters.nuisance[-1]] * self.rows.blur
+        blur = theta[self.parameters.nuisance[-1]] * self._blur
         return np.mean(some, axis=0) + np.stack([blur, np.zeros_like(blur), blur])
 
     def _levels_at(self, theta: Float64, x: float = 0.0, y: float = 0.0) -> Float64:
@@ -77,7 +117,7 @@ class Model:
         scale_s, scale_sigma = np.exp(theta[self.parameters.nuisance[:2]])
         sigmas = (own.sigma * scale_sigma, own.sigma * scale_sigma * (1.0 + SIGMA_STEP))
         out: list[Float64] = []
-        for pixels in self.rows.sets:
+        for pixels in self._sets:
             view = self.parameters.view(self.scene, pixels.posture, theta)
             column, row = view.camera.axis_px
             view = replace(view, camera=replace(view.camera, principal_point=(column - x, row - y)))
@@ -86,8 +126,7 @@ class Model:
             )
             diffuse, specular = own.R_d * diffuse.ravel(), own.R_s * scale_s * specular.reshape(2, -1)
             out.append(np.stack([diffuse + specular[0], specular[0], diffuse + specular[1]]))
-        black = np.zeros((3, int(np.count_nonzero(self.rows.background))))
-        return np.concatenate([*out, black], axis=1)
+        return np.concatenate([np.zeros((3, 0)), *out], axis=1)
 
     def _unit(self, theta: Float64) -> Float64:
         # sensor levels per grey level
@@ -112,28 +151,9 @@ class Model:
 
     def correct(self, good: Model, theta: Float64) -> None:
         """Let the prediction at some parameters be what a known good set shows at the same blocks."""
-        own, there = (np.ones(len(model.rows.measured), np.bool_) for model in (self, good))
-        if len(own) != len(there):  # only one of them has a black background
-            own, there = ~self.rows.background, ~good.rows.background
-        measured = np.full(len(own), np.nan)
-        measured[own] = good.rows.measured[there]
-        self._open[own] &= good._open[there]
-        self._correction = measured - self.predicted(theta)[0]
+        self._open &= good._open
+        self._correction = good.measured - self.predicted(theta)[0]
         self._corrected = True
-
-    def with_black_level(self, theta: Float64) -> Float64:
-        """Parameters with the black level that the background shows, if it shows one."""
-        none = self.rows.background
-        if not none.any():
-            return theta
-        level = float(self.rows.measured[none].mean())
-        # the mean of clipped levels has no simple inverse
-        trials = np.linspace(-5.0, level + 1.0, 2000)
-        shown, _ = clipped_mean(trials, self.scene.sensor.read_noise_levels)
-        theta = theta.copy()
-        black = self.parameters.group("black").first
-        theta[black] = float(np.interp(level, shown, trials)) - self.scene.sensor.black_level
-        return theta
 
     def linearise(self, theta: Float64) -> Linearised:
         """Residuals and derivatives at some parameters."""
@@ -164,13 +184,13 @@ class Model:
                     slope[:, group.first + axis] = np.where(rows_of(group), change, 0.0)
         slope[:, p.nuisance[0]] = unit * specular
         slope[:, p.nuisance[1]] = unit * (wider - level) / math.log1p(SIGMA_STEP)
-        slope[:, p.nuisance[2]] = unit * self.rows.blur
+        slope[:, p.nuisance[2]] = unit * self._blur
         single = np.sqrt(sensor.noise_variance(np.maximum(mean - sensor.black_level, 0.0)))
-        used = self._open & (mean + CLEAR * single < self.rows.top)
+        used = self._open & (mean + CLEAR * single < self._top)
         used &= np.isfinite(mean) & np.isfinite(slope).all(axis=1)
         for group in moving:
             if used.any():
                 size = np.abs(slope[:, group.where]).max(axis=1)
                 used &= ~(size > STEEP * np.quantile(size[used], 0.9))
-        residual = np.where(used, (self.rows.measured - np.where(used, mean, 0.0)) / noise, 0.0)
+        residual = np.where(used, (self.measured - np.where(used, mean, 0.0)) / noise, 0.0)
         return Linearised(residual, np.where(used[:, None], slope, 0.0) / np.where(used, noise, 1.0)[:, None], used)
