@@ -106,7 +106,7 @@ def import_photographs(
     pose = pose and Pose(turn @ pose.position, turn @ pose.rotation)
     rows = tuple(replace(row, place=turn @ row.place) for row in rows)
     pose, part = _placed(pose, mask, intrinsics, out, options)
-    _refuse_below(pose, rows)
+    _refuse_below(pose, rows, options)
     bits = _SRGB_BITS if options.gamma == "srgb" and shape.bits == 8 else options.bits or shape.bits
 
     make_folder(out)
@@ -216,11 +216,12 @@ def _placed(
     return pose, mesh_part(options.mesh, units=options.mesh_units, folder=out, about_x_deg=options.turn_deg)
 
 
-def _refuse_below(pose: Pose, rows: Sequence[TableRow]) -> None:
+def _refuse_below(pose: Pose, rows: Sequence[TableRow], options: ImportOptions) -> None:
     advice = "Z points up in a rig, from the part to the camera; turn the world with option 'turn_world', such as x180"
     problems: list[str] = []
     if pose.position[2] <= 0.0:
-        problems.append(f"[R|t] puts the camera at Z = {pose.position[2]:.6g} mm; {advice}")
+        where = options.pose or options.camera
+        problems.append(f"{where}: [R|t] puts the camera at Z = {pose.position[2]:.6g} mm; {advice}")
     low = [row for row in rows if row.place[2] <= 0.0]
     if low and len(low) == len(rows):
         problems.append(f"{rows[0].where}: all lights are below Z = 0; {advice}")
