@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,7 +10,7 @@ from lightopt.core.errors import CheckFailed, InputError
 from lightopt.core.run_context import RunContext
 
 if TYPE_CHECKING:
-    from lightopt.estimate.verification import Verification, VerifyLimits
+    from lightopt.estimate.verification import Verification
 
 MOST_ROWS = 4  # of each table without `--verbose`; verify.json has all of them
 
@@ -27,13 +26,6 @@ def verify(
             metavar="SET", help="Known good image set of the same part: report what has changed since."
         ),
     ] = None,
-    plan: Annotated[
-        Path | None,
-        common.model_option(
-            metavar="FILE",
-            help="result.json of optimize --light-tolerance or --pose-tolerance: limits of lights and part.",
-        ),
-    ] = None,
     limit: Annotated[
         list[str] | None,
         common.model_option(
@@ -47,9 +39,7 @@ def verify(
     register: common.Register = True,
     history: Annotated[
         Path | None,
-        common.output_option(
-            metavar="DIR", help="Add this run to those in DIR, and write history.csv and history.png of all of them."
-        ),
+        common.output_option(metavar="DIR", help="Add a row for this run to history.csv in DIR, and draw history.png."),
     ] = None,
     report: common.Report = True,
     force: common.Force = False,
@@ -69,14 +59,13 @@ def verify(
     from lightopt.images import read_image_set
     from lightopt.report import history_chart, verification_report
 
-    limits = _limits(plan, limit)
+    limits = verification.VerifyLimits(**_limits(limit or []))
     loaded_rig, loaded_part = common.load_inputs(rig, part)
     image_set = read_image_set(images)
     good = None if baseline is None else read_image_set(baseline)
-    made_from = verification.verify_provenance(
-        loaded_rig, loaded_part, image_set, baseline=good, limits=limits, register=register
+    folder = verification.verify_folder(
+        out, loaded_rig, loaded_part, image_set, baseline=good, limits=limits, register=register, force=force
     )
-    folder = verification.VerifyFolder(out, made_from, force=force)
     with show_progress(quiet=quiet) as progress:
         run = RunContext(threads=threads, progress=progress, warn=echo_warning)
         result = verification.verify_set(
@@ -92,8 +81,8 @@ def verify(
     written.insert(0, folder.finish(result.as_dict()))
     if history is not None:
         name = image_set.folder.resolve().name
-        runs = verification.append_history(history, result, name=name, when=datetime.now(timezone.utc))
-        written += [history / "history.csv", history_chart(runs, history / "history.png")]
+        rows = verification.append_history(history, result, name=name, when=datetime.now(timezone.utc))
+        written += [history / verification.HISTORY_NAME, history_chart(rows, history / "history.png")]
     if not quiet:
         for path in written:
             echo(f"{path}")
@@ -101,25 +90,24 @@ def verify(
         raise CheckFailed(result.answer)
 
 
-def _limits(plan: Path | None, given: list[str] | None) -> VerifyLimits:
-    from lightopt.estimate.verification import VerifyLimits, plan_limits
+def _limits(given: list[str]) -> dict[str, float]:
+    from lightopt.estimate.verification import VerifyLimits
 
-    limits = VerifyLimits(**({} if plan is None else plan_limits(plan)))
+    names = tuple(VerifyLimits().as_dict())
     values: dict[str, float] = {}
-    for text in given or ():
+    for text in given:
         name, _, value = text.partition("=")
-        if name not in VerifyLimits.names():
-            raise InputError(
-                f'--limit: expected NAME=VALUE with a name of {", ".join(VerifyLimits.names())}, found "{text}"'
-            )
+        if name not in names:
+            raise InputError(f'--limit: expected NAME=VALUE with a name of {", ".join(names)}, found "{text}"')
         if name in ("gain", "exposure"):
-            values[name] = common.parse_share(value, option=f"--limit {name}", expected="of the brightness, such as 3%")
+            expected = "of the brightness, such as 3%"
+            values[name] = common.parse_share(value, option=f"--limit {name}", expected=expected)
             continue
         try:
             values[name] = float(value)
         except ValueError:
             raise InputError(f'--limit {name}: expected a number, found "{value}"') from None
-    return replace(limits, **values)
+    return values
 
 
 def _show(result: Verification, *, verbose: bool) -> None:
@@ -133,8 +121,5 @@ def _show(result: Verification, *, verbose: bool) -> None:
         if finding.remedy:
             echo(f"to tell {finding.cause}: {finding.remedy}")
     show_page_table(lights_table(result), most=most)
-    hidden = max(len(result.findings), len(result.lights)) - MOST_ROWS
-    if not verbose and hidden > 0:
+    if not verbose and max(len(result.findings), len(result.lights)) > MOST_ROWS:
         echo("--verbose shows all rows")
-    if verbose and result.unseen:
-        echo(f"not observable in these images: {', '.join(result.unseen)}")

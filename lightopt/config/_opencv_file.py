@@ -1,15 +1,12 @@
-"""Calibration files of OpenCV's FileStorage and of tools that write alike: YAML or JSON to plain data."""
+"""Calibration files of OpenCV's FileStorage: YAML or JSON to plain data."""
 
-import json
 import re
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import yaml
 
 from lightopt.core.errors import InputError
-
-_HEADER = re.compile(r"\A%YAML[^\n]*\n")  # OpenCV writes %YAML:1.0, which no YAML parser takes
 
 
 class _Loader(yaml.SafeLoader):
@@ -28,34 +25,19 @@ def read_opencv_file(path: Path) -> dict[str, Any]:
     """
     try:
         text = path.read_text(encoding="utf-8")
-        if path.suffix.lower() == ".json":
-            data = json.loads(text)
-        else:
-            data = yaml.load(_HEADER.sub("\n", text), Loader=_Loader)  # noqa: S506 - a safe loader
+        # OpenCV writes %YAML:1.0, which no YAML parser takes; JSON is YAML, but for tabs between its words
+        data = yaml.load(re.sub(r"\A%YAML.*", "", text).replace("\t", " "), Loader=_Loader)  # noqa: S506 - a safe loader
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}; expected a calibration file") from None
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path}:{error.lineno}: not valid JSON: {error.msg}") from None
-    except yaml.MarkedYAMLError as error:
-        line = error.problem_mark.line + 1 if error.problem_mark else 1
-        raise InputError(f"{path}:{line}: not valid YAML: {error.problem}") from None
     except (yaml.YAMLError, ValueError) as error:
-        raise InputError(f"{path}: expected YAML or JSON in UTF-8: {error}") from None
+        raise InputError(f"{path}: expected YAML or JSON in UTF-8: {' '.join(str(error).split())}") from None
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected keys such as camera_matrix at the top, found {type(data).__name__}")
-    return {str(key): _plain(value) for key, value in data.items()}
+    return {str(key): _rows(value) for key, value in data.items()}
 
 
-def _plain(value: object) -> object:
-    if isinstance(value, dict):
-        fields = cast("dict[str, Any]", value)
-        rows, columns, data = (fields.get(key) for key in ("rows", "cols", "data"))
-        if (
-            isinstance(rows, int)
-            and isinstance(columns, int)
-            and isinstance(data, list)
-            and len(data) == rows * columns
-        ):
-            return [data[row * columns : (row + 1) * columns] for row in range(rows)]
-        return {str(key): _plain(inner) for key, inner in fields.items()}
-    return value
+def _rows(value: Any) -> Any:
+    if not isinstance(value, dict) or not {"rows", "cols", "data"} <= value.keys():
+        return value
+    columns, data = int(value["cols"]), value["data"]
+    return [data[first : first + columns] for first in range(0, len(data), columns)]

@@ -2,50 +2,88 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from lightopt.config import RigConfig, load_part, load_rig
-from lightopt.core.arrays import Bool, Float32, Float64
-from lightopt.core.errors import InputError
+from lightopt.config import load_part, load_rig
+from lightopt.core.arrays import Bool
+from lightopt.core.errors import InputError, counted
 from lightopt.core.provenance import file_sha256, files_sha256
 from lightopt.core.run_context import RunContext
-from lightopt.images import ImageEntry, ImageSetWriter, make_folder, read_photograph, remove_file, write_bytes_atomic
+from lightopt.core.transforms import rotation_x
+from lightopt.core.units import MM_PER_UNIT
+from lightopt.images import (
+    ImageEntry,
+    ImageSetWriter,
+    Manifest,
+    PhotographFormat,
+    make_folder,
+    photograph_format,
+    read_photograph,
+    write_bytes_atomic,
+)
+from lightopt.photographs._calibration import Intrinsics, Pose, read_intrinsics, read_pose
 from lightopt.photographs._file_texts import part_text, rig_text
-from lightopt.photographs._grey_levels import grey_share, quantised
-from lightopt.photographs._inputs import ImportOptions, Inputs, read_inputs
-from lightopt.photographs._light_table import TableRow
-from lightopt.photographs._placement import place
+from lightopt.photographs._grey_levels import grey_levels, read_mask
+from lightopt.photographs._light_table import TableRow, read_light_table
+from lightopt.photographs._part import PhotographedPart, mesh_part, sphere_in_mask, sphere_part
 from lightopt.rendering import cast_rays_at, set_manifest, trace_pixels
 from lightopt.scene import Scene, build_scene
 
-_FAR = 1000.0  # a distant light is so many times farther from the origin than any point of the part
-_FARTHEST_MM = 1e6
+Turn = Literal["x180", "x90", "x-90"]
+
+_DOWN = np.diag([1.0, -1.0, -1.0])  # axes of a camera that looks straight down with the world's X to the right
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+_SRGB_BITS = 12  # of linear levels of 8-bit sRGB samples: enough that no two become one
 _LOW = 2**14  # levels of 16 bits that all stay below this are probably of fewer bits
 _LEAST_OVERLAP = 0.9  # of mask and part; less says that calibration, units or placement are wrong
 
 
 @dataclass(frozen=True, kw_only=True)
+class ImportOptions:
+    """What the photographs show and how they were taken.
+
+    camera: Calibration file with K
+    pose: File with [R|t]; `camera` unless given
+    pose_units: Unit of t
+    turn_world: Rotation about X [deg] that makes Z point up
+    mesh, sphere: The part, one of them: a file, or a radius [mm]
+    mask: Image of the pixels that show the part
+    gamma: Encoding of the levels; linear if None, with a warning for 8 bits
+    bits: Bits of samples that are right-aligned in 16 bits
+    """
+
+    camera: Path
+    pose: Path | None = None
+    pose_units: Literal["mm", "cm", "m"] = "mm"
+    turn_world: Turn | None = None
+    mesh: Path | None = None
+    mesh_units: str | None = None
+    sphere: float | None = None
+    mask: Path | None = None
+    gamma: Literal["linear", "srgb"] | None = None
+    bits: int | None = None
+
+    @property
+    def turn_deg(self) -> float:
+        """Rotation of the world about its X axis."""
+        return float((self.turn_world or "x0").removeprefix("x"))
+
+
+@dataclass(frozen=True, kw_only=True)
 class ImportedSet:
-    """What :func:`import_photographs` left on disk.
+    """What :func:`import_photographs` wrote.
 
     overlap: Intersection over union of mask and part; None without a mask
     """
 
-    rig: Path
-    part: Path
-    manifest: Path
-    images: int
-    lights: int
+    manifest: Manifest
     size: tuple[int, int]
-    bits: int
-    camera: str
-    placement: str
     overlap: float | None
 
 
@@ -55,87 +93,160 @@ def import_photographs(
     """Write rig.yaml, part.yaml and an image set of photographs, so that they are read like captured images.
 
     folder: Of the photographs
-    table: CSV of the lights, as :func:`lightopt.photographs._light_table.read_light_table` reads it
-    out: Made where it does not exist
-    Raises InputError: Whatever is wrong with table, calibration, images, part or folder, one message per problem
+    table: CSV of the lights
+    Raises InputError: Table, calibration, images, part or output folder are not as expected
     """
     run = run or RunContext()
-    inputs = read_inputs(folder, table, out, options)
-    rows, photographs = inputs.rows, inputs.photographs
-    placed = place(inputs, options)
-    rig_yaml = rig_text(
-        inputs,
-        placed,
-        options,
-        name=folder.resolve().name or "photographs",
-        table=table.name,
-        light_distance=options.light_distance or min(float(f"{_FAR * placed.reach:.3g}"), _FARTHEST_MM),
-    )
-    files = {"rig.yaml": rig_yaml.encode(), "part.yaml": part_text(inputs, placed).encode()}
-    if inputs.shape.content is not None:
-        files[inputs.shape.file] = inputs.shape.content
-    with _written(out, files, force=force):
-        rig, part = load_rig(out / "rig.yaml"), load_part(out / "part.yaml")
-        scene = build_scene(rig, part)
-        header = set_manifest("captured", rig, part, scene, options=_facts(folder, table, inputs, options))
-        plan = [(row.light, row.posture, row.exposure) for row in rows]
-        writer = ImageSetWriter(out, header, force=force, plan=plan)
-    run.warn(*photographs.notes)
-    overlap = None if inputs.mask is None else _overlap(scene, inputs.mask)
+    rows = read_light_table(table)
+    shape = _common_format(folder, rows, options)
+    intrinsics = _intrinsics(options.camera, shape)
+    mask = None if options.mask is None else _mask(options.mask, shape, rows)
+    pose = read_pose(options.pose or options.camera, mm_per_unit=MM_PER_UNIT[options.pose_units])
+    turn = rotation_x(math.radians(options.turn_deg))
+    pose = pose and Pose(turn @ pose.position, turn @ pose.rotation)
+    rows = tuple(replace(row, place=turn @ row.place) for row in rows)
+    pose, part = _placed(pose, mask, intrinsics, out, options)
+    _refuse_below(pose, rows, options)
+    bits = _SRGB_BITS if options.gamma == "srgb" and shape.bits == 8 else options.bits or shape.bits
+
+    make_folder(out)
+    size = (shape.width, shape.height)
+    rig_yaml = rig_text(folder.resolve().name, rows, intrinsics, pose, size=size, bits=bits)
+    files = {"rig.yaml": rig_yaml.encode(), "part.yaml": part_text(part, rows).encode()}
+    if part.content is not None:
+        files[part.file] = part.content
+    for name, content in files.items():
+        write_bytes_atomic(out / name, content, overwrite=force)
+    rig_config, part_config = load_rig(out / "rig.yaml"), load_part(out / "part.yaml")
+    scene = build_scene(rig_config, part_config)
+    facts = _facts(folder, table, rows, options)
+    header = set_manifest("captured", rig_config, part_config, scene, options=facts)
+    writer = ImageSetWriter(out, header, force=force, plan=[(row.light, row.posture, row.exposure) for row in rows])
+    _warn_of_photographs(folder, rows, shape, options, run)
+    overlap = None if mask is None else _overlap(scene, mask)
     if overlap is not None and overlap < _LEAST_OVERLAP:
-        run.warn(
-            f"mask and part overlap by {overlap:.0%} only; check [R|t], the units, option 'turn_world' and option 'at'"
-        )
-    highest = 0.0
+        run.warn(f"mask and part overlap by {overlap:.0%} only; check [R|t], the units and option 'turn_world'")
+    lights = {light.name: light for light in rig_config.lights}
+    highest = 0
     for number, row in enumerate(rows):
-        highest = max(highest, _add(writer, rig, row, folder, inputs, options))
+        samples = read_photograph(folder / row.image)
+        highest = max(highest, int(samples.max()))
+        full = 2 ** (options.bits or shape.bits) - 1
+        levels = grey_levels(samples, full=full, srgb=options.gamma == "srgb", bits=bits)
+        if mask is not None:
+            levels[~mask] = 0
+        entry = ImageEntry(
+            light=row.light,
+            light_elevation_deg=lights[row.light].elevation_deg,
+            light_azimuth_deg=lights[row.light].azimuth_deg,
+            posture=row.posture,
+            exposure=row.exposure,
+            extra={"photograph": row.image},
+        )
+        writer.add_image(entry, png=levels)
         if (progress := run.stage("importing")) is not None:
             progress((number + 1) / len(rows))
-    if photographs.bits == 16 and highest < _LOW:
+    if shape.bits == 16 and highest < _LOW and options.bits is None:
         run.warn(f"no level reaches {_LOW} of 65535; a camera of 10 to 14 bits needs option 'bits'")
     writer.add_warnings(run.warnings)
-    return ImportedSet(
-        rig=out / "rig.yaml",
-        part=out / "part.yaml",
-        manifest=out / "manifest.json",
-        images=len(rows),
-        lights=len(rig.lights),
-        size=photographs.size,
-        bits=rig.camera.sensor.bit_depth,
-        camera=f"at {_point(placed.camera.position)} mm; {placed.camera_from}",
-        placement=f"{inputs.shape.name} at {_point(placed.translate)} mm; {placed.part_from}",
-        overlap=overlap,
-    )
+    return ImportedSet(manifest=writer.manifest, size=size, overlap=overlap)
 
 
-@contextmanager
-def _written(out: Path, files: Mapping[str, bytes], *, force: bool) -> Generator[None]:
-    """Write files of a folder; those that are new are removed again where what follows raises InputError."""
-    taken = [name for name in files if (out / name).exists()]
-    other = [name for name in taken if (out / name).read_bytes() != files[name]]
-    if other and not force:
+def _common_format(folder: Path, rows: Sequence[TableRow], options: ImportOptions) -> PhotographFormat:
+    problems: list[str] = []
+    first: PhotographFormat | None = None
+    for row in rows:
+        try:
+            shape = photograph_format(folder / row.image)
+        except InputError as error:
+            problems += [f"{row.where}: {message}" for message in error.messages]
+            continue
+        first = first or shape
+        if shape != first:
+            problems.append(f"{row.where}: {row.image}: {shape}; expected {first} as the photographs above")
+    if first is None or problems:
+        raise InputError(*problems)
+    if options.bits is not None:
+        if first.bits != 16 or options.bits not in (10, 12, 14, 16):
+            raise InputError(f"option 'bits': expected 10, 12 or 14, of images stored in 16 bits, found {options.bits}")
+        highest = max(int(read_photograph(folder / row.image).max()) for row in rows)
+        if highest >= 2**options.bits:
+            raise InputError(f"option 'bits': found levels up to {highest}, more than {options.bits} bits have")
+    return first
+
+
+def _intrinsics(path: Path, shape: PhotographFormat) -> Intrinsics:
+    found = read_intrinsics(path)
+    if found.size not in (None, (shape.width, shape.height)):
+        calibrated = f"{found.size[0]} × {found.size[1]} px"
+        raise InputError(f"{path}: calibrated with {calibrated}, but the photographs have {shape}")
+    if not (0 < found.principal_point[0] < shape.width and 0 < found.principal_point[1] < shape.height):
+        raise InputError(f"{path}: the principal point is outside the photographs; are they of this camera?")
+    return found
+
+
+def _mask(path: Path, shape: PhotographFormat, rows: Sequence[TableRow]) -> Bool:
+    mask = read_mask(path)
+    if mask.shape != (shape.height, shape.width):
+        raise InputError(f"{path}: {mask.shape[1]} × {mask.shape[0]} px, but the photographs have {shape}")
+    if len({row.posture for row in rows}) > 1:
+        raise InputError("option 'mask': one mask holds for one posture, but the table has several; leave it out")
+    return mask
+
+
+def _placed(
+    pose: Pose | None, mask: Bool | None, intrinsics: Intrinsics, out: Path, options: ImportOptions
+) -> tuple[Pose, PhotographedPart]:
+    """Camera and part; without [R|t] the camera looks straight down at a sphere that rests on the origin."""
+    if options.sphere is not None:
+        if options.mesh is not None:
+            raise InputError("expected only one of option 'mesh' and option 'sphere'")
+        if mask is None:
+            raise InputError("option 'sphere': expected option 'mask', whose disc says where it is")
+        centre = sphere_in_mask(mask, intrinsics, options.sphere)
+        pose = pose or Pose(np.array([0.0, 0.0, options.sphere + float(centre[2])]), _DOWN)
+        return pose, sphere_part(options.sphere, pose.position + pose.rotation @ centre)
+    if options.mesh is None:
+        raise InputError("expected option 'mesh' or option 'sphere': the part")
+    if pose is None:
         raise InputError(
-            f"{out} already has {', '.join(other)} with other content; use option 'force' to overwrite them, or choose "
-            "another folder"
+            f"{options.pose or options.camera}: expected [R|t], as rvec and tvec, R and T, or a text of 3 × 4 numbers "
+            "(option 'pose'); only a sphere does not need it"
         )
-    make_folder(out)
-    try:
-        for name, content in files.items():
-            write_bytes_atomic(out / name, content)
-        yield
-    except InputError:
-        for name in files:
-            if name not in taken:
-                remove_file(out / name)
-        raise
+    return pose, mesh_part(options.mesh, units=options.mesh_units, folder=out, about_x_deg=options.turn_deg)
 
 
-def _facts(folder: Path, table: Path, inputs: Inputs, options: ImportOptions) -> dict[str, Any]:
+def _refuse_below(pose: Pose, rows: Sequence[TableRow], options: ImportOptions) -> None:
+    advice = "Z points up in a rig, from the part to the camera; turn the world with option 'turn_world', such as x180"
+    problems: list[str] = []
+    if pose.position[2] <= 0.0:
+        where = options.pose or options.camera
+        problems.append(f"{where}: [R|t] puts the camera at Z = {pose.position[2]:.6g} mm; {advice}")
+    low = [row for row in rows if row.place[2] <= 0.0]
+    if low and len(low) == len(rows):
+        problems.append(f"{rows[0].where}: all lights are below Z = 0; {advice}")
+    else:
+        problems += [f'{row.where}: light "{row.light}" is below the part, at Z ≤ 0; remove its row' for row in low]
+    if problems:
+        raise InputError(*problems)
+
+
+def _warn_of_photographs(
+    folder: Path, rows: Sequence[TableRow], shape: PhotographFormat, options: ImportOptions, run: RunContext
+) -> None:
+    named = {row.image for row in rows} | ({options.mask.name} if options.mask else set())
+    others = [p.name for p in sorted(folder.iterdir()) if p.suffix.lower() in _SUFFIXES and p.name not in named]
+    if others:
+        run.warn(f"{folder}: {counted(len(others), 'image')} without light, left out: {', '.join(others[:5])}")
+    if options.gamma is None and shape.bits == 8:
+        run.warn("8-bit levels are read as linear; photographs of ordinary cameras need option 'gamma' srgb")
+
+
+def _facts(folder: Path, table: Path, rows: Sequence[TableRow], options: ImportOptions) -> dict[str, Any]:
     """Options of an import in JSON form, files by their content."""
-    chosen = {key: value for key, value in asdict(options).items() if value is not None}
-    hashes = {key: {"sha256": file_sha256(value)} for key, value in chosen.items() if isinstance(value, Path)}
-    photographs = files_sha256(folder, [row.image for row in inputs.rows])
-    return {**chosen, **hashes, "table": {"sha256": file_sha256(table)}, "photographs": {"sha256": photographs}}
+    chosen = {**asdict(options), "table": table}
+    facts = {key: file_sha256(value) if isinstance(value, Path) else value for key, value in chosen.items()}
+    return {**facts, "photographs": files_sha256(folder, [row.image for row in rows])}
 
 
 def _overlap(scene: Scene, mask: Bool) -> float:
@@ -143,33 +254,3 @@ def _overlap(scene: Scene, mask: Bool) -> float:
     part = np.zeros_like(mask)
     part[pixels.row, pixels.column] = True
     return float((part & mask).sum() / (part | mask).sum())
-
-
-def _add(
-    writer: ImageSetWriter, rig: RigConfig, row: TableRow, folder: Path, inputs: Inputs, options: ImportOptions
-) -> float:
-    """Write one photograph, levels as PNG, floating point as EXR, black off the mask; returns its highest sample."""
-    photographs = inputs.photographs
-    samples = read_photograph(folder / row.image)
-    share, full = grey_share(samples, full=photographs.full, gamma=options.gamma or "linear", channel=options.channel)
-    if inputs.mask is not None:
-        share, full = np.where(inputs.mask, share, np.float32(0.0)), full & inputs.mask
-    light = next(light for light in rig.lights if light.name == row.light)
-    entry = ImageEntry(
-        light=row.light,
-        light_elevation_deg=light.elevation_deg,
-        light_azimuth_deg=light.azimuth_deg,
-        posture=row.posture,
-        exposure=row.exposure,
-        extra={"photograph": row.image},
-    )
-    if photographs.bits is not None:
-        writer.add_image(entry, png=quantised(share, full, bits=photographs.bits))
-    else:
-        level: Float32 = share * np.float32(writer.manifest.full_scale / row.exposure)
-        writer.add_image(entry, exr={"Y": level, "valid": (~full).astype(np.float32)})
-    return float(samples.max())
-
-
-def _point(point: Float64) -> str:
-    return f"({', '.join(f'{round(v, 6) + 0.0:.4g}' for v in point)})"

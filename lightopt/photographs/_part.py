@@ -1,62 +1,89 @@
-"""The part in photographs: a mesh of the user, a sphere or a plate."""
+"""The part in photographs: a mesh of the user, or a sphere where the mask shows one."""
 
 from __future__ import annotations
 
+import math
 import os.path
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from lightopt.core.arrays import Float64
+from lightopt.core.arrays import Bool, Float64
 from lightopt.core.errors import InputError
-from lightopt.core.units import MM_PER_UNIT
-from lightopt.geometry import UNITLESS_SUFFIXES, box_mesh, load_mesh, sphere_mesh, stl_bytes
+from lightopt.geometry import UNITLESS_SUFFIXES, sphere_mesh, stl_bytes
+from lightopt.photographs._calibration import Intrinsics
+from lightopt.photographs._grey_levels import outline
+from lightopt.scene import Distortion, pixel_directions, pose_camera
 
-_THICKNESS = 0.02  # of a plate, as a share of its longer side
+_ROUND = 0.02  # share of its radius by which a disc's outline may be off a circle
 
 
 @dataclass(frozen=True, kw_only=True)
-class PartShape:
-    """A part's mesh.
+class PhotographedPart:
+    """A part in the world.
 
     file: As the part file names it
     content: Of a generated file; None for one of the user
-    corners: Of the bounding box, frame of the mesh [mm], shape (2, 3)
+    rotate_deg, translate_mm: From the mesh's frame to the world's
     """
 
     name: str
     file: str
-    units: str | None
-    content: bytes | None
-    corners: Float64
+    units: str | None = "mm"
+    content: bytes | None = None
+    rotate_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    translate_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-def mesh_part(path: Path, *, units: str | None, folder: Path) -> PartShape:
+def mesh_part(path: Path, *, units: str | None, folder: Path, about_x_deg: float) -> PhotographedPart:
     """A part with a mesh file, which a part file in `folder` will name.
 
-    Raises InputError: The mesh cannot be read, or its unit is missing
+    Raises InputError: The mesh is missing, or its unit is
     """
-    unitless = path.suffix.lower() in UNITLESS_SUFFIXES
-    if unitless and units is None:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; expected a mesh or STEP file")
+    if path.suffix.lower() in UNITLESS_SUFFIXES and units is None:
         raise InputError(f"option 'mesh_units': expected the unit of {path}: {path.suffix} files carry none")
-    unit = MM_PER_UNIT[units] if unitless and units else None
-    mesh = load_mesh(path, unit_mm=unit, normals="facet", crease_angle=0.0, chord_tolerance_mm=0.1).mesh
     path, folder = path.resolve(), folder.resolve()
     file = Path(os.path.relpath(path, folder) if path.drive == folder.drive else path).as_posix()
-    return PartShape(name=path.stem, file=file, units=units, content=None, corners=np.array(mesh.bounds))
+    return PhotographedPart(name=path.stem, file=file, units=units, rotate_deg=(about_x_deg, 0.0, 0.0))
 
 
-def sphere_part(radius: float) -> PartShape:
-    """A sphere about the origin of its mesh; radius [mm]."""
-    corners = np.array([[-radius] * 3, [radius] * 3])
-    return PartShape(
-        name="sphere", file="sphere.stl", units="mm", content=stl_bytes(sphere_mesh(radius)), corners=corners
+def sphere_part(radius: float, centre: Float64) -> PhotographedPart:
+    """A sphere [mm] about a point of the world, shape (3,)."""
+    x, y, z = centre.tolist()
+    content = stl_bytes(sphere_mesh(radius))
+    return PhotographedPart(name="sphere", file="sphere.stl", content=content, translate_mm=(x, y, z))
+
+
+def sphere_in_mask(mask: Bool, intrinsics: Intrinsics, radius: float) -> Float64:
+    """Centre of a sphere in the camera's own axes [mm], shape (3,), from its disc.
+
+    Raises InputError: The mask is no disc
+    """
+    camera = pose_camera(
+        position=np.zeros(3),
+        rotation=np.eye(3),
+        width=mask.shape[1],
+        height=mask.shape[0],
+        pixel_size=1.0 / intrinsics.focal[0],
+        image_distance=1.0,
+        distortion=Distortion(**intrinsics.distortion),
+        principal_point=intrinsics.principal_point,
+        aspect=intrinsics.focal[1] / intrinsics.focal[0],
     )
-
-
-def plate_part(width: float, height: float, *, towards_z: bool) -> PartShape:
-    """A plate [mm] with the middle of its face at the origin, seen from above (`towards_z`) or from below."""
-    depth = _THICKNESS * max(width, height) * np.array([-1.0, 0.0] if towards_z else [0.0, 1.0])
-    corners = np.stack([0.5 * width * np.array([-1, 1]), 0.5 * height * np.array([-1, 1]), depth], axis=1)
-    return PartShape(name="plate", file="plate.stl", units="mm", content=stl_bytes(box_mesh(corners)), corners=corners)
+    rays = pixel_directions(camera, *outline(mask))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    # rays u that graze a sphere make one angle α with its axis a: u · a / cos α = 1
+    axis = np.asarray(np.linalg.lstsq(rays, np.ones(len(rays)), rcond=None)[0], np.float64)
+    cosine = 1.0 / float(np.linalg.norm(axis))
+    axis *= cosine
+    angles = np.linalg.norm(np.cross(rays, axis), axis=1)
+    sine = math.sqrt(max(1.0 - cosine * cosine, 1e-24))
+    off = float(np.sqrt(np.mean((angles / sine - 1.0) ** 2)))
+    if not off < _ROUND:
+        raise InputError(
+            f"option 'mask': its outline is off a circle by {off:.0%} of the radius; expected the disc of the sphere"
+        )
+    return axis * (radius / sine)

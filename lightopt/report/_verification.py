@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from lightopt.core.arrays import Float32
-from lightopt.estimate.verification import Finding, History, LightComparison, Verification
+from lightopt.estimate.verification import Finding, LightComparison, Verification
 from lightopt.report._charts import COLOURS, MARK, chart, label_whole_numbers, name_lines
 from lightopt.report._drawing import figure_image, fixed_style
 from lightopt.report._fit_pictures import diverging
@@ -52,17 +53,14 @@ def verification_report(result: Verification, *, part: str, rig: str, provenance
     """The report as HTML.
 
     part, rig: Names.
-    provenance: From :func:`lightopt.estimate.verification.verify_provenance`.
+    provenance: Of the result folder.
     """
     remedies = [f"To tell {f.cause}: {f.remedy}." for f in result.findings if f.remedy]
     unseen = "Not observable in these images: " + (", ".join(result.unseen) or "nothing") + "."
     inputs: Mapping[str, Any] = provenance["inputs"]
     facts = [(name, f"{inputs[name]['file']}, sha256 {inputs[name]['sha256'][:16]}") for name in ("rig", "part")]
     facts.append(("compared with", "a known good set" if "baseline" in inputs else "the model"))
-    facts.append(("the part was searched for", "yes" if result.registered else "no"))
-    limits = result.limits.as_dict()
-    facts += [(f"limit {key}", f"{value:g}") for key, value in limits.items() if not isinstance(value, Mapping)]
-    facts += [(f"limit of the direction of {name}", f"{value:g}°") for name, value in limits["light_deg"].items()]
+    facts += [(f"limit {name}", f"{value:g}") for name, value in result.limits.as_dict().items()]
     word = "Within tolerances" if result.within_tolerances else "Out of tolerances"
     return page_html(
         Page(
@@ -112,22 +110,22 @@ def _picture(difference: Float32 | None, number: int, light: str) -> Picture | N
 
 
 @fixed_style()
-def history_chart(history: History, path: Path) -> Path:
-    """Draw verifications over time: faults as shares of their limits, offset and residual of each light."""
-    column = {name: [row[i] for row in history.rows] for i, name in enumerate(history.columns)}
-    runs = np.arange(1, len(history.rows) + 1)
+def history_chart(rows: Sequence[Mapping[str, str]], path: Path) -> Path:
+    """Draw verifications over time: faults as shares of their limits, offset and residual of each light.
+
+    rows: Of :func:`lightopt.estimate.verification.append_history`.
+    """
     labels = ("size of each fault over its limit", "offset of the highlights [px]", "residual over noise")
     figure, panels = chart(title="Verifications of the rig", x_label="run", labels=labels)
-    series = [
-        dict(history.shares),
-        {n.removesuffix(" offset_px"): v for n, v in column.items() if n.endswith(" offset_px")},
-        {n.removesuffix(" residual"): v for n, v in column.items() if n.endswith(" residual")},
-    ]
-    for panel, lines in zip(panels, series, strict=True):
-        for number, (name, values) in enumerate(lines.items()):
-            shown = [np.nan if value is None else value for value in values]
-            panel.plot(runs, shown, ".-", color=COLOURS[number % len(COLOURS)], label=name)
-        if lines:
+    for panel, suffix, missing in zip(
+        panels, ("/limit", " offset_px", " residual"), (0.0, math.nan, math.nan), strict=True
+    ):
+        names = list(dict.fromkeys(name for row in rows for name in row if name.endswith(suffix)))
+        for number, name in enumerate(names):
+            values = [float(row.get(name) or missing) for row in rows]
+            label, color = name.removesuffix(suffix), COLOURS[number % len(COLOURS)]
+            panel.plot(range(1, len(rows) + 1), values, ".-", color=color, label=label)
+        if names:
             name_lines(panel)
     panels[0].axhline(1.0, color=MARK, linestyle="--")
     label_whole_numbers(panels[-1].xaxis)

@@ -25,7 +25,7 @@ DISTORTION = {"k1": -0.2, "k2": 0.5, "p1": 0.002, "p2": -0.001, "k3": 0.1}
 EYE = np.array([60.0, -40.0, 480.0])
 NEAR = {"near1": (150.0, 120.0, 250.0), "near2": (-180.0, 60.0, 200.0)}
 FAR = {"far1": (0.3, -0.5, 0.8), "far2": (-0.2, -0.1, 0.9)}
-FAR_MM = 60_000.0
+FAR_MM = 1e6
 INTENSITY = {"near1": 1.3, "near2": 0.8, "far1": 0.6, "far2": 1.0}
 TURNED = Rotation.from_euler("x", 180, degrees=True).as_matrix()
 
@@ -145,7 +145,7 @@ def test_exported_images_come_back(cli, tmp_path, reference, world, turn):
     export(tmp_path / "other", images, part, world)
     other, out = tmp_path / "other", tmp_path / "set"
     command = ["import", images.parent, other / "lights.csv", "-o", out, "--camera", other / "calibration.yml"]
-    command += ["--pose-units", "cm", "--mesh", other / "knob.stl", "--mesh-units", "mm", "--light-distance", FAR_MM]
+    command += ["--pose-units", "cm", "--mesh", other / "knob.stl", "--mesh-units", "mm"]
     ran = cli(*command, *turn)
     assert ran.status == 0, ran.err
     lines = ran.out.splitlines()
@@ -172,12 +172,12 @@ def test_exported_images_come_back(cli, tmp_path, reference, world, turn):
 def test_existing_files_are_kept_without_force(cli, tmp_path, ball, snapshot):
     assert cli(*ball, "-o", tmp_path / "set").status == 0
     before = snapshot(tmp_path / "set")
-    ran = cli(*ball, "-o", tmp_path / "set", "--light-size", 20)
+    ran = cli(*ball, "-o", tmp_path / "set", "--gamma", "srgb")
     assert ran.status == 2
-    assert "rig.yaml with other content; use --force" in ran.err
+    assert "rig.yaml: exists with other content; use --force" in ran.err
     assert snapshot(tmp_path / "set") == before
-    assert cli(*ball, "-o", tmp_path / "set", "--light-size", 20, "--force").status == 0
-    assert "points: auto" in (tmp_path / "set" / "rig.yaml").read_text(encoding="utf-8")
+    assert cli(*ball, "-o", tmp_path / "set", "--gamma", "srgb", "--force").status == 0
+    assert "bit_depth: 12" in (tmp_path / "set" / "rig.yaml").read_text(encoding="utf-8")
 
 
 # --- a sphere, of which only a mask says where it is
@@ -196,7 +196,7 @@ def ball(tmp_path):
     Image.fromarray(colour).save(folder / "one.png")
     Image.fromarray(colour // 2).save(folder / "two.png")
     (folder / "K.txt").write_text("# pixels\n8000 0 39.5\n0 8000 29.5\n0 0 1\n")
-    (folder / "lights.csv").write_text("image;light;x;y;z;exposure\none.png;a;0;0;1;1\ntwo.png;a;0;0;1;1/2\n")
+    (folder / "lights.csv").write_text("image;light;x;y;z;exposure\none.png;a;0;0;1;1\ntwo.png;a;0;0;1;0.5\n")
     where = ["import", folder, folder / "lights.csv", "--camera", folder / "K.txt"]
     return [*where, "--sphere", "10", "--mask", folder / "mask.png"]
 
@@ -220,56 +220,44 @@ def test_a_sphere_is_where_the_mask_is(cli, tmp_path, ball):
     assert cli("check", tmp_path / "set" / "rig.yaml", tmp_path / "set" / "part.yaml").status == 0
 
 
-def test_gamma_and_a_single_channel(cli, tmp_path, ball):
-    ran = cli(*ball, "-o", tmp_path / "set", "--gamma", "srgb", "--channel", "green")
+def test_gamma(cli, tmp_path, ball):
+    ran = cli(*ball, "-o", tmp_path / "set", "--gamma", "srgb")
     assert (ran.status, ran.err) == (0, "")
     image_set = read_image_set(tmp_path / "set")
     assert image_set.manifest.bit_depth == 12
     levels = read_png(tmp_path / "set" / (image_set.images[0].png or ""))
-    assert levels[26, 35] == round(((100 / 255 + 0.055) / 1.055) ** 2.4 * 4095)
+    linear = ((np.array([200, 100, 50]) / 255 + 0.055) / 1.055) ** 2.4
+    assert levels[26, 35] == round(linear @ [0.2126, 0.7152, 0.0722] * 4095)
 
 
-@pytest.mark.parametrize("turn", ["x180", None])
-def test_a_plate_faces_the_camera(cli, tmp_path, ball, turn):
-    """Without [R|t] the plate lies on the table; with one its face is the plane Z = 0 of that world."""
+def test_a_mesh_needs_a_pose_above_it(cli, tmp_path, ball):
     folder = ball[1]
-    options = ["--camera", folder / "K.txt", "--plate", "30,20"]
-    if turn:
-        (folder / "pose.csv").write_text("1,0,0,1\n0,1,0,2\n0,0,1,4000\n")
-        (folder / "lights.csv").write_text("image,light,x,y,z\none.png,a,0,0,-1\n")
-        options += ["--pose", folder / "pose.csv", "--turn-world", turn]
-    ran = cli(*ball[:3], *options, "-o", tmp_path / "set")
+    (folder / "pose.csv").write_text("1,0,0,1\n0,1,0,2\n0,0,1,4000\n")
+    (folder / "lights.csv").write_text("image,light,x,y,z\none.png,a,0,0,-1\n")
+    mesh = PARTS / "cover-knob.stl"
+    command = [*ball[:3], "--camera", folder / "K.txt", "--mesh", mesh, "--mesh-units", "mm", "-o", tmp_path / "set"]
+    ran = cli(*command)
+    assert ran.status == 2
+    assert "K.txt: expected [R|t]" in ran.err
+    command += ["--pose", folder / "pose.csv"]
+    ran = cli(*command)
+    assert ran.status == 2
+    assert "puts the camera at Z = -4000 mm; Z points up in a rig" in ran.err
+    ran = cli(*command, "--turn-world", "x180")
     assert ran.status == 0, ran.err
     scene = build_scene(tmp_path / "set" / "rig.yaml", tmp_path / "set" / "part.yaml")
-    low, high = scene.mesh.bounds
-    np.testing.assert_allclose((high - low)[:2], [30, 20], atol=1e-4)
-    assert (high if turn else low)[2] == pytest.approx(0.0, abs=1e-5)
     np.testing.assert_allclose(scene.camera.right, [1, 0, 0], atol=1e-9)
-    if turn:
-        np.testing.assert_allclose(scene.camera.position, [-1, 2, 4000], atol=1e-6)
-    else:
-        columns, _, _ = project(scene.camera, np.array([[-15.0, 0, 0.3], [15.0, 0, 0.3]]))
-        assert np.ptp(columns) == pytest.approx(0.8 * 60, rel=1e-3)
+    np.testing.assert_allclose(scene.camera.position, [-1, 2, 4000], atol=1e-6)
 
 
 # --- files of other programs
 
 
-@pytest.mark.parametrize("kind", ["json", "npz", "ros"])
-def test_calibrations_of_other_programs(cli, tmp_path, ball, kind):
-    K, distortion = [[8000.0, 0, 39.5], [0, 8100.0, 30.5], [0, 0, 1]], [0.1, 0, 0, 0]
-    path = ball[1] / ("K." + {"ros": "yaml"}.get(kind, kind))
-    if kind == "npz":
-        np.savez(path, mtx=K, dist=[distortion])
-    elif kind == "json":
-        matrix = {"type_id": "opencv-matrix", "rows": 3, "cols": 3, "dt": "d", "data": [v for row in K for v in row]}
-        path.write_text(json.dumps({"cameraMatrix": matrix, "distCoeffs": distortion, "image_size": [80, 60]}))
-    else:
-        data = ", ".join(str(v) for row in K for v in row)
-        path.write_text(
-            f"image_width: 80\nimage_height: 60\ncamera_matrix:\n  rows: 3\n  cols: 3\n  data: [{data}]\n"
-            f"distortion_model: plumb_bob\ndistortion_coefficients: {{rows: 1, cols: 4, data: {distortion}}}\n"
-        )
+def test_a_calibration_in_json(cli, tmp_path, ball):
+    matrix = {"type_id": "opencv-matrix", "rows": 3, "cols": 3, "dt": "d", "data": [8000.0, 0, 39.5, 0, 8100.0, 30.5]}
+    matrix["data"] += [0, 0, 1]
+    path = ball[1] / "K.json"
+    path.write_text(json.dumps({"cameraMatrix": matrix, "distCoeffs": [0.1, 0, 0, 0]}))
     ran = cli(*ball, "--camera", path, "-o", tmp_path / "set")
     assert ran.status == 0, ran.err
     camera = load_rig(tmp_path / "set" / "rig.yaml").camera
@@ -277,11 +265,33 @@ def test_calibrations_of_other_programs(cli, tmp_path, ball, kind):
     assert camera.distortion.k1 == 0.1
 
 
-def write(path: Path, pixels: np.ndarray, bits: int = 0) -> None:
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("K.txt", "8000 0 39.5\n0 8000\n0 0 1\n", "K.txt: expected numbers as text"),
+        ("K.txt", "8000 0 0\n0 8000 0\n40 30 1\n", "expected K as fx, 0, cx; 0, fy, cy; 0, 0, 1, without skew"),
+        ("K.txt", "8000 0 390.5\n0 8000 29.5\n0 0 1\n", "the principal point is outside the photographs"),
+        ("K.json", '{"K": [[1, 0, 40], [0, 1, 30], [0, 0, 1]], "image_width": 9, "image_height": 9}', "9 × 9 px"),
+        ("K.json", '{"focal": 3}', "K.json: expected K as camera_matrix, found focal"),
+        ("lights.csv", "image,light,x,y,z\none.png,a,0,0,300\n", "lights.csv:2: expected a direction of length 1"),
+        ("lights.csv", "image,light,x,y\none.png,a,0,0\n", "lights.csv:1: expected the columns image, light and"),
+        ("lights.csv", "image,light,x,y,z\none.png,a,0,b,1\n", 'column y: expected a number, found "b"'),
+        ("lights.csv", "image,light,x,y,z\nno.png,a,0,0,1\n", "lights.csv:2: "),
+        ("lights.csv", "image,light,x,y,z\none.png,a,0,0,1\none.png,b,0,0,1\n", "one.png is already in"),
+    ],
+)
+def test_refusals(cli, tmp_path, ball, name, text, words):
+    (ball[1] / name).write_text(text)
+    command = [*ball, "--camera", ball[1] / name] if name.startswith("K") else ball
+    ran = cli(*command, "-o", tmp_path / "set")
+    assert ran.status == 2
+    assert words in ran.err
+    assert not (tmp_path / "set").exists()
+
+
+def write(path: Path, pixels: np.ndarray) -> None:
     pixels = pixels.reshape(*pixels.shape[:2], -1)
     spec = OpenImageIO.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], str(pixels.dtype))
-    if bits:
-        spec.attribute("oiio:BitsPerSample", bits)
     output = OpenImageIO.ImageOutput.create(str(path))
     assert output.open(str(path), spec)
     assert output.write_image(pixels)
@@ -290,34 +300,20 @@ def write(path: Path, pixels: np.ndarray, bits: int = 0) -> None:
 
 @pytest.mark.parametrize(
     ("name", "options", "bits", "level"),
-    [
-        ("a.tif", (), 16, 1234),
-        ("a.png", ("--bits", "12"), 12, 1234),
-        ("packed.tif", (), 12, 1234),
-        ("a.exr", (), 16, None),
-        ("a.jpg", (), 8, 123),
-    ],
+    [("a.tif", (), 16, 1234), ("a.png", ("--bits", "12"), 12, 1234), ("a.jpg", (), 8, 123)],
 )
 def test_formats_and_depths(cli, tmp_path, ball, name, options, bits, level):
-    grey = np.full((60, 80), level or 0, np.uint16)
-    if name == "packed.tif":
-        write(ball[1] / name, (grey << 4) | (grey >> 8), 12)
-    elif name == "a.exr":
-        grey = np.full((60, 80), 0.25, np.float32)
-        grey[30, 40] = 1.0
-        write(ball[1] / name, grey)
-    elif name == "a.jpg":
+    grey = np.full((60, 80), level, np.uint16)
+    if name == "a.jpg":
         Image.fromarray(grey.astype(np.uint8)).save(ball[1] / name, quality=95)
     else:
         write(ball[1] / name, grey)
     (ball[1] / "lights.csv").write_text(f"image,light,x,y,z,exposure\n{name},a,0,0,1,2\n")
     ran = cli(*ball, "-o", tmp_path / "set", *options)
     assert ran.status == 0, ran.err
-    assert ("compressed" in ran.err) == (name == "a.jpg")
     image_set = read_image_set(tmp_path / "set")
     assert image_set.manifest.bit_depth == bits
     loaded = image_set.load(image_set.images[0])
-    full = 2**bits - 1
-    expected = 0.25 * 255 / 2 if level is None else level * 255 / full / 2
+    expected = level * 255 / (2**bits - 1) / 2
     assert loaded.levels[27, 44] == pytest.approx(expected, rel=0.01 if name == "a.jpg" else 1e-5)
-    assert np.argwhere(loaded.saturated).tolist() == ([[30, 40]] if name == "a.exr" else [])
+    assert not loaded.saturated.any()

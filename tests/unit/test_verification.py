@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from datetime import datetime, timezone
@@ -12,7 +11,7 @@ import pytest
 from verified import images_of, observed, parameters_of, rig_with, small_scene
 
 from lightopt.core.errors import InputError
-from lightopt.estimate.verification import VerifyLimits, append_history, plan_limits, verify_observations
+from lightopt.estimate.verification import VerifyLimits, append_history, verify_observations
 from lightopt.optics import clipped_mean
 from lightopt.scene import project, view_from_part
 
@@ -193,44 +192,11 @@ def test_mean_of_clipped_levels():
     assert (high - low) / 0.001 == pytest.approx(slope, rel=1e-2)
 
 
-@pytest.mark.parametrize("name", VerifyLimits.names())
+@pytest.mark.parametrize("name", VerifyLimits().as_dict())
 @pytest.mark.parametrize("value", [0.0, -1.0, math.inf, math.nan])
 def test_bad_limits(name, value):
     with pytest.raises(InputError, match=f"limit {name}: expected a number above 0"):
         VerifyLimits(**{name: value})
-
-
-def plan(folder, widest):
-    path = folder / "result.json"
-    path.write_text(json.dumps({"tolerances": [{"widest": widest}]}), encoding="utf-8")
-    return path
-
-
-def test_limits_of_a_plan(tmp_path):
-    rows = [("light1", "elevation", 2.0), ("light1", "azimuth", 1.5), ("all lights", "both angles at once", 0.5)]
-    rows += [("part", "tilt", 0.7), ("part", "rotation", 3.0)]
-    path = plan(tmp_path, [{"what": w, "angle": a, "degrees": d} for w, a, d in rows])
-    for given in (path, tmp_path):
-        limits = VerifyLimits(**plan_limits(given))
-        assert limits.light_deg == {"light1": 1.5}
-        assert limits.part_deg == 0.7
-    assert limits.panel("light1", 330.0) == pytest.approx(330.0 * math.tan(math.radians(1.5)))
-    assert limits.panel("light2", 330.0) == limits.panel_mm
-
-
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"tolerances": []}', '{"tolerances": [{"widest": [{}]}]}'])
-def test_plans_without_tolerances(tmp_path, text):
-    path = tmp_path / "result.json"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match="no tolerance analysis"):
-        plan_limits(path)
-    with pytest.raises(InputError, match="cannot be read"):
-        plan_limits(tmp_path / "none.json")
-
-
-def test_a_plan_that_allows_nothing(tmp_path):
-    with pytest.raises(InputError, match="tolerance of 0° for light2"):
-        plan_limits(plan(tmp_path, [{"what": "light2", "angle": "azimuth", "degrees": 0.0}]))
 
 
 def test_runs_over_time(scene, images, tmp_path):
@@ -238,12 +204,15 @@ def test_runs_over_time(scene, images, tmp_path):
     dim = images_of(scene, rig_with(scene, **{"gain light1": [math.log(0.95)]}))
     second = verified(scene, dim)
     for hour, result in enumerate((first, second)):
-        history = append_history(tmp_path, result, name="set", when=datetime(2026, 1, 2, hour, tzinfo=timezone.utc))
-    assert [row[0] for row in history.rows] == ["2026-01-02T00:00:00+00:00", "2026-01-02T01:00:00+00:00"]
-    gains = [row[history.columns.index("gain light1")] for row in history.rows]
-    assert gains == [0.0, pytest.approx(-0.05, abs=0.005)]
-    assert history.shares["gain light1"][1] == pytest.approx(0.05 / 0.03, rel=0.1)
-    assert (tmp_path / "history.csv").read_text(encoding="utf-8").count("\n") == 3
-    (tmp_path / "run-x.json").write_text("{}", encoding="utf-8")
-    with pytest.raises(InputError, match=r"run-x\.json: no run of lightopt verify"):
-        append_history(tmp_path, first, name="set", when=datetime(2026, 1, 3, tzinfo=timezone.utc))
+        rows = append_history(tmp_path, result, name="set", when=datetime(2026, 1, 2, hour, tzinfo=timezone.utc))
+    assert [row["time"] for row in rows] == ["2026-01-02T00:00:00+00:00", "2026-01-02T01:00:00+00:00"]
+    assert not rows[0].get("gain light1")
+    assert float(rows[1]["gain light1"]) == pytest.approx(-0.05, abs=0.005)
+    assert float(rows[1]["gain light1/limit"]) == pytest.approx(0.05 / 0.03, rel=0.1)
+    assert float(rows[0]["light3 overlap"]) > 0.95
+    table = tmp_path / "history.csv"
+    assert table.read_text(encoding="utf-8").count("\n") == 3
+    for text in ("a,b\n1,2\n", "time,set,gain\nnow,set,much\n"):
+        table.write_text(text, encoding="utf-8")
+        with pytest.raises(InputError, match=r"history\.csv: no table of lightopt verify"):
+            append_history(tmp_path, first, name="set", when=datetime(2026, 1, 3, tzinfo=timezone.utc))

@@ -4,16 +4,14 @@ Entry: ``verify_set(rig, part, image_set, ...) -> Verification``.
 """
 
 from lightopt.estimate.verification._files import (
+    HISTORY_NAME as HISTORY_NAME,
     REPORT_NAME as REPORT_NAME,
-    History as History,
-    VerifyFolder as VerifyFolder,
     append_history as append_history,
-    verify_provenance as verify_provenance,
+    verify_folder as verify_folder,
 )
 from lightopt.estimate.verification._findings import Finding as Finding
 from lightopt.estimate.verification._lights import LightComparison as LightComparison
-from lightopt.estimate.verification._limits import VerifyLimits as VerifyLimits, plan_limits as plan_limits
-from lightopt.estimate.verification._parameters import Parameters as Parameters
+from lightopt.estimate.verification._parameters import Parameters as Parameters, VerifyLimits as VerifyLimits
 from lightopt.estimate.verification._verify import (
     Verification as Verification,
     verify_observations as verify_observations,

@@ -13,15 +13,19 @@ import numpy as np
 from scipy import ndimage
 
 from lightopt.core.arrays import Bool, Float32, Float64, Int32
+from lightopt.core.run_context import RunContext
 from lightopt.core.threads import in_threads
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation
 from lightopt.estimate.verification._parameters import Parameters
-from lightopt.geometry import RayCaster
-from lightopt.rendering import mask_pixels, render_posture
-from lightopt.scene import PinholeCamera, Scene
+from lightopt.rendering import cast_rays_at, mask_pixels, render_posture
+from lightopt.scene import Scene, project
 
 COARSE_WIDTH = 540  # about so many columns of a coarse image
+
+PANEL_MM = 10.0  # a panel that has moved by this is as bad as a part that has moved by a block
+# rigs that differ by less have the same images: in place [block], reflectance and blur [px²]
+SAME_BLOCKS, SAME_SHARE, SAME_BLUR = 0.02, 0.005, 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,11 +46,6 @@ class CoarseImage:
     top: Float32
     count: int
 
-    @property
-    def key(self) -> tuple[str, Posture, float]:
-        """Light, posture and exposure."""
-        return self.source.light, self.source.posture, self.source.exposure
-
 
 @dataclass(frozen=True, kw_only=True)
 class CoarsePrediction:
@@ -55,91 +54,103 @@ class CoarsePrediction:
     levels: By light.
     hit: Of the part.
     clean: Off silhouettes, creases and grazing views.
-    background: Well off the part.
     points, normals: World frame, shape (h, w, 3).
     """
 
     levels: dict[str, Float32]
     hit: Bool
     clean: Bool
-    background: Bool
     points: Float32
     normals: Float32
 
 
-def block_side(camera: PinholeCamera) -> int:
-    """Side of the blocks [px]."""
-    return max(1, round(camera.width / COARSE_WIDTH))
+class Work:
+    """What is the same for all sets of a scene.
 
+    side: Of the blocks [px].
+    coarse: The scene with blocks as the camera's pixels; what is left at the right and at the bottom is cut off.
+    """
 
-def coarse_camera(camera: PinholeCamera, side: int) -> PinholeCamera:
-    """The camera with blocks of pixels as its pixels; what is left at the right and at the bottom is cut off."""
-    column, row = camera.axis_px
-    return replace(
-        camera,
-        width=camera.width // side,
-        height=camera.height // side,
-        pixel_size=camera.pixel_size * side,
-        principal_point=(column / side, row / side),
-    )
+    def __init__(self, scene: Scene, parameters: Parameters, run: RunContext) -> None:
+        self.scene, self.parameters, self.run = scene, parameters, run
+        camera = scene.camera
+        self.side = max(1, round(camera.width / COARSE_WIDTH))
+        column, row = camera.axis_px
+        coarse = replace(
+            camera,
+            width=camera.width // self.side,
+            height=camera.height // self.side,
+            pixel_size=camera.pixel_size * self.side,
+            principal_point=(column / self.side, row / self.side),
+        )
+        self.coarse = replace(scene, camera=coarse)
+        self.caster = cast_rays_at(scene)
+        self._kept: list[tuple[Float64, dict[Posture, CoarsePrediction]]] = []
 
+    def blocks(self, observations: Sequence[Observation]) -> tuple[CoarseImage, ...]:
+        """Block means of images."""
 
-def coarse_images(
-    scene: Scene, observations: Sequence[Observation], side: int, *, threads: int | None = None
-) -> tuple[CoarseImage, ...]:
-    """Block means of observations."""
+        def one(number: int) -> CoarseImage:
+            o, side = observations[number], self.side
+            share = _blocks(o.saturated.astype(np.float32), side)
+            subtracted = _blocks(np.broadcast_to(np.float32(o.subtracted), o.levels.shape), side)
+            return CoarseImage(
+                source=o,
+                levels=_blocks(o.levels, side),
+                saturated=share > 0.0,
+                mostly=share >= 0.5,
+                top=(self.scene.sensor.saturated_from - subtracted).astype(np.float32),
+                count=o.frames * side**2,
+            )
 
-    def one(number: int) -> CoarseImage:
-        o = observations[number]
-        share = _blocks(o.saturated.astype(np.float32), side)
-        subtracted = _blocks(np.broadcast_to(np.float32(o.subtracted), o.levels.shape), side)
-        levels = _blocks(o.levels, side)
-        top = np.broadcast_to(np.float32(scene.sensor.saturated_from - subtracted), levels.shape)
-        return CoarseImage(
-            source=o, levels=levels, saturated=share > 0.0, mostly=share >= 0.5, top=top, count=o.frames * side**2
+        return tuple(in_threads(one, range(len(observations)), self.run.threads))
+
+    def predict(self, theta: Float64) -> dict[Posture, CoarsePrediction]:
+        """Images of the rig with some faults; those that were rendered before if they hardly differ."""
+        for there, kept in self._kept:
+            *lobe, blur = np.abs(theta - there)[self.parameters.nuisance]
+            if max(lobe) < SAME_SHARE and blur < SAME_BLUR and self.moved_blocks(theta, there) <= SAME_BLOCKS:
+                return kept
+        found = {posture: self._render(theta, posture) for posture in self.scene.postures}
+        self._kept.append((theta, found))
+        return found
+
+    def _render(self, theta: Float64, posture: Posture) -> CoarsePrediction:
+        scene, threads = self.coarse, self.run.threads
+        view = self.parameters.view(scene, posture, theta)
+        log_s, log_sigma, blur = theta[self.parameters.nuisance]
+        own = scene.reflectance
+        world = replace(
+            scene,
+            camera=view.camera.moved(view.rotation, view.translation),
+            lights=tuple(light.moved(view.rotation, view.translation) for light in view.lights),
+            reflectance=replace(own, R_s=own.R_s * math.exp(log_s), sigma=own.sigma * math.exp(log_sigma)),
+            defects=(),
+            waviness=None,
+        )
+        images = render_posture(world, posture, caster=self.caster, threads=threads)
+        masks = mask_pixels(world, posture, self.caster, threads=threads)
+        hit = images.geometry.hit
+        width = math.sqrt(max(float(blur), 0.0)) / self.side
+        return CoarsePrediction(
+            levels={i.light: blurred(i.level, width) if width else i.level for i in images.lights},
+            hit=hit,
+            clean=np.asarray(ndimage.binary_erosion(masks.clean & hit, border_value=1), np.bool_),
+            points=images.geometry.points,
+            normals=images.geometry.normals,
         )
 
-    return tuple(in_threads(one, range(len(observations)), threads))
-
-
-def predict_coarse(
-    scene: Scene,
-    parameters: Parameters,
-    theta: Float64,
-    posture: Posture,
-    caster: RayCaster,
-    *,
-    side: int,
-    threads: int | None = None,
-) -> CoarsePrediction:
-    """Render a posture of the rig with some faults; gains, exposure and black level are left out.
-
-    scene: With the coarse camera.
-    """
-    view = parameters.view(scene, posture, theta)
-    scale_s, scale_sigma = np.exp(theta[parameters.nuisance[:2]])
-    own = scene.reflectance
-    world = replace(
-        scene,
-        camera=view.camera.moved(view.rotation, view.translation),
-        lights=tuple(light.moved(view.rotation, view.translation) for light in view.lights),
-        reflectance=replace(own, R_s=own.R_s * scale_s, sigma=own.sigma * scale_sigma),
-        defects=(),
-        waviness=None,
-    )
-    images = render_posture(world, posture, caster=caster, threads=threads)
-    masks = mask_pixels(world, posture, caster, threads=threads)
-    near = np.asarray(ndimage.binary_dilation(images.geometry.hit, iterations=4), np.bool_)
-    inner = np.asarray(ndimage.binary_erosion(masks.clean & images.geometry.hit, border_value=1), np.bool_)
-    blur = math.sqrt(max(float(theta[parameters.nuisance[2]]), 0.0)) / side
-    return CoarsePrediction(
-        levels={i.light: i.level if blur == 0.0 else blurred(i.level, blur) for i in images.lights},
-        hit=images.geometry.hit,
-        clean=inner,
-        background=~near,
-        points=images.geometry.points,
-        normals=images.geometry.normals,
-    )
+    def moved_blocks(self, a: Float64, b: Float64) -> float:
+        """By how much the images of two rigs differ, at most [block]: of the part, or of what it mirrors."""
+        p = self.parameters
+        panels = [g for g in p.groups if g.kind == "panel_shift"]
+        most = max(float(np.abs(a - b)[g.where].max()) / PANEL_MM for g in panels)
+        vertices = self.scene.mesh.vertices
+        some = vertices[:: max(1, len(vertices) // 500)]
+        for posture in self.scene.postures:
+            (x, y, _), (u, v, _) = (project(p.view(self.coarse, posture, t).camera, some) for t in (a, b))
+            most = max(most, float(np.nanmax(np.hypot(x - u, y - v))))
+        return most
 
 
 def some_blocks(mask: Bool, most: int) -> tuple[Int32, Int32]:

@@ -4,50 +4,47 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from lightopt.core.arrays import Float64
 from lightopt.estimate.registration import Observation
-from lightopt.estimate.verification._parameters import Group, axes_of
+from lightopt.estimate.verification._parameters import Group
 from lightopt.estimate.verification._spots import Spot
 
-_NAMES = {
-    "gain": "gain of {}",
-    "exposure": "exposure",
-    "black": "black level",
-    "part_shift": "part moved",
-    "part_turn": "part turned",
-    "camera_shift": "camera moved",
-    "camera_turn": "camera turned",
-    "panel_shift": "panel of {} moved",
-    "panel_turn": "panel of {} turned",
-    "swap": "lights exchanged",
-    "focus": "focus",
-    "dust_part": "dust or a defect on the part",
-    "dust_lens": "dust on lens or sensor",
+# of each kind the name, and how a size is written: factor, digits, unit
+_KINDS = {
+    "gain": ("gain of {}", 100.0, 2, " %"),
+    "exposure": ("exposure", 100.0, 2, " %"),
+    "black": ("black level", 1.0, 2, " levels"),
+    "part_shift": ("part moved", 1.0, 3, " mm"),
+    "part_turn": ("part turned", 1.0, 3, "°"),
+    "camera_shift": ("camera moved", 1.0, 3, " mm"),
+    "camera_turn": ("camera turned", 1.0, 3, "°"),
+    "panel_shift": ("panel of {} moved", 1.0, 3, " mm"),
+    "panel_turn": ("panel of {} turned", 1.0, 3, "°"),
+    "swap": ("lights exchanged", 1.0, 0, ""),
+    "focus": ("focus", 1.0, 2, " px"),
+    "dust_part": ("dust or a defect on the part", 1.0, 0, ""),
+    "dust_lens": ("dust on lens or sensor", 1.0, 0, ""),
 }
-_UNITS = {"gain": "%", "exposure": "%", "black": "levels", "focus": "px"}
 
-_TELLING = (
-    ({"gain", "panel_shift"}, "a mirror ball on the stage shows where the panel stands; a light meter its brightness"),
-    ({"gain", "panel_turn"}, "a mirror ball on the stage shows where the panel stands; a light meter its brightness"),
-    ({"gain", "exposure"}, "images under another light of this rig"),
-    ({"panel_shift", "panel_turn"}, "a mirror ball on the stage"),
-    ({"part_shift", "camera_shift"}, "images of another posture, with the stage rotated"),
-    ({"part_shift", "camera_turn"}, "images of another posture, with the stage rotated"),
-    ({"part_turn", "camera_turn"}, "images of another posture, with the stage rotated"),
-    ({"part_turn", "camera_shift"}, "images of another posture, with the stage rotated"),
-    ({"camera_shift", "camera_turn"}, "a calibration board on the tilted stage"),
-    ({"part_shift", "part_turn"}, "images of another posture, with the stage tilted"),
-    ({"part_shift", "panel_shift"}, "images of another posture, with the stage rotated"),
-    ({"black", "exposure"}, "a dark frame (lightopt capture --dark)"),
-    ({"black", "gain"}, "a dark frame (lightopt capture --dark)"),
-    ({"dust_part", "dust_lens"}, "images of another posture, with the stage rotated"),
-)
+_AXES = {"part": ("x", "y", "z"), "camera": ("right", "up", "ahead"), "panel": ("across", "along", "outward")}
 
+# by what the two causes are of, in alphabetical order
+_TELLING = {
+    ("gain", "panel"): "a mirror ball on the stage shows where the panel stands; a light meter its brightness",
+    ("panel", "panel"): "a mirror ball on the stage",
+    ("exposure", "gain"): "images under another light of this rig",
+    ("black", "exposure"): "a dark frame (lightopt capture --dark)",
+    ("black", "gain"): "a dark frame (lightopt capture --dark)",
+    ("camera", "camera"): "a calibration board on the tilted stage",
+}
+_ANOTHER_POSTURE = "images of another posture, with the stage rotated and tilted"
+
+SURE = 3.0  # a blur is reported whose variance is so many standard errors
 
 LEAST_DARK = 0.1  # a dark level that is off by less is not reported [sensor level]
 
@@ -61,22 +58,21 @@ class Finding:
     light: Whose fault it is; empty where it is no light's. For ``swap`` both names.
     size: Share of the brightness, sensor levels, mm, degrees, px, or a number of spots or lights; the length of a shift
         or a rotation.
-    parts: Its components by axis, signed, in the same unit; empty for those that have none.
+    parts: Its components by axis, signed, in the same unit; that of a single number has no name.
     error: Standard error of `size`.
     limit: Within tolerance up to this size; None for what is reported only.
     alternatives: What explains the images as well: kinds and lights.
-    remedy: What would tell; empty where nothing needs to.
+    note: What its size in words ends with.
     """
 
     kind: str
     light: str = ""
     size: float
-    parts: dict[str, float]
+    parts: dict[str, float] = field(default_factory=dict[str, float])
     error: float = 0.0
     limit: float | None = None
     alternatives: tuple[tuple[str, str], ...] = ()
-    remedy: str = ""
-    detail: str = ""
+    note: str = ""
 
     @property
     def exceeds(self) -> bool:
@@ -86,35 +82,32 @@ class Finding:
     @property
     def cause(self) -> str:
         """The fault in words, or all that it may be."""
-        return ", or ".join(_NAMES[kind].format(light) for kind, light in ((self.kind, self.light), *self.alternatives))
+        return ", or ".join(fault_name(*one) for one in ((self.kind, self.light), *self.alternatives))
 
     @property
     def amount(self) -> str:
         """Its size in words."""
-        if self.kind == "swap":
-            return self.light
-        if self.kind.startswith("dust"):
-            return f"{self.size:.0f} place{'' if self.size == 1.0 else 's'}{self.detail}"
-        unit = _UNITS.get(self.kind, "°" if self.kind.endswith("turn") else "mm")
-        if self.kind in ("gain", "exposure"):
-            return f"{100.0 * self.parts['']:+.2f} % ± {100.0 * self.error:.2f} %"
-        digits = 3 if unit in ("°", "mm") else 2
-        space = "" if unit == "°" else " "
-        value = self.parts.get("", self.size)
-        sign = "+" if "" in self.parts and self.kind != "focus" else ""
-        inside = ", ".join(f"{axis} {part:+.{digits}f}" for axis, part in self.parts.items() if axis)
-        error = f" ± {self.error:.{digits}f}" if self.error else ""
-        return f"{value:{sign}.{digits}f}{error}{space}{unit}{f' ({inside})' if inside else ''}{self.detail}"
+        _, factor, digits, unit = _KINDS[self.kind]
+        sign, value = ("+", self.parts[""]) if "" in self.parts else ("", self.size)
+        error = f" ± {factor * self.error:.{digits}f}" if self.error else ""
+        axes = ", ".join(f"{axis} {part:+.{digits}f}" for axis, part in self.parts.items() if axis)
+        return f"{factor * value:{sign}.{digits}f}{error}{unit}{f' ({axes})' if axes else ''}{self.note}"
 
     @property
     def limit_text(self) -> str:
         """The limit in words."""
-        if self.limit is None:
-            return "none"
-        if self.kind in ("gain", "exposure"):
-            return f"{100.0 * self.limit:g} %"
-        unit = _UNITS.get(self.kind, "°" if self.kind.endswith("turn") else "mm")
-        return "none allowed" if self.limit == 0.0 else f"{self.limit:.3g}{'' if unit == '°' else ' '}{unit}"
+        if not self.limit:
+            return "none" if self.limit is None else "none allowed"
+        _, factor, _, unit = _KINDS[self.kind]
+        return f"{factor * self.limit:.3g}{unit}"
+
+    @property
+    def remedy(self) -> str:
+        """What would tell the causes apart; empty where there is one."""
+        own = self.kind.partition("_")[0]
+        others = [kind.partition("_")[0] for kind, _ in self.alternatives]
+        texts = [_TELLING.get((min(own, other), max(own, other)), _ANOTHER_POSTURE) for other in others]
+        return "; ".join(dict.fromkeys(texts))
 
     def as_dict(self) -> dict[str, Any]:
         return {
@@ -127,61 +120,45 @@ class Finding:
             "standard_error": round(self.error, 6),
             "limit": self.limit,
             "exceeds_limit": self.exceeds,
-            "cannot_tell_from": [_NAMES[kind].format(light) for kind, light in self.alternatives],
+            "cannot_tell_from": [fault_name(*one) for one in self.alternatives],
             "what_would_tell": self.remedy,
         }
 
 
-def group_finding(
-    group: Group, theta: Float64, covariance: Float64, alternatives: Sequence[Group], *, distance: float = 0.0
-) -> Finding:
+def fault_name(kind: str, light: str) -> str:
+    """A fault in words."""
+    return _KINDS[kind][0].format(light)
+
+
+def group_finding(group: Group, theta: Float64, covariance: Float64, alternatives: Sequence[Group]) -> Finding:
     """A finding of a group of parameters.
 
     theta, covariance: Of all parameters, shapes (K,) and (K, K).
-    distance: Of the panel's centre from the origin [mm].
     """
-    value, limit, detail = theta[group.where].copy(), group.limit, ""
-    spread = covariance[group.where, group.where]
+    unit = np.degrees(1.0) if group.kind.endswith("turn") else 1.0
+    value, spread = unit * theta[group.where], unit**2 * covariance[group.where, group.where]
     if group.kind in ("gain", "exposure"):
         value = np.expm1(value)
-    if group.kind.endswith("turn"):
-        value, spread, limit = np.degrees(value), np.degrees(np.degrees(spread)), math.degrees(limit)
     size = float(np.linalg.norm(value))
     along = value / max(size, 1e-12)
-    if group.kind == "panel_shift":
-        detail = f", {math.degrees(math.atan(float(np.hypot(*value[:2])) / distance)):.2f}° as seen from the origin"
+    axes = _AXES.get(group.kind.partition("_")[0], ("",))
     return Finding(
         kind=group.kind,
         light=group.light,
         size=size,
-        parts=dict(zip(axes_of(group), value.tolist(), strict=True)),
+        parts=dict(zip(axes, value.tolist(), strict=False)),
         error=float(np.sqrt(along @ spread @ along)),
-        limit=limit,
+        limit=unit * group.limit,
         alternatives=tuple((other.kind, other.light) for other in alternatives),
-        remedy=telling(group.kind, [other.kind for other in alternatives]),
-        detail=detail,
     )
-
-
-def telling(kind: str, others: Sequence[str]) -> str:
-    """What would tell causes apart; empty where there is one."""
-    if not others:
-        return ""
-    texts = [text for pair, text in _TELLING if kind in pair and any(pair == {kind, other} for other in others)]
-    return "; ".join(dict.fromkeys(texts)) or "images of another posture, or a calibration of the rig"
-
-
-def group_name(group: Group) -> str:
-    """A group in words."""
-    return _NAMES[group.kind].format(group.light)
 
 
 def swap_findings(exchanged: Mapping[str, str]) -> list[Finding]:
     """A finding of lights that show each other's image; none where each shows its own."""
-    if not exchanged:
-        return []
     text = ", ".join(f"images of {name} show {other}" for name, other in exchanged.items())
-    return [Finding(kind="swap", light=text, size=float(len(exchanged)), parts={}, limit=0.0)]
+    return (
+        [Finding(kind="swap", light=text, size=len(exchanged), limit=0.0, note=f" lights: {text}")] if exchanged else []
+    )
 
 
 def dark_findings(images: Sequence[Observation], good: Sequence[Observation], limit: float) -> list[Finding]:
@@ -189,36 +166,33 @@ def dark_findings(images: Sequence[Observation], good: Sequence[Observation], li
 
     good: Images of a known good set; empty without one.
     """
-
-    def level(some: Sequence[Observation]) -> float | None:
-        found = [float(np.mean(o.subtracted)) for o in some if not isinstance(o.subtracted, float)]
-        return float(np.median(found)) if found else None
-
-    own, before = level(images), level(good)
-    if own is None or abs(own - (before or 0.0)) <= LEAST_DARK:
+    some = [[float(np.mean(o.subtracted)) for o in of if not isinstance(o.subtracted, float)] for of in (images, good)]
+    own, before = (float(np.median(levels)) if levels else 0.0 for levels in some)
+    off = own - before
+    if not some[0] or abs(off) <= LEAST_DARK:
         return []
-    off = own - (before or 0.0)
-    return [Finding(kind="black", size=abs(off), parts={"": off}, limit=limit, detail=" in frames without light")]
+    return [Finding(kind="black", size=abs(off), parts={"": off}, limit=limit, note=" in frames without light")]
 
 
-def focus_findings(blur: float | None, limit: float) -> list[Finding]:
-    """A finding of a blur that exceeds the limit [px]."""
-    return [Finding(kind="focus", size=blur, parts={"": blur}, limit=limit)] if blur and blur > limit else []
+def focus_findings(variance: float, error: float, limit: float) -> list[Finding]:
+    """A finding of a blur that exceeds the limit [px]; its variance with a standard error [px²]."""
+    if variance < max(limit**2, SURE * error):
+        return []
+    blur = math.sqrt(variance)
+    return [Finding(kind="focus", size=blur, error=0.5 * error / blur, limit=limit)]
 
 
-def spot_findings(spots: Sequence[Spot]) -> list[Finding]:
-    """Dust, on the part (no fault of the rig) and on lens or sensor."""
+def spot_findings(spots: Sequence[Spot], side: int) -> list[Finding]:
+    """Dust, on the part (no fault of the rig) and on lens or sensor; side: of the blocks [px]."""
     found: list[Finding] = []
     for where, kind, limit in (("lens", "dust_lens", 0.0), ("part", "dust_part", None), ("unknown", "dust_part", None)):
         some = [spot for spot in spots if spot.where == where]
         if some:
-            places = "; ".join(f"column {s.column:.0f}, row {s.row:.0f}" for s in some[:3])
+            places = "; ".join(
+                f"column {side * (s.column + 0.5):.0f}, row {side * (s.row + 0.5):.0f}" for s in some[:3]
+            )
+            more = ", …" if len(some) > 3 else ""
+            note = f" {'place' if len(some) == 1 else 'places'} (at {places} in posture {some[0].posture}{more})"
             others = (("dust_lens", ""),) if where == "unknown" else ()
-            found.append(
-                Finding(
-                    kind=kind, size=float(len(some)), parts={}, limit=limit, alternatives=others,
-                    remedy=telling("dust_part", ["dust_lens"]) if others else "",
-                    detail=f" (at {places} in posture {some[0].posture}{', …' if len(some) > 3 else ''})",
-                )
-            )  # fmt: skip
+            found.append(Finding(kind=kind, size=len(some), limit=limit, alternatives=others, note=note))
     return found

@@ -35,7 +35,6 @@ class Evidence:
     normal: SᵀWS, shape (K, K); pull: SᵀWr, shape (K,), with r the residuals of the rig without faults.
     inflation: By how much neighbouring residuals that no fault explains exceed independent ones.
     weight: Of each row, shape (n,).
-    spread: Robust standard deviation of what no fault explains, in units of the noise.
     """
 
     parameters: Parameters
@@ -43,7 +42,6 @@ class Evidence:
     pull: Float64
     inflation: float
     weight: Float64
-    spread: float
 
     def solve(self, groups: Sequence[Group]) -> tuple[float, Float64, Float64]:
         """Twice the log evidence of some groups, the parameters, shape (K,), and their covariance (K, K)."""
@@ -76,7 +74,6 @@ def gather(parameters: Parameters, model: Linearised, theta: Float64, cells: Int
     ridge = np.diag(1.0 / np.square(parameters.priors))
     weight = model.used.astype(np.float64)
     left = target
-    spread = 1.0
     for _ in range(ROUNDS):
         normal, toward = weighted_sums(slope, weight, target)
         left = target - np.einsum("ij,j->i", slope, np.linalg.solve(normal + ridge, toward))
@@ -90,7 +87,7 @@ def gather(parameters: Parameters, model: Linearised, theta: Float64, cells: Int
     ratio = np.square(sums[counted]) / expected[counted]
     inflation = max(1.0, float(np.mean(ratio)) if ratio.size else 1.0)
     normal, toward = weighted_sums(slope, weight, target)
-    return Evidence(parameters, normal, toward, inflation, weight, spread)
+    return Evidence(parameters, normal, toward, inflation, weight)
 
 
 def choose(evidence: Evidence) -> tuple[Group, ...]:

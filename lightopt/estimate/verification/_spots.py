@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
 
-from lightopt.core.arrays import Float32, Float64, Int32
+from lightopt.core.arrays import Float32, Int32
 from lightopt.core.transforms import Posture
-from lightopt.estimate.verification._coarse import CoarsePrediction
-from lightopt.estimate.verification._parameters import Parameters
-from lightopt.scene import Scene, project, view_from_part
+from lightopt.estimate.verification._coarse import CoarsePrediction, Work
+from lightopt.estimate.verification._fit import Fit
+from lightopt.estimate.verification._lights import Compared
+from lightopt.scene import project, view_from_part
 
 LEAST_SCORE = 8.0  # of a spot, in standard deviations of the noise and of the rest of the image
 SEEN_AGAIN = 0.5  # a spot shows in another posture where the score there is this share of the least one
@@ -24,92 +26,56 @@ MOST_SPOTS = 12  # more in one posture are no dust, but a part that its model do
 NEAR_BLOCKS = 3
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Spot:
     """A small place that differs.
 
+    posture, row, column: A posture that shows it, and where in its image [block].
+    score: In standard deviations; below 0 where it is darker than predicted.
     where: ``part`` (moves with it), ``lens`` (fixed in the image), or ``unknown`` where one posture alone shows it.
-    posture, column, row: A posture that shows it, and where in its image [px].
-    point: In the part frame [mm].
-    darker: Whether it is darker than predicted.
     """
 
-    where: str
-    posture: Posture
-    column: float
-    row: float
-    point: tuple[float, float, float]
-    darker: bool
-    score: float
-
-
-@dataclass(frozen=True)
-class _Candidate:
     posture: Posture
     row: int
     column: int
     score: float
+    where: str = "unknown"
 
 
-def find_spots(
-    scene: Scene,
-    parameters: Parameters,
-    theta: Float64,
-    residuals: Mapping[Posture, Sequence[Float32]],
-    predictions: Mapping[Posture, CoarsePrediction],
-    *,
-    side: int,
-) -> tuple[tuple[Spot, ...], bool]:
-    """Spots, and whether there were too many to be dust.
-
-    residuals: For each posture one image per light, measured minus predicted in standard deviations, 0 where unknown,
-        shape (h, w).
-    """
-    scores = {p: _score(some, predictions[p]) for p, some in residuals.items()}
-    candidates: list[_Candidate] = []
-    for posture, score in scores.items():
-        found = _candidates(posture, score)
-        if len(found) > MOST_SPOTS:
-            return (), True
-        candidates += found
+def find_spots(work: Work, fit: Fit, images: Sequence[Compared]) -> tuple[tuple[Spot, ...], bool]:
+    """Spots in the images of a fit, and whether there were too many to be dust."""
+    scores: dict[Posture, Float32] = {}
+    for posture, prediction in fit.predictions.items():
+        residuals = [one.deviation for one in images if one.image.source.posture == posture]
+        if residuals:
+            scores[posture] = _score(residuals, prediction)
+    found = [_candidates(posture, score) for posture, score in scores.items()]
+    if any(len(some) > MOST_SPOTS for some in found):
+        return (), True
     spots: list[Spot] = []
     explained: list[tuple[Posture, float, float]] = []
-    for one in sorted(candidates, key=lambda c: -abs(c.score)):
-        if any(
-            p == one.posture and max(abs(y - one.row), abs(x - one.column)) <= 2 * NEAR_BLOCKS for p, y, x in explained
-        ):
+    for one in sorted(itertools.chain.from_iterable(found), key=lambda c: -abs(c.score)):
+        beside = [max(abs(y - one.row), abs(x - one.column)) for p, y, x in explained if p == one.posture]
+        if min(beside, default=np.inf) <= 2 * NEAR_BLOCKS:
             continue
-        world = predictions[one.posture].points[one.row, one.column].astype(np.float64)
-        own = view_from_part(scene, one.posture)
+        world = fit.predictions[one.posture].points[one.row, one.column].astype(np.float64)
+        own = view_from_part(work.coarse, one.posture)
         point = (world - own.translation) @ own.rotation
-        fixed = {p: (float(one.row), float(one.column)) for p in scores}
-        moved: dict[Posture, tuple[float, float]] = {}
+        # where the other postures show it
+        places: dict[str, dict[Posture, tuple[float, float]]] = {"part": {}, "lens": {}}
         for p in scores:
-            x, y, _ = project(parameters.view(scene, p, theta).camera, point[None])
-            moved[p] = float(y[0]) - 0.5, float(x[0]) - 0.5
-        again = {
-            name: _seen_again(one, places, scores, predictions) for name, places in (("lens", fixed), ("part", moved))
-        }
-        visible = {name: len(seen) for name, seen in again.items()}
-        share = {name: sum(seen) / max(len(seen), 1) for name, seen in again.items()}
-        if not any(visible.values()):
-            where = "unknown"
-        else:
-            where = max(("part", "lens"), key=lambda name: share[name])
-            if share[where] < 0.5:
+            x, y, _ = project(work.parameters.view(work.coarse, p, fit.theta).camera, point[None])
+            places["part"][p] = float(y[0]) - 0.5, float(x[0]) - 0.5
+            places["lens"][p] = float(one.row), float(one.column)
+        again = {name: _seen_again(one, at, scores, fit.predictions) for name, at in places.items()}
+        where, name = "unknown", "part"
+        if any(again.values()):
+            share = {name: sum(seen) / max(len(seen), 1) for name, seen in again.items()}
+            where = name = max(share, key=lambda name: share[name])
+            if share[name] < 0.5:
                 continue
-        explained += [(p, *at) for p, at in (fixed if where == "lens" else moved).items()]
-        spots.append(
-            Spot(
-                where=where,
-                posture=one.posture,
-                column=side * (one.column + 0.5),
-                row=side * (one.row + 0.5),
-                point=(float(point[0]), float(point[1]), float(point[2])),
-                darker=one.score < 0.0,
-                score=abs(one.score),
-            )
-        )
+        explained += [(p, *at) for p, at in places[name].items()]
+        spots.append(replace(one, where=where))
     return tuple(spots), False
 
 
@@ -128,8 +94,8 @@ def _score(residuals: Sequence[Float32], prediction: CoarsePrediction) -> Float3
     return (score / scatter).astype(np.float32)
 
 
-def _candidates(posture: Posture, score: Float32) -> list[_Candidate]:
-    found: list[_Candidate] = []
+def _candidates(posture: Posture, score: Float32) -> list[Spot]:
+    found: list[Spot] = []
     for sign in (-1.0, 1.0):
         labels: Int32 = np.empty(score.shape, np.int32)
         ndimage.label(sign * score > 0.5 * LEAST_SCORE, structure=np.ones((3, 3)), output=labels)
@@ -138,16 +104,14 @@ def _candidates(posture: Posture, score: Float32) -> list[_Candidate]:
             best = float((sign * score[box])[inside].max())
             small = max(inside.shape) <= LARGEST_BLOCKS and inside.sum() >= max(3.0, LEAST_FILL * inside.size)
             if small and best >= LEAST_SCORE:
-                rows, columns = np.nonzero(inside)
-                weight = np.abs(score[box][inside])
-                row = box[0].start + round(float(np.average(rows, weights=weight)))
-                column = box[1].start + round(float(np.average(columns, weights=weight)))
-                found.append(_Candidate(posture, row, column, sign * best))
+                centre = np.average(np.nonzero(inside), axis=1, weights=np.abs(score[box][inside]))
+                row, column = (axis.start + round(float(at)) for axis, at in zip(box, centre, strict=True))
+                found.append(Spot(posture, row, column, sign * best))
     return found
 
 
 def _seen_again(
-    one: _Candidate,
+    one: Spot,
     places: Mapping[Posture, tuple[float, float]],
     scores: Mapping[Posture, Float32],
     predictions: Mapping[Posture, CoarsePrediction],
@@ -155,10 +119,10 @@ def _seen_again(
     # of each other posture that could show it at the given place, whether it does
     seen: list[bool] = []
     sign, n = np.sign(one.score), NEAR_BLOCKS
-    for posture, (y, x) in places.items():
-        if posture == one.posture or not (np.isfinite(y) and np.isfinite(x)):
+    for posture, place in places.items():
+        if posture == one.posture or not np.isfinite(place).all():
             continue
-        row, column = round(y), round(x)
+        row, column = (round(at) for at in place)
         clean, score = predictions[posture].clean, scores[posture]
         if not (n <= row < clean.shape[0] - n and n <= column < clean.shape[1] - n):
             continue

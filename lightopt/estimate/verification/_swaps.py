@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 from scipy import optimize
 
-from lightopt.core.arrays import Float64
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import sensor_scale
 from lightopt.estimate.verification._coarse import CoarseImage, CoarsePrediction
@@ -36,20 +35,17 @@ def exchanged_lights(
             continue
         for a, name in enumerate(names):
             image = longest[name]
-            seen = np.minimum(image.levels, image.top)[clean]
-            scale = sensor_scale(scene, image.source)
+            top, scale = image.top[clean], sensor_scale(scene, image.source)
+            seen = np.minimum(image.levels[clean], top)
             for b, other in enumerate(names):
-                model = np.minimum(prediction.levels[other][clean] * scale + scene.sensor.black_level, image.top[clean])
-                total[a, b] += _correlation(seen.astype(np.float64), model.astype(np.float64))
+                model = np.minimum(prediction.levels[other][clean] * scale + scene.sensor.black_level, top)
+                if np.ptp(seen) > 0.0 and np.ptp(model) > 0.0:
+                    total[a, b] += np.corrcoef(seen, model)[0, 1]
     shown, real = optimize.linear_sum_assignment(-total)
-    changed = {names[a]: names[b] for a, b in zip(shown, real, strict=True) if a != b}
-    if not changed:
-        return {}
-    at = [names.index(name) for name in changed]
-    gain = sum(
-        total[names.index(a), names.index(b)] - total[names.index(a), names.index(a)] for a, b in changed.items()
-    )
-    return changed if gain > LEAST_GAIN * len(at) * len(predictions) else {}
+    changed = [(a, b) for a, b in zip(shown, real, strict=True) if a != b]
+    gain = sum(total[a, b] - total[a, a] for a, b in changed)
+    enough = gain > LEAST_GAIN * len(changed) * len(predictions)
+    return {names[a]: names[b] for a, b in changed} if enough else {}
 
 
 def renamed(images: Sequence[CoarseImage], exchanged: Mapping[str, str]) -> tuple[CoarseImage, ...]:
@@ -58,9 +54,3 @@ def renamed(images: Sequence[CoarseImage], exchanged: Mapping[str, str]) -> tupl
         replace(image, source=replace(image.source, light=exchanged.get(image.source.light, image.source.light)))
         for image in images
     )
-
-
-def _correlation(a: Float64, b: Float64) -> float:
-    a, b = a - a.mean(), b - b.mean()
-    size = float(np.sqrt(np.sum(a * a) * np.sum(b * b)))
-    return float(np.sum(a * b)) / size if size > 0.0 else 0.0

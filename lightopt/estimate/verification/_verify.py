@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,28 +9,27 @@ from typing import Any
 import numpy as np
 
 from lightopt.config import PartConfig, RigConfig
-from lightopt.core.arrays import Float32, Float64
+from lightopt.core.arrays import Float32
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.estimate.registration import Observation, observed_postures, read_observations
-from lightopt.estimate.verification._coarse import CoarsePrediction
+from lightopt.estimate.verification._coarse import Work
 from lightopt.estimate.verification._findings import (
+    SURE,
     Finding,
     dark_findings,
+    fault_name,
     focus_findings,
     group_finding,
-    group_name,
     spot_findings,
     swap_findings,
 )
-from lightopt.estimate.verification._fit import Fit, Work, fit_faults
-from lightopt.estimate.verification._focus import outline_blur
-from lightopt.estimate.verification._lights import Compared, LightComparison, compare_image, compare_lights
-from lightopt.estimate.verification._limits import VerifyLimits
-from lightopt.estimate.verification._parameters import Parameters
+from lightopt.estimate.verification._fit import fit_faults
+from lightopt.estimate.verification._lights import LightComparison, compare_image, compare_lights
+from lightopt.estimate.verification._parameters import Parameters, VerifyLimits
 from lightopt.estimate.verification._selection import alternatives
-from lightopt.estimate.verification._spots import Spot, find_spots
+from lightopt.estimate.verification._spots import find_spots
 from lightopt.estimate.verification._swaps import exchanged_lights, renamed
 from lightopt.images import ImageSet
 from lightopt.scene import Scene, build_scene
@@ -49,6 +47,7 @@ class Verification:
     findings: Those that exceed their limits first.
     lights: Predicted against captured.
     unseen: Faults that these images would not show at their limits, in words.
+    registered: Whether the part was searched for.
     differences: By posture, light and exposure, measured minus predicted in standard deviations of noise and of what a
         model is off, without and with the faults in the prediction, shape (2, h, w).
     """
@@ -56,7 +55,6 @@ class Verification:
     findings: tuple[Finding, ...]
     lights: tuple[LightComparison, ...]
     unseen: tuple[str, ...]
-    spots: tuple[Spot, ...]
     warnings: tuple[str, ...]
     limits: VerifyLimits
     registered: bool
@@ -70,9 +68,9 @@ class Verification:
     @property
     def answer(self) -> str:
         """The result in a sentence."""
-        beyond = [f for f in self.findings if f.exceeds]
+        beyond = [f"{f.cause}: {f.amount}" for f in self.findings if f.exceeds]
         if beyond:
-            return "the rig has left its tolerances: " + "; ".join(f"{f.cause}: {f.amount}" for f in beyond)
+            return f"the rig has left its tolerances: {'; '.join(beyond)}"
         return "the rig is within its tolerances"
 
     def as_dict(self) -> dict[str, Any]:
@@ -110,12 +108,10 @@ def verify_set(
     names = tuple(light.name for light in rig.lights if light.name in used)
     observations = read_observations(image_set, rig, part, threads=run.threads)
     scene = build_scene(rig, part, postures=observed_postures(image_set), lights=names, defects=False)
-    good = None
-    if baseline is not None:
-        good = read_observations(baseline, rig, part, threads=run.threads)
-        good = _matching(observations, good, str(image_set.folder), str(baseline.folder))
+    good = None if baseline is None else read_observations(baseline, rig, part, threads=run.threads)
+    where = str(image_set.folder)
     return verify_observations(
-        scene, observations, baseline=good, limits=limits, register=register, where=str(image_set.folder), run=run
+        scene, observations, baseline=good, limits=limits, register=register, where=where, run=run
     )
 
 
@@ -131,36 +127,18 @@ def verify_observations(
 ) -> Verification:
     """As :func:`verify_set`, of images that are read, and the scene with their postures and lights.
 
-    baseline: In the order of `observations`; `where`: The set, for messages.
+    where: The set, for messages.
     """
-    run, limits = run or RunContext(), limits or VerifyLimits()
-    work = Work(scene, Parameters.of(scene, limits), run)
+    limits = limits or VerifyLimits()
+    work = Work(scene, Parameters.of(scene, limits), run or RunContext())
     good = None
     if baseline is not None:
-        good = fit_faults(work, work.blocks(baseline), where="the known good set", register=register)
+        blocks = work.blocks(_matching(observations, baseline, where))
+        good = fit_faults(work, blocks, where="the known good set", register=register)
     images = work.blocks(observations)
     exchanged = exchanged_lights(work.coarse, images, work.predict(np.zeros(work.parameters.size)))
-    found = fit_faults(work, renamed(images, exchanged), good, where=where, register=register)
-    return _report(work, found, good, exchanged, limits)
+    fit = fit_faults(work, renamed(images, exchanged), good, where=where, register=register)
 
-
-def _matching(
-    observations: Sequence[Observation], good: Sequence[Observation], where: str, folder: str
-) -> tuple[Observation, ...]:
-    # the images of a known good set in the order of the others
-    by_key = {(o.light, o.posture, round(o.exposure, 6)): o for o in good}
-    keys = [(o.light, o.posture, round(o.exposure, 6)) for o in observations]
-    missing = [o.name for o, key in zip(observations, keys, strict=True) if key not in by_key]
-    if missing:
-        raise InputError(
-            f"{folder}: the known good set has no image {missing[0]}"
-            f"{f' (and {len(missing) - 1} more)' if len(missing) > 1 else ''}, which {where} has; capture it with the "
-            "same lights, postures and exposures"
-        )
-    return tuple(by_key[key] for key in keys)
-
-
-def _report(work: Work, fit: Fit, good: Fit | None, exchanged: Mapping[str, str], limits: VerifyLimits) -> Verification:
     p, theta = work.parameters, fit.theta
     origin = np.zeros(p.size) if good is None else good.theta
     # the rig file with the part where it was found
@@ -168,35 +146,28 @@ def _report(work: Work, fit: Fit, good: Fit | None, exchanged: Mapping[str, str]
     for kind in ("part_shift", "part_turn"):
         plain[p.group(kind).where] = theta[p.group(kind).where]
     predictions = work.predict(plain)
-    before = _compare(work, fit, good, plain, predictions)
-    after = _compare(work, fit, good, theta, fit.predictions)
-    by_posture: dict[Posture, list[Float32]] = {}
-    for one in after:
-        by_posture.setdefault(one.image.source.posture, []).append(one.deviation)
-    spots, many = find_spots(work.coarse, p, theta, by_posture, fit.predictions, side=work.side)
-    blur = _blur(work, fit, good)
-    distances = {light.name: float(np.linalg.norm(light.centre)) for light in work.scene.lights}
+    before = [compare_image(work, fit, good, number, plain, predictions) for number in range(len(images))]
+    after = [compare_image(work, fit, good, number, theta, fit.predictions) for number in range(len(images))]
+    spots, many = find_spots(work, fit, after)
+    blur = p.nuisance[-1]
+    blur_error = float(np.sqrt(fit.covariance[blur, blur]))
+    own, known_good = ([i.source for i in one.images] if one else () for one in (fit, good))
     findings = [
         *swap_findings(exchanged),
         *(
-            group_finding(
-                group, theta - origin, fit.covariance, alternatives(fit.evidence, fit.chosen, group),
-                distance=distances.get(group.light, 0.0),
-            )
+            group_finding(group, theta - origin, fit.covariance, alternatives(fit.evidence, fit.chosen, group))
             for group in fit.chosen
         ),
-        *dark_findings(
-            [image.source for image in fit.images], [i.source for i in good.images] if good else (), limits.black
-        ),
-        *focus_findings(blur, limits.blur_px),
-        *spot_findings(spots),
-    ]  # fmt: skip
-    unseen = [group_name(group) for group in p.groups if group not in fit.chosen and not fit.evidence.visible(group)]
+        *dark_findings(own, known_good, limits.black),
+        *focus_findings(float((theta - origin)[blur]), blur_error, limits.blur_px),
+        *spot_findings(spots, work.side),
+    ]
+    hidden = [group for group in p.groups if group not in fit.chosen and not fit.evidence.visible(group)]
+    unseen = [fault_name(group.kind, group.light) for group in hidden]
     return Verification(
         findings=tuple(sorted(findings, key=lambda f: not f.exceeds)),
-        lights=compare_lights(work.coarse, before, after, predictions, side=work.side),
-        unseen=(*unseen, *(("focus",) if blur is None else ())),
-        spots=spots,
+        lights=compare_lights(work, before, after, predictions),
+        unseen=(*unseen, *(("focus",) if SURE * blur_error > limits.blur_px**2 else ())),
         warnings=(_MANY_SPOTS,) if many else (),
         limits=limits,
         registered=fit.registered,
@@ -204,28 +175,15 @@ def _report(work: Work, fit: Fit, good: Fit | None, exchanged: Mapping[str, str]
     )
 
 
-def _compare(
-    work: Work, fit: Fit, good: Fit | None, theta: Float64, predictions: Mapping[Posture, CoarsePrediction]
-) -> list[Compared]:
-    found: list[Compared] = []
-    for number, image in enumerate(fit.images):
-        posture = image.source.posture
-        other = None if good is None else (good.images[number], good.predictions[posture], good.theta)
-        found.append(compare_image(work.coarse, work.parameters, theta, image, predictions[posture], other))
-    return found
-
-
-def _blur(work: Work, fit: Fit, good: Fit | None) -> float | None:
-    # beyond that of the pixel, or of the known good set
-    widths = [
-        outline_blur(
-            work.scene, work.parameters, one.theta, [image.source for image in one.images], one.predictions,
-            caster=work.caster, side=work.side, threads=work.run.threads,
+def _matching(observations: Sequence[Observation], good: Sequence[Observation], where: str) -> tuple[Observation, ...]:
+    # the images of a known good set in the order of the others
+    by_key = {(o.light, o.posture, round(o.exposure, 6)): o for o in good}
+    found = [by_key.get((o.light, o.posture, round(o.exposure, 6))) for o in observations]
+    missing = [o.name for o, other in zip(observations, found, strict=True) if other is None]
+    if missing:
+        more = f" (and {len(missing) - 1} more)" if len(missing) > 1 else ""
+        raise InputError(
+            f"{good[0].source.parent}: the known good set has no image {missing[0]}{more}, which {where} has; capture "
+            "it with the same lights, postures and exposures"
         )
-        for one in (fit, good)
-        if one is not None
-    ]  # fmt: skip
-    own = widths[0]
-    if own is None or len(widths) == 1 or widths[1] is None:
-        return own
-    return math.sqrt(max(own**2 - widths[1] ** 2, 0.0))
+    return tuple(one for one in found if one is not None)
