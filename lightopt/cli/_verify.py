@@ -26,6 +26,13 @@ def verify(
             metavar="SET", help="Known good image set of the same part: report what has changed since."
         ),
     ] = None,
+    plan: Annotated[
+        Path | None,
+        common.model_option(
+            metavar="FILE",
+            help="result.json of optimize --light-tolerance or --pose-tolerance: its tolerances are limits.",
+        ),
+    ] = None,
     limit: Annotated[
         list[str] | None,
         common.model_option(
@@ -59,8 +66,9 @@ def verify(
     from lightopt.images import read_image_set
     from lightopt.report import history_chart, verification_report
 
-    limits = verification.VerifyLimits(**_limits(limit or []))
     loaded_rig, loaded_part = common.load_inputs(rig, part)
+    planned = {} if plan is None else verification.plan_limits(plan, loaded_rig)
+    limits = verification.VerifyLimits(**{**planned, **_limits(limit or [])})
     image_set = read_image_set(images)
     good = None if baseline is None else read_image_set(baseline)
     folder = verification.verify_folder(

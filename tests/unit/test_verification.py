@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from datetime import datetime, timezone
+from pathlib import Path
 
 import numpy as np
 import pytest
 from verified import images_of, observed, parameters_of, rig_with, small_scene
 
+from lightopt.config import load_rig
 from lightopt.core.errors import InputError
-from lightopt.estimate.verification import VerifyLimits, append_history, verify_observations
+from lightopt.estimate.verification import VerifyLimits, append_history, plan_limits, verify_observations
 from lightopt.optics import clipped_mean
 from lightopt.scene import project, view_from_part
 
@@ -216,3 +219,26 @@ def test_runs_over_time(scene, images, tmp_path):
         table.write_text(text, encoding="utf-8")
         with pytest.raises(InputError, match=r"history\.csv: no table of lightopt verify"):
             append_history(tmp_path, first, name="set", when=datetime(2026, 1, 3, tzinfo=timezone.utc))
+
+
+def test_limits_of_a_plan(tmp_path):
+    rig = load_rig(Path(__file__).parents[2] / "configs" / "rigs" / "four-panel.yaml")
+    path = tmp_path / "result.json"
+
+    def plan(*rows):
+        widest = [{"what": what, "angle": angle, "degrees": degrees} for what, angle, degrees in rows]
+        path.write_text(json.dumps({"tolerances": [{"widest": widest}]}), encoding="utf-8")
+
+    plan(("light1", "elevation", 2.0), ("light2", "azimuth", 1.5), ("all lights", "both", 0.5), ("part", "tilt", 0.7))
+    limits = VerifyLimits(**plan_limits(path, rig))
+    assert limits.panel_mm == pytest.approx(330.0 * math.tan(math.radians(1.5)))
+    assert limits.part_deg == 0.7
+    plan(("light2", "azimuth", 0.0))
+    with pytest.raises(InputError, match="tolerance of 0° for light2"):
+        plan_limits(path, rig)
+    for text in ("", "[]", '{"tolerances": []}', '{"tolerances": [{"widest": [{}]}]}'):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(InputError, match="no tolerance analysis"):
+            plan_limits(path, rig)
+    with pytest.raises(InputError, match="cannot be read"):
+        plan_limits(tmp_path / "none.json", rig)

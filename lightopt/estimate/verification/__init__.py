@@ -7,6 +7,7 @@ from lightopt.estimate.verification._files import (
     HISTORY_NAME as HISTORY_NAME,
     REPORT_NAME as REPORT_NAME,
     append_history as append_history,
+    plan_limits as plan_limits,
     verify_folder as verify_folder,
 )
 from lightopt.estimate.verification._findings import Finding as Finding

@@ -2,6 +2,8 @@
 
 import csv
 import io
+import json
+import math
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,32 @@ from lightopt.estimate.verification._verify import Verification
 from lightopt.images import ImageSet, ResultFolder, make_folder, write_text_atomic
 
 REPORT_NAME, HISTORY_NAME = "report.html", "history.csv"
+
+
+def plan_limits(path: Path, rig: RigConfig) -> dict[str, float]:
+    """Fields of :class:`VerifyLimits` from the tolerances of a plan: the narrowest of the lights, and of the part.
+
+    path: ``result.json`` of ``lightopt optimize --light-tolerance`` or ``--pose-tolerance``
+    Raises InputError: It cannot be read, has no tolerances, or one of 0
+    """
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        widest = [(str(w["what"]), str(w["angle"]), float(w["degrees"])) for w in found["tolerances"][-1]["widest"]]
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}; give result.json of a plan") from error
+    except (ValueError, KeyError, TypeError, IndexError) as error:
+        raise InputError(
+            f"{path}: no tolerance analysis in it; expected result.json of lightopt optimize --light-tolerance or "
+            "--pose-tolerance"
+        ) from error
+    if zero := [what for what, _, degrees in widest if degrees <= 0.0]:
+        raise InputError(
+            f"{path}: the plan has a tolerance of 0° for {zero[0]}, which no rig keeps; give limits instead"
+        )
+    distances = {light.name: light.distance_mm for light in rig.lights}
+    panels = [distances[what] * math.tan(math.radians(angle)) for what, _, angle in widest if what in distances]
+    part = [degrees for what, _, degrees in widest if what == "part"]
+    return {**({"panel_mm": min(panels)} if panels else {}), **({"part_deg": min(part)} if part else {})}
 
 
 def verify_folder(
