@@ -297,7 +297,9 @@ class _PostureJob:
             centre_places = _places(centre_hits.ray, right - left, 0, bottom - top, top, left)
             self._store_geometry(centre_hits, centres, self._in_defects(centres), centre_places)
         sample = hits.ray.astype(np.intp)
-        passed = lens_share(self.view.camera, columns[sample % len(columns)], rows[sample // len(columns)])
+        passed = None
+        if self.view.camera.dims:
+            passed = lens_share(self.view.camera, columns[sample % len(columns)], rows[sample // len(columns)])
         for panel, image in zip(self.panels, self.images, strict=True):
             for pixels, values in self._light(surface, marked, panel, image, sample, grid, passed):
                 if places is None:

@@ -26,6 +26,7 @@ from lightopt.scene._camera import (
     project as project,
     screen_window as screen_window,
     surface_footprint as surface_footprint,
+    surface_share as surface_share,
 )
 from lightopt.scene._defects import (
     angle_outside_range as angle_outside_range,

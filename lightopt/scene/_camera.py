@@ -64,6 +64,11 @@ class PinholeCamera:
         """Column and row where the optical axis meets the image [px]."""
         return self.principal_point or (0.5 * self.width, 0.5 * self.height)
 
+    @property
+    def dims(self) -> bool:
+        """Whether the lens passes less or more light away from its axis."""
+        return self.vignetting != (0.0, 0.0)
+
     def moved(self, rotation: Float64, translation: Float64) -> PinholeCamera:
         """The camera after x' = rotation·x + translation, of shapes (3, 3) and (3,)."""
         return replace(
@@ -145,9 +150,14 @@ def project(camera: PinholeCamera, points: Float64) -> tuple[Float64, Float64, F
     return x * scale + column, y * (scale * camera.aspect) + row, depth
 
 
+def surface_share(camera: PinholeCamera, points: Float64) -> Float64 | None:
+    """As :func:`lens_share`, of points of a surface [mm], shape (k, 3), frame of the camera's vectors."""
+    return lens_share(camera, *project(camera, points)[:2]) if camera.dims else None
+
+
 def lens_share(camera: PinholeCamera, columns: NDArray[Any], rows: NDArray[Any]) -> Float64 | None:
     """Share of the light that the lens passes to image points [px], 1 on its axis; None where it is 1 everywhere."""
-    if camera.vignetting == (0.0, 0.0):
+    if not camera.dims:
         return None
     column, row = camera.axis_px
     r2 = ((columns - column) ** 2 + (rows - row) ** 2) / (0.25 * (camera.width**2 + camera.height**2))

@@ -63,7 +63,7 @@ from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight
 from lightopt.optics import Sensor
 from lightopt.rendering import PatchTable, SurfacePoints, panel_to_shade, shade_variants, surface_variants
-from lightopt.scene import Scene, lens_share, project, surface_footprint, view_from_part
+from lightopt.scene import Scene, project, surface_footprint, surface_share, view_from_part
 
 UNITS_OF_IMAGE = 3
 """Most units of evidence that an image counts for."""
@@ -255,7 +255,7 @@ class PatchEvidence:
         self._image = image.in_order(self._order)
         self._surface, self._class = surface.take(self._order), classes[self._order]
         surface = self._surface
-        share = lens_share(camera, *project(camera, surface.points)[:2])
+        share = surface_share(camera, surface.points)
         self._passed = 1.0 if share is None else share
         self._references = tangent_axis(surface.normals, right[self._order])
         self._stencils = detection.stencils(footprint).in_cells(image.cell)

@@ -37,7 +37,7 @@ from lightopt.geometry import RayCaster, face_normals
 from lightopt.lights import PanelLight
 from lightopt.optics import expose
 from lightopt.rendering import PatchTable, SurfacePoints, converged_panel, shade_converged, shade_points, shadow_targets
-from lightopt.scene import Scene, lens_share, project, view_from_part
+from lightopt.scene import Scene, surface_share, view_from_part
 
 BLOCK_PATCHES = 1 << 12  # patches whose levels, under all hypotheses, are in the processor's caches together
 BLOCKS_AT_ONCE = 8  # that a thread works on before it takes others
@@ -179,7 +179,7 @@ class ImageEvaluator:
         blocks: list[_Block] = []
         for start in range(0, len(seen), BLOCK_PATCHES):
             block = surface.take(slice(start, start + BLOCK_PATCHES))
-            share = lens_share(camera, *project(camera, block.points)[:2])
+            share = surface_share(camera, block.points)
             blocks.append((slice(start, start + len(block)), block, 1.0 if share is None else share))
         # the candidates as the part sees them
         moved = view_from_part(replace(scene, lights=tuple(flat)), posture).lights

@@ -20,14 +20,17 @@ from lightopt.estimate.rig_calibration._board_images import BoardImage, find_cor
 from lightopt.estimate.rig_calibration._charuco import CharucoBoard
 from lightopt.estimate.rig_calibration._corner_lists import read_corners
 from lightopt.estimate.rig_calibration._photon_transfer import FramePair, PhotonTransfer, photon_transfer
-from lightopt.estimate.rig_calibration._plan import BALL, BOARD, PLATE, SENSOR, TARGETS_NAME
+from lightopt.estimate.rig_calibration._plan import BALL, BOARD, PLATE, RIG_NAME, SENSOR, TARGETS_NAME
 from lightopt.estimate.rig_calibration._plate_fit import Plate, PlateFit, fit_plate, plate_cells
-from lightopt.images import ImageSet, dark_name, read_image_set, read_png
+from lightopt.images import dark_name, read_image_set, read_png
 from lightopt.lights import PanelLight
 from lightopt.scene import PinholeCamera, Stage, build_camera, build_lights, build_sensor, build_stage
 
 CORNERS_NAME = "board.json"
 """Corners of the board that another program found, in place of its image set."""
+
+# covariance of a panel's parameters where only the rig file has them [mm], [rad], [mm]
+_FILED = np.diag(np.square([3.0, 3.0, 3.0, 0.04, 0.04, 0.04, 0.1, 0.1]))
 
 CELL_SHARE = 1 / 40  # side of a plate's cell, of the image's width
 
@@ -72,7 +75,7 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
             f"{rig.source.at('stage', 'pivot_mm')}: a calibration puts the world's origin on the rotary axis; expected "
             f"[0, 0, z], found {list(rig.stage.pivot_mm)}"
         )
-    if rig.source.path.resolve().parent == folder.resolve() and rig.source.path.name == "rig.calibrated.yaml":
+    if rig.source.path.resolve().parent == folder.resolve() and rig.source.path.name == RIG_NAME:
         raise InputError(f"{rig.source.path}: this is the result; give the rig file that was captured with")
     targets = load_targets(folder / TARGETS_NAME)
     sets = {name for name in (BOARD, BALL, PLATE, *SENSOR) if (folder / name).is_dir()}
@@ -83,7 +86,8 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
             f"{folder}: no image set of a calibration; expected some of {', '.join((BOARD, BALL, PLATE, *SENSOR))}; "
             "lightopt calibrate --plan writes how to capture them"
         )
-    camera, stage, lights = build_camera(rig), build_stage(rig), build_lights(rig)
+    camera, stage, filed = build_camera(rig), build_stage(rig), build_lights(rig)
+    lights = filed
     board: BoardFit | None = None
     ball: BallFit | None = None
     plate: PlateFit | None = None
@@ -118,7 +122,7 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
         )
         if ball is None:
             warnings.append("the plate was fitted to panels as the rig file has them: there is no image set of a ball")
-        known = _FILED if ball is None else ball.panels_covariance
+        known = np.kron(np.eye(len(lights)), _FILED) if ball is None else ball.panels_covariance
         plate = _plate(rig, folder, flat, camera, stage, lights, known, black, warnings, run)
         lights = plate.lights
     return RigCalibration(
@@ -131,22 +135,17 @@ def calibrate_rig(rig: RigConfig, folder: Path, *, run: RunContext | None = None
         camera=camera,
         stage=stage,
         lights=lights,
-        filed=build_lights(rig),
+        filed=filed,
         warnings=tuple(warnings),
     )
-
-
-_FILED_ERRORS = (3.0, 3.0, 3.0, 0.04, 0.04, 0.04, 0.1, 0.1)  # of the rig file's panels [mm], [rad], [mm]
-_FILED = np.diag(np.square(_FILED_ERRORS))
 
 
 def _part_of(folder: Path, name: str) -> PartConfig:
     return load_part(folder / f"{name}.yaml")
 
 
-def _observations(rig: RigConfig, folder: Path, name: str, run: RunContext) -> tuple[ImageSet, tuple[Observation, ...]]:
-    image_set = read_image_set(folder / name)
-    return image_set, read_observations(image_set, rig, _part_of(folder, name), threads=run.threads)
+def _observations(rig: RigConfig, folder: Path, name: str, run: RunContext) -> tuple[Observation, ...]:
+    return read_observations(read_image_set(folder / name), rig, _part_of(folder, name), threads=run.threads)
 
 
 def _board(
@@ -184,7 +183,7 @@ def _board(
 
 
 def _board_images(rig: RigConfig, folder: Path, run: RunContext) -> list[BoardImage]:
-    _, observations = _observations(rig, folder, BOARD, run)
+    observations = _observations(rig, folder, BOARD, run)
     return [
         BoardImage(
             str(posture),
@@ -245,7 +244,7 @@ def _displaced(board: BoardFit, by: dict[str, float]) -> tuple[PinholeCamera, St
 def _ball_views(
     rig: RigConfig, folder: Path, camera: PinholeCamera, radius: float, warnings: list[str], run: RunContext
 ) -> list[BallView]:
-    _, observations = _observations(rig, folder, BALL, run)
+    observations = _observations(rig, folder, BALL, run)
     distance = float(np.linalg.norm(camera.position)) - radius
     radius_px = camera.image_distance / camera.pixel_size * radius / distance
     sensor = build_sensor(rig.camera)
@@ -287,7 +286,7 @@ def _plate(
     warnings: list[str],
     run: RunContext,
 ) -> PlateFit:
-    _, observations = _observations(rig, folder, PLATE, run)
+    observations = _observations(rig, folder, PLATE, run)
     sensor, part = build_sensor(rig.camera), _part_of(folder, PLATE)
     scale = sensor.max_level / part.reflectance.full_scale
     cell = max(8, round(CELL_SHARE * camera.width))
@@ -312,8 +311,6 @@ def _plate(
             )
         except InputError as error:
             warnings += error.messages
-    if len(known) != 8 * len(lights):
-        known = np.kron(np.eye(len(lights)), known)
     return fit_plate(views, lights=lights, panels_covariance=known)
 
 

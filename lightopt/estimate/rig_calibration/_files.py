@@ -16,15 +16,11 @@ from lightopt.core.transforms import vector_of_rotation
 from lightopt.estimate.rig_calibration._ball_fit import PANEL_PARAMETERS
 from lightopt.estimate.rig_calibration._calibrate import RigCalibration
 from lightopt.estimate.rig_calibration._measured import Measured
+from lightopt.estimate.rig_calibration._plan import RIG_NAME
 from lightopt.images import write_bytes_atomic, write_text_atomic
 from lightopt.lights import PanelLight
 
-RIG_NAME, COVARIANCE_NAME, FIGURES_NAME, REPORT_NAME = (
-    "rig.calibrated.yaml",
-    "rig.calibrated.npz",
-    "calibration.json",
-    "report.html",
-)
+COVARIANCE_NAME, FIGURES_NAME, REPORT_NAME = "rig.calibrated.npz", "calibration.json", "report.html"
 
 Interval = tuple[float, float]
 Values = dict[tuple[str | int, ...], str | None]

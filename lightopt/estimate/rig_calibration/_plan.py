@@ -18,7 +18,7 @@ from lightopt.optics import Reflectance
 from lightopt.rendering import cast_rays_at, render_posture
 from lightopt.scene import Scene, build_camera, build_lights, build_sensor, build_stage, view_size
 
-TARGETS_NAME = "targets.yaml"
+TARGETS_NAME, RIG_NAME = "targets.yaml", "rig.calibrated.yaml"
 BOARD, BALL, PLATE, SENSOR = "board", "ball", "plate", ("sensor-a", "sensor-b")
 """Image sets of a calibration, below its folder."""
 
