@@ -1,10 +1,9 @@
 """From a scene to what the camera would see, linear and exact; and the patches that optimisation works on."""
 
 from lightopt.rendering._converged_panel import (
-    converged_panel as converged_panel,
     highlight_level as highlight_level,
     panel_to_shade as panel_to_shade,
-    shade_converged as shade_converged,
+    shade_isolated as shade_isolated,
     shadow_targets as shadow_targets,
 )
 from lightopt.rendering._image_set import (
@@ -41,7 +40,6 @@ from lightopt.rendering._pixels import (
     panel_visibility as panel_visibility,
     trace_pixels as trace_pixels,
 )
-from lightopt.rendering._point_lights import shade_points as shade_points
 from lightopt.rendering._scene_checks import (
     panels_in_part as panels_in_part,
     refuse_unusable_scene as refuse_unusable_scene,

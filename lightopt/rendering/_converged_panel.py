@@ -7,6 +7,7 @@ between these by :mod:`lightopt.rendering._penumbra_squares`.
 """
 
 import itertools
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +23,7 @@ from lightopt.rendering._panel_quadrature import WHOLE_PANEL, rectangle_diffuse
 from lightopt.rendering._penumbra import shade_penumbra
 from lightopt.rendering._penumbra_cells import ConvergedLight
 from lightopt.rendering._penumbra_squares import SIDES, interpolate, nodes_of, points_in, smooth_squares, squares_with
-from lightopt.rendering._point_lights import clear_targets, facing_targets, visible_counts
+from lightopt.rendering._point_lights import clear_targets, shade_points, visible_counts
 from lightopt.rendering._surface import SurfacePoints
 from lightopt.rendering._whole_panel import whole_panel
 from lightopt.scene import Scene
@@ -30,6 +31,9 @@ from lightopt.scene import Scene
 DIFFUSE_TOLERANCE = 1e-4  # error of the diffuse quadrature per unit of R_d: 0.025 level of 255
 PROBE_INSET = 0.98  # the rays to the corners go this far from the panel's centre towards them
 PENUMBRA_BATCH = 2048  # penumbra pixels that are shaded at once: some 10 MiB of rays
+
+# points a side that stand for the panel on variants of a surface
+LEAST_POINTS, MOST_POINTS = 4, 6
 
 # what the coarse rays of a pixel to a light show
 _DARK, _CLEAR, _HIDDEN, _MIXED = 0, 1, 2, 3
@@ -40,10 +44,25 @@ class ConvergedPanel:
     """A panel with the quadrature that it needs for a part.
 
     nodes: Gauss–Legendre nodes a side for light that varies as its direction, fall-off and emission do
+    least_distance: From the panel's centre to the sphere around the part [mm]; 0 inside it
     """
 
     light: PanelLight
     nodes: int
+    least_distance: float
+
+    def points_for(self, sigma: float) -> int | None:
+        """Points k² that stand for the panel to a few per cent of the lobe's change; None where that takes too many.
+
+        Midpoints of cells integrate a Gaussian lobe to 1e-4 where the half vectors of neighbours, which turn by half
+        of what the directions to them do, are no further apart than σ; what remains is of cells at the panel's sides.
+
+        sigma: Of the narrowest lobe [rad]
+        """
+        if self.least_distance <= 0.0:
+            return None
+        k = max(LEAST_POINTS, math.ceil(0.5 * max(self.light.size) / (self.least_distance * sigma)))
+        return k * k if k <= MOST_POINTS else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +107,8 @@ def converged_panel(light: PanelLight, *, centre: Float64, radius: float) -> Con
         found = [rectangle_diffuse(p, n, panel, WHOLE_PANEL, count) for p, n in places]
         if max(abs(a - b) for a, b in zip(found, exact, strict=True)) <= DIFFUSE_TOLERANCE:
             break
-    return ConvergedPanel(light, count)
+    distance = float(np.linalg.norm(light.centre - centre))
+    return ConvergedPanel(light, count, max(0.0, distance - radius))
 
 
 def shade_converged(
@@ -99,7 +119,6 @@ def shade_converged(
     shape: tuple[int, int],
     reflectance: Reflectance,
     caster: RayCaster | None,
-    coarse: UInt8 | None = None,
 ) -> tuple[Float64, Float64, PanelVisibility]:
     """Diffuse and specular light of a whole panel, per unit of R_d and R_s, shape (k,), and what the points see of it.
 
@@ -107,14 +126,12 @@ def shade_converged(
         where neighbours in this grid disagree
     shape: Rows and columns of that grid; the grid's own border has no neighbours beyond it
     reflectance: Its σ shapes the lobe; how finely penumbrae are worked out depends on R_d and R_s, too
-    coarse: By the coarse rays, from :func:`classify_probes`, where they have been cast before
     """
     if caster is None:
         coarse = np.where(surface.front, _CLEAR, _DARK).astype(np.uint8)
         uncertain = np.zeros(len(surface), np.bool_)
     else:
-        if coarse is None:
-            coarse = _classify(*visible_counts(surface, probe_targets(converged.light), caster))
+        coarse = _classify(*visible_counts(surface, probe_targets(converged.light), caster))
         uncertain = _disagreeing(coarse, sample, shape)
     light = _converged_light(converged, reflectance)
     terms = np.zeros((len(surface), 2))
@@ -124,6 +141,24 @@ def shade_converged(
         shaded = _shade_penumbrae(surface, uncertain, light, caster, coarse, sample, shape, terms)
     terms *= converged.light.total_weight
     return terms[:, 0], terms[:, 1], PanelVisibility(coarse, shaded)
+
+
+def shade_isolated(
+    surface: SurfacePoints, panel: PanelLight, *, reflectance: Reflectance, caster: RayCaster, shadows: bool
+) -> Float64:
+    """Level of points none of which is another's neighbour, as images have it [grey level], shape (k,).
+
+    panel: Part frame
+    """
+    shaded, blocker = panel_to_shade(panel, caster), caster if shadows else None
+    if isinstance(shaded, ConvergedPanel):
+        # every second place of a row
+        sample, shape = 2 * np.arange(len(surface)), (1, 2 * len(surface))
+        d, s, _ = shade_converged(surface, shaded, sample=sample, shape=shape, reflectance=reflectance, caster=blocker)
+    else:
+        assert panel.points != "auto"
+        d, s = shade_points(surface, panel, points=panel.points, sigma=reflectance.sigma, caster=blocker)
+    return reflectance.R_d * d + reflectance.R_s * s
 
 
 def shade_changed_points(
@@ -262,12 +297,6 @@ def shadow_targets(light: PanelLight) -> Float64:
 def panel_probes(surface: SurfacePoints, targets: Float64, caster: RayCaster) -> Bool:
     """Which probes each point's face, whatever its normal, faces and sees, shape (k, 5)."""
     return clear_targets(replace(surface, normals=surface.facets), targets, caster, geometric=False).T.copy()
-
-
-def classify_probes(surface: SurfacePoints, targets: Float64, clear: Bool) -> UInt8:
-    """What the coarse rays show for each point with its own normal, from :func:`panel_probes`, shape (k,)."""
-    above = facing_targets(surface, targets, geometric=False).T
-    return _classify((clear & above).sum(axis=1), above.sum(axis=1))
 
 
 def _classify(clear: Index, all_above: Index) -> UInt8:

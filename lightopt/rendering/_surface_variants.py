@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lightopt.core.arrays import Bool, Float32, Float64
+from lightopt.core.arrays import Bool, Float64
 from lightopt.core.kernels import kernel
 from lightopt.core.threads import end_if_stopped
 from lightopt.core.vectors import Vector, cross, dot, minus, plus, scaled, vector_at
@@ -28,13 +28,7 @@ from lightopt.optics import (
     specular_cosine,
     specular_lobe,
 )
-from lightopt.rendering._converged_panel import (
-    ConvergedPanel,
-    classify_probes,
-    panel_probes,
-    probe_targets,
-    shade_converged,
-)
+from lightopt.rendering._converged_panel import ConvergedPanel, panel_probes, probe_targets
 from lightopt.rendering._converged_variants import VariantNumbers, panel_variants
 from lightopt.rendering._point_lights import PAIRS_AT_ONCE, add_points, clear_targets
 from lightopt.rendering._surface import SurfacePoints
@@ -75,13 +69,10 @@ class SurfaceVariants:
 class VariantLevels:
     """Light of a panel from k surface points [grey level].
 
-    plain: Of the surface as it is, as :func:`lightopt.rendering.shade_points` or ``shade_converged`` has it, float32,
-        shape (k,)
-    good: The same for comparison with the variants, in penumbrae from the same cells of the panel; shape (k,)
+    good: Of the surface as it is, from the same points or cells of the panel, shape (k,)
     varied: Of the variants, shape (t, k); of the type that was wanted
     """
 
-    plain: Float32
     good: Float64
     varied: Levels
 
@@ -114,6 +105,8 @@ def shade_variants(
 ) -> VariantLevels:
     """The light of a panel on a surface and on its variants.
 
+    A few points stand for a converged panel where they resolve the lobe.
+
     surface: k points that the camera sees from the front, none of them another's neighbour; part frame
     references: Unit vectors in the tangent planes that directions count from, shape (k, 3)
     panel: Part frame: as point lights, or converged
@@ -127,6 +120,8 @@ def shade_variants(
             return _converged_variants(some, own, panel, variants, reflectance, caster, dtype)
         return _point_variants(some, own, panel, variants, reflectance, caster, dtype)
 
+    if isinstance(panel, ConvergedPanel) and (points := panel.points_for(float(variants.sigma.min()))):
+        panel = replace(panel.light, points=points, normalisation="mean")
     if isinstance(panel, ConvergedPanel):
         step = CONVERGED_AT_ONCE
     else:
@@ -136,14 +131,9 @@ def shade_variants(
     if len(chunks) == 1:
         return chunks[0]
     return VariantLevels(
-        plain=np.concatenate([chunk.plain for chunk in chunks]),
         good=np.concatenate([chunk.good for chunk in chunks]),
         varied=np.concatenate([chunk.varied for chunk in chunks], axis=1),
     )
-
-
-def _float32(reflectance: Reflectance, diffuse: Float64, specular: Float64) -> Float32:
-    return (reflectance.R_d * diffuse + reflectance.R_s * specular).astype(np.float32)
 
 
 def _point_variants(
@@ -187,8 +177,7 @@ def _point_variants(
         ),
         varied,
     )
-    good = reflectance.R_d * diffuse + reflectance.R_s * specular
-    return VariantLevels(plain=_float32(reflectance, diffuse, specular), good=good, varied=varied)
+    return VariantLevels(good=reflectance.R_d * diffuse + reflectance.R_s * specular, varied=varied)
 
 
 def _most_exponents(R_s: Float64, weight: float, least_cosine: float) -> Float64:
@@ -208,20 +197,8 @@ def _converged_variants(
     targets = probe_targets(converged.light)
     if caster is None:
         clear = np.ones((len(surface), len(targets)), np.bool_)
-        coarse = None
     else:
         clear = panel_probes(surface, targets, caster)
-        coarse = classify_probes(surface, targets, clear)
-    diffuse, specular, _ = shade_converged(
-        surface,
-        converged,
-        # every second place of a row: no point is another's neighbour
-        sample=2 * np.arange(len(surface)),
-        shape=(1, 2 * len(surface)),
-        reflectance=reflectance,
-        caster=caster,
-        coarse=coarse,
-    )
     total = converged.light.total_weight
     # the surface as it is comes first
     R_s = total * np.concatenate([[reflectance.R_s], variants.R_s])
@@ -234,7 +211,7 @@ def _converged_variants(
     )
     levels = panel_variants(surface, references, converged, clear, caster, numbers)
     good, varied = levels[:, 0], np.ascontiguousarray(levels[:, 1:].T, dtype)
-    return VariantLevels(plain=_float32(reflectance, diffuse, specular), good=good, varied=varied)
+    return VariantLevels(good=good, varied=varied)
 
 
 @kernel

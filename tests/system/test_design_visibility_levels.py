@@ -18,15 +18,13 @@ from lightopt.design.responses._image_evaluator import patch_points
 from lightopt.rendering import (
     build_patches,
     cast_rays_at,
-    converged_panel,
     mask_pixels,
     patch_positions,
     render_posture,
-    shade_converged,
     shade_variants,
     surface_variants,
 )
-from lightopt.rendering._converged_panel import panel_probes, probe_targets
+from lightopt.rendering._converged_panel import converged_panel, panel_probes, probe_targets, shade_converged
 from lightopt.scene import view_from_part
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -160,7 +158,12 @@ def test_converged_panels_on_leaning_patches(tmp_path):
     for light in view_from_part(scene, posture).lights:
         probes = panel_probes(surface, probe_targets(light), caster).sum(axis=1)
         whole = (probes == 0) | (probes == 5)
-        panel = converged_panel(light, centre=caster.centre, radius=caster.radius)
+        near = converged_panel(light, centre=caster.centre, radius=caster.radius)
+        assert near.points_for(scene.reflectance.sigma) == 16
+        assert near.points_for(0.003) is None
+        few_points = shade_variants(surface, references, near, variants, reflectance=scene.reflectance, caster=caster)
+        # as if it were so near that a few points would not do
+        panel = replace(near, least_distance=0.0)
         found = shade_variants(surface, references, panel, variants, reflectance=scene.reflectance, caster=caster)
         for t, (slope, direction, R_d_factor, sigma_factor) in enumerate(few):
             changed = scene.reflectance.changed(R_d_factor=R_d_factor, sigma_factor=sigma_factor)
@@ -177,3 +180,5 @@ def test_converged_panels_on_leaning_patches(tmp_path):
             off = np.abs(np.minimum(found.varied[t], 255) - np.minimum(exact, 255))
             assert (off[whole] < 0.02).all()
             assert np.mean(off < 3.0) > 0.98
+            change, by_few = (np.minimum(one.varied[t], 255) - np.minimum(one.good, 255) for one in (found, few_points))
+            assert np.sqrt(np.mean((by_few - change) ** 2)) < 0.1 * np.sqrt(np.mean(change**2)) + 0.05

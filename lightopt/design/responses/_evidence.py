@@ -62,7 +62,14 @@ from lightopt.design.responses._packed_bits import Words
 from lightopt.geometry import RayCaster
 from lightopt.lights import PanelLight
 from lightopt.optics import Sensor
-from lightopt.rendering import PatchTable, SurfacePoints, panel_to_shade, shade_variants, surface_variants
+from lightopt.rendering import (
+    PatchTable,
+    SurfacePoints,
+    panel_to_shade,
+    shade_isolated,
+    shade_variants,
+    surface_variants,
+)
 from lightopt.scene import Scene, project, surface_footprint, surface_share, view_from_part
 
 UNITS_OF_IMAGE = 3
@@ -307,8 +314,12 @@ class PatchEvidence:
             dtype=np.float32,
         )
         passed = self._passed
-        levels = np.empty_like(shaded.plain)
-        levels[self._order] = shaded.plain * np.float32(passed)
+        plain = shaded.good
+        if panel.points == "auto":
+            reflectance, shadows = self._scene.reflectance, blocker is not None
+            plain = shade_isolated(self._surface, panel, reflectance=reflectance, caster=caster, shadows=shadows)
+        levels = np.empty(len(plain), np.float32)
+        levels[self._order] = plain.astype(np.float32) * np.float32(passed)
         good, varied = shaded.good * passed, (shaded.varied * passed).astype(np.float32, copy=False)
         return levels, [self._units(good, varied, exposure) for exposure in exposures]
 

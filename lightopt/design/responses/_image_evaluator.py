@@ -36,7 +36,7 @@ from lightopt.design.responses._packed_bits import (
 from lightopt.geometry import RayCaster, face_normals
 from lightopt.lights import PanelLight
 from lightopt.optics import expose
-from lightopt.rendering import PatchTable, SurfacePoints, converged_panel, shade_converged, shade_points, shadow_targets
+from lightopt.rendering import PatchTable, SurfacePoints, shade_isolated, shadow_targets
 from lightopt.scene import Scene, surface_share, view_from_part
 
 BLOCK_PATCHES = 1 << 12  # patches whose levels, under all hypotheses, are in the processor's caches together
@@ -348,21 +348,9 @@ def patch_points(scene: Scene, table: PatchTable, posture: Posture) -> tuple[Sur
 def _levels(
     scene: Scene, block: SurfacePoints, panel: PanelLight, caster: RayCaster, shadows: bool, passed: _Passed
 ) -> Float32:
-    reflectance, blocker = scene.reflectance, caster if shadows else None
-    if panel.points == "auto":
-        diffuse, specular, _ = shade_converged(
-            block,
-            converged_panel(panel, centre=caster.centre, radius=caster.radius),
-            # every second place of a row: no patch is another's neighbour
-            sample=2 * np.arange(len(block)),
-            shape=(1, 2 * len(block)),
-            reflectance=reflectance,
-            caster=blocker,
-        )
-    else:
-        diffuse, specular = shade_points(block, panel, points=panel.points, sigma=reflectance.sigma, caster=blocker)
+    levels = shade_isolated(block, panel, reflectance=scene.reflectance, caster=caster, shadows=shadows)
     # images are stored as float32, and a level is rounded from what is stored
-    return (passed * (reflectance.R_d * diffuse + reflectance.R_s * specular)).astype(np.float32)
+    return (passed * levels).astype(np.float32)
 
 
 def scattered_flags(matrices: Sequence[LuminanceMatrix], patches: Index, *, light: int, place: int) -> Words:
