@@ -14,15 +14,12 @@ _SLOPES = 3  # steps of a range of slopes for which inspections are planned
 
 @dataclass(frozen=True)
 class CatalogueEntry:
-    """A kind of defect that an inspection is planned for: its name, size, steepness and factors.
-
-    sizes, slopes: Least and greatest, as multiples of the shape's.
-    """
+    """A kind of defect that an inspection is planned for: its name, size, steepness and factors."""
 
     name: str
     shape: DefectShape
-    sizes: tuple[float, float] = (1.0, 1.0)
-    slopes: tuple[float, float] = (1.0, 1.0)
+    sizes: tuple[float, float] = (1.0, 1.0)  # least and greatest, as multiples of the shape's
+    slopes: tuple[float, float] = (1.0, 1.0)  # likewise
 
     def at(self, size: float, slope: float) -> "CatalogueEntry":
         """One defect of the ranges, from 0 for the least to 1 for the greatest size and slope, in equal ratios."""

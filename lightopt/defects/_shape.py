@@ -35,22 +35,14 @@ BLEND: Final = 0.2
 
 @dataclass(frozen=True, kw_only=True)
 class DefectShape:
-    """A defect without its place.
+    """A defect without its place."""
 
-    kind: scratch, dent, bump, pit, blister, stain or haze
-    length, width: Of its outline [mm], the length along its direction, at least the width; equal for a round one. The
-        outline is an ellipse, for a scratch a strip with round ends.
-    slope: Steepest slope of its walls [rad], where they run along the length; 0 for stains and hazes
-    R_d_factor: By which it multiplies R_d
-    sigma_factor: By which it multiplies σ
-    """
-
-    kind: DefectKind
-    length: float
-    width: float
-    slope: float = 0.0
-    R_d_factor: float = 1.0
-    sigma_factor: float = 1.0
+    kind: DefectKind  # scratch, dent, bump, pit, blister, stain or haze
+    length: float  # of its outline along its direction [mm], at least the width; equal for a round one
+    width: float  # of its outline [mm], which is an ellipse, for a scratch a strip with round ends
+    slope: float = 0.0  # steepest slope of its walls [rad], where they run along the length; 0 for stains and hazes
+    R_d_factor: float = 1.0  # by which it multiplies R_d
+    sigma_factor: float = 1.0  # by which it multiplies σ
 
     @property
     def depth(self) -> float:

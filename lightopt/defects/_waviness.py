@@ -21,16 +21,11 @@ _WAVES = 96  # plane waves in space that the field is the sum of
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Waviness:
-    """Random slopes of a good surface.
+    """Random slopes of a good surface."""
 
-    slope: Root mean square [rad]
-    length: Correlation length ℓ of the height [mm]
-    seed: Of the surface that images show; None for the smooth one
-    """
-
-    slope: float
-    length: float
-    seed: int | None = None
+    slope: float  # root mean square [rad]
+    length: float  # correlation length ℓ of the height [mm]
+    seed: int | None = None  # of the surface that images show; None for the smooth one
 
     @cached_property
     def _waves(self) -> tuple[Float64, Float64, float]:

@@ -30,17 +30,12 @@ LEAST_SHARE = 0.06  # a variant with less than this share of the greatest one of
 
 @dataclass(frozen=True, kw_only=True)
 class HypothesisGrid:
-    """How finely surfaces that lean are told apart.
+    """How finely surfaces that lean are told apart."""
 
-    directions: That a wall leans to, at least
-    fine_slope: Steeper walls lean to twice or four times as many [rad]: what they reflect turns by more
-    segment_turns: Orientations of a scratch within half a turn; each has walls that lean to both sides
-    bowl_levels: Slopes of bowls, as shares of the steepest; what is less than half of the least of them is flat
-    """
-
-    directions: int
-    fine_slope: float
-    segment_turns: int
+    directions: int  # that a wall leans to, at least
+    fine_slope: float  # steeper walls lean to twice or four times as many [rad]: what they reflect turns by more
+    segment_turns: int  # orientations of a scratch within half a turn; each has walls that lean to both sides
+    # slopes of bowls, as shares of the steepest; what is less than half of the least of them is flat
     bowl_levels: tuple[float, ...]
 
 
@@ -55,39 +50,26 @@ PLANNING_GRID = HypothesisGrid(directions=8, fine_slope=math.radians(4.5), segme
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PixelMixture:
-    """What pixels see of a defect, n pieces; those of a pixel follow each other.
+    """What pixels see of a defect, n pieces; those of a pixel follow each other."""
 
-    row, column: Of the pixel, from that of the defect's middle, shape (n,)
-    variant: Index among the variants of the hypotheses, shape (n,)
-    weight: Share of the pixel, shape (n,)
-    """
-
-    row: Int32
-    column: Int32
-    variant: Int32
-    weight: Float64
+    row: Int32  # of the pixel, from that of the defect's middle, shape (n,)
+    column: Int32  # likewise
+    variant: Int32  # index among the variants of the hypotheses, shape (n,)
+    weight: Float64  # share of the pixel, shape (n,)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DefectHypotheses:
-    """The hypotheses of an entry of the catalogue.
-
-    shapes: One for each of :data:`SIZES`; of a scratch the segment
-    turns: Of the length, from the first axis of the tangent plane towards the second [rad], shape (n,)
-    levels: Of the slope, as shares of the steepest
-    slope, direction: Of each variant, by which and to which the normal leans [rad], shape (t,); for each level all
-        directions
-    R_d_factor, sigma_factor: Of each variant, shape (t,)
-    """
+    """The hypotheses of an entry of the catalogue."""
 
     entry: CatalogueEntry
-    shapes: tuple[DefectShape, ...]
-    turns: Float64
-    levels: tuple[float, ...]
-    slope: Float64
-    direction: Float64
-    R_d_factor: Float64
-    sigma_factor: Float64
+    shapes: tuple[DefectShape, ...]  # one for each of :data:`SIZES`; of a scratch the segment
+    turns: Float64  # of the length, from the first axis of the tangent plane towards the second [rad], shape (n,)
+    levels: tuple[float, ...]  # of the slope, as shares of the steepest
+    slope: Float64  # by which the normal leans in each variant [rad], shape (t,)
+    direction: Float64  # to which it leans [rad], shape (t,); for each level all directions
+    R_d_factor: Float64  # of each variant, shape (t,)
+    sigma_factor: Float64  # of each variant, shape (t,)
 
     def scales_px(self, footprint: float) -> tuple[float, ...]:
         """Widths of Gaussians that add up as many pixels as the shapes; `footprint` is the side of a pixel [mm]."""
@@ -193,16 +175,11 @@ _FINE_PX, _HALVES = 5.0, ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
 
 @dataclass(frozen=True, kw_only=True)
 class SearchGrid:
-    """Where the hypotheses of an entry are tested in images.
+    """Where the hypotheses of an entry are tested in images."""
 
-    ratio: Side of the larger pixels that images are reduced to [px]
-    step: Places to test are so many of them apart
-    halves: Places of the middle within its pixel, to the right and down
-    """
-
-    ratio: int
-    step: int
-    halves: tuple[tuple[float, float], ...]
+    ratio: int  # side of the larger pixels that images are reduced to [px]
+    step: int  # places to test are so many of them apart
+    halves: tuple[tuple[float, float], ...]  # places of the middle within its pixel, to the right and down
 
 
 def search_grid(own: DefectHypotheses, footprint: float) -> SearchGrid:

@@ -80,32 +80,23 @@ def _steps(ends: tuple[float, float] | None, now: float, step: float) -> list[fl
 
 @dataclass(frozen=True)
 class ExcludedPosition:
-    """A position that a light cannot take.
-
-    kind: ``view``, ``table``, ``part`` or ``collision``.
-    amount: Pixels covered, or mm below the table top; None for the other kinds.
-    """
+    """A position that a light cannot take."""
 
     light: str
     elevation_deg: float
     azimuth_deg: float
     reason: str
-    kind: str
-    amount: float | None = None
+    kind: str  # ``view``, ``table``, ``part`` or ``collision``
+    amount: float | None = None  # pixels covered, or mm below the table top; None for the other kinds
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """The positions to choose from.
+    """The positions to choose from."""
 
-    names: Of the lights, in the rig's order.
-    angles: Per light: (elevation, azimuth) [°], ascending.
-    panels: Per light: the panels at these positions, world frame.
-    """
-
-    names: tuple[str, ...]
-    angles: tuple[tuple[Angles, ...], ...]
-    panels: tuple[tuple[PanelLight, ...], ...]
+    names: tuple[str, ...]  # of the lights, in the rig's order
+    angles: tuple[tuple[Angles, ...], ...]  # per light: (elevation, azimuth) [°], ascending
+    panels: tuple[tuple[PanelLight, ...], ...]  # per light: the panels at these positions, world frame
     left_out: tuple[ExcludedPosition, ...]
     space: CombinationSpace
 

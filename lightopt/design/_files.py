@@ -123,22 +123,15 @@ def planned_part_text(part: PartConfig, postures: Sequence[Posture], *, folder: 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DesignOutput:
-    """A design whose files are written, except its report and result.json.
-
-    document: What result.json will say.
-    overlaps: Saturated regions of the images, in the order of the postures.
-    paths: result.json, ranking.csv, further files, rigs, report: those to come, too.
-    force: Whether files that are there and differ are replaced.
-    replace_report: Whether a report that is there is replaced.
-    """
+    """A design whose files are written, except its report and result.json."""
 
     result: DesignResult
-    document: Mapping[str, Any]
-    overlaps: tuple[Overlap, ...]
+    document: Mapping[str, Any]  # what result.json will say
+    overlaps: tuple[Overlap, ...]  # saturated regions of the images, in the order of the postures
     warnings: tuple[str, ...]
-    paths: tuple[Path, ...]
-    force: bool
-    replace_report: bool
+    paths: tuple[Path, ...]  # result.json, ranking.csv, further files, rigs, report: those to come, too
+    force: bool  # whether files that are there and differ are replaced
+    replace_report: bool  # whether a report that is there is replaced
 
     @property
     def patches(self) -> PatchTable:

@@ -23,14 +23,11 @@ DEFECT_OBJECTIVE = "detectability"  # the objective whose pairs of patch and def
 
 @dataclass(frozen=True, kw_only=True)
 class CalibratedThreshold:
-    """The score from which a calibrated inspection counts a defect: that of its posture with the highest.
-
-    file, sha256: Name and hash of the calibration.
-    """
+    """The score from which a calibrated inspection counts a defect: that of its posture with the highest."""
 
     score: float
-    file: str
-    sha256: str
+    file: str  # name of the calibration
+    sha256: str  # hash of the calibration
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,26 +21,18 @@ from lightopt.scene import Scene, build_catalogue, build_lights, build_sensor
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Problem:
-    """A scene, objectives, and the candidate positions to search.
-
-    options: With the postures and positions that were chosen, where requested.
-    scene, caster: The part in its postures, the lights as the rig file has them.
-    thresholds: Which levels are usable [sensor level].
-    candidates: One position of each light where they were chosen with the postures.
-    all_candidates: The positions that there were to choose from.
-    provenance: Inputs, options and versions, from :func:`lightopt.core.provenance.provenance`.
-    """
+    """A scene, objectives, and the candidate positions to search."""
 
     rig: RigConfig
     part: PartConfig
-    options: OptimizeOptions
+    options: OptimizeOptions  # with the postures and positions that were chosen, where requested
     objectives: tuple[Objective, ...]
-    scene: Scene
-    caster: RayCaster
-    thresholds: LevelThresholds
-    candidates: Candidates
-    all_candidates: Candidates
-    provenance: Mapping[str, Any]
+    scene: Scene  # the part in its postures, the lights as the rig file has them
+    caster: RayCaster  # of the scene's mesh
+    thresholds: LevelThresholds  # which levels are usable [sensor level]
+    candidates: Candidates  # one position of each light where they were chosen with the postures
+    all_candidates: Candidates  # the positions that there were to choose from
+    provenance: Mapping[str, Any]  # inputs, options and versions, from :func:`lightopt.core.provenance.provenance`
 
     @property
     def defects(self) -> DetectabilityObjective | None:

@@ -121,39 +121,27 @@ def draws(lights: int, tolerances: Tolerances) -> Iterator[tuple[Offset, list[Of
 
 @dataclass(frozen=True, kw_only=True)
 class WidestTolerance:
-    """How far one angle, or all of the lights', may be off.
+    """How far one angle, or all of the lights', may be off."""
 
-    what: Name of the light, ``all lights``, or ``part``.
-    angle: ``elevation``, ``azimuth``, ``both angles at once``, ``tilt`` or ``rotation``.
-    degrees: The widest tolerance that keeps the score, every angle but these being exact [°]; of those that were
-        tried: the rungs, and multiples of 0.05° between the last that keeps it and the first that does not.
-    open_ended: Whether that is the widest that was tried.
-    """
-
-    what: str
-    angle: str
+    what: str  # name of the light, ``all lights``, or ``part``
+    angle: str  # ``elevation``, ``azimuth``, ``both angles at once``, ``tilt`` or ``rotation``
+    # the widest tolerance that keeps the score, every angle but these being exact [°]; of those that were tried: the
+    # rungs, and multiples of 0.05° between the last that keeps it and the first that does not
     degrees: float
-    open_ended: bool
+    open_ended: bool  # whether that is the widest that was tried
 
 
 @dataclass(frozen=True, kw_only=True)
 class ToleranceAnalysis:
-    """Scores under misalignment.
-
-    score: Where all angles are exact.
-    worst: The least over all corners.
-    worst_pose, worst_lights: The corner: offsets of the part and of each light [°].
-    quantile: 5 % of the draws score this or less.
-    least_drawn: The least of the draws.
-    """
+    """Scores under misalignment."""
 
     lights: tuple[str, ...]
-    score: int
-    worst: int
-    worst_pose: Offset
-    worst_lights: tuple[Offset, ...]
-    quantile: int
-    least_drawn: int
+    score: int  # where all angles are exact
+    worst: int  # the least over all corners
+    worst_pose: Offset  # the corner: offset of the part [°]
+    worst_lights: tuple[Offset, ...]  # offset of each light there [°]
+    quantile: int  # 5 % of the draws score this or less
+    least_drawn: int  # the least of the draws
     widest: tuple[WidestTolerance, ...]
 
 
@@ -233,18 +221,13 @@ def _widest_tolerance(
 
 @dataclass(frozen=True)
 class Setup:
-    """Postures that are evaluated together, and the positions of the lights in them.
-
-    angles: Elevation and azimuth of each light, posture by posture [°].
-    exposures: Posture by posture, 1 among them.
-    points: Point lights per panel, instead of the rig's.
-    """
+    """Postures that are evaluated together, and the positions of the lights in them."""
 
     rig: RigConfig
     postures: tuple[Posture, ...]
-    angles: tuple[tuple[tuple[float, float], ...], ...]
-    exposures: tuple[tuple[float, ...], ...]
-    points: int | Literal["auto"] | None = None
+    angles: tuple[tuple[tuple[float, float], ...], ...]  # elevation and azimuth of each light, posture by posture [°]
+    exposures: tuple[tuple[float, ...], ...]  # posture by posture, 1 among them
+    points: int | Literal["auto"] | None = None  # point lights per panel, instead of the rig's
 
     def only(self, posture: int) -> Setup:
         """One of the postures."""

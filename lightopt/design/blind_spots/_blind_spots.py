@@ -51,16 +51,11 @@ class BlindReason(IntEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class BlindSpots:
-    """Visibility of defects on all n patches of a run, over one posture or several.
+    """Visibility of defects on all n patches of a run, over one posture or several."""
 
-    codes: Reasons (:class:`BlindReason`), shape (n,).
-    share: Weighted share of the defects that are found on each patch, shape (n,).
-    areas: Of the patches [mm²], shape (n,).
-    """
-
-    codes: NDArray[np.int16]
-    share: Float64
-    areas: Float64
+    codes: NDArray[np.int16]  # reasons (:class:`BlindReason`), shape (n,)
+    share: Float64  # weighted share of the defects that are found on each patch, shape (n,)
+    areas: Float64  # of the patches [mm²], shape (n,)
 
     @property
     def seen(self) -> float:
@@ -107,22 +102,14 @@ def blind_text(code: int, lights: Sequence[str]) -> str:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DefectVisibility:
-    """What the images of a posture show of the p patches that the camera sees there, and of t defects on them.
+    """What the images of a posture show of the p patches that the camera sees there, and of t defects on them."""
 
-    visibility: The patches; without positions of lights.
-    counts: Units of evidence up to what is needed, shape (k, p, ⌈t / 64⌉).
-    least: Images that must show a defect.
-    usable: Number of images with a level that is neither dark nor saturated, shape (p,).
-    saturated: Number of images with a saturated level and no usable one, shape (p,).
-    first: The first light with such an image; −1 where there is none; shape (p,).
-    """
-
-    visibility: Visibility
-    counts: Counts
-    least: int
-    usable: Int32
-    saturated: Int32
-    first: NDArray[np.int16]
+    visibility: Visibility  # the patches; without positions of lights
+    counts: Counts  # units of evidence up to what is needed, shape (k, p, ⌈t / 64⌉)
+    least: int  # images that must show a defect
+    usable: Int32  # number of images with a level that is neither dark nor saturated, shape (p,)
+    saturated: Int32  # number of images with a saturated level and no usable one, shape (p,)
+    first: NDArray[np.int16]  # the first light with such an image; −1 where there is none; shape (p,)
 
 
 def by_light(matrices: Sequence[LuminanceMatrix]) -> list[list[tuple[LuminanceMatrix, int]]]:
@@ -235,15 +222,11 @@ BlindPart = tuple[Posture | None, BlindSpots, BlindSpots]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BlindSpotSummary:
-    """Blind spots of the whole surface.
+    """Blind spots of the whole surface."""
 
-    objective: Whose defects they are.
-    lights: Names, in the rig's order.
-    parts: Of all postures by all their images together, then of the images of each posture alone.
-    """
-
-    objective: DetectabilityObjective
-    lights: tuple[str, ...]
+    objective: DetectabilityObjective  # whose defects they are
+    lights: tuple[str, ...]  # names, in the rig's order
+    # of all postures by all their images together, then of the images of each posture alone
     parts: tuple[BlindPart, ...]
 
     @staticmethod

@@ -59,17 +59,13 @@ def min_images_problem(min_images: int) -> str | None:
 
 @dataclass(frozen=True)
 class DetectabilityObjective(Objective):
-    """Defects that the inspection is expected to find; see the module's text.
-
-    min_images: Images that must show a defect.
-    false_alarms: Of the inspection, in a posture of a good part.
-    across_postures: Whether images of other postures count, so that a posture may have fewer lights than that; the
-        score of its own images is then 0.
-    """
+    """Defects that the inspection is expected to find; see the module's text."""
 
     defects: tuple[PlannedDefect, ...]
-    min_images: int = 1
-    false_alarms: float = DEFAULT_FALSE_ALARMS
+    min_images: int = 1  # images that must show a defect
+    false_alarms: float = DEFAULT_FALSE_ALARMS  # of the inspection, in a posture of a good part
+    # whether images of other postures count, so that a posture may have fewer lights than that; the score of its own
+    # images is then 0
     across_postures: bool = False
     name: str = "detectability"
     unit: str = "µm² × weight of the defects"

@@ -43,17 +43,13 @@ Images = Words
 
 @dataclass(frozen=True, kw_only=True)
 class FurtherExposure:
-    """A further exposure of a posture, all lights.
-
-    exposure: Relative to exposure 1.
-    gain: Share of the pairs that it adds: to what is planned before it where it is planned, else to the whole plan.
-    reason: Why it is planned: see :data:`Reason`; None where it is not.
-    """
+    """A further exposure of a posture, all lights."""
 
     posture: Posture
-    exposure: float
+    exposure: float  # relative to exposure 1
+    # share of the pairs that it adds: to what is planned before it where it is planned, else to the whole plan
     gain: float
-    reason: Reason | None
+    reason: Reason | None  # why it is planned: see :data:`Reason`; None where it is not
 
     @property
     def planned(self) -> bool:
@@ -62,19 +58,13 @@ class FurtherExposure:
 
 @dataclass(frozen=True, kw_only=True)
 class Brackets:
-    """The further exposures that were considered.
+    """The further exposures that were considered."""
 
-    before, after: Share of the pairs that is seen without them and with those that are planned.
-    further: The planned ones in the order in which they were chosen, then the others.
-    least_gain: Share that one has to add.
-    grain: How far the shares may be off since a patch counts as its middle does.
-    """
-
-    before: float
-    after: float
-    further: tuple[FurtherExposure, ...]
-    least_gain: float
-    grain: float = 0.0
+    before: float  # share of the pairs that is seen without them
+    after: float  # share that is seen with those that are planned
+    further: tuple[FurtherExposure, ...]  # the planned ones in the order in which they were chosen, then the others
+    least_gain: float  # share that one has to add
+    grain: float = 0.0  # how far the shares may be off since a patch counts as its middle does
 
     def of(self, posture: Posture) -> tuple[float, ...]:
         """Exposures of a posture in the plan, the longest first."""
@@ -84,16 +74,11 @@ class Brackets:
 
 @dataclass(frozen=True, eq=False)
 class CandidateExposure:
-    """A further exposure of a posture that may be planned.
+    """A further exposure of a posture that may be planned."""
 
-    posture: Index of the posture.
-    exposure: Relative to exposure 1.
-    images: Its units of evidence, shape (lights, units, p, words).
-    """
-
-    posture: int
-    exposure: float
-    images: Images
+    posture: int  # index of the posture
+    exposure: float  # relative to exposure 1
+    images: Images  # its units of evidence, shape (lights, units, p, words)
 
 
 def select_exposures(

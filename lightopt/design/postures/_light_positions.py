@@ -36,18 +36,12 @@ MOST_COUNT_BYTES = 1_500_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class LightPositions:
-    """One position of each light.
+    """One position of each light."""
 
-    candidates: Index of each light's position.
-    covered: Weight of the pairs that are found.
-    benefit: Σ weight · min(needed, units); decides between positions that cover the same.
-    exact: Whether all combinations were tried; else lights were moved one at a time until that gained nothing.
-    """
-
-    candidates: tuple[int, ...]
-    covered: int
-    benefit: int
-    exact: bool
+    candidates: tuple[int, ...]  # index of each light's position
+    covered: int  # weight of the pairs that are found
+    benefit: int  # Σ weight · min(needed, units); decides between positions that cover the same
+    exact: bool  # whether all combinations were tried; else lights were moved one at a time until that gained nothing
 
 
 def place_lights(

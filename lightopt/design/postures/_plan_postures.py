@@ -46,13 +46,10 @@ PROVEN_OF_ONE = "the positions that the first objective chose, the only ones tha
 
 @dataclass(frozen=True)
 class PlannedDetectability(DetectabilityObjective):
-    """Detectability of all planned images together, as a share of what the camera sees in any candidate posture.
-
-    area: Of that surface [µm²].
-    """
+    """Detectability of all planned images together, as a share of what the camera sees in any candidate posture."""
 
     share_of: str | None = SHARES_OF
-    area: int = 0
+    area: int = 0  # of that surface [µm²]
 
     def full_score(self, area: int) -> int | None:
         """The same whatever the area of the chosen postures."""

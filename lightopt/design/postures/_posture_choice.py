@@ -18,42 +18,27 @@ Lights = tuple[int, ...] | None  # candidate of each light; None for the rig's o
 
 @dataclass(frozen=True, kw_only=True)
 class CoverStep:
-    """One candidate of a cover.
-
-    gain: What it adds to the benefit of those before it.
-    benefit: Of those before it and itself: Σ weight · min(k, units).
-    covered: Weight of the pairs of k units or more, which count as found.
-    """
+    """One candidate of a cover."""
 
     candidate: int
-    gain: int
-    benefit: int
-    covered: int
+    gain: int  # what it adds to the benefit of those before it
+    benefit: int  # of those before it and itself: Σ weight · min(k, units)
+    covered: int  # weight of the pairs of k units or more, which count as found
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cover:
-    """A choice of candidates.
+    """A choice of candidates."""
 
-    steps: The chosen ones, in the order in which they were chosen.
-    k: Units of evidence that a pair needs.
-    total: Weight of all pairs.
-    bounds: On the benefit of sets of 0, 1, 2, … candidates up to as many as were chosen.
-    all_benefit, all_covered: Of all candidates together.
-    target: Share of the weight that was to be seen; None without.
-    sets, max_covered: Number of all sets of as many candidates, and what the best of them covers; None where not all
-        were searched.
-    """
-
-    steps: tuple[CoverStep, ...]
-    k: int
-    total: int
-    bounds: tuple[int, ...]
-    all_benefit: int
-    all_covered: int
-    target: float | None = None
-    sets: int | None = None
-    max_covered: int | None = None
+    steps: tuple[CoverStep, ...]  # the chosen ones, in the order in which they were chosen
+    k: int  # units of evidence that a pair needs
+    total: int  # weight of all pairs
+    bounds: tuple[int, ...]  # on the benefit of sets of 0, 1, 2, … candidates up to as many as were chosen
+    all_benefit: int  # of all candidates together
+    all_covered: int  # likewise
+    target: float | None = None  # share of the weight that was to be seen; None without
+    sets: int | None = None  # number of all sets of as many candidates; None where not all were searched
+    max_covered: int | None = None  # what the best of these sets covers; None likewise
 
     @property
     def chosen(self) -> tuple[int, ...]:
@@ -112,61 +97,43 @@ class Cover:
 
 @dataclass(frozen=True, kw_only=True)
 class PostureRequest:
-    """The share that the postures are to show, and their maximum number.
+    """The share that the postures are to show, and their maximum number."""
 
-    count: Most postures; as many as the target takes where None.
-    target: Share of the pairs to be shown.
-    limit: Most combinations of the lights' positions that are tried; with more, lights are moved one at a time.
-    """
-
-    count: int | None = None
-    target: float | None = None
+    count: int | None = None  # most postures; as many as the target takes where None
+    target: float | None = None  # share of the pairs to be shown
+    # most combinations of the lights' positions that are tried; with more, lights are moved one at a time
     limit: int = DEFAULT_LIMIT
 
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """Light positions, and the postures chosen for them.
+    """Light positions, and the postures chosen for them."""
 
-    panels, lights: The lights, world frame, and the index of each one's candidate; None where they keep their initial
-        positions.
-    cover: The postures, with their gains and bound, over all patches and candidate postures, with these lights.
-    exact: Whether every combination of the lights was tried in every iteration.
-    iterations: How often the lights were placed on the way.
-    converged: Whether no combination of the positions tried last shows more in these postures.
-    """
-
-    panels: tuple[PanelLight, ...]
-    cover: Cover
-    lights: Lights = None
-    exact: bool = True
-    iterations: int = 0
-    converged: bool = True
+    panels: tuple[PanelLight, ...]  # the lights, world frame
+    cover: Cover  # the postures, with their gains and bound, over all patches and candidate postures, with these lights
+    lights: Lights = None  # index of each one's candidate; None where they keep their initial positions
+    exact: bool = True  # whether every combination of the lights was tried in every iteration
+    iterations: int = 0  # how often the lights were placed on the way
+    converged: bool = True  # whether no combination of the positions tried last shows more in these postures
 
 
 @dataclass(frozen=True, kw_only=True)
 class PostureChoice(Solution):
-    """The postures and lights that were chosen, on all patches.
+    """The postures and lights that were chosen, on all patches."""
 
-    postures: In the order in which they were chosen.
-    starts: Number of starting positions of the search.
-    initial, initial_panels: What the rig's lights show in their initial positions, of the drawn patches at exposure 1,
-        in postures that are chosen for them, fewer than the plan's where no other adds anything; and these lights.
-    on_all_patches: Whether the last iterations used all patches; not where memory is too small for so many positions.
-    position_counts: What each position of each light shows of all patches in these postures, each image with the
-        evaluator's exposures; None where that is no longer known.
-    images: Some of all patches, at the evaluator's exposures.
-    brackets: Which further exposures are planned; None where there were none to choose from.
-    """
-
-    postures: tuple[Posture, ...]
-    starts: int
+    postures: tuple[Posture, ...]  # in the order in which they were chosen
+    starts: int  # number of starting positions of the search
+    # what the rig's lights show in their initial positions, of the drawn patches at exposure 1, in postures that are
+    # chosen for them, fewer than the plan's where no other adds anything
     initial: Cover
-    initial_panels: tuple[PanelLight, ...] = field(compare=False, repr=False)
+    initial_panels: tuple[PanelLight, ...] = field(compare=False, repr=False)  # these lights
+    # whether the last iterations used all patches; not where memory is too small for so many positions
     on_all_patches: bool
+    # what each position of each light shows of all patches in these postures, each image with the evaluator's
+    # exposures; None where that is no longer known
     position_counts: tuple[PositionCounts, ...] | None = field(default=None, compare=False, repr=False)
-    images: ImageCache | None = field(default=None, compare=False, repr=False)
-    brackets: Brackets | None = None
+    images: ImageCache | None = field(default=None, compare=False, repr=False)  # of all patches, at those exposures
+    brackets: Brackets | None = None  # which further exposures are planned; None where there were none to choose from
 
     def exposures_of(self, posture: Posture) -> tuple[float, ...]:
         """Planned exposures of a posture, the longest first."""

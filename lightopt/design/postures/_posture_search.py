@@ -51,23 +51,16 @@ def merit(cover: Cover, request: PostureRequest) -> tuple[float, ...]:
 
 @dataclass(eq=False)
 class AlternatingSearch:
-    """Alternating search on the patches of an evaluator; results for lights or postures are cached.
-
-    postures: To choose from.
-    candidates: Positions of the lights to choose from; None where no light moves.
-    where: The patches, for progress messages.
-    prove: Whether all sets of postures are searched where that is little work.
-    images: Those of all positions of the lights are kept there; None for nowhere.
-    """
+    """Alternating search on the patches of an evaluator; results for lights or postures are cached."""
 
     evaluator: ImageEvaluator
-    postures: Sequence[Posture]
-    candidates: Candidates | None
+    postures: Sequence[Posture]  # to choose from
+    candidates: Candidates | None  # positions of the lights to choose from; None where no light moves
     _: KW_ONLY
-    where: str
-    prove: bool
+    where: str  # the patches, for progress messages
+    prove: bool  # whether all sets of postures are searched where that is little work
     run: RunContext
-    images: ImageCache | None = None
+    images: ImageCache | None = None  # those of all positions of the lights are kept there; None for nowhere
 
     def __post_init__(self) -> None:
         self._passes = 0

@@ -22,28 +22,21 @@ MOST_HYPOTHESES = 1024  # more are refused: each costs a few bits per patch and 
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedDefect:
-    """A defect of the catalogue in one orientation, with its middle on a patch.
+    """A defect of the catalogue in one orientation, with its middle on a patch."""
 
-    name: Of the catalogue's entry.
-    weight: A whole number; those of each entry of the part's catalogue have the same sum of weights.
-    turn: Of the length, in the tangent plane from the part's X axis, counterclockwise seen from outside [rad]; see
-        :func:`lightopt.defects.tangent_direction`. None for a round defect.
-    """
-
-    name: str
+    name: str  # of the catalogue's entry
     kind: DefectKind
-    weight: int
+    weight: int  # a whole number; those of each entry of the part's catalogue have the same sum of weights
+    # of the length, in the tangent plane from the part's X axis, counterclockwise seen from outside [rad]; see
+    # :func:`lightopt.defects.tangent_direction`. None for a round defect
     turn: float | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PlannedCatalogue:
-    """A catalogue of defects to plan for.
+    """A catalogue of defects to plan for."""
 
-    entries: What pixels see of each of them; the same order as those of `defects`.
-    """
-
-    entries: tuple[DefectHypotheses, ...]
+    entries: tuple[DefectHypotheses, ...]  # what pixels see of each of them; the same order as those of `defects`
 
     @cached_property
     def defects(self) -> tuple[PlannedDefect, ...]:

@@ -100,18 +100,15 @@ def units_needed(min_images: int) -> int:
 class DetectionModel:
     """The defects that images are tested for, and when one counts as found.
 
-    full_scale: Grey level that makes a full-scale sensor level at exposure 1.
-    false_alarms: Allowed in the images of a posture of a good part.
-    min_images: Images that must show a defect.
-    threshold: Score from which on a calibrated inspection counts a defect; that of noise alone where None.
     Raises InputError: False alarms out of range.
     """
 
     catalogue: PlannedCatalogue
     sensor: Sensor
-    full_scale: float
-    false_alarms: float = DEFAULT_FALSE_ALARMS
-    min_images: int = 1
+    full_scale: float  # grey level that makes a full-scale sensor level at exposure 1
+    false_alarms: float = DEFAULT_FALSE_ALARMS  # allowed in the images of a posture of a good part
+    min_images: int = 1  # images that must show a defect
+    # score from which on a calibrated inspection counts a defect; that of noise alone where None
     threshold: float | None = None
     _stencils: dict[int, Stencils] = field(default_factory=dict[int, Stencils], init=False, repr=False)
 

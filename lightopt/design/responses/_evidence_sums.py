@@ -22,28 +22,21 @@ _ROUNDING = 1.001  # bounds are this much greater than needed: sums are rounded
 
 
 class Stencils(NamedTuple):
-    """What pixels see of each planned defect h in each class c of foreshortening.
+    """What pixels see of each planned defect h in each class c of foreshortening."""
 
-    first: Pixels of group g = h · classes + c are those from first[g] to first[g + 1], shape (groups + 1,); those that
-        see most of the defect come first
-    along: Steps to the right and down between the segments of a long defect that are tested, 0 for one that is tested
-        whole, shape (groups, 2)
-    right, down: Of the pixel from the defect's middle, shape (n,)
-    piece: Pieces in pixel i are those from piece[i] to piece[i + 1], shape (n + 1,)
-    variant, share: Of the piece, and how much of its pixel it is, shape (m,)
-    ratio: Side of these pixels by that of the camera's, shape (groups,)
-    square: Σ (share of the pixel in the defect)², shape (groups,)
-    """
-
+    # pixels of group g = h · classes + c are those from first[g] to first[g + 1], shape (groups + 1,); those that see
+    # most of the defect come first
     first: Int32
+    # steps to the right and down between the segments of a long defect that are tested, 0 for one that is tested whole,
+    # shape (groups, 2)
     along: Float32
-    right: Float32
-    down: Float32
-    piece: Int32
-    variant: Int32
-    share: Float32
-    ratio: Float32
-    square: Float64
+    right: Float32  # of the pixel from the defect's middle, shape (n,)
+    down: Float32  # likewise
+    piece: Int32  # pieces in pixel i are those from piece[i] to piece[i + 1], shape (n + 1,)
+    variant: Int32  # of the piece, shape (m,)
+    share: Float32  # how much of its pixel the piece is, shape (m,)
+    ratio: Float32  # side of these pixels by that of the camera's, shape (groups,)
+    square: Float64  # Σ (share of the pixel in the defect)², shape (groups,)
 
     def in_cells(self, cell: float) -> "Stencils":
         """The same with lengths in cells of so many of their unit."""
@@ -56,17 +49,12 @@ def in_cells(lengths: Float32 | Float64, cell: float) -> Float32:
 
 
 class ImagePatches(NamedTuple):
-    """The p patches of a posture in its image.
+    """The p patches of a posture in its image."""
 
-    column, row: Of their middles [cells], shape (p,)
-    owner: Patch that each cell of the image sees, −1 for none, shape (rows, columns)
-    cell: Side of a cell [px]
-    """
-
-    column: Float32
-    row: Float32
-    owner: Int32
-    cell: float
+    column: Float32  # of their middles [cells], shape (p,)
+    row: Float32  # of their middles [cells], shape (p,)
+    owner: Int32  # patch that each cell of the image sees, −1 for none, shape (rows, columns)
+    cell: float  # side of a cell [px]
 
     def in_order(self, order: Index) -> "ImagePatches":
         """The same with the patches in another order."""
@@ -76,16 +64,11 @@ class ImagePatches(NamedTuple):
 
 
 class PlannedTurns(NamedTuple):
-    """The hypotheses h, entry after entry.
+    """The hypotheses h, entry after entry."""
 
-    entry: Of each, shape (h,)
-    turns: Of each entry, shape (entries,)
-    variants: Those of entry e are from variants[e] to variants[e + 1], shape (entries + 1,)
-    """
-
-    entry: Int32
-    turns: Int32
-    variants: Int32
+    entry: Int32  # of each, shape (h,)
+    turns: Int32  # of each entry, shape (entries,)
+    variants: Int32  # those of entry e are from variants[e] to variants[e + 1], shape (entries + 1,)
 
 
 @kernel

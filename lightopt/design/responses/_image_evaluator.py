@@ -91,26 +91,18 @@ class ImageCache:
 
 @dataclass(frozen=True, eq=False)
 class ImageEvaluator:
-    """A part, its patches, and the defects that its images are tested for.
+    """A part, its patches, and the defects that its images are tested for."""
 
-    scene: Its lights are ignored.
-    table: The patches; their pairs with the planned defects are counted.
-    detection: The defects, and when one counts as found; None where levels alone are wanted.
-    shadows: Whether the part casts shadows on itself.
-    exposures: That an image may be taken with: it shows what it shows with any of them.
-    cache: For what images show; only for an evaluator of these very patches.
-    images: Levels and flags of images on the patches that a posture shows; they are looked up first, and kept where
-        `keeps_images` says so.
-    """
-
-    scene: Scene
-    table: PatchTable
+    scene: Scene  # its lights are ignored
+    table: PatchTable  # the patches; their pairs with the planned defects are counted
     caster: RayCaster
-    detection: DetectionModel | None
-    shadows: bool = True
+    detection: DetectionModel | None  # the defects, and when one counts as found; None where levels alone are wanted
+    shadows: bool = True  # whether the part casts shadows on itself
     threads: int | None = None
-    exposures: tuple[float, ...] = (1.0,)
-    cache: ImageCache | None = None
+    exposures: tuple[float, ...] = (1.0,)  # that an image may be taken with: it shows what it shows with any of them
+    cache: ImageCache | None = None  # for what images show; only for an evaluator of these very patches
+    # levels and flags of images on the patches that a posture shows; they are looked up first, and kept where
+    # `keeps_images` says so
     images: ImageCache | None = None
     keeps_images: bool = False
 

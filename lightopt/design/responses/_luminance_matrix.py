@@ -31,20 +31,15 @@ AREA_UNIT_MM2 = 1e-6  # areas are counted in whole square micrometres, so that s
 
 @dataclass(frozen=True)
 class Visibility:
-    """Evidence of t planned defects on patches by the image of each light position in one posture.
-
-    words: One array per light, in the rig's order: flags of the units of evidence, shape (candidates of the light,
-        units, p, ⌈t / 64⌉).
-    areas: Of the inspectable patches [mm²], shape (p,).
-    patch: Their indices among the patches of the run, ascending, shape (p,).
-    grazing: Indices of the patches seen at a grazing angle, which are excluded, ascending.
-    """
+    """Evidence of t planned defects on patches by the image of each light position in one posture."""
 
     defects: tuple[PlannedDefect, ...]
+    # one array per light, in the rig's order: flags of the units of evidence, shape (candidates of the light, units, p,
+    # ⌈t / 64⌉)
     words: tuple[Words, ...]
-    areas: Float64
-    patch: Int32
-    grazing: Int32
+    areas: Float64  # of the inspectable patches [mm²], shape (p,)
+    patch: Int32  # their indices among the patches of the run, ascending, shape (p,)
+    grazing: Int32  # indices of the patches seen at a grazing angle, which are excluded, ascending
 
     def __post_init__(self) -> None:
         shape = len(self.areas), -(-len(self.defects) // 64)
@@ -107,14 +102,12 @@ def select_rows(layer: Any, some: Int64) -> Any:
 class LevelThresholds:
     """Which delivered levels count as usable: ``shade ≤ level < saturation`` (paper, section 5.2, step 4).
 
-    shade, saturation: Levels below the first are shaded, levels from the second on are specular [sensor level].
-    black: Delivered without light; sums are of what is above it [sensor level].
     Raises InputError: No level is usable, or what is delivered without light would not be shaded.
     """
 
-    shade: int
-    saturation: int
-    black: int = 0
+    shade: int  # levels below it are shaded [sensor level]
+    saturation: int  # levels from it on are specular [sensor level]
+    black: int = 0  # delivered without light; sums are of what is above it [sensor level]
 
     def __post_init__(self) -> None:
         if not 0 <= self.black <= self.shade < self.saturation:
@@ -142,19 +135,14 @@ class LevelThresholds:
 
 @dataclass(frozen=True, kw_only=True)
 class LuminanceMatrix:
-    """Delivered levels of the inspectable patches in one posture (paper, section 5.2, steps 1 and 2).
+    """Delivered levels of the inspectable patches in one posture (paper, section 5.2, steps 1 and 2)."""
 
-    levels: One array per light, in the rig's order: quantised levels at exposure 1, shape (candidates of the light,
-        p).
-    areas: Of the patches [mm²], shape (p,).
-    visibility: Which defects the same images show on the same patches; None where images are not tested for defects.
-    grazing_mm2: Area that the camera sees at a grazing angle, which is excluded [mm²].
-    """
-
+    # one array per light, in the rig's order: quantised levels at exposure 1, shape (candidates of the light, p)
     levels: tuple[Levels, ...]
-    areas: Float64
+    areas: Float64  # of the patches [mm²], shape (p,)
+    # which defects the same images show on the same patches; None where images are not tested for defects
     visibility: Visibility | None = None
-    grazing_mm2: float = 0.0
+    grazing_mm2: float = 0.0  # area that the camera sees at a grazing angle, which is excluded [mm²]
 
     def __post_init__(self) -> None:
         if self.visibility is not None and (

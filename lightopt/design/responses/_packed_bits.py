@@ -149,16 +149,11 @@ def weighted_bits(words: Words, masks: Words, factors: Int64) -> Int64:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PairWeights:
-    """Weight of each pair of patch and hypothesis: the patch's area times the hypothesis's factor.
+    """Weight of each pair of patch and hypothesis: the patch's area times the hypothesis's factor."""
 
-    areas: Of the patches [µm²], shape (p,).
-    masks: The hypotheses of one factor each, as flags; shape (groups, words).
-    factors: Whole numbers, shape (groups,).
-    """
-
-    areas: Int64
-    masks: Words
-    factors: Int64
+    areas: Int64  # of the patches [µm²], shape (p,)
+    masks: Words  # the hypotheses of one factor each, as flags; shape (groups, words)
+    factors: Int64  # whole numbers, shape (groups,)
 
     def __post_init__(self) -> None:
         for name in ("areas", "masks", "factors"):

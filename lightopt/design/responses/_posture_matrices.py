@@ -82,19 +82,14 @@ _NOT_OF_LEVELS: Any = {
 
 @dataclass(eq=False)
 class PostureMatrices:
-    """Computes the luminance matrices or reads cached ones; patches are made only when needed.
-
-    table: The patches; None as long as they were not needed.
-    images: Some of these patches, tested for the defects of the problem; None for none.
-    reused: How many matrices were read from the cache.
-    """
+    """Computes the luminance matrices or reads cached ones; patches are made only when needed."""
 
     problem: Problem
     folder: Path
     run: RunContext
-    table: PatchTable | None = None
-    images: ImageCache | None = None
-    reused: int = 0
+    table: PatchTable | None = None  # the patches; None as long as they were not needed
+    images: ImageCache | None = None  # some of these patches, tested for the defects of the problem; None for none
+    reused: int = 0  # how many matrices were read from the cache
 
     def __post_init__(self) -> None:
         problem, wanted = self.problem, self.problem.defects is not None

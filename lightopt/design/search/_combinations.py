@@ -17,15 +17,12 @@ Rows = tuple[Int64, ...]  # candidates of each light, ascending: all their combi
 
 @dataclass(frozen=True, kw_only=True)
 class CombinationSpace:
-    """The combinations to search.
+    """The combinations to search."""
 
-    sizes: Number of candidates per light.
-    groups: Disjoint sets of combinations; together they are the space. Lights that move independently make one group.
-    clashes: For pairs of lights (i, j), i < j: which of their candidates collide, shape (sizes[i], sizes[j]).
-    """
-
-    sizes: tuple[int, ...]
+    sizes: tuple[int, ...]  # number of candidates per light
+    # disjoint sets of combinations; together they are the space. Lights that move independently make one group
     groups: tuple[Rows, ...]
+    # for pairs of lights (i, j), i < j: which of their candidates collide, shape (sizes[i], sizes[j])
     clashes: Mapping[tuple[int, int], Bool] = field(default_factory=dict[tuple[int, int], Bool])
 
     @staticmethod
@@ -60,15 +57,11 @@ MOST_NEAR = 1 << 24  # scores near the best that are held at a time: 128 MiB
 
 @dataclass(frozen=True)
 class Ranked:
-    """A combination with its score.
-
-    usable: Sum of the usable levels of all images, each times its patch's weight.
-    candidates: One per light, in the rig's order; candidates ascend by elevation, then azimuth.
-    """
+    """A combination with its score."""
 
     score: int
-    usable: int
-    candidates: tuple[int, ...]
+    usable: int  # sum of the usable levels of all images, each times its patch's weight
+    candidates: tuple[int, ...]  # one per light, in the rig's order; candidates ascend by elevation, then azimuth
 
     @property
     def sort_key(self) -> tuple[int, int, tuple[int, ...]]:
@@ -78,16 +71,11 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Ranking:
-    """The first of some combinations, and how many share the best score.
+    """The first of some combinations, and how many share the best score."""
 
-    best: Ordered; as many as were requested or there are.
-    ties: Number of combinations with the best score.
-    count: Number of combinations evaluated.
-    """
-
-    best: tuple[Ranked, ...] = ()
-    ties: int = 0
-    count: int = 0
+    best: tuple[Ranked, ...] = ()  # ordered; as many as were requested or there are
+    ties: int = 0  # number of combinations with the best score
+    count: int = 0  # number of combinations evaluated
 
     def merged(self, other: Ranking, limit: int) -> Ranking:
         best = tuple(sorted((*self.best, *other.best), key=attrgetter("sort_key"))[:limit])

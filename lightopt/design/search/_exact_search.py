@@ -35,28 +35,18 @@ DEFAULT_LIMIT = 200_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class SearchResult:
-    """The outcome of a search.
+    """The outcome of a search."""
 
-    ranking: The best combinations in order, the first being the optimum; of those evaluated where some are left.
-    ties: Number of other combinations with the optimum's score; of those evaluated where some are left.
-    near: Number of other combinations whose score is near the optimum's, ties among them.
-    near_exact: Whether `near` is complete: none was left, excluded by a bound, or dropped for memory.
-    scored: Combinations that were enumerated.
-    excluded: Combinations that a bound shows to be worse than all of the ranking.
-    left: Combinations not evaluated, since the limit was reached.
-    clashing: Combinations whose panels would collide.
-    bound: A score that no allowed combination exceeds: that of the optimum where it is proven.
-    """
-
+    # the best combinations in order, the first being the optimum; of those evaluated where some are left
     ranking: tuple[Ranked, ...]
-    ties: int
-    near: int
-    near_exact: bool
-    scored: int
-    excluded: int
-    left: int
-    clashing: int
-    bound: int
+    ties: int  # number of other combinations with the optimum's score; of those evaluated where some are left
+    near: int  # number of other combinations whose score is near the optimum's, ties among them
+    near_exact: bool  # whether `near` is complete: none was left, excluded by a bound, or dropped for memory
+    scored: int  # combinations that were enumerated
+    excluded: int  # combinations that a bound shows to be worse than all of the ranking
+    left: int  # combinations not evaluated, since the limit was reached
+    clashing: int  # combinations whose panels would collide
+    bound: int  # a score that no allowed combination exceeds: that of the optimum where it is proven
 
     @property
     def best(self) -> Ranked:
