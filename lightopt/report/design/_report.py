@@ -22,7 +22,7 @@ from lightopt.lights import PanelLight
 from lightopt.rendering import GRAZING_DEG
 from lightopt.report._contact_sheet import degrees
 from lightopt.report._page import Answer, Block, Facts, Note, Page, Section, Table, Warnings, page_html
-from lightopt.report.design._pictures import curve_blocks, image_blocks
+from lightopt.report.design._pictures import capture_text, curve_blocks, image_blocks, setting_blocks
 from lightopt.report.design._plan import (
     blind_tables,
     defect_tables,
@@ -32,7 +32,6 @@ from lightopt.report.design._plan import (
     postures_text,
     tolerance_blocks,
 )
-from lightopt.report.design._setting_sheet import capture_text, setting_blocks
 from lightopt.report.design._surface import surface_blocks
 from lightopt.scene import build_catalogue
 
