@@ -23,31 +23,12 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from lightopt import defects
 from lightopt.core.arrays import Float32, Float64, Int16, Int32
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
 from lightopt.core.transforms import Posture
-from lightopt.defects import (
-    CONFIRMED,
-    DARK,
-    DEFAULT_FALSE_ALARMS,
-    FORESHORTENINGS,
-    MOST_CHANGE,
-    REGISTRATION_PX,
-    SIZES,
-    DefectHypotheses,
-    PixelMixture,
-    clipped_variance,
-    defect_hypotheses,
-    false_alarms_problem,
-    foreshortening_classes,
-    image_axes,
-    least_z,
-    plane_to_image,
-    search_grid,
-    tangent_axis,
-    tangent_references,
-)
+from lightopt.defects import DARK, MOST_CHANGE, REGISTRATION_PX, clipped_variance
 from lightopt.design.responses._defect_hypotheses import PlannedCatalogue
 from lightopt.design.responses._evidence_sums import (
     CODES_PER_DEVIATION,
@@ -106,14 +87,14 @@ class DetectionModel:
     catalogue: PlannedCatalogue
     sensor: Sensor
     full_scale: float  # grey level that makes a full-scale sensor level at exposure 1
-    false_alarms: float = DEFAULT_FALSE_ALARMS  # allowed in the images of a posture of a good part
+    false_alarms: float = defects.DEFAULT_FALSE_ALARMS  # allowed in the images of a posture of a good part
     min_images: int = 1  # images that must show a defect
     # score from which on a calibrated inspection counts a defect; that of noise alone where None
     threshold: float | None = None
     _stencils: dict[int, Stencils] = field(default_factory=dict[int, Stencils], init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if problem := false_alarms_problem(self.false_alarms):
+        if problem := defects.false_alarms_problem(self.false_alarms):
             raise InputError(problem)
 
     def stencils(self, footprint: float) -> Stencils:
@@ -132,20 +113,22 @@ class DetectionModel:
         # a score is −log₁₀ of the false alarms of noise alone in a pixel
         false_alarms = self.false_alarms if self.threshold is None else pixels * 10.0**-self.threshold
         for e, planned in enumerate(entries):
-            own = defect_hypotheses(planned.entry)
-            grid = search_grid(own, footprint)
+            own = defects.defect_hypotheses(planned.entry)
+            grid = defects.search_grid(own, footprint)
             places = pixels / (grid.ratio * grid.step) ** 2
-            z = least_z(places * len(own.turns) * len(grid.halves) * len(SIZES), len(entries), false_alarms)
+            z = defects.least_z(
+                places * len(own.turns) * len(grid.halves) * len(defects.SIZES), len(entries), false_alarms
+            )
             z -= _GREATEST_OF_NEAR + _greatest_of_segments(planned)
             if self.min_images == 1:
                 found[e] = np.array(_ALONE) * z * z
             else:
-                most = (z * z - CONFIRMED**2) / (self.min_images - 1)
-                found[e] = np.array(_CONFIRMED) * max(most, CONFIRMED**2)
+                most = (z * z - defects.CONFIRMED**2) / (self.min_images - 1)
+                found[e] = np.array(_CONFIRMED) * max(most, defects.CONFIRMED**2)
         return found
 
 
-def _greatest_of_segments(own: DefectHypotheses) -> float:
+def _greatest_of_segments(own: defects.DefectHypotheses) -> float:
     # Segments of a scratch have noise of their own, and the greatest Z finds it: so much more than the others' mean it
     # is expected to have (Blom 1958, of n normal deviates)
     from scipy import special
@@ -166,8 +149,8 @@ def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> Stencils:
         step = max(0.0, own.entry.shape.length - own.shapes[1].length) / 4.0 if long else 0.0
         for turn in range(len(own.turns)):
             axis = np.array([math.cos(own.turns[turn]), math.sin(own.turns[turn])])
-            for one in range(FORESHORTENINGS):
-                to_image = plane_to_image(one, ratio * footprint)
+            for one in range(defects.FORESHORTENINGS):
+                to_image = defects.plane_to_image(one, ratio * footprint)
                 sides = ratio
                 if long:
                     seen, stands_for = _scratch_piece(own, turn, to_image)
@@ -198,7 +181,7 @@ def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> Stencils:
     )
 
 
-def _scratch_piece(own: DefectHypotheses, turn: int, to_image: Float64) -> tuple[PixelMixture, float]:
+def _scratch_piece(own: defects.DefectHypotheses, turn: int, to_image: Float64) -> tuple[defects.PixelMixture, float]:
     # A short piece of a segment, where it changes most, and the whole's evidence as a multiple of the piece's. Walls of
     # a narrow scratch lean to opposite sides, so that evidence depends on where it lies within its pixels: across it
     # lies anywhere, and along it some segment lies best. The change is taken as linear in the slope
@@ -224,7 +207,7 @@ def _scratch_piece(own: DefectHypotheses, turn: int, to_image: Float64) -> tuple
     return piece, whole / most if most > 0.0 else 1.0
 
 
-def _evidence_of(seen: PixelMixture, lean: Float64) -> float:
+def _evidence_of(seen: defects.PixelMixture, lean: Float64) -> float:
     # Σ m² where changes are as the lean of the surface, over all directions of light
     _, first = np.unique(seen.row * (1 << 16) + seen.column, return_index=True)
     if not len(first):
@@ -240,8 +223,8 @@ class PatchEvidence:
     ) -> None:
         self._scene, self._detection = scene, detection
         camera = view_from_part(scene, posture).camera
-        right, up = image_axes(surface.views, camera.right)
-        classes = foreshortening_classes(surface.normals, surface.views, right, up).astype(np.int32)
+        right, up = defects.image_axes(surface.views, camera.right)
+        classes = defects.foreshortening_classes(surface.normals, surface.views, right, up).astype(np.int32)
         footprint = surface_footprint(camera, surface.points)
         cosines = np.einsum("ij,ij->i", surface.normals, surface.views)
         areas = table.patches.areas[table.inspectable(posture)] * cosines / footprint**2
@@ -254,12 +237,12 @@ class PatchEvidence:
         surface = self._surface
         share = surface_share(camera, surface.points)
         self._passed = 1.0 if share is None else share
-        self._references = tangent_axis(surface.normals, right[self._order])
+        self._references = defects.tangent_axis(surface.normals, right[self._order])
         self._stencils = detection.stencils(footprint).in_cells(image.cell)
         self._limits = detection.limits(float(areas.sum()), footprint)
         # turns are counted from the part's axes, and what pixels see of them from the image's
         axes = scene.placement.rotation
-        own = tangent_references(surface.normals, x_axis=axes[:, 0], y_axis=axes[:, 1])
+        own = defects.tangent_references(surface.normals, x_axis=axes[:, 0], y_axis=axes[:, 1])
         x = np.einsum("ij,ij->i", own, self._references)
         y = np.einsum("ij,ij->i", own, np.cross(surface.normals, self._references))
         self._angle = np.arctan2(y, x)
