@@ -35,7 +35,7 @@ from lightopt.design.responses._evidence_sums import (
     ImagePatches,
     PlannedTurns,
     Stencils,
-    add_evidence,
+    evidence_flags,
     in_cells,
     owner_at,
 )
@@ -70,6 +70,9 @@ _GREATEST_OF_NEAR = 0.5
 _TILE_CELLS = 16.0  # patches are worked on in tiles of so many cells of the image
 _NEAR_CELLS = 2  # cells without a patch see the nearest one up to so many cells away
 _FOOTPRINT_STEPS = 32  # footprints within a 32nd of an octave share what pixels see of defects
+
+# levels by grey levels, level above black at which it clips, read noise, electrons per level
+_Camera = tuple[float, float, float, float]
 
 
 def units_needed(min_images: int) -> int:
@@ -228,24 +231,22 @@ class PatchEvidence:
         footprint = surface_footprint(camera, surface.points)
         cosines = np.einsum("ij,ij->i", surface.normals, surface.views)
         areas = table.patches.areas[table.inspectable(posture)] * cosines / footprint**2
-        image = _locate(scene, table, posture, areas)
+        references = defects.tangent_axis(surface.normals, right)
+        # turns are counted from the part's axes, and what pixels see of them from the image's
+        axes = scene.placement.rotation
+        own = defects.tangent_references(surface.normals, x_axis=axes[:, 0], y_axis=axes[:, 1])
+        x = np.einsum("ij,ij->i", own, references)
+        y = np.einsum("ij,ij->i", own, np.cross(surface.normals, references))
+        image = _locate(scene, table, posture, areas, classes, np.arctan2(y, x))
         # what is seen alike, and lies side by side in the image, is worked on together
         tiles = [np.floor(a / _TILE_CELLS).astype(np.int64) for a in (image.row, image.column)]
         self._order = np.argsort((classes * np.int64(1 << 20) + tiles[0]) * (1 << 20) + tiles[1], kind="stable")
         self._image = image.in_order(self._order)
-        self._surface, self._class = surface.take(self._order), classes[self._order]
-        surface = self._surface
-        share = surface_share(camera, surface.points)
+        self._surface, self._references = surface.take(self._order), references[self._order]
+        share = surface_share(camera, self._surface.points)
         self._passed = 1.0 if share is None else share
-        self._references = defects.tangent_axis(surface.normals, right[self._order])
         self._stencils = detection.stencils(footprint).in_cells(image.cell)
         self._limits = detection.limits(float(areas.sum()), footprint)
-        # turns are counted from the part's axes, and what pixels see of them from the image's
-        axes = scene.placement.rotation
-        own = defects.tangent_references(surface.normals, x_axis=axes[:, 0], y_axis=axes[:, 1])
-        x = np.einsum("ij,ij->i", own, self._references)
-        y = np.einsum("ij,ij->i", own, np.cross(surface.normals, self._references))
-        self._angle = np.arctan2(y, x)
         entries = detection.catalogue.entries
         turns = [len(one.turns) for one in entries]
         self._planned = PlannedTurns(
@@ -293,24 +294,22 @@ class PatchEvidence:
         return levels, [self._units(good, varied, exposure) for exposure in exposures]
 
     def _units(self, good: Float64, varied: Float32, exposure: float) -> Words:
-        sensor, image = self._detection.sensor, self._image
-        variants = self._planned.variants
+        sensor, variants = self._detection.sensor, self._planned.variants
         varied, leant = varied[: variants[-1]], varied[variants[-1] :]
-        codes = np.zeros((len(varied), len(good) + 1), np.int16)
-        bounds = np.zeros((len(self._correlated), len(good) + 1, 3), np.float32)
-        first = variants if len(bounds) > 1 else variants[[0, -1]]
+        first = variants if len(self._correlated) > 1 else variants[[0, -1]]
         scale = exposure * sensor.max_level / self._detection.full_scale
         limit = sensor.saturated_from - sensor.black_level
-        noise = sensor.read_noise_levels, sensor.electrons_per_level or math.inf
-        _fill_changes(good, varied, leant, self._correlated, first, image, scale, limit, noise, codes, bounds)
-        words = np.zeros((UNITS_OF_IMAGE, len(good), -(-len(self._planned.entry) // 64)), np.uint64)
-        add_evidence(codes, bounds, image, self._class, self._angle, self._planned, self._stencils, self._limits, words)
+        camera = scale, limit, sensor.read_noise_levels, float(sensor.electrons_per_level or math.inf)
+        codes, bounds = _changes(good, varied, leant, self._correlated, first, self._image, camera)
+        words = evidence_flags(codes, bounds, self._image, self._planned, self._stencils, self._limits)
         in_table = np.empty_like(words)
         in_table[:, self._order] = words
         return in_table
 
 
-def _locate(scene: Scene, table: PatchTable, posture: Posture, areas: Float64) -> ImagePatches:
+def _locate(
+    scene: Scene, table: PatchTable, posture: Posture, areas: Float64, classes: Int32, angle: Float64
+) -> ImagePatches:
     # `areas`: of the inspectable patches in the image [px²]
     camera = view_from_part(scene, posture).camera
     inspectable = table.inspectable(posture)
@@ -331,7 +330,7 @@ def _locate(scene: Scene, table: PatchTable, posture: Posture, areas: Float64) -
     owner = np.full(shape, none, np.int32)
     owner[y, x] = own[order]
     column, row = (in_cells(places[own >= 0], cell) for places in (columns, rows))
-    return ImagePatches(column, row, _filled(owner, none), cell)
+    return ImagePatches(column, row, _filled(owner, none), cell, classes, angle)
 
 
 def _filled(owner: Int32, none: int) -> Int32:
@@ -353,24 +352,23 @@ def _filled(owner: Int32, none: int) -> Int32:
 
 
 @kernel
-def _fill_changes(
+def _changes(
     good: Float64,
     varied: Float32,
     leant: Float32,
     correlated: Float64,
     first: Int32,
     image: ImagePatches,
-    scale: float,
-    limit: float,
-    noise_of: tuple[float, float],
-    codes: Int16,
-    bounds: Float32,
-) -> None:
+    camera: _Camera,
+) -> tuple[Int16, Float32]:
     # Changes by the variants, of each patch, as the camera would deliver them if it did not clip: mixed levels are
-    # clipped, not those that are mixed. `bounds` are the least and the greatest change that it delivers, and the change
-    # that is none: see expected_change. Levels are above black. The waviness of good parts is noise by what `leant`
-    # variants change, `correlated` times in each set of bounds, which is of the variants from `first`
-    (column, row, owner, cell), (read_noise, electrons) = image, noise_of
+    # clipped, not those that are mixed; the last patch stands for none. The bounds are the least and the greatest
+    # change that it delivers, and the change that is none: see expected_change. Levels are above black. The waviness of
+    # good parts is noise by what `leant` variants change, `correlated` times in each set of bounds, which is of the
+    # variants from `first`
+    (column, row, owner, cell, _, _, _), (scale, limit, read_noise, electrons) = image, camera
+    codes = np.zeros((len(varied), len(good) + 1), np.int16)
+    bounds = np.zeros((len(correlated), len(good) + 1, 3), np.float32)
     levels, variances, wavy = np.empty(len(good)), np.empty(len(good)), np.zeros(len(good))
     for p in range(len(good)):
         level = min(scale * good[p], limit)
@@ -402,3 +400,4 @@ def _fill_changes(
             for p in range(len(good)):
                 change = (scale * varied[v, p] - levels[p]) / noises[p]
                 codes[v, p] = np.int16(np.rint(max(-32_000.0, min(32_000.0, change * CODES_PER_DEVIATION))))
+    return codes, bounds
