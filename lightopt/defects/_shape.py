@@ -122,9 +122,7 @@ def _on_middle_line(shape: DefectShape, x: Float64) -> Float64:
     return np.clip(x, -half, half)
 
 
-SIZES: Final = (0.6, 1.0, 1.6)
-"""Sizes that are tested, as multiples of an entry's; the slope stays."""
-
+SIZES: Final = (0.6, 1.0, 1.6)  # sizes that are tested, as multiples of an entry's; the slope stays
 _SLOPES = 3  # steps of a range of slopes for which inspections are planned
 
 

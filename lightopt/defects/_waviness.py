@@ -4,8 +4,6 @@ The height over the CAD model is a normal random field with the covariance A²·
 along each axis of the surface has the standard deviation A/ℓ.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -16,8 +16,7 @@ from lightopt.defects._shape import SHAPE_KINDS, SIZES, CatalogueEntry, DefectSh
 # cosines of the angle to the normal in so many steps of this ratio, and directions within half a turn
 FORESHORTENING, COSINES, AZIMUTHS = 0.85, 11, 8
 
-FORESHORTENINGS = COSINES * AZIMUTHS
-"""Number of classes."""
+FORESHORTENINGS = COSINES * AZIMUTHS  # number of classes
 
 
 def image_axes(views: Float64, right: Float64) -> tuple[Float64, Float64]:
@@ -69,7 +68,6 @@ WALL_LEVELS = (1.0,)
 ACROSS_WIDTH, LEAST_SAMPLES, MOST_SAMPLES = 10.0, 3, 15
 
 _MOST_FINER = 2  # directions are doubled so often at most
-
 LEAST_SHARE = 0.06  # a variant with less than this share of the greatest one of any pixel is left out
 
 

@@ -14,7 +14,7 @@ from lightopt.design._files import (
     write_design as write_design,
 )
 from lightopt.design._optimize import optimize as optimize
-from lightopt.design._options import (
+from lightopt.design._problem import (
     CalibratedThreshold as CalibratedThreshold,
     OptimizeOptions as OptimizeOptions,
     PlanOptions as PlanOptions,

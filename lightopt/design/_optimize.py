@@ -14,9 +14,19 @@ from lightopt.core.run_context import RunContext
 from lightopt.design._candidates import Candidates, can_move
 from lightopt.design._commands import HOME, command_text, plan_commands
 from lightopt.design._files import check_editable, planned_part_text
-from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, check_options, run_provenance
 from lightopt.design._previous_result import refuse_other_result
-from lightopt.design._problem import Problem, candidates_in, candidates_of, detection_model_of, images_that_decide
+from lightopt.design._problem import (
+    DEFECT_OBJECTIVE,
+    OptimizeOptions,
+    PlanOptions,
+    Problem,
+    candidates_in,
+    candidates_of,
+    check_options,
+    detection_model_of,
+    images_that_decide,
+    run_provenance,
+)
 from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult, ToleranceResult, angles_of
 from lightopt.design._tolerances import (
     ObjectiveAssessment,

@@ -8,8 +8,7 @@ from typing import Any
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
 from lightopt.design._commands import Command, Way
-from lightopt.design._options import PlanOptions
-from lightopt.design._problem import Problem
+from lightopt.design._problem import PlanOptions, Problem
 from lightopt.design._tolerances import ToleranceAnalysis
 from lightopt.design.blind_spots._blind_spots import BlindSpotSummary
 from lightopt.design.objectives._objective import Objective, share_text

@@ -7,8 +7,6 @@ the widest tolerance that keeps the score. Each image is computed once: of a pos
 under one light that is off by so much. The scores of all combinations are composed of them.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -63,16 +61,11 @@ ImageKey = tuple[int, Offset, int, Offset]  # a posture, the offset of the part,
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerances:
-    """The tolerances to analyse, and the share of the score to keep.
+    """The tolerances to analyse, and the share of the score to keep."""
 
-    light_deg: Elevation and azimuth of each light [°].
-    pose_deg: Tilt and rotation of the part [°].
-    tolerance_target: Share of the score that the widest tolerances keep.
-    """
-
-    light_deg: float = 0.0
-    pose_deg: float = 0.0
-    tolerance_target: float = DEFAULT_TOLERANCE_TARGET
+    light_deg: float = 0.0  # elevation and azimuth of each light [°]
+    pose_deg: float = 0.0  # tilt and rotation of the part [°]
+    tolerance_target: float = DEFAULT_TOLERANCE_TARGET  # share of the score that the widest tolerances keep
     draws: int = 100
     seed: int = 0
 
@@ -229,7 +222,7 @@ class Setup:
     exposures: tuple[tuple[float, ...], ...]  # posture by posture, 1 among them
     points: int | Literal["auto"] | None = None  # point lights per panel, instead of the rig's
 
-    def only(self, posture: int) -> Setup:
+    def only(self, posture: int) -> "Setup":
         """One of the postures."""
         one = slice(posture, posture + 1)
         return replace(self, postures=self.postures[one], angles=self.angles[one], exposures=self.exposures[one])

@@ -15,8 +15,6 @@ What is seen at a grazing angle or an edge only counts neither as found nor as b
 surface, and the share left out is given separately.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -232,7 +230,7 @@ class BlindSpotSummary:
     @staticmethod
     def of(
         visibility: Sequence[PostureVisibility], areas: Float64, goal: DetectabilityObjective, names: tuple[str, ...]
-    ) -> BlindSpotSummary:
+    ) -> "BlindSpotSummary":
         """Combine postures; `areas` are those of all patches of the run [mm²], shape (n,)."""
 
         def part(posture: Posture | None, some: Sequence[PostureVisibility]) -> BlindPart:

@@ -1,7 +1,5 @@
 """The interface of an objective to the search, and the printed form of its scores."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence

@@ -6,8 +6,6 @@ may add together what neither adds alone: where no single one shows enough more,
 twice as much. A light's exposures in a posture are one image, of which the best counts for each pair.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -124,7 +122,11 @@ def select_exposures(
 
 
 def _next(
-    planned: _PlannedImages, candidates: Sequence[CandidateExposure], gains: Sequence[_Gain], least: float, short: bool
+    planned: "_PlannedImages",
+    candidates: Sequence[CandidateExposure],
+    gains: Sequence[_Gain],
+    least: float,
+    short: bool,
 ) -> tuple[tuple[int, ...], Reason]:
     """Indices of what to plan next, and why; none where nothing is enough and the target is met or out of reach."""
     best = max(range(len(candidates)), key=lambda i: gains[i][0], default=None)

@@ -12,8 +12,7 @@ from lightopt.core.run_context import RunContext, Share
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
 from lightopt.design._commands import way_through
-from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions
-from lightopt.design._problem import candidates_of, detection_model_of
+from lightopt.design._problem import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, candidates_of, detection_model_of
 from lightopt.design._result import SHARES_OF, ChosenPostures, ObjectiveResult, SetResult, angles_of
 from lightopt.design.blind_spots._blind_spots import (
     BlindReason,

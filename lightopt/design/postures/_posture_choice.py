@@ -1,7 +1,5 @@
 """The request for postures and lights, the cover by chosen postures with bounds on it, and the choice."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -90,7 +88,7 @@ class Cover:
         most = min(self.bounds[-1] // self.k, self.all_covered) if self.max_covered is None else self.max_covered
         return self.covered >= most
 
-    def with_search(self, max_covered: int, sets: int | None) -> Cover:
+    def with_search(self, max_covered: int, sets: int | None) -> "Cover":
         """With the outcome of a search of all sets; unchanged where the search ended without a proof."""
         return self if sets is None else replace(self, sets=sets, max_covered=max_covered)
 

@@ -13,8 +13,6 @@ Evidence is counted in whole units, 3 of which are enough where one image may de
 are flags: flag j says that it has more than j (:mod:`lightopt.design.responses._packed_bits`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -46,8 +44,7 @@ from lightopt.optics import Sensor
 from lightopt.rendering import PatchTable, SurfacePoints, panel_to_shade, shade_variants, surface_variants
 from lightopt.scene import Scene, project, surface_footprint, surface_share, view_from_part
 
-UNITS_OF_IMAGE = 3
-"""Most units of evidence that an image counts for."""
+UNITS_OF_IMAGE = 3  # most units of evidence that an image counts for
 
 # evidence from which on an image counts for one, two and three units: as shares of T² where one image may decide, and
 # else of what it counts for at most

@@ -6,8 +6,6 @@ addressed by their index in the refined mesh of the run (:class:`lightopt.render
 for all postures: the same index is the same patch in every posture.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -67,12 +65,12 @@ class Visibility:
     def total_weight(self) -> int:
         return sum(defect.weight for defect in self.defects)
 
-    def rows(self, rows: Sequence[Int64]) -> Visibility:
+    def rows(self, rows: Sequence[Int64]) -> "Visibility":
         """Some candidates of each light, given by ascending indices."""
         words = tuple(select_rows(layer, some) for layer, some in zip(self.words, rows, strict=True))
         return replace(self, words=words)
 
-    def patches(self, start: int, end: int) -> Visibility:
+    def patches(self, start: int, end: int) -> "Visibility":
         words = tuple(layer[:, :, start:end] for layer in self.words)
         return replace(self, words=words, areas=self.areas[start:end], patch=self.patch[start:end])
 
@@ -118,7 +116,7 @@ class LevelThresholds:
             )
 
     @staticmethod
-    def of_sensor(sensor: Sensor, *, shade_share: float) -> LevelThresholds:
+    def of_sensor(sensor: Sensor, *, shade_share: float) -> "LevelThresholds":
         """Thresholds of a sensor: shaded is what has less light than ``black + shade_share · full scale`` delivers.
 
         What is delivered without light is shaded whatever the share.
@@ -166,15 +164,15 @@ class LuminanceMatrix:
         """Number of candidates of each light."""
         return tuple(len(layer) for layer in self.levels)
 
-    def rows(self, rows: Sequence[Int64]) -> LuminanceMatrix:
+    def rows(self, rows: Sequence[Int64]) -> "LuminanceMatrix":
         """Some candidates of each light, given by ascending indices."""
         levels = tuple(select_rows(layer, some) for layer, some in zip(self.levels, rows, strict=True))
         return replace(self, levels=levels, visibility=self.visibility and self.visibility.rows(rows))
 
-    def combination(self, candidates: Sequence[int]) -> LuminanceMatrix:
+    def combination(self, candidates: Sequence[int]) -> "LuminanceMatrix":
         return self.rows([np.array([index]) for index in candidates])
 
-    def patches(self, start: int, end: int) -> LuminanceMatrix:
+    def patches(self, start: int, end: int) -> "LuminanceMatrix":
         levels, seen = tuple(layer[:, start:end] for layer in self.levels), self.visibility
         return replace(self, levels=levels, areas=self.areas[start:end], visibility=seen and seen.patches(start, end))
 

@@ -8,8 +8,6 @@ The *benefit* of a count is the sum of its flags, each times its pair's weight; 
 pairs with the last flag.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -159,7 +157,7 @@ class PairWeights:
         for name in ("areas", "masks", "factors"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
-    def of(self, patches: slice | Bool) -> PairWeights:
+    def of(self, patches: slice | Bool) -> "PairWeights":
         """Weights of some of the patches."""
         return replace(self, areas=self.areas[patches])
 

@@ -64,8 +64,7 @@ def read_matrix(
         return None
 
 
-COARSE_SHARE = 0.15
-"""Edges longer than this share of the part's diagonal cause a warning."""
+COARSE_SHARE = 0.15  # edges longer than this share of the part's diagonal cause a warning
 
 MATRIX_NAME = "matrix.npz"
 

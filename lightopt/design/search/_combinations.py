@@ -1,7 +1,5 @@
 """Combinations of candidate positions: which are allowed, and which are the best of a table, ties in a fixed order."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -26,7 +24,7 @@ class CombinationSpace:
     clashes: Mapping[tuple[int, int], Bool] = field(default_factory=dict[tuple[int, int], Bool])
 
     @staticmethod
-    def of(sizes: Sequence[int]) -> CombinationSpace:
+    def of(sizes: Sequence[int]) -> "CombinationSpace":
         return CombinationSpace(sizes=tuple(sizes), groups=(tuple(np.arange(n) for n in sizes),))
 
 
@@ -77,7 +75,7 @@ class Ranking:
     ties: int = 0  # number of combinations with the best score
     count: int = 0  # number of combinations evaluated
 
-    def merged(self, other: Ranking, limit: int) -> Ranking:
+    def merged(self, other: "Ranking", limit: int) -> "Ranking":
         best = tuple(sorted((*self.best, *other.best), key=attrgetter("sort_key"))[:limit])
         score = best[0].score if best else 0
         ties = sum(r.ties for r in (self, other) if r.best and r.best[0].score == score)

@@ -9,8 +9,7 @@ from lightopt.design.search._combinations import Ranked, is_allowed
 
 TOGETHER = "all lights together"
 
-MOST_POINTS = 31
-"""Of one curve; of more positions every second, third … is taken, and the best set's own."""
+MOST_POINTS = 31  # of one curve; of more positions every second, third … is taken, and the best set's own
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,8 +7,6 @@ none of the requested combinations, nor a tie of the best, and is excluded. So t
 the search reaches its limit on scored combinations: then the largest bound of what is left is part of the answer.
 """
 
-from __future__ import annotations
-
 import heapq
 import itertools
 import math
@@ -156,7 +154,7 @@ def search(
 class _Boxes:
     """The boxes that are left, ordered by bound."""
 
-    def __init__(self, scorer: _BoxScorer, groups: Sequence[Rows], table_cells: int) -> None:
+    def __init__(self, scorer: "_BoxScorer", groups: Sequence[Rows], table_cells: int) -> None:
         self._scorer = scorer
         self._table_cells = table_cells
         self._serial = itertools.count()
