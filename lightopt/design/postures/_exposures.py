@@ -95,15 +95,11 @@ def select_exposures(
     needed: Units of a pair that is found.
     least_gain, target: Shares of the pairs; below the target, whatever adds anything is planned.
     """
-    total = max(1, weights.total)
-    planned = _PlannedImages(now, weights, needed)
-    before = planned.covered
-    left = list(candidates)
-    further: list[FurtherExposure] = []
+    total, planned, left = max(1, weights.total), _PlannedImages(now, weights, needed), list(candidates)
+    before, further = planned.covered, list[FurtherExposure]()
 
-    def considered(candidate: CandidateExposure, gain: int, reason: Reason | None) -> FurtherExposure:
-        posture = postures[candidate.posture]
-        return FurtherExposure(posture=posture, exposure=candidate.exposure, gain=gain / total, reason=reason)
+    def considered(one: CandidateExposure, gain: int, reason: Reason | None) -> FurtherExposure:
+        return FurtherExposure(posture=postures[one.posture], exposure=one.exposure, gain=gain / total, reason=reason)
 
     while True:
         gains = planned.gains(left)
@@ -180,11 +176,11 @@ class _PlannedImages:
         }
         best: tuple[int, tuple[int, int]] | None = None
         for i, j in sorted(most, key=lambda two: (-most[two], two)):
-            if most[i, j] < (at_least if best is None else best[0] + 1):
+            if most[i, j] < at_least:
                 break
             gain = self._gain_of(candidates[i], candidates[j])
-            if gain >= (at_least if best is None else best[0] + 1):
-                best = gain, ((j, i) if gains[j][0] > gains[i][0] else (i, j))
+            if gain >= at_least:
+                best, at_least = (gain, (j, i) if gains[j][0] > gains[i][0] else (i, j)), gain + 1
         return best
 
     def add(self, candidate: CandidateExposure) -> None:
@@ -198,11 +194,8 @@ class _PlannedImages:
         at = {one.posture, other.posture}
         total = self._without(at)
         for posture in at:
-            images = self._images[posture]
-            for candidate in (one, other):
-                if candidate.posture == posture:
-                    images = images | candidate.images
-            total = add_counts(total, self._counts(images))
+            images = [some.images for some in (one, other) if some.posture == posture]
+            total = add_counts(total, self._counts(np.bitwise_or.reduce([self._images[posture], *images])))
         return self._weights.covered(total) - self.covered
 
     def _update(self) -> None:

@@ -60,9 +60,7 @@ def choose_with_exposures(
     both = [one for one in (single, together) if request.target is None or one.cover.share >= request.target]
     if not any(one.postures for one in both):
         return together
-    planner = _JointPlanner(
-        whole=every, candidates=candidates, request=request, least_gain=gain_points / 100.0, run=run
-    )
+    planner = _JointPlanner(every, candidates, request, gain_points / 100.0, run)
     best = max((planner.add_exposures(one) for one in both if one.postures), key=planner.merit)
     best = planner.place_lights(best)
     cover = planner.cover(best, postures)
@@ -70,7 +68,7 @@ def choose_with_exposures(
     return replace(best, postures=chosen, cover=cover, initial=single.initial)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class _JointPlanner:
     """The evaluator's exposures and the positions of the lights to choose from."""
 
@@ -108,10 +106,8 @@ class _JointPlanner:
             plan = replace(plan, converged=positions.covered <= covered, exact=plan.exact and positions.exact)
             if plan.converged:
                 return plan
-            panels = self.candidates.panels_at(positions.candidates)
-            better = self.add_exposures(
-                replace(plan, lights=positions.candidates, panels=panels, iterations=plan.iterations + 1)
-            )
+            lights, panels = positions.candidates, self.candidates.panels_at(positions.candidates)
+            better = self.add_exposures(replace(plan, lights=lights, panels=panels, iterations=plan.iterations + 1))
             if self.merit(better) <= self.merit(plan):
                 return plan
             plan = better
@@ -136,5 +132,4 @@ class _JointPlanner:
         return cover.with_search(most, sets)
 
     def _counts(self, plan: PostureChoice, posture: Posture, exposures: tuple[float, ...]) -> Counts:
-        evaluator = replace(self.whole, exposures=exposures)
-        return evaluator.counts(posture, plan.panels)
+        return replace(self.whole, exposures=exposures).counts(posture, plan.panels)

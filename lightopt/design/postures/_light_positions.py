@@ -25,7 +25,7 @@ from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import select_rows
 from lightopt.design.responses._packed_bits import PairWeights, add_units
 from lightopt.design.search._combinations import CombinationSpace, allowed_mask, digits
-from lightopt.design.search._exact_search import DEFAULT_LIMIT, TABLE_CELLS
+from lightopt.design.search._exact_search import DEFAULT_LIMIT, NO_COMBINATION, TABLE_CELLS
 
 Rows = Sequence[Int64]
 ExposedPosture = tuple[Posture, tuple[float, ...]]  # with the exposures that an image of it may be taken with
@@ -72,10 +72,7 @@ def place_lights(
         found.append(search.best_of(box, report) if exact else search.one_at_a_time(box))
     best = max(filter(None, found), key=lambda one: (one.covered, one.benefit), default=None)
     if best is None:
-        raise InputError(
-            "no combination of the lights' positions is left: in each, panels collide; widen their ranges or take "
-            "smaller panels"
-        )
+        raise InputError(NO_COMBINATION)
     return best
 
 

@@ -69,10 +69,8 @@ def planned_answers(
     """
     first = result.answers[0].objective
     assert isinstance(first, DetectabilityObjective)
-    evaluator = chosen.evaluator
-    goal = PlannedDetectability(
-        first.defects, first.min_images, first.false_alarms, area=int(evaluator.weights.areas.sum())
-    )
+    area = int(chosen.evaluator.weights.areas.sum())
+    goal = PlannedDetectability(first.defects, first.min_images, first.false_alarms, area=area)
     answers = tuple(_planned(answer, goal, chosen, candidates, free is not None) for answer in result.answers)
     return replace(result, answers=answers, curves=_curves(answers[0].found.best, chosen, candidates, free, progress))
 
@@ -81,9 +79,8 @@ def _curves(
     best: Ranked, chosen: ChosenPostures, candidates: Candidates, free: Candidates | None, progress: Share | None
 ) -> tuple[Curve, ...]:
     at, evaluator, weights = angles_of(candidates, best), chosen.evaluator, chosen.evaluator.weights
-    if free is None or not all(angles in some for angles, some in zip(at, free.angles, strict=True)):
-        return ()
-    if not position_counts_fit(evaluator, free):
+    among = free is not None and all(angles in some for angles, some in zip(at, free.angles, strict=True))
+    if free is None or not among or not position_counts_fit(evaluator, free):
         return ()
     postures = [(posture, chosen.choice.exposures_of(posture)) for posture in chosen.way.order]
     lights = chosen.choice.position_counts or position_counts(evaluator, postures, free, progress)
@@ -100,11 +97,8 @@ def _planned(
     answer: ObjectiveResult, goal: PlannedDetectability, chosen: ChosenPostures, candidates: Candidates, moves: bool
 ) -> ObjectiveResult:
     best, choice, evaluator = answer.found.best, chosen.choice, replace(chosen.evaluator, images=chosen.choice.images)
-    panels = candidates.panels_at(best.candidates)
-    images = (
-        replace(evaluator, exposures=choice.exposures_of(posture)).counts(posture, panels)
-        for posture in chosen.way.order
-    )
+    panels, shots = candidates.panels_at(best.candidates), ((one, choice.exposures_of(one)) for one in chosen.way.order)
+    images = (replace(evaluator, exposures=exposures).counts(posture, panels) for posture, exposures in shots)
     counts = evaluator.weights.sum_counts(images, evaluator.needed)
     score = evaluator.weights.covered(counts)
     scores = {**answer.scores, goal.name: score}
@@ -229,9 +223,8 @@ def plan_postures(
     caster = cast_rays_at(scene)
     lights = build_lights(rig, None, options.points)
     positions = lights if candidates is None else tuple(p for some in candidates.panels for p in some)
-    postures, left_out = usable_postures(
-        replace(scene, postures=grid), positions, allow_outside_px=plan.allow_outside_px
-    )
+    everywhere = replace(scene, postures=grid)
+    postures, left_out = usable_postures(everywhere, positions, allow_outside_px=plan.allow_outside_px)
     few = plan.choose_postures is not None and len(postures) < plan.choose_postures
     shortfall = f", fewer than the {plan.choose_postures} requested" if few else ""
     run.inform(

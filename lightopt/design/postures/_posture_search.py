@@ -121,15 +121,10 @@ class AlternatingSearch:
         if key not in self._positions:
             self._passes += 1
             evaluator = replace(self.evaluator, images=self.images, keeps_images=True)
-            postures, progress = (
-                [(self.postures[i], evaluator.exposures) for i in key],
-                self._stage("lights for postures"),
-            )
-            self._positions[key], counts = best_positions(
-                evaluator, postures, self.candidates, limit=request.limit, progress=progress
-            )
-            small = sum(one.nbytes for one in counts) <= CACHED_BYTES
-            self._last_counts = (key, counts) if small else None
+            postures, where = [(self.postures[i], evaluator.exposures) for i in key], self._stage("lights for postures")
+            found = best_positions(evaluator, postures, self.candidates, limit=request.limit, progress=where)
+            self._positions[key], counts = found
+            self._last_counts = (key, counts) if sum(one.nbytes for one in counts) <= CACHED_BYTES else None
         return self._positions[key]
 
     def position_counts(self, chosen: Sequence[int]) -> tuple[PositionCounts, ...] | None:
@@ -149,18 +144,14 @@ class AlternatingSearch:
                     del self._counts[one]
             # posture by posture in each thread: none waits for another at the end of a posture
             evaluator, found = replace(self.evaluator, threads=1), dict[int, Counts]()
+            work = WorkCounter(len(self.postures), self._stage("postures for lights"))
 
             def count(i: int, posture: Posture) -> None:
                 found[i] = evaluator.counts(posture, panels)
-
-            work = WorkCounter(len(self.postures), self._stage("postures for lights"))
-
-            def done() -> None:
                 work.add(1)
-                work.report()
 
             threads = self.evaluator.threads or available_processors()
-            run_all(((count, pair) for pair in enumerate(self.postures)), threads=threads, done=done)
+            run_all(((count, pair) for pair in enumerate(self.postures)), threads=threads, done=work.report)
             self._counts[lights] = [found[i] for i in range(len(self.postures))]
         return self._counts[lights]
 
@@ -193,29 +184,22 @@ def choose_postures(
             f"is room for {MOST_COUNT_BYTES / 1e9:.2f} GB; raise option 'posture_step_deg' or lower option "
             "'patch_budget'"
         )
-    return _MultiStartSearch(whole, drawn, postures, tuple(start), candidates, request, run or RunContext()).choice()
+    search = partial(AlternatingSearch, postures=postures, candidates=candidates, run=run or RunContext())
+    # the chosen postures are looked at again when they are found
+    full = on_drawn = search(whole, where="all patches", prove=True, images=ImageCache(CACHED_BYTES))
+    if drawn.table is not whole.table:
+        # lights and postures come back from pass to pass
+        on_drawn = search(replace(drawn, cache=ImageCache(CACHED_BYTES)), where="drawn patches", prove=False)
+    return _MultiStartSearch(full, on_drawn, tuple(start), request).choice()
 
 
-@dataclass(eq=False)
 class _MultiStartSearch:
-    whole: ImageEvaluator
-    drawn: ImageEvaluator
-    postures: Sequence[Posture]
-    start: tuple[PanelLight, ...]
-    candidates: Candidates | None
-    request: PostureRequest
-    run: RunContext
-
-    def __post_init__(self) -> None:
-        search = partial(AlternatingSearch, postures=self.postures, candidates=self.candidates, run=self.run)
-        self.drawn_cache = ImageCache(CACHED_BYTES)  # lights and postures come back from pass to pass
-        self.images = ImageCache(CACHED_BYTES)  # the chosen postures are looked at again when they are found
-        self.full_search = self.drawn_search = search(self.whole, where="all patches", prove=True, images=self.images)
-        if self.drawn.table is not self.whole.table:
-            drawn = replace(self.drawn, cache=self.drawn_cache)
-            self.drawn_search = search(drawn, where="drawn patches", prove=False)
-        self.on_all_patches = self.drawn_search is self.full_search or position_counts_fit(self.whole, self.candidates)
-        self.starts = 1
+    def __init__(
+        self, full: AlternatingSearch, drawn: AlternatingSearch, start: tuple[PanelLight, ...], request: PostureRequest
+    ) -> None:
+        self.full_search, self.drawn_search, self.start, self.request = full, drawn, start, request
+        self.candidates, self.starts = full.candidates, 1
+        self.on_all_patches = drawn is full or position_counts_fit(full.evaluator, full.candidates)
         self._drawn: dict[int, Solution] = {}
 
     def choice(self) -> PostureChoice:
@@ -228,19 +212,19 @@ class _MultiStartSearch:
         solution = replace(solution, cover=replace(solution.cover, target=self.request.target))
         return PostureChoice(
             **vars(solution),
-            postures=tuple(self.postures[i] for i in solution.cover.chosen),
+            postures=tuple(self.full_search.postures[i] for i in solution.cover.chosen),
             starts=self.starts,
             initial=initial,
             initial_panels=self.start,
             on_all_patches=self.on_all_patches,
             position_counts=self.full_search.position_counts(solution.cover.chosen),
-            images=self.images,
+            images=self.full_search.images,
         )
 
     def _fewest(self, target: float) -> Solution:
         # a rough number first, then the fewest whose choice by number reaches the target on all patches
         rough = self._search_from_all_starts(self.request)
-        most = self.request.count or len(self.postures)
+        most = self.request.count or len(self.full_search.postures)
         enough = count = len(rough.cover.steps) if rough.cover.share >= target else most
         if rough.cover.share < target and self.request.count is None:
             # drawn patches may show less than all do: those decide
@@ -274,7 +258,8 @@ class _MultiStartSearch:
         # continue on all patches, with the number of chosen postures, or more, instead of the target
         if self.drawn_search is self.full_search:
             return solution
-        self.drawn_cache.clear()  # all patches take the memory
+        if self.drawn_search.evaluator.cache is not None:
+            self.drawn_search.evaluator.cache.clear()  # all patches take the memory
         request = replace(self.request, count=count or max(1, len(solution.cover.steps)), target=None)
         cover = self.full_search.cover(solution.panels, solution.lights, request, before=solution.cover.chosen)
         solution = replace(solution, cover=cover, converged=self.candidates is None)
@@ -285,8 +270,8 @@ class _MultiStartSearch:
         for lights in self._starts(request):
             panels = self.start if lights is None or self.candidates is None else self.candidates.panels_at(lights)
             cover = self.drawn_search.cover(panels, lights, request)
-            solution = Solution(panels=panels, lights=lights, cover=cover, converged=False)
-            found.append(self.drawn_search.improve(solution, MOST_ITERATIONS, request))
+            start = Solution(panels=panels, lights=lights, cover=cover, converged=False)
+            found.append(self.drawn_search.improve(start, MOST_ITERATIONS, request))
         self.starts = len(found)
         return max(found, key=lambda solution: merit(solution.cover, request))
 

@@ -30,6 +30,11 @@ BOX_COST = 20_000  # combinations that take about as long to score as a box take
 # default number of combinations to score before the search stops with a bound; bounds count, too
 DEFAULT_LIMIT = 200_000_000
 
+NO_COMBINATION = (
+    "no combination of the lights' positions is left: in each, panels collide; widen their ranges or take "
+    "smaller panels"
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class SearchResult:
@@ -134,10 +139,7 @@ def search(
         clashing += 0 if allowed is None else int(allowed.size - np.count_nonzero(allowed))
         report()
     if not ranking.best:
-        raise InputError(
-            "no combination of the lights' positions is left: in each, panels collide; widen their ranges or take "
-            "smaller panels"
-        )
+        raise InputError(NO_COMBINATION)
     return SearchResult(
         ranking=ranking.best,
         ties=ranking.ties - 1,
