@@ -150,6 +150,7 @@ def analyse_tolerances(
     varied += [("all lights", "both angles at once", None), ("part", "tilt", None), ("part", "rotation", None)]
     pose_corners, light_corners = list(corners(tolerances.pose_deg)), list(corners(tolerances.light_deg))
     work = WorkCounter(len(pose_corners) + tolerances.draws + len(varied), progress)
+    sizes, every_corner = [len(light_corners)] * len(names), [light_corners] * len(names)
 
     def reported(items: Iterable[T]) -> Iterator[T]:
         for item in items:
@@ -158,8 +159,8 @@ def analyse_tolerances(
             work.report()
 
     def worst_at(pose: Offset) -> tuple[int, Offset, tuple[Offset, ...]]:
-        table = score(pose, [light_corners] * len(names))
-        at = np.unravel_index(table.argmin(), [len(light_corners)] * len(names))
+        table = score(pose, every_corner)
+        at = np.unravel_index(table.argmin(), sizes)
         return int(table.min()), pose, tuple(light_corners[int(i)] for i in at)
 
     exact: list[Sequence[Offset]] = [[EXACT]] * len(names)
@@ -266,19 +267,15 @@ class _Assessment(ABC):
 
     def _compute_images(self, posture: int, pose: Offset, lights: Sequence[Sequence[Offset]]) -> None:
         # the images that are not known yet, those of all lights in one go
-        missing = [
-            [offset for offset in offsets if (posture, pose, light, offset) not in self.images]
-            for light, offsets in enumerate(lights)
-        ]
+        keys = ([(posture, pose, light, offset) for offset in offsets] for light, offsets in enumerate(lights))
+        missing = [[key[-1] for key in some if key not in self.images] for some in keys]
         if not any(missing):
             return
         nominal = self.setup.postures[posture]
         there = Posture(nominal.elevation_deg + pose[0], nominal.rotation_deg + pose[1])
-        matrices = replace(self.evaluator, table=self._table(there, posture)).matrices(
-            there,
-            [[self.setup.panel(posture, light, offset) for offset in offsets] for light, offsets in enumerate(missing)],
-            exposures=self.setup.exposures[posture],
-        )
+        panels = [[self.setup.panel(posture, light, one) for one in offsets] for light, offsets in enumerate(missing)]
+        evaluator = replace(self.evaluator, table=self._table(there, posture))
+        matrices = evaluator.matrices(there, panels, exposures=self.setup.exposures[posture])
         for light, offsets in enumerate(missing):
             for at, offset in enumerate(offsets):
                 self.images[posture, pose, light, offset] = self.keep(matrices, light, at)
@@ -298,11 +295,6 @@ class _Assessment(ABC):
 class PairAssessment(_Assessment):
     """Weight of the pairs of patch and defect that the images of all postures together find."""
 
-    def __init__(self, evaluator: ImageEvaluator, setup: Setup) -> None:
-        super().__init__(evaluator, setup)
-        self._needed = evaluator.needed
-        self._weights = evaluator.weights
-
     def keep(self, matrices: Sequence[LuminanceMatrix], light: int, at: int) -> Any:
         """One image, whatever the number of its exposures."""
         return scattered_flags(matrices, self.patches, light=light, place=at)
@@ -310,12 +302,11 @@ class PairAssessment(_Assessment):
     def scores(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:
         """Add up the postures, then all combinations of the lights."""
         totals: list[UInt64] = []
+        weights, needed, postures = self.evaluator.weights, self.evaluator.needed, range(len(self.setup.postures))
         for light, offsets in enumerate(lights):
-            images = (
-                [self.images[i, pose, light, offset] for i in range(len(self.setup.postures))] for offset in offsets
-            )
-            totals.append(np.stack([self._weights.sum_counts(some, self._needed) for some in images]))
-        return combination_sums(totals, self._weights, self._needed, benefit=False, threads=self.evaluator.threads)[0]
+            images = ([self.images[i, pose, light, offset] for i in postures] for offset in offsets)
+            totals.append(np.stack([weights.sum_counts(some, needed) for some in images]))
+        return combination_sums(totals, weights, needed, benefit=False, threads=self.evaluator.threads)[0]
 
 
 class ObjectiveAssessment(_Assessment):
@@ -335,13 +326,10 @@ class ObjectiveAssessment(_Assessment):
         """All combinations by the objective's own search."""
         total = np.zeros(int(np.prod([len(offsets) for offsets in lights])), np.int64)
         for posture in range(len(self.setup.postures)):
-            images = [
-                [self.images[posture, pose, light, offset] for offset in offsets]
-                for light, offsets in enumerate(lights)
-            ]
-            matrix = LuminanceMatrix(
-                levels=tuple(np.stack([levels for levels, _ in some]) for some in images), areas=images[0][0][1]
-            )
+            keys = [[(posture, pose, light, offset) for offset in offsets] for light, offsets in enumerate(lights)]
+            images = [[self.images[key] for key in some] for some in keys]
+            levels = tuple(np.stack([own for own, _ in some]) for some in images)
+            matrix = LuminanceMatrix(levels=levels, areas=images[0][0][1])
             threads, weights = self.evaluator.threads or available_processors(), self._objective.weights(matrix.areas)
             total += self._objective.scores(matrix, weights, self._thresholds, threads, None)
         return total

@@ -41,7 +41,6 @@ def visibility_of(units, defects, areas, *, patch=None, grazing=()):
     return Visibility(
         defects=defects,
         words=tuple(pack_units(layer) for layer in units),
-        areas=np.asarray(areas, float),
         patch=np.arange(count, dtype=np.int32) if patch is None else np.asarray(patch, np.int32),
         grazing=np.array(grazing, np.int32),
     )

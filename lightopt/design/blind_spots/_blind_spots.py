@@ -148,7 +148,7 @@ def defect_visibility(
 
 def _without_images(visibility: Visibility, least: int) -> DefectVisibility:
     """A posture without images."""
-    count = len(visibility.areas)
+    count = len(visibility.patch)
     return DefectVisibility(
         visibility=visibility.rows([np.zeros(0, np.int64)] * len(visibility.words)),
         counts=np.zeros((units_needed(least), count, -(-len(visibility.defects) // 64)), np.uint64),
@@ -204,14 +204,11 @@ positions need do for all."""
 
 @dataclass(frozen=True, eq=False)
 class PostureVisibility:
-    """What a posture's images show of defects.
-
-    `chosen` is with the chosen lights and exposures, `possible` with all that there were to choose from.
-    """
+    """What a posture's images show of defects."""
 
     posture: Posture
-    chosen: DefectVisibility
-    possible: DefectVisibility
+    chosen: DefectVisibility  # with the chosen lights and exposures
+    possible: DefectVisibility  # with all lights and exposures that there were to choose from
 
 
 # a posture, None for all of them; blind spots of the chosen lights, and of all that the lights can do
@@ -243,9 +240,7 @@ class BlindSpotSummary:
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
         _, whole, _ = self.parts[0]
-        both = [
-            {"chosen": self._facts(chosen), "any_position": self._facts(possible)} for _, chosen, possible in self.parts
-        ]
+        both = [{"chosen": self._facts(one), "any_position": self._facts(other)} for _, one, other in self.parts]
         return {
             "min_images": self.objective.min_images,
             "shares_of": BLIND_SHARES_OF,
@@ -260,10 +255,8 @@ class BlindSpotSummary:
         }
 
     def _facts(self, spots: BlindSpots) -> dict[str, Any]:
-        reasons = [
-            {"reason": blind_text(code, self.lights), "share": round(share, 6)}
-            for code, share in spots.by_reason().items()
-        ]
+        shares = {blind_text(code, self.lights): round(share, 6) for code, share in spots.by_reason().items()}
+        reasons = [{"reason": reason, "share": share} for reason, share in shares.items()]
         return {"seen": round(spots.seen, 6), "blind": reasons, "left_out_of_surface": round(spots.left_out, 6)}
 
 

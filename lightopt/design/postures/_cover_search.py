@@ -29,23 +29,18 @@ BATCH = 16  # candidates whose gains are computed at once, whatever the number o
 
 
 def greedy_cover(
-    candidates: Sequence[Counts],
+    candidates: Sequence[Counts],  # of each, shape (k, p, words), all of one k; at least one
     weights: PairWeights,
     *,
-    count: int | None = None,
-    target: float | None = None,
-    among: Sequence[int] | None = None,
+    count: int | None = None,  # most candidates to choose, at least 1; as many as are needed by default
+    target: float | None = None,  # share of all pairs to be seen in k images or more, above 0 and up to 1
+    among: Sequence[int] | None = None,  # only these may be chosen; the bound is that of all
     threads: int | None = None,
 ) -> Cover:
     """Choose candidates one after the other, each time the one that adds most; the earlier one where two add the same.
 
     Stops after `count`, when the share `target` of the weight is seen in k images, or when nothing adds anything.
     Candidates that later ones make redundant are dropped, and the choice continues as far as it may.
-
-    candidates: Counts of each, shape (k, p, words), all of one k; at least one.
-    count: Most candidates to choose, at least 1; as many as are needed by default.
-    target: Share of all pairs to be seen in k images or more, above 0 and up to 1.
-    among: Only these may be chosen; the bound is that of all.
     """
     allowed = range(len(candidates)) if among is None else sorted(among)
     goal = math.inf if target is None else target * weights.total
@@ -168,19 +163,16 @@ def improve_by_exchange(
 
 
 def best_set(
-    candidates: Sequence[Counts],
+    candidates: Sequence[Counts],  # of each, shape (k, p, words), all of one k
     weights: PairWeights,
-    chosen: Sequence[int],
+    chosen: Sequence[int],  # the best known set; it is kept where no other covers more
     size: int,
     *,
-    most_work: int = MOST_WORK,
+    most_work: int = MOST_WORK,  # words of flags to process before the search ends without a proof
     threads: int | None = None,
 ) -> tuple[tuple[int, ...], int, int | None]:
     """The set of `size` candidates that covers most.
 
-    candidates: Counts of each, shape (k, p, words), all of one k.
-    chosen: The best known set; it is kept where no other covers more.
-    most_work: Words of flags to process before the search ends without a proof.
     Returns chosen, covered, sets: The best set that was found, the weight that it covers, and the number of all sets
         of that size; None where it is not proven that none covers more.
     """

@@ -81,20 +81,15 @@ class CandidateExposure:
 
 def select_exposures(
     postures: Sequence[Posture],
-    now: Sequence[Images],
+    now: Sequence[Images],  # of each posture at exposure 1
     candidates: Sequence[CandidateExposure],
     weights: PairWeights,
     *,
-    needed: int,
-    least_gain: float,
-    target: float | None = None,
+    needed: int,  # units of a pair that is found
+    least_gain: float,  # share of the pairs
+    target: float | None = None,  # share of the pairs; below it, whatever adds anything is planned
 ) -> Brackets:
-    """Plan exposures as the module's text says, the first of equals, as long as they add anything.
-
-    now: The same of each posture at exposure 1.
-    needed: Units of a pair that is found.
-    least_gain, target: Shares of the pairs; below the target, whatever adds anything is planned.
-    """
+    """Plan exposures as the module's text says, the first of equals, as long as they add anything."""
     total, planned, left = max(1, weights.total), _PlannedImages(now, weights, needed), list(candidates)
     before, further = planned.covered, list[FurtherExposure]()
 
@@ -226,19 +221,13 @@ def check_exposures(exposures: Sequence[float], gain_points: float) -> list[str]
 def plan_exposures(
     evaluator: ImageEvaluator,
     postures: Sequence[Posture],
-    lights: Sequence[Sequence[PanelLight]],
-    exposures: Sequence[float],
-    gain_points: float = DEFAULT_EXPOSURE_GAIN,
-    target: float | None = None,
+    lights: Sequence[Sequence[PanelLight]],  # the panels posture by posture, world frame
+    exposures: Sequence[float],  # further exposures to choose from; 1 is taken anyway
+    gain_points: float = DEFAULT_EXPOSURE_GAIN,  # the least gain [hundredths of the pairs]
+    target: float | None = None,  # share of the pairs that is to be shown
     progress: Share | None = None,
 ) -> Brackets:
-    """Plan a further exposure only where it shows more by at least a given gain, or where the target needs it.
-
-    lights: The panels posture by posture, world frame.
-    exposures: Further exposures to choose from; 1 is taken anyway.
-    gain_points: The least gain [hundredths of the pairs].
-    target: Share of the pairs that is to be shown.
-    """
+    """Plan a further exposure only where it shows more by at least a given gain, or where the target needs it."""
     further = [exposure for exposure in exposures if exposure != 1.0]
     most = max(map(len, lights))
     image_bytes = UNITS_OF_IMAGE * len(evaluator.patches) * evaluator.weights.masks.shape[1] * 8

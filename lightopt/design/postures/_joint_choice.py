@@ -32,16 +32,14 @@ def choose_with_exposures(
     start: Sequence[PanelLight],
     candidates: Candidates | None,
     request: PostureRequest,
-    exposures: Sequence[float],
-    gain_points: float,
+    exposures: Sequence[float],  # 1 among them; with no other the choice is that of exposure 1, without brackets
+    gain_points: float,  # what a further exposure has to add [hundredths of the pairs]
     run: RunContext,
 ) -> PostureChoice:
     """Choose postures and lights, and which further exposures are planned; figures are of the planned images.
 
     whole, drawn, postures, start, candidates, request, run: As for :func:`lightopt.design.choose_postures`;
         evaluators of exposure 1.
-    exposures: Exposures, 1 among them; with no other the choice is that of exposure 1, and there are no brackets.
-    gain_points: What a further exposure has to add [hundredths of the pairs].
     Returns the choice of the planned images; bounds and all candidates' share hold for any of the exposures. Where a
     target cannot be reached, what was chosen for all exposures, without brackets.
     """

@@ -7,15 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property, reduce
 
 from lightopt.core.errors import InputError
-from lightopt.defects import (
-    MAX_SLOPE,
-    PLANNING_GRID,
-    SHAPE_KINDS,
-    CatalogueEntry,
-    DefectHypotheses,
-    DefectKind,
-    defect_hypotheses,
-)
+from lightopt.defects import MAX_SLOPE, PLANNING_GRID, SHAPE_KINDS, CatalogueEntry, DefectHypotheses, defect_hypotheses
 
 MOST_HYPOTHESES = 1024  # more are refused: each costs a few bits per patch and position of a light
 
@@ -25,7 +17,6 @@ class PlannedDefect:
     """A defect of the catalogue in one orientation, with its middle on a patch."""
 
     name: str  # of the catalogue's entry
-    kind: DefectKind
     weight: int  # a whole number; those of each entry of the part's catalogue have the same sum of weights
     # of the length, in the tangent plane from the part's X axis, counterclockwise seen from outside [rad]; see
     # :func:`lightopt.defects.tangent_direction`. None for a round defect
@@ -48,7 +39,7 @@ class PlannedCatalogue:
         for own in self.entries:
             name, weight = own.entry.name, most // (len(own.turns) * members[own.entry.name])
             turns = map(float, own.turns) if len(own.turns) > 1 else (None,)
-            found += [PlannedDefect(name=name, kind=own.entry.shape.kind, weight=weight, turn=one) for one in turns]
+            found += [PlannedDefect(name=name, weight=weight, turn=one) for one in turns]
         return tuple(found)
 
 

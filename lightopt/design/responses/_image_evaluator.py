@@ -216,7 +216,7 @@ class ImageEvaluator:
             shown = None
             if detection is not None:
                 flags, left_out = tuple(np.split(words[index], ends)), grazing.astype(np.int32)
-                shown = Visibility(detection.catalogue.defects, flags, areas, seen.astype(np.int32), left_out)
+                shown = Visibility(detection.catalogue.defects, flags, seen.astype(np.int32), left_out)
             own = tuple(np.split(levels[index], ends))
             return LuminanceMatrix(levels=own, areas=areas, visibility=shown, grazing_mm2=grazing_mm2)
 

@@ -35,20 +35,18 @@ class Visibility:
     # one array per light, in the rig's order: flags of the units of evidence, shape (candidates of the light, units, p,
     # ⌈t / 64⌉)
     words: tuple[Words, ...]
-    areas: Float64  # of the inspectable patches [mm²], shape (p,)
-    patch: Int32  # their indices among the patches of the run, ascending, shape (p,)
+    patch: Int32  # indices of the inspectable patches among those of the run, ascending, shape (p,)
     grazing: Int32  # indices of the patches seen at a grazing angle, which are excluded, ascending
 
     def __post_init__(self) -> None:
-        shape = len(self.areas), -(-len(self.defects) // 64)
+        shape = len(self.patch), -(-len(self.defects) // 64)
         for index, layer in enumerate(self.words):
             if layer.ndim != 4 or layer.shape[2:] != shape or layer.dtype != np.uint64:
                 raise InputError(
                     f"visibility: light {index}: expected uint64 of shape (candidates, units, {shape[0]}, {shape[1]}), "
                     f"found {layer.dtype} {layer.shape}"
                 )
-        for name in ("areas", "patch"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        object.__setattr__(self, "patch", read_only(self.patch))
         object.__setattr__(self, "words", tuple(map(read_only, self.words)))
 
     @cached_property
@@ -67,12 +65,11 @@ class Visibility:
 
     def rows(self, rows: Sequence[Int64]) -> "Visibility":
         """Some candidates of each light, given by ascending indices."""
-        words = tuple(select_rows(layer, some) for layer, some in zip(self.words, rows, strict=True))
-        return replace(self, words=words)
+        return replace(self, words=tuple(map(select_rows, self.words, rows)))
 
     def patches(self, start: int, end: int) -> "Visibility":
         words = tuple(layer[:, :, start:end] for layer in self.words)
-        return replace(self, words=words, areas=self.areas[start:end], patch=self.patch[start:end])
+        return replace(self, words=words, patch=self.patch[start:end])
 
     def most_units(self, needed: int) -> Counts:
         """Units of evidence, up to `needed`, if each light takes for each defect the position that shows it best.
@@ -144,11 +141,11 @@ class LuminanceMatrix:
 
     def __post_init__(self) -> None:
         if self.visibility is not None and (
-            self.visibility.shape != self.shape or len(self.visibility.areas) != len(self.areas)
+            self.visibility.shape != self.shape or len(self.visibility.patch) != len(self.areas)
         ):
             raise InputError(
                 f"luminance matrix: expected the visibility of the same images, {self.shape} positions of the lights "
-                f"and {len(self.areas)} patches, found {self.visibility.shape} and {len(self.visibility.areas)}"
+                f"and {len(self.areas)} patches, found {self.visibility.shape} and {len(self.visibility.patch)}"
             )
         for index, layer in enumerate(self.levels):
             if layer.ndim != 2 or layer.shape[1] != len(self.areas) or str(layer.dtype) not in ("uint8", "uint16"):
@@ -166,8 +163,8 @@ class LuminanceMatrix:
 
     def rows(self, rows: Sequence[Int64]) -> "LuminanceMatrix":
         """Some candidates of each light, given by ascending indices."""
-        levels = tuple(select_rows(layer, some) for layer, some in zip(self.levels, rows, strict=True))
-        return replace(self, levels=levels, visibility=self.visibility and self.visibility.rows(rows))
+        levels, seen = tuple(map(select_rows, self.levels, rows)), self.visibility
+        return replace(self, levels=levels, visibility=seen and seen.rows(rows))
 
     def combination(self, candidates: Sequence[int]) -> "LuminanceMatrix":
         return self.rows([np.array([index]) for index in candidates])
