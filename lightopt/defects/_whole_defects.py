@@ -78,8 +78,7 @@ class HypothesisGrid:
     directions: int  # that a wall leans to, at least
     fine_slope: float  # steeper walls lean to twice or four times as many [rad]: what they reflect turns by more
     segment_turns: int  # orientations of a scratch within half a turn; each has walls that lean to both sides
-    # slopes of bowls, as shares of the steepest; what is less than half of the least of them is flat
-    bowl_levels: tuple[float, ...]
+    bowl_levels: tuple[float, ...]  # slopes of bowls by the steepest; what is less than half of the least is flat
 
 
 INSPECTION_GRID = HypothesisGrid(

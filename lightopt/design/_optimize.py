@@ -51,8 +51,6 @@ from lightopt.design.search._best_positions import candidates_of_others, search_
 from lightopt.rendering import cast_rays_at, refuse_unusable_scene
 from lightopt.scene import build_catalogue, build_scene, coarse_warnings
 
-_Chosen = ChosenPostures | None
-
 
 def optimize(
     rig: RigConfig | Path | str,
@@ -166,8 +164,8 @@ def _check_choice_of_postures(rig: RigConfig, options: OptimizeOptions, plan: Pl
     refusals = [OBJECTIVES[name].refusal(len(rig.lights)) for name in options.objectives if name in OBJECTIVES]
     problems = [text for text in refusals if text is not None]
     if options.postures is not None:
-        values = {"option 'choose_postures'": plan.choose_postures, "option 'target'": plan.target}
-        given = " and ".join(name for name, value in values.items() if value is not None)
+        names = [name for name in ("choose_postures", "target") if getattr(plan, name) is not None]
+        given = " and ".join(f"option '{name}'" for name in names)
         problems.append(
             f"option 'postures': cannot be combined with {given}: postures are chosen from the stage's range; omit "
             "one or the other"
@@ -231,9 +229,9 @@ def _objectives(rig: RigConfig, part: PartConfig, options: OptimizeOptions, run:
         return DetectabilityObjective(defects, options.min_images, options.false_alarms, across_postures=across)
 
     chosen = objectives_named(options.objectives, detectability)
-    refusals = {objective.name: objective.refusal(len(rig.lights)) for objective in chosen}
-    problems = [text for text in refusals.values() if text is not None]
-    possible = tuple(objective for objective in chosen if refusals[objective.name] is None)
+    refusals = [objective.refusal(len(rig.lights)) for objective in chosen]
+    problems = [text for text in refusals if text is not None]
+    possible = tuple(objective for objective, text in zip(chosen, refusals, strict=True) if text is None)
     if problems and (options.objectives or not possible):
         raise InputError(*problems)
     run.warn(*problems)
@@ -258,7 +256,11 @@ def _search(matrices: PostureMatrices) -> tuple[tuple[SetResult, ...], Candidate
 
 
 def _complete(
-    matrices: PostureMatrices, results: Sequence[SetResult], candidates: Candidates, plan: PlanOptions, chosen: _Chosen
+    matrices: PostureMatrices,
+    results: Sequence[SetResult],
+    candidates: Candidates,
+    plan: PlanOptions,
+    chosen: ChosenPostures | None,
 ) -> tuple[PlanResult, Sequence[PostureVisibility]]:
     """Exposures and tolerances of the best positions; and what the planned images show of defects, if that is more."""
     problem, options, run = matrices.problem, matrices.problem.options, matrices.run

@@ -41,19 +41,14 @@ class CalibratedThreshold:
 class OptimizeOptions:
     """What to optimise and how."""
 
-    # names; all by default. The first decides where the lights go, the others are compared with it
-    objectives: tuple[str, ...] = ()
+    objectives: tuple[str, ...] = ()  # all where empty; the first decides where the lights go
     step_deg: float = 5.0  # of the angles within the lights' ranges [°]
     common_elevation: bool = False  # whether all lights that move in elevation stand at the same one
-    # whether the lights stand the same for all postures: the sum over the postures decides. Otherwise they have to be
-    # moved from posture to posture
-    common_lights: bool = True
+    common_lights: bool = True  # one set of positions, best for the sum over all postures; else one for each posture
     shade_below: float = DEFAULT_SHADE_SHARE  # share of full scale, above black, below which a level is shaded
     min_images: int = 2  # images that must show a defect, for objective detectability
-    # allowed in the images of a posture of a good part, for objective detectability
-    false_alarms: float = DEFAULT_FALSE_ALARMS
-    # of a calibrated inspection; it follows from `false_alarms` and noise alone where None
-    threshold: CalibratedThreshold | None = None
+    false_alarms: float = DEFAULT_FALSE_ALARMS  # per posture of a good part, for objective detectability
+    threshold: CalibratedThreshold | None = None  # of a calibrated inspection; else that of noise
     postures: tuple[Posture, ...] | None = None  # instead of the part's own
     points: int | Literal["auto"] | None = None  # point lights per panel, instead of the rig's
     shadows: bool = True
@@ -73,8 +68,7 @@ class PlanOptions:
     """What to plan in addition to the positions of the lights; nothing by default."""
 
     choose_postures: int | None = None  # how many to choose; as many as the target takes where None
-    # share of the pairs of patch and defect that the chosen ones are to show; None for no matter
-    target: float | None = None
+    target: float | None = None  # share of the pairs of patch and defect that the chosen ones are to show
     posture_step_deg: float = DEFAULT_POSTURE_STEP  # step of the grid of postures to choose from [°]
     allow_outside_px: float = DEFAULT_OUTSIDE_PX  # how far the part may leave the view in them [px]
     exposures: tuple[float, ...] = ()  # to choose from beside exposure 1

@@ -38,8 +38,7 @@ class ObjectiveResult:
     objective: Objective
     found: SearchResult
     scores: Mapping[str, int]  # of the best set under every objective, by name
-    # what else the objective says of the best set, as JSON
-    details: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    details: Mapping[str, Any] = field(default_factory=dict[str, Any])  # further facts, as JSON
     nothing: str | None = None  # why there is no best set: no combination scores at all. None where there is one
     # where the positions were chosen with postures: the set of alternatives that `found` is a proof for; others were
     # not counted. None where the search chose them
@@ -58,9 +57,9 @@ class ObjectiveResult:
     @property
     def combinations_text(self) -> str:
         """How many combinations were scored, excluded by a bound, and left; not of a set that was chosen before."""
+        found = self.found
         if self.proven_of is not None:
             return NOT_COUNTED
-        found = self.found
         text = f"{found.scored:,}" + (f" + {found.excluded:,} by bound" if found.excluded else "")
         return text + (f", {found.left:,} left" if found.left else "")
 
@@ -72,17 +71,12 @@ class SetResult:
     postures: tuple[Posture, ...]  # one, or all of them where the lights stand the same for all
     patches: int  # number of inspectable patches, summed over the postures
     area: int  # of these patches [µm²]
-    # that the camera sees at a grazing angle, summed over the postures [µm²]: left out of scores and shares
-    grazing_area: int
+    grazing_area: int  # that the camera sees at a grazing angle, left out of scores and shares, likewise [µm²]
     grain: float  # how far shares of the area may be off since each patch counts as its middle does, 0 to 1
     answers: tuple[ObjectiveResult, ...]  # one per objective
-    # of the best set of the first objective, for each posture: delivered levels of its visible patches under each
-    # light, shape (lights, p)
-    levels: tuple[Levels, ...]
+    levels: tuple[Levels, ...]  # of each posture, under the best set of the first objective, shape (lights, p)
     curves: tuple[Curve, ...]  # the first objective's score against one angle; none where nothing scores
-    # the first objective's score of the lights as the rig file has them; None where it was not computed, since nothing
-    # was searched
-    initial_score: int | None = None
+    initial_score: int | None = None  # the first objective's, of the rig file's angles; None where not computed
 
     @property
     def left_out(self) -> float:
@@ -196,10 +190,8 @@ class PlanResult:
 
     chosen: ChosenPostures | None = None  # postures; None where the part's own were taken
     brackets: Brackets | None = None  # exposures; None where there were no others to choose from
-    # posture by posture, then together where there are several; empty where not requested
-    tolerances: tuple[ToleranceResult, ...] = ()
-    # that carry the plan out; empty where neither postures nor exposures were planned
-    commands: tuple[Command, ...] = ()
+    tolerances: tuple[ToleranceResult, ...] = ()  # of each posture, then of all together; empty if not requested
+    commands: tuple[Command, ...] = ()  # that carry out planned postures or exposures; empty without these
 
     def exposures_of(self, posture: Posture) -> tuple[float, ...]:
         """Planned exposures of a posture, the longest first."""

@@ -221,8 +221,7 @@ class BlindSpotSummary:
 
     objective: DetectabilityObjective  # whose defects they are
     lights: tuple[str, ...]  # names, in the rig's order
-    # of all postures by all their images together, then of the images of each posture alone
-    parts: tuple[BlindPart, ...]
+    parts: tuple[BlindPart, ...]  # by all images of all postures together, then by each posture's alone
 
     @staticmethod
     def of(

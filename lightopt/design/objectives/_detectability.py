@@ -64,9 +64,7 @@ class DetectabilityObjective(Objective):
     defects: tuple[PlannedDefect, ...]
     min_images: int = 1  # images that must show a defect
     false_alarms: float = DEFAULT_FALSE_ALARMS  # of the inspection, in a posture of a good part
-    # whether images of other postures count, so that a posture may have fewer lights than that; the score of its own
-    # images is then 0
-    across_postures: bool = False
+    across_postures: bool = False  # whether other postures' images count; with too few lights a posture scores 0
     name: str = "detectability"
     unit: str = "µm² × weight of the defects"
     share_of: str | None = f"{inspectable_surface(edges=False)}, × defects by weight"

@@ -35,8 +35,7 @@ Reason = Literal["gain", "pair", "target"]
 # other pairs is then seen in more images than before
 _Gain = tuple[int, int]
 
-# units of evidence by the image of each light of a posture, shape (lights, units, p, words)
-Images = Words
+Images = Words  # units of evidence by the image of each light of a posture, shape (lights, units, p, words)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,8 +44,7 @@ class FurtherExposure:
 
     posture: Posture
     exposure: float  # relative to exposure 1
-    # share of the pairs that it adds: to what is planned before it where it is planned, else to the whole plan
-    gain: float
+    gain: float  # share of the pairs that it adds to what is planned before it, or else to the whole plan
     reason: Reason | None  # why it is planned: see :data:`Reason`; None where it is not
 
     @property

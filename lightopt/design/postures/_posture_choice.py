@@ -99,8 +99,7 @@ class PostureRequest:
 
     count: int | None = None  # most postures; as many as the target takes where None
     target: float | None = None  # share of the pairs to be shown
-    # most combinations of the lights' positions that are tried; with more, lights are moved one at a time
-    limit: int = DEFAULT_LIMIT
+    limit: int = DEFAULT_LIMIT  # most combinations to try; with more, lights are moved one at a time
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,8 +124,7 @@ class PostureChoice(Solution):
     # chosen for them, fewer than the plan's where no other adds anything
     initial: Cover
     initial_panels: tuple[PanelLight, ...] = field(compare=False, repr=False)  # these lights
-    # whether the last iterations used all patches; not where memory is too small for so many positions
-    on_all_patches: bool
+    on_all_patches: bool  # whether the last iterations used all patches: not where memory is too small
     # what each position of each light shows of all patches in these postures, each image with the evaluator's
     # exposures; None where that is no longer known
     position_counts: tuple[PositionCounts, ...] | None = field(default=None, compare=False, repr=False)

@@ -89,8 +89,7 @@ class DetectionModel:
     full_scale: float  # grey level that makes a full-scale sensor level at exposure 1
     false_alarms: float = defects.DEFAULT_FALSE_ALARMS  # allowed in the images of a posture of a good part
     min_images: int = 1  # images that must show a defect
-    # score from which on a calibrated inspection counts a defect; that of noise alone where None
-    threshold: float | None = None
+    threshold: float | None = None  # score of a calibrated inspection's threshold; None for that of noise alone
     _stencils: dict[int, Stencils] = field(default_factory=dict[int, Stencils], init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -19,7 +19,6 @@ CODES_PER_DEVIATION = 16  # changes are stored as whole numbers of 16 bits: of w
 _MANY = 255  # code of changes that are bounded by nothing
 _AT_ONCE = 256  # patches whose evidence is added up together
 _ROUNDING = 1.001  # bounds are this much greater than needed: sums are rounded
-
 _Changes = tuple[Int16, Float32]  # codes and bounds, as :func:`evidence_flags` has them
 _Reach = tuple[UInt8, UInt8]  # most change of each patch, and of what a defect's pixels may see around each cell
 

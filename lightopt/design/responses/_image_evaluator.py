@@ -101,9 +101,7 @@ class ImageEvaluator:
     threads: int | None = None
     exposures: tuple[float, ...] = (1.0,)  # that an image may be taken with: it shows what it shows with any of them
     cache: ImageCache | None = None  # for what images show; only for an evaluator of these very patches
-    # levels and flags of images on the patches that a posture shows; they are looked up first, and kept where
-    # `keeps_images` says so
-    images: ImageCache | None = None
+    images: ImageCache | None = None  # levels and flags of images: looked up first, and kept if `keeps_images`
     keeps_images: bool = False
 
     @cached_property

@@ -32,9 +32,7 @@ class Visibility:
     """Evidence of t planned defects on patches by the image of each light position in one posture."""
 
     defects: tuple[PlannedDefect, ...]
-    # one array per light, in the rig's order: flags of the units of evidence, shape (candidates of the light, units, p,
-    # ⌈t / 64⌉)
-    words: tuple[Words, ...]
+    words: tuple[Words, ...]  # flags of the units of each light, shape (candidates, units, p, ⌈t / 64⌉)
     patch: Int32  # indices of the inspectable patches among those of the run, ascending, shape (p,)
     grazing: Int32  # indices of the patches seen at a grazing angle, which are excluded, ascending
 
@@ -132,11 +130,9 @@ class LevelThresholds:
 class LuminanceMatrix:
     """Delivered levels of the inspectable patches in one posture (paper, section 5.2, steps 1 and 2)."""
 
-    # one array per light, in the rig's order: quantised levels at exposure 1, shape (candidates of the light, p)
-    levels: tuple[Levels, ...]
+    levels: tuple[Levels, ...]  # of each light, at exposure 1 [sensor level], shape (candidates, p)
     areas: Float64  # of the patches [mm²], shape (p,)
-    # which defects the same images show on the same patches; None where images are not tested for defects
-    visibility: Visibility | None = None
+    visibility: Visibility | None = None  # of defects; None where images are not tested for them
     grazing_mm2: float = 0.0  # area that the camera sees at a grazing angle, which is excluded [mm²]
 
     def __post_init__(self) -> None:

@@ -18,8 +18,7 @@ class CombinationSpace:
     """The combinations to search."""
 
     sizes: tuple[int, ...]  # number of candidates per light
-    # disjoint sets of combinations; together they are the space. Lights that move independently make one group
-    groups: tuple[Rows, ...]
+    groups: tuple[Rows, ...]  # disjoint sets that make up the space: one where lights move independently
     # for pairs of lights (i, j), i < j: which of their candidates collide, shape (sizes[i], sizes[j])
     clashes: Mapping[tuple[int, int], Bool] = field(default_factory=dict[tuple[int, int], Bool])
 

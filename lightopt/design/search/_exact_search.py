@@ -40,8 +40,7 @@ NO_COMBINATION = (
 class SearchResult:
     """The outcome of a search."""
 
-    # the best combinations in order, the first being the optimum; of those evaluated where some are left
-    ranking: tuple[Ranked, ...]
+    ranking: tuple[Ranked, ...]  # the best in order, from the optimum on; of those evaluated where some are left
     ties: int  # number of other combinations with the optimum's score; of those evaluated where some are left
     near: int  # number of other combinations whose score is near the optimum's, ties among them
     near_exact: bool  # whether `near` is complete: none was left, excluded by a bound, or dropped for memory
