@@ -130,7 +130,15 @@ def defect_visibility(
         for matrix, layer in matrices:
             visibility, levels = matrix.visibility, matrix.levels[layer]
             assert visibility is not None
-            shown = shown or _without_images(visibility, least)
+            count, width = len(visibility.patch), visibility.words[layer].shape[-1]
+            shown = shown or DefectVisibility(
+                visibility=visibility.rows([np.zeros(0, np.int64)] * len(visibility.words)),
+                counts=np.zeros((units_needed(least), count, width), np.uint64),
+                least=least,
+                usable=np.zeros(count, np.int32),
+                saturated=np.zeros(count, np.int32),
+                first=np.full(count, -1, np.int16),
+            )
             saturated = levels >= thresholds.saturation
             seen = seen | np.bitwise_or.reduce(visibility.words[layer], axis=0)
             good = good | ((levels > thresholds.black) & ~saturated).any(axis=0)
@@ -144,19 +152,6 @@ def defect_visibility(
         shown.first[glare & (shown.first < 0)] = light
     assert shown is not None
     return shown
-
-
-def _without_images(visibility: Visibility, least: int) -> DefectVisibility:
-    """A posture without images."""
-    count = len(visibility.patch)
-    return DefectVisibility(
-        visibility=visibility.rows([np.zeros(0, np.int64)] * len(visibility.words)),
-        counts=np.zeros((units_needed(least), count, -(-len(visibility.defects) // 64)), np.uint64),
-        least=least,
-        usable=np.zeros(count, np.int32),
-        saturated=np.zeros(count, np.int32),
-        first=np.full(count, -1, np.int16),
-    )
 
 
 def blind_spots(areas: Float64, postures: Sequence[DefectVisibility]) -> BlindSpots:

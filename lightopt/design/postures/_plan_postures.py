@@ -160,10 +160,10 @@ def target_not_reached(
         PostureCountStep(posture=posture, share=step.covered / max(1, cover.total), bound=cover.bound_of(number))
         for number, (posture, step) in enumerate(zip(choice.postures, cover.steps, strict=True), start=1)
     )
-    return TargetNotReached(_text(target, choice, evaluator, least), target=target, steps=steps, grain=grain)
+    return TargetNotReached(_message(target, choice, evaluator, least), target=target, steps=steps, grain=grain)
 
 
-def _text(target: float, choice: PostureChoice, evaluator: ImageEvaluator, least: int) -> str:
+def _message(target: float, choice: PostureChoice, evaluator: ImageEvaluator, least: int) -> str:
     cover, available = choice.cover, len(evaluator.table.postures)
     text = partial(share_text, grain=evaluator.table.grain, short_of=target)
     most = cover.all_covered / max(1, cover.total)

@@ -182,7 +182,9 @@ def _physics(output: design.DesignOutput) -> list[tuple[str, str]]:
         f"{thresholds.saturation} on; at exposure 1, without noise"
     )
     options = output.document["provenance"]["options"]
-    use = "used for detectability only" if "false_alarms" in options else "not part of the score"
+    use, edges = "not part of the score", ""
+    if "false_alarms" in options:
+        use, edges = "used for detectability only", " or at silhouettes and creases"
     coefficients = f"R_d {reflectance.R_d:g}, R_s {reflectance.R_s:g}, σ {reflectance.sigma:g} rad"
     return [
         ("levels", levels),
@@ -191,13 +193,8 @@ def _physics(output: design.DesignOutput) -> list[tuple[str, str]]:
         ("lights", "; ".join(dict.fromkeys(map(_light, scene.lights)))),
         ("shadows", "cast by the part" if options["shadows"] else "none"),
         ("patches", output.patches.message),
-        ("left out", _left_out(options)),
+        ("left out", f"what the camera sees at more than {GRAZING_DEG:g}° to the normal{edges}"),
     ]
-
-
-def _left_out(options: Mapping[str, Any]) -> str:
-    edges = " or at silhouettes and creases" if "false_alarms" in options else ""
-    return f"what the camera sees at more than {GRAZING_DEG:g}° to the normal{edges}"
 
 
 def _light(light: PanelLight) -> str:
