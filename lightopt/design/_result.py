@@ -13,8 +13,8 @@ from lightopt.design._tolerances import ToleranceAnalysis
 from lightopt.design.blind_spots._blind_spots import BlindSpotSummary
 from lightopt.design.objectives._objective import Objective, share_text
 from lightopt.design.postures._exposures import Brackets
-from lightopt.design.postures._posture_choice import PostureChoice
 from lightopt.design.postures._posture_grid import ExcludedPosture
+from lightopt.design.postures._posture_search import PostureChoice
 from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import Levels
 from lightopt.design.search._combinations import Ranked

@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
-from lightopt.design.postures._cover_search import best_set, cover_steps, greedy_cover, greedy_order
+from lightopt.design.postures._cover_search import Cover, best_set, cover_steps, greedy_cover, greedy_order
 from lightopt.design.postures._exposures import plan_exposures
 from lightopt.design.postures._light_positions import best_positions, position_counts_fit
-from lightopt.design.postures._posture_choice import Cover, PostureChoice, PostureRequest
-from lightopt.design.postures._posture_search import choose_postures
+from lightopt.design.postures._posture_search import PostureChoice, PostureRequest, choose_postures
 from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._packed_bits import Counts
 from lightopt.lights import PanelLight

@@ -123,30 +123,20 @@ class _Search:
                 assert found is not None
                 if best is None or (found.covered, found.benefit) > (best.covered, best.benefit):
                     best = replace(found, exact=False)
-                    now, moved = list(found.candidates), True
+                    now, moved = found.candidates, True
         return best
 
 
-def first_allowed(space: CombinationSpace, rows: Rows) -> list[int] | None:
-    """The first combination without collisions, in the order of the rows; None where there is none."""
+def first_allowed(space: CombinationSpace, rows: Rows, before: tuple[int, ...] = ()) -> tuple[int, ...] | None:
+    """The first combination without collisions, in the order of the rows, that begins so; None where there is none."""
     # depth first: with so many combinations, a mask of them all is too large
-    chosen: list[int] = []
-
-    def fits(light: int, position: int) -> bool:
-        return not any((j == light and space.clashes[i, j][chosen[i], position]) for i, j in space.clashes if i < light)
-
-    def go(light: int) -> bool:
-        if light == len(rows):
-            return True
-        for position in map(int, rows[light]):
-            if fits(light, position):
-                chosen.append(position)
-                if go(light + 1):
-                    return True
-                chosen.pop()
-        return False
-
-    return chosen if go(0) else None
+    light = len(before)
+    if light == len(rows):
+        return before
+    clashes = [clash[before[i]] for (i, j), clash in space.clashes.items() if j == light]
+    free = (position for position in map(int, rows[light]) if not any(clash[position] for clash in clashes))
+    found = (first_allowed(space, rows, (*before, position)) for position in free)
+    return next((one for one in found if one is not None), None)
 
 
 def position_counts_fit(evaluator: ImageEvaluator, candidates: Candidates | None) -> bool:

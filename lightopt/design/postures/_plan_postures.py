@@ -26,8 +26,8 @@ from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import share_text
 from lightopt.design.postures._joint_choice import choose_with_exposures
 from lightopt.design.postures._light_positions import position_counts, position_counts_fit
-from lightopt.design.postures._posture_choice import PostureChoice, PostureRequest
 from lightopt.design.postures._posture_grid import posture_grid, usable_postures
+from lightopt.design.postures._posture_search import PostureChoice, PostureRequest
 from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.design.responses._packed_bits import unpack_flags

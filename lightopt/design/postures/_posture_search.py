@@ -13,15 +13,18 @@ as many give the same plan.
 """
 
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import partial
+
+import numpy as np
 
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext, Share, WorkCounter
 from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
-from lightopt.design.postures._cover_search import best_set, greedy_cover, improve_by_exchange
+from lightopt.design.postures._cover_search import Cover, best_set, greedy_cover, improve_by_exchange
+from lightopt.design.postures._exposures import Brackets
 from lightopt.design.postures._light_positions import (
     MOST_COUNT_BYTES,
     LightPositions,
@@ -30,9 +33,9 @@ from lightopt.design.postures._light_positions import (
     first_allowed,
     position_counts_fit,
 )
-from lightopt.design.postures._posture_choice import Cover, Lights, PostureChoice, PostureRequest, Solution
 from lightopt.design.responses._image_evaluator import ImageCache, ImageEvaluator
 from lightopt.design.responses._packed_bits import Counts
+from lightopt.design.search._exact_search import DEFAULT_LIMIT
 from lightopt.lights import PanelLight
 
 MOST_ITERATIONS, MOST_FINAL_ITERATIONS = 6, 3  # of the alternating search, on drawn patches and on all
@@ -40,6 +43,61 @@ DRAWN_MARGIN = 0.01  # share by which what drawn patches show may fall short of 
 
 # of the counts that are cached: for recent lights, and for all positions in the last postures
 CACHED_BYTES = 400_000_000
+
+
+Lights = tuple[int, ...] | None  # candidate of each light; None for the rig's own positions
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureRequest:
+    """The share that the postures are to show, and their maximum number."""
+
+    count: int | None = None  # most postures; as many as the target takes where None
+    target: float | None = None  # share of the pairs to be shown
+    limit: int = DEFAULT_LIMIT  # most combinations to try; with more, lights are moved one at a time
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solution:
+    """Light positions, and the postures chosen for them."""
+
+    panels: tuple[PanelLight, ...]  # the lights, world frame
+    cover: Cover  # the postures, with their gains and bound, over all patches and candidate postures, with these lights
+    lights: Lights = None  # index of each one's candidate; None where they keep their initial positions
+    exact: bool = True  # whether every combination of the lights was tried in every iteration
+    iterations: int = 0  # how often the lights were placed on the way
+    converged: bool = True  # whether no combination of the positions tried last shows more in these postures
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureChoice(Solution):
+    """The postures and lights that were chosen, on all patches."""
+
+    postures: tuple[Posture, ...]  # in the order in which they were chosen
+    starts: int  # number of starting positions of the search
+    # what the rig's lights show in their initial positions, of the drawn patches at exposure 1, in postures that are
+    # chosen for them, fewer than the plan's where no other adds anything
+    initial: Cover
+    initial_panels: tuple[PanelLight, ...] = field(compare=False, repr=False)  # these lights
+    on_all_patches: bool  # whether the last iterations used all patches: not where memory is too small
+    # what each position of each light shows of all patches in these postures, each image with the evaluator's
+    # exposures; None where that is no longer known
+    position_counts: tuple[PositionCounts, ...] | None = field(default=None, compare=False, repr=False)
+    images: ImageCache | None = field(default=None, compare=False, repr=False)  # of all patches, at those exposures
+    brackets: Brackets | None = None  # which further exposures are planned; None where there were none to choose from
+
+    def exposures_of(self, posture: Posture) -> tuple[float, ...]:
+        """Planned exposures of a posture, the longest first."""
+        return (1.0,) if self.brackets is None else self.brackets.of(posture)
+
+    @property
+    def initial_if_moved(self) -> Cover | None:
+        """What the rig's lights show in their initial positions; None where they stay there."""
+        same = (
+            np.allclose(old.outward, new.outward, rtol=0.0, atol=1e-9)
+            for old, new in zip(self.initial_panels, self.panels, strict=True)
+        )
+        return None if all(same) else self.initial
 
 
 def merit(cover: Cover, request: PostureRequest) -> tuple[float, ...]:
@@ -283,4 +341,4 @@ class _MultiStartSearch:
         space = self.candidates.space
         ends = (first_allowed(space, space.groups[0]), first_allowed(space, [rows[::-1] for rows in space.groups[-1]]))
         alone = [self.drawn_search.lights(one.chosen, request).candidates] if one.chosen else []
-        return tuple(dict.fromkeys([None, *alone, *(tuple(end) for end in ends if end is not None)]))
+        return tuple(dict.fromkeys([None, *alone, *(end for end in ends if end is not None)]))
