@@ -205,18 +205,8 @@ def _state_problem(
     if options.places is not None and any(map(can_move, rig.lights)):
         all_candidates = candidates_in(scene, rig, options)
     run.warn(*scene.warnings, *coarse_warnings(scene.lights, scene.reflectance.sigma))
-    return Problem(
-        rig=rig,
-        part=part,
-        options=options,
-        objectives=objectives,
-        scene=scene,
-        caster=caster,
-        thresholds=thresholds,
-        candidates=candidates,
-        all_candidates=all_candidates,
-        provenance=provenance,
-    )
+    found = scene, caster, thresholds, candidates, all_candidates
+    return Problem(rig, part, options, objectives, *found, provenance)
 
 
 def _objectives(rig: RigConfig, part: PartConfig, options: OptimizeOptions, run: RunContext) -> tuple[Objective, ...]:

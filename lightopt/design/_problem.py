@@ -149,7 +149,7 @@ def run_provenance(
     return provenance(input_hashes(rig, part), {**facts, **plan.facts()})
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class Problem:
     """A scene, objectives, and the candidate positions to search."""
 

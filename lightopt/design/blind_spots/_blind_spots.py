@@ -184,9 +184,9 @@ def blind_spots(areas: Float64, postures: Sequence[DefectVisibility]) -> BlindSp
     codes[glaring] = BlindReason.SATURATED + first[glaring]
     codes[sight == 1] = BlindReason.GRAZING
     codes[sight == 0] = BlindReason.CAMERA
-    sums = first_posture.weights(counts[-1])
-    codes[sums == first_posture.total_weight] = BlindReason.SEEN
-    return BlindSpots(codes=codes, share=sums / first_posture.total_weight, areas=areas)
+    sums, every_defect = first_posture.weights(counts[-1]), sum(defect.weight for defect in first_posture.defects)
+    codes[sums == every_defect] = BlindReason.SEEN
+    return BlindSpots(codes=codes, share=sums / every_defect, areas=areas)
 
 
 BLIND_SHARES_OF = "the part's surface without what is at grazing angles or edges only, × defects by weight"

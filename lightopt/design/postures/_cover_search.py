@@ -16,7 +16,7 @@ is cut. At a limit of work the search ends without a proof.
 import heapq
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import accumulate
 
 from lightopt.design.responses._packed_bits import Counts, Merit, PairWeights, add_counts
@@ -100,10 +100,6 @@ class Cover:
         """Whether no set of as many covers more."""
         most = min(self.bounds[-1] // self.k, self.all_covered) if self.max_covered is None else self.max_covered
         return self.covered >= most
-
-    def with_search(self, max_covered: int, sets: int | None) -> "Cover":
-        """With the outcome of a search of all sets; unchanged where the search ended without a proof."""
-        return self if sets is None else replace(self, sets=sets, max_covered=max_covered)
 
 
 def greedy_cover(

@@ -47,10 +47,6 @@ class FurtherExposure:
     gain: float  # share of the pairs that it adds to what is planned before it, or else to the whole plan
     reason: Reason | None  # why it is planned: see :data:`Reason`; None where it is not
 
-    @property
-    def planned(self) -> bool:
-        return self.reason is not None
-
 
 @dataclass(frozen=True, kw_only=True)
 class Brackets:
@@ -64,7 +60,7 @@ class Brackets:
 
     def of(self, posture: Posture) -> tuple[float, ...]:
         """Exposures of a posture in the plan, the longest first."""
-        further = [shot.exposure for shot in self.further if shot.planned and shot.posture == posture]
+        further = [shot.exposure for shot in self.further if shot.reason and shot.posture == posture]
         return tuple(sorted([1.0, *further], reverse=True))
 
 

@@ -84,7 +84,7 @@ class _JointPlanner:
     def merit(self, plan: PostureChoice) -> tuple[float, ...]:
         """Sort key of a plan; see the module's text."""
         assert plan.brackets is not None
-        further = sum(exposure.planned for exposure in plan.brackets.further)
+        further = sum(exposure.reason is not None for exposure in plan.brackets.further)
         count = 0 if self.request.target is None else -len(plan.postures)
         return count, plan.brackets.after - self.least_gain * further, -further
 
@@ -126,7 +126,7 @@ class _JointPlanner:
         if self.request.target is not None:
             return replace(cover, target=self.request.target)
         _, most, sets = best_set(every, weights, free.chosen, len(indices), threads=self.whole.threads)
-        return cover.with_search(most, sets)
+        return cover if sets is None else replace(cover, sets=sets, max_covered=most)
 
     def _counts(self, plan: PostureChoice, posture: Posture, exposures: tuple[float, ...]) -> Counts:
         return replace(self.whole, exposures=exposures).counts(posture, plan.panels)

@@ -168,7 +168,8 @@ class AlternatingSearch:
             if chosen != best.chosen:
                 covers.append(greedy(among=chosen))
                 best = covers[-1]
-            best = best.with_search(max_covered, sets)
+            # unchanged where the search ended without a proof
+            best = best if sets is None else replace(best, sets=sets, max_covered=max_covered)
         same = [cover.bounds for cover in covers if len(cover.bounds) == len(best.bounds)]
         return replace(best, bounds=tuple(min(bounds) for bounds in zip(*same, strict=True)))
 

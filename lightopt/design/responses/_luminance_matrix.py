@@ -57,10 +57,6 @@ class Visibility:
         """Number of candidates of each light."""
         return tuple(len(layer) for layer in self.words)
 
-    @property
-    def total_weight(self) -> int:
-        return sum(defect.weight for defect in self.defects)
-
     def rows(self, rows: Sequence[Int64]) -> "Visibility":
         """Some candidates of each light, given by ascending indices."""
         return replace(self, words=tuple(map(select_rows, self.words, rows)))

@@ -68,8 +68,8 @@ COARSE_SHARE = 0.15  # edges longer than this share of the part's diagonal cause
 MATRIX_NAME = "matrix.npz"
 
 # what of a part no level depends on; the catalogue's defects have a key of their own
-_NOT_OF_LEVELS: Any = dict.fromkeys(("name", "postures", "defects", "defect_catalogue", "inspection"), True)
-_NOT_OF_LEVELS |= {"mesh": {"file"}}
+_WHOLE_KEYS = ("name", "postures", "defects", "defect_catalogue", "inspection")
+_NOT_OF_LEVELS: Any = {**dict.fromkeys(_WHOLE_KEYS, True), "mesh": {"file"}}
 
 
 @dataclass(eq=False)
