@@ -178,20 +178,9 @@ def area_units(areas: Float64) -> Int64:
 
 def usable_sums(layer: Levels, weights: Int64, thresholds: LevelThresholds) -> Int64:
     """Sum of a light's usable levels above black, each times its patch's weight, shape (candidates,)."""
-    return _usable_sums(layer, weights, thresholds.shade, thresholds.saturation, thresholds.black)
-
-
-@kernel
-def _usable_sums(layer: Levels, weights: Int64, shade: int, saturation: int, black: int) -> Int64:
-    sums = np.zeros(len(layer), np.int64)
-    for a in range(len(layer)):
-        total = 0
-        for p in range(layer.shape[1]):
-            level = np.int64(layer[a, p])
-            if shade <= level < saturation:
-                total += weights[p] * (level - black)
-        sums[a] = total
-    return sums
+    usable = ((row >= thresholds.shade) & (row < thresholds.saturation) for row in layer)
+    pairs = zip(layer, usable, strict=True)
+    return np.array([weights[some] @ (row[some] - np.int64(thresholds.black)) for row, some in pairs], np.int64)
 
 
 @kernel

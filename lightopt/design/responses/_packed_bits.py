@@ -26,9 +26,7 @@ Merit = tuple[int, int]  # weight covered, and benefit
 def pack_flags(rows: Bool) -> Words:
     """Rows of flags, shape (n, p), as words of 64 flags, shape (n, ⌈p / 64⌉); unused bits are 0."""
     octets = np.packbits(rows, axis=1, bitorder="little")
-    padded = np.zeros((len(octets), -(-octets.shape[1] // 8) * 8), np.uint8)
-    padded[:, : octets.shape[1]] = octets
-    return padded.view("<u8").astype(np.uint64, copy=False)
+    return widen_octets(octets, -(-octets.shape[1] // 8))
 
 
 def unpack_flags(words: Words, count: int) -> UInt8:

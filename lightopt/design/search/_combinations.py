@@ -141,23 +141,13 @@ def rank(table: Int64, rows: Rows, usable: Sequence[Int64], *, allowed: Bool | N
         (own[row][i] for row, own, i in zip(rows, usable, digits(some, rows), strict=True)),
         start=np.zeros(len(some), np.int64),
     )
-    above, equal = table[some] > least, table[some] == least
-    # of the many that may share the least score kept, those with the largest sums, then the first ones
-    wanted = keep - int(above.sum())
-    tied = sums[equal]
-    edge = int(np.partition(tied, len(tied) - wanted)[len(tied) - wanted])
-    chosen = above | (equal & (sums > edge))
-    last = np.flatnonzero(equal & (sums == edge))[: keep - int(chosen.sum())]
-    chosen[last] = True
-    columns = [row[i] for row, i in zip(rows, digits(some[chosen], rows), strict=True)]
-    candidates = np.stack(columns, axis=1)
-    ranked = [
-        Ranked(int(score), int(total), tuple(int(c) for c in combination))
-        for score, total, combination in zip(table[some[chosen]], sums[chosen], candidates, strict=True)
-    ]
-    best = sorted(ranked, key=attrgetter("sort_key"))
-    ties = int(np.count_nonzero(scores == best[0].score))
-    return Ranking(tuple(best), ties, len(scores))
+    # the sort is stable: of equals those with lower candidates stay first
+    order = np.lexsort((-sums, -table[some]))[:keep]
+    places = some[order]
+    candidates = np.stack([row[i] for row, i in zip(rows, digits(places, rows), strict=True)], axis=1).tolist()
+    facts = zip(table[places].tolist(), sums[order].tolist(), map(tuple, candidates), strict=True)
+    best = tuple(Ranked(score, total, combination) for score, total, combination in facts)
+    return Ranking(best, int(np.count_nonzero(scores == best[0].score)), len(scores))
 
 
 def digits(places: Int64 | int, rows: Sequence[Int64]) -> Iterator[Any]:
