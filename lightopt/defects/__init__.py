@@ -4,18 +4,6 @@ Knows points, normals and lengths; no mesh, no camera and no light. Defects are 
 move nothing: neither points nor silhouettes nor shadows. ``benchmarks/displaced.py`` has what that costs.
 """
 
-from lightopt.defects._catalogue import (
-    BUILT_IN_CATALOGUE as BUILT_IN_CATALOGUE,
-    SIZES as SIZES,
-    CatalogueEntry as CatalogueEntry,
-)
-from lightopt.defects._foreshortening import (
-    FORESHORTENINGS as FORESHORTENINGS,
-    foreshortening_classes as foreshortening_classes,
-    image_axes as image_axes,
-    plane_to_image as plane_to_image,
-    tangent_axis as tangent_axis,
-)
 from lightopt.defects._placed_defects import (
     PlacedDefect as PlacedDefect,
     mark_surface as mark_surface,
@@ -24,8 +12,11 @@ from lightopt.defects._placed_defects import (
     tangent_references as tangent_references,
 )
 from lightopt.defects._shape import (
+    BUILT_IN_CATALOGUE as BUILT_IN_CATALOGUE,
     MAX_SLOPE as MAX_SLOPE,
     SHAPE_KINDS as SHAPE_KINDS,
+    SIZES as SIZES,
+    CatalogueEntry as CatalogueEntry,
     DefectKind as DefectKind,
     DefectShape as DefectShape,
     depth_of_slope as depth_of_slope,
@@ -48,9 +39,14 @@ from lightopt.defects._statistic import (
 )
 from lightopt.defects._waviness import Waviness as Waviness, clipped_variance as clipped_variance
 from lightopt.defects._whole_defects import (
+    FORESHORTENINGS as FORESHORTENINGS,
     PLANNING_GRID as PLANNING_GRID,
     DefectHypotheses as DefectHypotheses,
     PixelMixture as PixelMixture,
     defect_hypotheses as defect_hypotheses,
+    foreshortening_classes as foreshortening_classes,
+    image_axes as image_axes,
+    plane_to_image as plane_to_image,
     search_grid as search_grid,
+    tangent_axis as tangent_axis,
 )

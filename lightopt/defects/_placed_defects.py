@@ -23,19 +23,13 @@ LEAST_REFERENCE = 0.1
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PlacedDefect:
-    """A defect on a part, in the frame that its vectors are given in.
+    """A defect on a part, in the frame that its vectors are given in."""
 
-    name: Of this defect, for messages and reports
-    position: Its centre, on the surface [mm], shape (3,)
-    normal: Unit normal of the undisturbed surface there, shape (3,)
-    along: Unit vector of its length, in the tangent plane, shape (3,)
-    """
-
-    name: str
+    name: str  # of this defect, for messages and reports
     shape: DefectShape
-    position: Float64
-    normal: Float64
-    along: Float64
+    position: Float64  # its centre, on the surface [mm], shape (3,)
+    normal: Float64  # unit normal of the undisturbed surface there, shape (3,)
+    along: Float64  # unit vector of its length, in the tangent plane, shape (3,)
 
     @property
     def across(self) -> Float64:
@@ -91,19 +85,13 @@ def surface_coordinates(defect: PlacedDefect, points: Float64, normals: Float64)
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Marks:
-    """The points of a surface that lie in defects, j of them.
+    """The points of a surface that lie in defects, j of them."""
 
-    index: Of each among the points given, ascending, shape (j,)
-    label: Index of its defect, the last one where several overlap; shape (j,)
-    normals: Unit normals of the disturbed surface, shape (j, 3)
-    R_d_factor, sigma_factor: By which R_d and σ are multiplied, shape (j,)
-    """
-
-    index: Index
-    label: Int32
-    normals: Float64
-    R_d_factor: Float64
-    sigma_factor: Float64
+    index: Index  # of each among the points given, ascending, shape (j,)
+    label: Int32  # index of its defect, the last one where several overlap; shape (j,)
+    normals: Float64  # unit normals of the disturbed surface, shape (j, 3)
+    R_d_factor: Float64  # by which R_d is multiplied, shape (j,)
+    sigma_factor: Float64  # by which σ is multiplied, shape (j,)
 
 
 def mark_surface(defects: Sequence[PlacedDefect], points: Float64, normals: Float64) -> Marks | None:

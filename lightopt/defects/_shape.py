@@ -1,4 +1,4 @@
-"""What a defect is like, wherever it lies: its kind, size and profile, and what it does to the coefficients.
+"""What a defect is like, wherever it lies: its kind, size, profile and coefficients; the defects to plan for.
 
 A place of the outline is ρ = 1, the centre (for a scratch its middle line) ρ = 0. A wall's slope, in units of the
 steepest, is a function g(ρ) that vanishes at both ends, so that heights are smooth:
@@ -12,7 +12,7 @@ scratch   the same across: a V with a rounded bottom and rounded lips
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -35,22 +35,14 @@ BLEND: Final = 0.2
 
 @dataclass(frozen=True, kw_only=True)
 class DefectShape:
-    """A defect without its place.
+    """A defect without its place."""
 
-    kind: scratch, dent, bump, pit, blister, stain or haze
-    length, width: Of its outline [mm], the length along its direction, at least the width; equal for a round one. The
-        outline is an ellipse, for a scratch a strip with round ends.
-    slope: Steepest slope of its walls [rad], where they run along the length; 0 for stains and hazes
-    R_d_factor: By which it multiplies R_d
-    sigma_factor: By which it multiplies σ
-    """
-
-    kind: DefectKind
-    length: float
-    width: float
-    slope: float = 0.0
-    R_d_factor: float = 1.0
-    sigma_factor: float = 1.0
+    kind: DefectKind  # scratch, dent, bump, pit, blister, stain or haze
+    length: float  # of its outline along its direction [mm], at least the width; equal for a round one
+    width: float  # of its outline [mm], which is an ellipse, for a scratch a strip with round ends
+    slope: float = 0.0  # steepest slope of its walls [rad], where they run along the length; 0 for stains and hazes
+    R_d_factor: float = 1.0  # by which it multiplies R_d
+    sigma_factor: float = 1.0  # by which it multiplies σ
 
     @property
     def depth(self) -> float:
@@ -128,3 +120,64 @@ def _relative_slope(shape: DefectShape, rho: Float64) -> Float64:
 def _on_middle_line(shape: DefectShape, x: Float64) -> Float64:
     half = 0.5 * (shape.length - shape.width)
     return np.clip(x, -half, half)
+
+
+SIZES: Final = (0.6, 1.0, 1.6)  # sizes that are tested, as multiples of an entry's; the slope stays
+_SLOPES = 3  # steps of a range of slopes for which inspections are planned
+
+
+@dataclass(frozen=True)
+class CatalogueEntry:
+    """A kind of defect that an inspection is planned for: its name, size, steepness and factors."""
+
+    name: str
+    shape: DefectShape
+    sizes: tuple[float, float] = (1.0, 1.0)  # least and greatest, as multiples of the shape's
+    slopes: tuple[float, float] = (1.0, 1.0)  # likewise
+
+    def at(self, size: float, slope: float) -> "CatalogueEntry":
+        """One defect of the ranges, from 0 for the least to 1 for the greatest size and slope, in equal ratios."""
+        (small, large), (flat, steep) = self.sizes, self.slopes
+        scale, steeper = small * (large / small) ** size, flat * (steep / flat) ** slope
+        shape = replace(
+            self.shape,
+            length=scale * self.shape.length,
+            width=scale * self.shape.width,
+            slope=steeper * self.shape.slope,
+        )
+        return CatalogueEntry(self.name, shape)
+
+    def in_sizes(self) -> tuple["CatalogueEntry", ...]:
+        """Entries of one size that together test all sizes of the range: each tests :data:`SIZES` of its own."""
+        small, large = self.sizes
+        count = max(1, math.ceil(math.log(large / small) / math.log(SIZES[-1] / SIZES[0]) - 1e-9))
+        return tuple(self.at((i + 0.5) / count, 0.5) for i in range(count))
+
+    def in_sizes_and_slopes(self) -> tuple["CatalogueEntry", ...]:
+        """Entries of one size and slope that stand for the ranges, equally many of each part of them."""
+        count = _SLOPES if self.slopes[0] < self.slopes[1] else 1
+        return tuple(
+            replace(one, shape=replace(one.shape, slope=self.at(0.5, (i + 0.5) / count).shape.slope))
+            for one in self.in_sizes()
+            for i in range(count)
+        )
+
+
+BUILT_IN_CATALOGUE = (
+    # handling: parts that slide over each other or over a fixture; shallow, since deeper ones are seen without effort
+    CatalogueEntry("scratch", DefectShape(kind="scratch", length=5.0, width=0.2, slope=math.radians(4.0))),
+    # a knock from a rounded object: wide for its depth of 22 µm, without an edge, so that only a mirror shows it
+    CatalogueEntry("dent", DefectShape(kind="dent", length=2.0, width=2.0, slope=math.radians(2.0))),
+    # dust or a nodule under the plating, levelled by it to a gentle hill of 17 µm
+    CatalogueEntry("bump", DefectShape(kind="bump", length=1.0, width=1.0, slope=math.radians(3.0))),
+    # a gas pore or a corroded place that the plating did not close: small and steep
+    CatalogueEntry("pit", DefectShape(kind="pit", length=0.3, width=0.3, slope=math.radians(20.0))),
+    # plating that came off its base and lifted: a flat top of 20 µm with a wall around it
+    CatalogueEntry("blister", DefectShape(kind="blister", length=1.5, width=1.5, slope=math.radians(6.0))),
+    # a residue of bath or rinse: the shape is unharmed, the diffuse light is 30 % less
+    CatalogueEntry("stain", DefectShape(kind="stain", length=2.0, width=1.5, R_d_factor=0.7)),
+    # burnt or porous plating, or a wiped place: the mirror has become half as wide again
+    CatalogueEntry("haze", DefectShape(kind="haze", length=3.0, width=3.0, sigma_factor=1.5)),
+)
+"""Terms as in ISO 8785:1998 (surface imperfections). The figures are those of a part of some centimetres, seen with
+pixels of 0.05 to 0.1 mm: from well visible to just visible, none of them so coarse that any light shows it."""

@@ -17,15 +17,13 @@ import numpy as np
 
 from lightopt.core.arrays import Float32, Float64
 
-MOST_CHANGE: Final = 8.0
-"""Expected changes are clipped to so many standard deviations: no pixel decides alone."""
+MOST_CHANGE: Final = 8.0  # expected changes are clipped to so many standard deviations: no pixel decides alone
 
 DARK: Final = 3.0
 """What is predicted to be less than so many standard deviations above black is dark: rounding and clipping at black
 make as much of a deviation there as noise does, so that only more than this many show a defect."""
 
-CONFIRMED: Final = 3.0
-"""Where no image alone may decide, the others together must stand out by so much."""
+CONFIRMED: Final = 3.0  # where no image alone may decide, the others together must stand out by so much
 
 REGISTRATION_PX: Final = 0.1
 """The part is known to lie within about this much of where the model has it: steep edges are off by so much."""
@@ -56,8 +54,7 @@ def chance_score(z: Float64) -> Float64:
     return -(special.log_ndtr(-np.abs(z)) + math.log(2.0)) / math.log(10.0)
 
 
-DEFAULT_FALSE_ALARMS: Final = 0.05
-"""Expected in the images of a posture of a good part."""
+DEFAULT_FALSE_ALARMS: Final = 0.05  # expected in the images of a posture of a good part
 
 
 def false_alarms_problem(false_alarms: float) -> str | None:

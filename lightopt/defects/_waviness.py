@@ -4,8 +4,6 @@ The height over the CAD model is a normal random field with the covariance A²·
 along each axis of the surface has the standard deviation A/ℓ.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,16 +19,11 @@ _WAVES = 96  # plane waves in space that the field is the sum of
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Waviness:
-    """Random slopes of a good surface.
+    """Random slopes of a good surface."""
 
-    slope: Root mean square [rad]
-    length: Correlation length ℓ of the height [mm]
-    seed: Of the surface that images show; None for the smooth one
-    """
-
-    slope: float
-    length: float
-    seed: int | None = None
+    slope: float  # root mean square [rad]
+    length: float  # correlation length ℓ of the height [mm]
+    seed: int | None = None  # of the surface that images show; None for the smooth one
 
     @cached_property
     def _waves(self) -> tuple[Float64, Float64, float]:

@@ -11,8 +11,52 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lightopt.core.arrays import Bool, Float64, Index, Int32
-from lightopt.defects._catalogue import SIZES, CatalogueEntry
-from lightopt.defects._shape import SHAPE_KINDS, DefectShape, height_gradient, radial_place
+from lightopt.defects._shape import SHAPE_KINDS, SIZES, CatalogueEntry, DefectShape, height_gradient, radial_place
+
+# cosines of the angle to the normal in so many steps of this ratio, and directions within half a turn
+FORESHORTENING, COSINES, AZIMUTHS = 0.85, 11, 8
+
+FORESHORTENINGS = COSINES * AZIMUTHS  # number of classes
+
+
+def image_axes(views: Float64, right: Float64) -> tuple[Float64, Float64]:
+    """Unit vectors to the right and up in the image, at right angles to the views, each of shape (k, 3).
+
+    views: Unit vectors from the surface to the camera, shape (k, 3)
+    right: The camera's, shape (3,)
+    """
+    across = right - (views @ right)[:, None] * views
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    return across, np.cross(views, across).astype(np.float64)
+
+
+def tangent_axis(normals: Float64, right: Float64) -> Float64:
+    """The image's right in tangent planes, which turns of defects are counted from towards N × it, shape (k, 3)."""
+    axis = right - np.einsum("ij,ij->i", right, normals)[:, None] * normals
+    return axis / np.linalg.norm(axis, axis=1, keepdims=True)
+
+
+def foreshortening_classes(normals: Float64, views: Float64, right: Float64, up: Float64) -> Index:
+    """The class of each point of a surface, shape (k,); `right` and `up` from :func:`image_axes`."""
+    x, y, z = (np.einsum("ij,ij->i", normals, axis) for axis in (right, up, views))
+    cosine = np.clip(np.rint(np.log(np.maximum(z, 1e-6)) / math.log(FORESHORTENING)), 0, COSINES - 1)
+    azimuth = np.rint(np.arctan2(y, x) / math.pi * AZIMUTHS) % AZIMUTHS
+    return (cosine * AZIMUTHS + np.where(cosine > 0, azimuth, 0)).astype(np.intp)
+
+
+def plane_to_image(foreshortening: int, footprint: float) -> Float64:
+    """Pixels to the right and down by mm along the axes of a class' tangent plane, shape (2, 2).
+
+    footprint: Side of a pixel on a plane that faces the camera [mm]
+    """
+    steps, azimuth = divmod(foreshortening, AZIMUTHS)
+    cosine = FORESHORTENING**steps
+    sine, angle = math.sqrt(1.0 - cosine**2), math.pi * azimuth / AZIMUTHS
+    normal = np.array([[sine * math.cos(angle), sine * math.sin(angle), cosine]])
+    first = tangent_axis(normal, np.array([[1.0, 0.0, 0.0]]))[0]
+    second = np.cross(normal[0], first)
+    return np.array([[first[0], second[0]], [-first[1], -second[1]]]) / footprint
+
 
 ELLIPSE_TURNS = 4
 SEGMENT_LENGTH = 6.0  # of a scratch a segment of so many widths is tested
@@ -24,24 +68,17 @@ WALL_LEVELS = (1.0,)
 ACROSS_WIDTH, LEAST_SAMPLES, MOST_SAMPLES = 10.0, 3, 15
 
 _MOST_FINER = 2  # directions are doubled so often at most
-
 LEAST_SHARE = 0.06  # a variant with less than this share of the greatest one of any pixel is left out
 
 
 @dataclass(frozen=True, kw_only=True)
 class HypothesisGrid:
-    """How finely surfaces that lean are told apart.
+    """How finely surfaces that lean are told apart."""
 
-    directions: That a wall leans to, at least
-    fine_slope: Steeper walls lean to twice or four times as many [rad]: what they reflect turns by more
-    segment_turns: Orientations of a scratch within half a turn; each has walls that lean to both sides
-    bowl_levels: Slopes of bowls, as shares of the steepest; what is less than half of the least of them is flat
-    """
-
-    directions: int
-    fine_slope: float
-    segment_turns: int
-    bowl_levels: tuple[float, ...]
+    directions: int  # that a wall leans to, at least
+    fine_slope: float  # steeper walls lean to twice or four times as many [rad]: what they reflect turns by more
+    segment_turns: int  # orientations of a scratch within half a turn; each has walls that lean to both sides
+    bowl_levels: tuple[float, ...]  # slopes of bowls by the steepest; what is less than half of the least is flat
 
 
 INSPECTION_GRID = HypothesisGrid(
@@ -55,39 +92,26 @@ PLANNING_GRID = HypothesisGrid(directions=8, fine_slope=math.radians(4.5), segme
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PixelMixture:
-    """What pixels see of a defect, n pieces; those of a pixel follow each other.
+    """What pixels see of a defect, n pieces; those of a pixel follow each other."""
 
-    row, column: Of the pixel, from that of the defect's middle, shape (n,)
-    variant: Index among the variants of the hypotheses, shape (n,)
-    weight: Share of the pixel, shape (n,)
-    """
-
-    row: Int32
-    column: Int32
-    variant: Int32
-    weight: Float64
+    row: Int32  # of the pixel, from that of the defect's middle, shape (n,)
+    column: Int32  # likewise
+    variant: Int32  # index among the variants of the hypotheses, shape (n,)
+    weight: Float64  # share of the pixel, shape (n,)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DefectHypotheses:
-    """The hypotheses of an entry of the catalogue.
-
-    shapes: One for each of :data:`SIZES`; of a scratch the segment
-    turns: Of the length, from the first axis of the tangent plane towards the second [rad], shape (n,)
-    levels: Of the slope, as shares of the steepest
-    slope, direction: Of each variant, by which and to which the normal leans [rad], shape (t,); for each level all
-        directions
-    R_d_factor, sigma_factor: Of each variant, shape (t,)
-    """
+    """The hypotheses of an entry of the catalogue."""
 
     entry: CatalogueEntry
-    shapes: tuple[DefectShape, ...]
-    turns: Float64
-    levels: tuple[float, ...]
-    slope: Float64
-    direction: Float64
-    R_d_factor: Float64
-    sigma_factor: Float64
+    shapes: tuple[DefectShape, ...]  # one for each of :data:`SIZES`; of a scratch the segment
+    turns: Float64  # of the length, from the first axis of the tangent plane towards the second [rad], shape (n,)
+    levels: tuple[float, ...]  # of the slope, as shares of the steepest
+    slope: Float64  # by which the normal leans in each variant [rad], shape (t,)
+    direction: Float64  # to which it leans [rad], shape (t,); for each level all directions
+    R_d_factor: Float64  # of each variant, shape (t,)
+    sigma_factor: Float64  # of each variant, shape (t,)
 
     def scales_px(self, footprint: float) -> tuple[float, ...]:
         """Widths of Gaussians that add up as many pixels as the shapes; `footprint` is the side of a pixel [mm]."""
@@ -193,16 +217,11 @@ _FINE_PX, _HALVES = 5.0, ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
 
 @dataclass(frozen=True, kw_only=True)
 class SearchGrid:
-    """Where the hypotheses of an entry are tested in images.
+    """Where the hypotheses of an entry are tested in images."""
 
-    ratio: Side of the larger pixels that images are reduced to [px]
-    step: Places to test are so many of them apart
-    halves: Places of the middle within its pixel, to the right and down
-    """
-
-    ratio: int
-    step: int
-    halves: tuple[tuple[float, float], ...]
+    ratio: int  # side of the larger pixels that images are reduced to [px]
+    step: int  # places to test are so many of them apart
+    halves: tuple[tuple[float, float], ...]  # places of the middle within its pixel, to the right and down
 
 
 def search_grid(own: DefectHypotheses, footprint: float) -> SearchGrid:

@@ -14,7 +14,7 @@ from lightopt.design._files import (
     write_design as write_design,
 )
 from lightopt.design._optimize import optimize as optimize
-from lightopt.design._options import (
+from lightopt.design._problem import (
     CalibratedThreshold as CalibratedThreshold,
     OptimizeOptions as OptimizeOptions,
     PlanOptions as PlanOptions,
@@ -65,8 +65,11 @@ from lightopt.design.objectives._objective import (
 from lightopt.design.objectives._registry import OBJECTIVES as OBJECTIVES
 from lightopt.design.postures._light_positions import place_lights as place_lights
 from lightopt.design.postures._plan_postures import TargetNotReached as TargetNotReached
-from lightopt.design.postures._posture_choice import PostureChoice as PostureChoice, PostureRequest as PostureRequest
-from lightopt.design.postures._posture_search import choose_postures as choose_postures
+from lightopt.design.postures._posture_search import (
+    PostureChoice as PostureChoice,
+    PostureRequest as PostureRequest,
+    choose_postures as choose_postures,
+)
 from lightopt.design.responses._defect_hypotheses import (
     PlannedCatalogue as PlannedCatalogue,
     planned_catalogue as planned_catalogue,

@@ -18,7 +18,6 @@ from lightopt.scene import PinholeCamera, Scene, build_camera, build_lights, ima
 
 Angles = tuple[float, float]  # elevation and azimuth [°]
 Reason = tuple[str, str, float | None]  # text, kind and amount of an `ExcludedPosition`
-
 MOST_POSITIONS = 100_000  # candidate positions of a light; more are refused
 
 
@@ -80,32 +79,23 @@ def _steps(ends: tuple[float, float] | None, now: float, step: float) -> list[fl
 
 @dataclass(frozen=True)
 class ExcludedPosition:
-    """A position that a light cannot take.
-
-    kind: ``view``, ``table``, ``part`` or ``collision``.
-    amount: Pixels covered, or mm below the table top; None for the other kinds.
-    """
+    """A position that a light cannot take."""
 
     light: str
     elevation_deg: float
     azimuth_deg: float
     reason: str
-    kind: str
-    amount: float | None = None
+    kind: str  # ``view``, ``table``, ``part`` or ``collision``
+    amount: float | None = None  # pixels covered, or mm below the table top; None for the other kinds
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """The positions to choose from.
+    """The positions to choose from."""
 
-    names: Of the lights, in the rig's order.
-    angles: Per light: (elevation, azimuth) [°], ascending.
-    panels: Per light: the panels at these positions, world frame.
-    """
-
-    names: tuple[str, ...]
-    angles: tuple[tuple[Angles, ...], ...]
-    panels: tuple[tuple[PanelLight, ...], ...]
+    names: tuple[str, ...]  # of the lights, in the rig's order
+    angles: tuple[tuple[Angles, ...], ...]  # per light: (elevation, azimuth) [°], ascending
+    panels: tuple[tuple[PanelLight, ...], ...]  # per light: the panels at these positions, world frame
     left_out: tuple[ExcludedPosition, ...]
     space: CombinationSpace
 
@@ -161,36 +151,30 @@ def find_candidates(
         possible.append(free)
     clashes = _clashes(possible)
     always_colliding = _always_colliding(possible, clashes)
-    for index, others in always_colliding.items():
-        for k, other in sorted(others.items()):
-            name = rig.lights[index].name
-            reason = f"collides with {rig.lights[other].name} in all of its positions"
-            left_out.append(ExcludedPosition(name, *possible[index][k][0], reason, "collision"))
+    for index, k, other in ((i, k, other) for i, some in always_colliding.items() for k, other in sorted(some.items())):
+        reason = f"collides with {rig.lights[other].name} in all of its positions"
+        left_out.append(ExcludedPosition(rig.lights[index].name, *possible[index][k][0], reason, "collision"))
     rows = [[k for k in range(len(some)) if k not in always_colliding[i]] for i, some in enumerate(possible)]
     _check_any(rig, rows, left_out)
-    angles_left = tuple(tuple(possible[i][k][0] for k in row) for i, row in enumerate(rows))
-    sizes = tuple(len(row) for row in rows)
+    left = [[possible[i][k] for k in row] for i, row in enumerate(rows)]
+    angles_left = tuple(tuple(at for at, _ in some) for some in left)
+    sizes = tuple(map(len, rows))
     left_clashes = {(i, j): clash[np.ix_(rows[i], rows[j])] for (i, j), clash in clashes.items()}
     left_clashes = {pair: clash for pair, clash in left_clashes.items() if clash.any()}
-    return Candidates(
-        names=tuple(light.name for light in rig.lights),
-        angles=angles_left,
-        panels=tuple(tuple(possible[i][k][1] for k in row) for i, row in enumerate(rows)),
-        left_out=tuple(left_out),
-        space=CombinationSpace(sizes=sizes, groups=_groups(rig, angles_left, sizes, shared), clashes=left_clashes),
-    )
+    space = CombinationSpace(sizes=sizes, groups=_groups(rig, angles_left, sizes, shared), clashes=left_clashes)
+    panels = tuple(tuple(panel for _, panel in some) for some in left)
+    return Candidates(tuple(light.name for light in rig.lights), angles_left, panels, tuple(left_out), space)
 
 
 def _check_any(rig: RigConfig, rows: Sequence[Sequence[int]], left_out: Sequence[ExcludedPosition]) -> None:
     problems: list[str] = []
-    for index, (light, row) in enumerate(zip(rig.lights, rows, strict=True)):
-        if not row:
-            reasons = _grouped([out for out in left_out if out.light == light.name])
-            key = "elevation_range_deg" if light.elevation_range_deg is not None else "elevation_deg"
-            problems.append(
-                f"{rig.source.at('lights', index, key)}: no position of light {light.name} is left: it "
-                f"{'; it '.join(reasons)}. Change its range or the size of its panel"
-            )
+    for index, light in ((i, light) for i, light in enumerate(rig.lights) if not rows[i]):
+        reasons = _grouped([out for out in left_out if out.light == light.name])
+        key = "elevation_range_deg" if light.elevation_range_deg is not None else "elevation_deg"
+        problems.append(
+            f"{rig.source.at('lights', index, key)}: no position of light {light.name} is left: it "
+            f"{'; it '.join(reasons)}. Change its range or the size of its panel"
+        )
     if problems:
         raise InputError(*problems)
 
@@ -264,13 +248,12 @@ def _always_colliding(
     found = True
     while found:
         found = False
-        for (i, j), clash in clashes.items():
-            for light, other, table in ((i, j, clash), (j, i, clash.T)):
-                left = [k for k in range(len(possible[other])) if k not in gone[other]]
-                for k in range(len(possible[light])):
-                    if left and k not in gone[light] and table[k, left].all():
-                        gone[light][k] = other
-                        found = True
+        both_ways = (pair for (i, j), clash in clashes.items() for pair in ((i, j, clash), (j, i, clash.T)))
+        for light, other, table in both_ways:
+            left = [k for k in range(len(possible[other])) if k not in gone[other]]
+            more = [k for k in range(len(possible[light])) if left and k not in gone[light] and table[k, left].all()]
+            gone[light] |= dict.fromkeys(more, other)
+            found = found or bool(more)
     return gone
 
 
@@ -279,15 +262,12 @@ def _groups(
 ) -> tuple[Rows, ...]:
     if shared is None:
         return (tuple(np.arange(n) for n in sizes),)
-    groups: list[Rows] = []
-    fixed = [light.elevation_range_deg is None for light in rig.lights]
-    for elevation in shared:
-        rows = tuple(
-            np.flatnonzero([stays or at == elevation for at, _ in some])
-            for stays, some in zip(fixed, angles, strict=True)
-        )
-        if all(len(row) for row in rows):
-            groups.append(rows)
+    lights = [(light.elevation_range_deg is None, some) for light, some in zip(rig.lights, angles, strict=True)]
+    groups = [
+        tuple(np.flatnonzero([stays or at == elevation for at, _ in some]) for stays, some in lights)
+        for elevation in shared
+    ]
+    groups = [rows for rows in groups if all(map(len, rows))]
     if not groups:
         raise InputError(
             f"{rig.source.at('lights')}: option 'common_elevation': at no elevation are positions of all lights left"

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from lightopt.config import RigConfig
 from lightopt.core.transforms import Posture
-from lightopt.design._options import OptimizeOptions, PlanOptions
 from lightopt.design._previous_result import PLANNED_PART_NAME, RIG_NAME
+from lightopt.design._problem import OptimizeOptions, PlanOptions
 from lightopt.design._tolerances import Setup, Tolerances
 from lightopt.images import posture_folder
 from lightopt.scene import travel_order, travel_s
@@ -82,24 +82,16 @@ def command_text(rig: Path, part: Path, options: OptimizeOptions, plan: PlanOpti
 
 def _render_words(options: OptimizeOptions) -> list[str]:
     """The options of ``lightopt render`` that reproduce the plan's images, where they differ from its defaults."""
-    default = OptimizeOptions()
-    words = _differing(
-        ("--points", options.points, default.points), ("--patches", options.patch_budget, default.patch_budget)
-    )
+    words = _differing(options, {"--points": "points", "--patches": "patch_budget"})
     return [*words, *(() if options.shadows else ("--no-shadows",))]
 
 
 def _search_words(options: OptimizeOptions) -> list[str]:
-    default = OptimizeOptions()
     words = [word for name in options.objectives for word in ("--objective", name)]
+    words += _differing(options, {"--step": "step_deg", "--min-images": "min_images", "--false-alarms": "false_alarms"})
+    words += () if options.threshold is None else ("--calibration", options.threshold.file)
     words += _differing(
-        ("--step", options.step_deg, default.step_deg),
-        ("--min-images", options.min_images, default.min_images),
-        ("--false-alarms", options.false_alarms, default.false_alarms),
-        ("--calibration", None if options.threshold is None else options.threshold.file, None),
-        ("--shade-below", options.shade_below, default.shade_below),
-        ("--ranking-rows", options.rows, default.rows),
-        ("--max-combinations", options.limit, default.limit),
+        options, {"--shade-below": "shade_below", "--ranking-rows": "rows", "--max-combinations": "limit"}
     )
     words += _posture_words(options.postures or ())
     flags = (
@@ -111,23 +103,14 @@ def _search_words(options: OptimizeOptions) -> list[str]:
 
 
 def _plan_words(plan: PlanOptions) -> list[str]:
-    default = PlanOptions()
-    words = _differing(
-        ("--choose-postures", plan.choose_postures, None),
-        ("--target", plan.target, None),
-        ("--posture-step", plan.posture_step_deg, default.posture_step_deg),
-        ("--allow-outside", plan.allow_outside_px, default.allow_outside_px),
-    )
+    names = {"--choose-postures": "choose_postures", "--target": "target", "--posture-step": "posture_step_deg"}
+    words = _differing(plan, {**names, "--allow-outside": "allow_outside_px"})
     if plan.exposures:
         words += ["--exposures", ",".join(_text(exposure) for exposure in plan.exposures)]
-        words += _differing(("--exposure-gain", plan.exposure_gain, default.exposure_gain))
+        words += _differing(plan, {"--exposure-gain": "exposure_gain"})
     if plan.tolerances is not None:
-        none = Tolerances(light_deg=0.0, pose_deg=0.0)
-        words += _differing(
-            ("--light-tolerance", plan.tolerances.light_deg, none.light_deg),
-            ("--pose-tolerance", plan.tolerances.pose_deg, none.pose_deg),
-            ("--tolerance-target", plan.tolerances.tolerance_target, none.tolerance_target),
-        )
+        names = {"--light-tolerance": "light_deg", "--pose-tolerance": "pose_deg"}
+        words += _differing(plan.tolerances, {**names, "--tolerance-target": "tolerance_target"})
     return words
 
 
@@ -135,8 +118,11 @@ def _posture_words(postures: Sequence[Posture]) -> list[str]:
     return [f"--posture={degrees_text(p.elevation_deg)},{degrees_text(p.rotation_deg)}" for p in postures]
 
 
-def _differing(*options: tuple[str, object, object]) -> list[str]:
-    return [word for name, value, default in options if value != default for word in (name, _text(value))]
+def _differing(options: OptimizeOptions | PlanOptions | Tolerances, names: dict[str, str]) -> list[str]:
+    # the options of these names whose values differ from the defaults
+    default = type(options)()
+    some = [(option, getattr(options, name), getattr(default, name)) for option, name in names.items()]
+    return [word for option, value, unset in some if value != unset for word in (option, _text(value))]
 
 
 def _text(value: object) -> str:

@@ -7,8 +7,10 @@ written, and result.json says that all is there: :func:`finish_design` writes th
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -66,12 +68,9 @@ def _rig_files(design: DesignResult) -> list[RigFile]:
         if (answer := result.answers[0]).nothing is None
     ]
     if sets and len(sets) == len(design.results) and len({angles for angles, _, _ in sets}) == 1:
-        all_postures = tuple(posture for _, postures, _ in sets for posture in postures)
-        sets = [(sets[0][0], all_postures, Path())]
-    return [
-        (home / RIG_NAME, postures, _rig_text(design.rig, angles, design.folder / home))
-        for angles, postures, home in sets
-    ]
+        sets = [(sets[0][0], tuple(posture for _, postures, _ in sets for posture in postures), Path())]
+    text = partial(_rig_text, design.rig)
+    return [(home / RIG_NAME, postures, text(angles, design.folder / home)) for angles, postures, home in sets]
 
 
 def _rig_text(rig: RigConfig, angles: Sequence[tuple[float, float]], home: Path) -> str:
@@ -110,10 +109,8 @@ def _edited(config: RigConfig | PartConfig, kind: str, what: str, edit: Callable
 
 def planned_part_text(part: PartConfig, postures: Sequence[Posture], *, folder: Path, comment: str) -> str:
     """Text of a part file with other postures, below a comment; the mesh is named relative to `folder`."""
-    entries = [
-        f"{{elevation_deg: {degrees_text(p.elevation_deg)}, rotation_deg: {degrees_text(p.rotation_deg)}}}"
-        for p in postures
-    ]
+    angles = [(degrees_text(p.elevation_deg), degrees_text(p.rotation_deg)) for p in postures]
+    entries = [f"{{elevation_deg: {elevation}, rotation_deg: {rotation}}}" for elevation, rotation in angles]
 
     def edit() -> str:
         return with_list(copied_text(part, folder), "postures", entries, comment=comment, replace=True)
@@ -123,22 +120,15 @@ def planned_part_text(part: PartConfig, postures: Sequence[Posture], *, folder: 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DesignOutput:
-    """A design whose files are written, except its report and result.json.
-
-    document: What result.json will say.
-    overlaps: Saturated regions of the images, in the order of the postures.
-    paths: result.json, ranking.csv, further files, rigs, report: those to come, too.
-    force: Whether files that are there and differ are replaced.
-    replace_report: Whether a report that is there is replaced.
-    """
+    """A design whose files are written, except its report and result.json."""
 
     result: DesignResult
-    document: Mapping[str, Any]
-    overlaps: tuple[Overlap, ...]
+    document: Mapping[str, Any]  # what result.json will say
+    overlaps: tuple[Overlap, ...]  # saturated regions of the images, in the order of the postures
     warnings: tuple[str, ...]
-    paths: tuple[Path, ...]
-    force: bool
-    replace_report: bool
+    paths: tuple[Path, ...]  # result.json, ranking.csv, further files, rigs, report: those to come, too
+    force: bool  # whether files that are there and differ are replaced
+    replace_report: bool  # whether a report that is there is replaced
 
     @property
     def patches(self) -> PatchTable:
@@ -218,8 +208,7 @@ def _write(path: Path, content: str | bytes | UInt8, force: bool) -> None:
         write_png(path, content, metadata={}, overwrite=force)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Images:
+class _Images(NamedTuple):
     """An image set to render: of one rig, with the same exposures in all postures; paths in the output folder."""
 
     folder: Path
@@ -229,7 +218,7 @@ class _Images:
 
     @property
     def shots(self) -> list[tuple[Posture, float]]:
-        return [(posture, exposure) for posture in self.postures for exposure in self.exposures]
+        return list(product(self.postures, self.exposures))
 
 
 def _image_sets(rigs: Sequence[RigFile], result: DesignResult) -> list[_Images]:
@@ -241,7 +230,7 @@ def _image_sets(rigs: Sequence[RigFile], result: DesignResult) -> list[_Images]:
             groups.setdefault(result.plan.exposures_of(posture), []).append(posture)
         for number, (exposures, some) in enumerate(groups.items(), start=1):
             home = path.parent / (IMAGES_NAME if number == 1 else f"{IMAGES_NAME}-{number}")
-            sets.append(_Images(folder=home, rig=path, postures=tuple(some), exposures=exposures))
+            sets.append(_Images(home, path, tuple(some), exposures))
     return sets
 
 
@@ -257,22 +246,11 @@ def _listed(rigs: Sequence[RigFile], sets: Sequence[_Images], *, overlaps: bool)
 
 def _render(images: _Images, result: DesignResult, force: bool, run: RunContext) -> list[Overlap]:
     # returns overlaps in the order in which they are listed; of one light there are none
-    options, folder = result.options, result.folder / images.folder
-    render_image_set(
-        load_rig(result.folder / images.rig),
-        result.part,
-        folder,
-        options=RenderOptions(
-            postures=images.postures,
-            exposures=images.exposures,
-            points=options.points,
-            shadows=options.shadows,
-            patch_budget=options.patch_budget,
-            defects=False,
-        ),
-        force=force,
-        run=RunContext(threads=run.threads, warn=run.warn),
-    )
+    rig, folder = load_rig(result.folder / images.rig), result.folder / images.folder
+    same = {name: getattr(result.options, name) for name in ("points", "shadows", "patch_budget")}
+    options = RenderOptions(postures=images.postures, exposures=images.exposures, defects=False, **same)
+    quiet = RunContext(threads=run.threads, warn=run.warn)
+    render_image_set(rig, result.part, folder, options=options, force=force, run=quiet)
     if len(result.candidates.names) == 1:
         return []
     found = {(overlap.posture, overlap.exposure): overlap for overlap in find_overlaps(read_image_set(folder))}

@@ -14,9 +14,19 @@ from lightopt.core.run_context import RunContext
 from lightopt.design._candidates import Candidates, can_move
 from lightopt.design._commands import HOME, command_text, plan_commands
 from lightopt.design._files import check_editable, planned_part_text
-from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, check_options, run_provenance
 from lightopt.design._previous_result import refuse_other_result
-from lightopt.design._problem import Problem, candidates_in, candidates_of, detection_model_of, images_that_decide
+from lightopt.design._problem import (
+    DEFECT_OBJECTIVE,
+    OptimizeOptions,
+    PlanOptions,
+    Problem,
+    candidates_in,
+    candidates_of,
+    check_options,
+    detection_model_of,
+    images_that_decide,
+    run_provenance,
+)
 from lightopt.design._result import ChosenPostures, DesignResult, PlanResult, SetResult, ToleranceResult, angles_of
 from lightopt.design._tolerances import (
     ObjectiveAssessment,
@@ -40,8 +50,6 @@ from lightopt.design.responses._posture_matrices import PostureMatrices
 from lightopt.design.search._best_positions import candidates_of_others, search_objectives, search_other_objectives
 from lightopt.rendering import cast_rays_at, refuse_unusable_scene
 from lightopt.scene import build_catalogue, build_scene, coarse_warnings
-
-_Chosen = ChosenPostures | None
 
 
 def optimize(
@@ -156,8 +164,8 @@ def _check_choice_of_postures(rig: RigConfig, options: OptimizeOptions, plan: Pl
     refusals = [OBJECTIVES[name].refusal(len(rig.lights)) for name in options.objectives if name in OBJECTIVES]
     problems = [text for text in refusals if text is not None]
     if options.postures is not None:
-        values = {"option 'choose_postures'": plan.choose_postures, "option 'target'": plan.target}
-        given = " and ".join(name for name, value in values.items() if value is not None)
+        names = [name for name in ("choose_postures", "target") if getattr(plan, name) is not None]
+        given = " and ".join(f"option '{name}'" for name in names)
         problems.append(
             f"option 'postures': cannot be combined with {given}: postures are chosen from the stage's range; omit "
             "one or the other"
@@ -197,18 +205,8 @@ def _state_problem(
     if options.places is not None and any(map(can_move, rig.lights)):
         all_candidates = candidates_in(scene, rig, options)
     run.warn(*scene.warnings, *coarse_warnings(scene.lights, scene.reflectance.sigma))
-    return Problem(
-        rig=rig,
-        part=part,
-        options=options,
-        objectives=objectives,
-        scene=scene,
-        caster=caster,
-        thresholds=thresholds,
-        candidates=candidates,
-        all_candidates=all_candidates,
-        provenance=provenance,
-    )
+    found = scene, caster, thresholds, candidates, all_candidates
+    return Problem(rig, part, options, objectives, *found, provenance)
 
 
 def _objectives(rig: RigConfig, part: PartConfig, options: OptimizeOptions, run: RunContext) -> tuple[Objective, ...]:
@@ -221,9 +219,9 @@ def _objectives(rig: RigConfig, part: PartConfig, options: OptimizeOptions, run:
         return DetectabilityObjective(defects, options.min_images, options.false_alarms, across_postures=across)
 
     chosen = objectives_named(options.objectives, detectability)
-    refusals = {objective.name: objective.refusal(len(rig.lights)) for objective in chosen}
-    problems = [text for text in refusals.values() if text is not None]
-    possible = tuple(objective for objective in chosen if refusals[objective.name] is None)
+    refusals = [objective.refusal(len(rig.lights)) for objective in chosen]
+    problems = [text for text in refusals if text is not None]
+    possible = tuple(objective for objective, text in zip(chosen, refusals, strict=True) if text is None)
     if problems and (options.objectives or not possible):
         raise InputError(*problems)
     run.warn(*problems)
@@ -248,7 +246,11 @@ def _search(matrices: PostureMatrices) -> tuple[tuple[SetResult, ...], Candidate
 
 
 def _complete(
-    matrices: PostureMatrices, results: Sequence[SetResult], candidates: Candidates, plan: PlanOptions, chosen: _Chosen
+    matrices: PostureMatrices,
+    results: Sequence[SetResult],
+    candidates: Candidates,
+    plan: PlanOptions,
+    chosen: ChosenPostures | None,
 ) -> tuple[PlanResult, Sequence[PostureVisibility]]:
     """Exposures and tolerances of the best positions; and what the planned images show of defects, if that is more."""
     problem, options, run = matrices.problem, matrices.problem.options, matrices.run

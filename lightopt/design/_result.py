@@ -8,14 +8,13 @@ from typing import Any
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
 from lightopt.design._commands import Command, Way
-from lightopt.design._options import PlanOptions
-from lightopt.design._problem import Problem
+from lightopt.design._problem import PlanOptions, Problem
 from lightopt.design._tolerances import ToleranceAnalysis
 from lightopt.design.blind_spots._blind_spots import BlindSpotSummary
 from lightopt.design.objectives._objective import Objective, share_text
 from lightopt.design.postures._exposures import Brackets
-from lightopt.design.postures._posture_choice import PostureChoice
 from lightopt.design.postures._posture_grid import ExcludedPosture
+from lightopt.design.postures._posture_search import PostureChoice
 from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import Levels
 from lightopt.design.search._combinations import Ranked
@@ -34,20 +33,15 @@ NOT_COUNTED = "not counted"  # runner-up and ties where no other combination was
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectiveResult:
-    """The best set of light positions for an objective.
-
-    scores: Of the best set under every objective, by name.
-    details: What else the objective says of the best set, as JSON.
-    nothing: Why there is no best set: no combination scores at all. None where there is one.
-    proven_of: Where the positions were chosen with postures: the set of alternatives that `found` is a proof for;
-        others were not counted. None where the search chose them.
-    """
+    """The best set of light positions for an objective."""
 
     objective: Objective
     found: SearchResult
-    scores: Mapping[str, int]
-    details: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    nothing: str | None = None
+    scores: Mapping[str, int]  # of the best set under every objective, by name
+    details: Mapping[str, Any] = field(default_factory=dict[str, Any])  # further facts, as JSON
+    nothing: str | None = None  # why there is no best set: no combination scores at all. None where there is one
+    # where the positions were chosen with postures: the set of alternatives that `found` is a proof for; others were
+    # not counted. None where the search chose them
     proven_of: str | None = None
 
     @property
@@ -63,39 +57,26 @@ class ObjectiveResult:
     @property
     def combinations_text(self) -> str:
         """How many combinations were scored, excluded by a bound, and left; not of a set that was chosen before."""
+        found = self.found
         if self.proven_of is not None:
             return NOT_COUNTED
-        found = self.found
         text = f"{found.scored:,}" + (f" + {found.excluded:,} by bound" if found.excluded else "")
         return text + (f", {found.left:,} left" if found.left else "")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SetResult:
-    """The results for postures that share their light positions.
+    """The results for postures that share their light positions."""
 
-    postures: One, or all of them where the lights stand the same for all.
-    patches, area: Number and area [µm²] of inspectable patches, summed over the postures.
-    grazing_area: That the camera sees at a grazing angle, summed over the postures [µm²]: left out of scores and
-        shares.
-    grain: How far shares of the area may be off since each patch counts as its middle does, 0 to 1.
-    answers: One per objective.
-    levels: Of the best set of the first objective, for each posture: delivered levels of its visible patches under
-        each light, shape (lights, p).
-    curves: The first objective's score against one angle; none where nothing scores.
-    initial_score: The first objective's score of the lights as the rig file has them; None where it was not computed,
-        since nothing was searched.
-    """
-
-    postures: tuple[Posture, ...]
-    patches: int
-    area: int
-    grazing_area: int
-    grain: float
-    answers: tuple[ObjectiveResult, ...]
-    levels: tuple[Levels, ...]
-    curves: tuple[Curve, ...]
-    initial_score: int | None = None
+    postures: tuple[Posture, ...]  # one, or all of them where the lights stand the same for all
+    patches: int  # number of inspectable patches, summed over the postures
+    area: int  # of these patches [µm²]
+    grazing_area: int  # that the camera sees at a grazing angle, left out of scores and shares, likewise [µm²]
+    grain: float  # how far shares of the area may be off since each patch counts as its middle does, 0 to 1
+    answers: tuple[ObjectiveResult, ...]  # one per objective
+    levels: tuple[Levels, ...]  # of each posture, under the best set of the first objective, shape (lights, p)
+    curves: tuple[Curve, ...]  # the first objective's score against one angle; none where nothing scores
+    initial_score: int | None = None  # the first objective's, of the rig file's angles; None where not computed
 
     @property
     def left_out(self) -> float:
@@ -163,25 +144,16 @@ NEGLIGIBLE_SHARE = 0.001  # of the pairs: what further postures add together tha
 
 @dataclass(frozen=True, eq=False)
 class ChosenPostures:
-    """The postures of a plan, and the candidates from which they were chosen.
-
-    evaluator: All postures to choose from, and the patches for the last iterations and all figures.
-    drawn: Number of patches for the first iterations.
-    left_out: Postures that the stage reaches and that are of no use.
-    way: Through the chosen ones, were all captured in one round.
-    pace: How fast the stage goes, and who says so.
-    least: Images that must show a defect.
-    false_alarms: Of the inspection, in a posture of a good part.
-    """
+    """The postures of a plan, and the candidates from which they were chosen."""
 
     choice: PostureChoice
-    evaluator: ImageEvaluator
-    drawn: int
-    left_out: tuple[ExcludedPosture, ...]
-    way: Way
-    pace: str
-    least: int
-    false_alarms: float
+    evaluator: ImageEvaluator  # all postures to choose from, and the patches for the last iterations and all figures
+    drawn: int  # number of patches for the first iterations
+    left_out: tuple[ExcludedPosture, ...]  # postures that the stage reaches and that are of no use
+    way: Way  # through the chosen ones, were all captured in one round
+    pace: str  # how fast the stage goes, and who says so
+    least: int  # images that must show a defect
+    false_alarms: float  # of the inspection, in a posture of a good part
     plan: PlanOptions
 
     @property
@@ -214,18 +186,12 @@ class ToleranceResult:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanResult:
-    """What was planned in addition to the lights.
+    """What was planned in addition to the lights."""
 
-    chosen: Postures; None where the part's own were taken.
-    brackets: Exposures; None where there were no others to choose from.
-    tolerances: Posture by posture, then together where there are several; empty where not requested.
-    commands: That carry the plan out; empty where neither postures nor exposures were planned.
-    """
-
-    chosen: ChosenPostures | None = None
-    brackets: Brackets | None = None
-    tolerances: tuple[ToleranceResult, ...] = ()
-    commands: tuple[Command, ...] = ()
+    chosen: ChosenPostures | None = None  # postures; None where the part's own were taken
+    brackets: Brackets | None = None  # exposures; None where there were no others to choose from
+    tolerances: tuple[ToleranceResult, ...] = ()  # of each posture, then of all together; empty if not requested
+    commands: tuple[Command, ...] = ()  # that carry out planned postures or exposures; empty without these
 
     def exposures_of(self, posture: Posture) -> tuple[float, ...]:
         """Planned exposures of a posture, the longest first."""
@@ -234,21 +200,13 @@ class PlanResult:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DesignResult(Problem):
-    """Best light positions for a part, and the plan made for them; `candidates` are those of `results`.
-
-    command: The command line that asks for this result.
-    patches: None where all matrices came from the cache and there is no report.
-    results: One per posture, or one for all of them.
-    blind: Blind spots, where images are tested for defects.
-    reused: Number of luminance matrices read from the cache.
-    warnings: What was repaired or is partly wrong.
-    """
+    """Best light positions for a part, and the plan made for them; `candidates` are those of `results`."""
 
     folder: Path
-    command: str
-    patches: PatchTable | None
-    results: tuple[SetResult, ...]
+    command: str  # the command line that asks for this result
+    patches: PatchTable | None  # None where all matrices came from the cache and there is no report
+    results: tuple[SetResult, ...]  # one per posture, or one for all of them
     plan: PlanResult
-    blind: BlindSpotSummary | None
-    reused: int
-    warnings: tuple[str, ...]
+    blind: BlindSpotSummary | None  # blind spots, where images are tested for defects
+    reused: int  # number of luminance matrices read from the cache
+    warnings: tuple[str, ...]  # what was repaired or is partly wrong

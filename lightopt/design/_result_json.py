@@ -218,7 +218,7 @@ def _brackets_dict(brackets: Brackets, shares_of: str) -> dict[str, Any]:
         "grain": round(brackets.grain, 6),
         "shots": [
             {"posture": one.posture.as_dict(), "exposure": one.exposure, "gain": round(one.gain, 6)}
-            | {"planned": one.planned, "planned_for": one.reason}
+            | {"planned": one.reason is not None, "planned_for": one.reason}
             for one in brackets.further
         ],
     }

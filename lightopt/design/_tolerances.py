@@ -7,8 +7,6 @@ the widest tolerance that keeps the score. Each image is computed once: of a pos
 under one light that is off by so much. The scores of all combinations are composed of them.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -63,16 +61,11 @@ ImageKey = tuple[int, Offset, int, Offset]  # a posture, the offset of the part,
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerances:
-    """The tolerances to analyse, and the share of the score to keep.
+    """The tolerances to analyse, and the share of the score to keep."""
 
-    light_deg: Elevation and azimuth of each light [°].
-    pose_deg: Tilt and rotation of the part [°].
-    tolerance_target: Share of the score that the widest tolerances keep.
-    """
-
-    light_deg: float = 0.0
-    pose_deg: float = 0.0
-    tolerance_target: float = DEFAULT_TOLERANCE_TARGET
+    light_deg: float = 0.0  # elevation and azimuth of each light [°]
+    pose_deg: float = 0.0  # tilt and rotation of the part [°]
+    tolerance_target: float = DEFAULT_TOLERANCE_TARGET  # share of the score that the widest tolerances keep
     draws: int = 100
     seed: int = 0
 
@@ -121,39 +114,27 @@ def draws(lights: int, tolerances: Tolerances) -> Iterator[tuple[Offset, list[Of
 
 @dataclass(frozen=True, kw_only=True)
 class WidestTolerance:
-    """How far one angle, or all of the lights', may be off.
+    """How far one angle, or all of the lights', may be off."""
 
-    what: Name of the light, ``all lights``, or ``part``.
-    angle: ``elevation``, ``azimuth``, ``both angles at once``, ``tilt`` or ``rotation``.
-    degrees: The widest tolerance that keeps the score, every angle but these being exact [°]; of those that were
-        tried: the rungs, and multiples of 0.05° between the last that keeps it and the first that does not.
-    open_ended: Whether that is the widest that was tried.
-    """
-
-    what: str
-    angle: str
+    what: str  # name of the light, ``all lights``, or ``part``
+    angle: str  # ``elevation``, ``azimuth``, ``both angles at once``, ``tilt`` or ``rotation``
+    # the widest tolerance that keeps the score, every angle but these being exact [°]; of those that were tried: the
+    # rungs, and multiples of 0.05° between the last that keeps it and the first that does not
     degrees: float
-    open_ended: bool
+    open_ended: bool  # whether that is the widest that was tried
 
 
 @dataclass(frozen=True, kw_only=True)
 class ToleranceAnalysis:
-    """Scores under misalignment.
-
-    score: Where all angles are exact.
-    worst: The least over all corners.
-    worst_pose, worst_lights: The corner: offsets of the part and of each light [°].
-    quantile: 5 % of the draws score this or less.
-    least_drawn: The least of the draws.
-    """
+    """Scores under misalignment."""
 
     lights: tuple[str, ...]
-    score: int
-    worst: int
-    worst_pose: Offset
-    worst_lights: tuple[Offset, ...]
-    quantile: int
-    least_drawn: int
+    score: int  # where all angles are exact
+    worst: int  # the least over all corners
+    worst_pose: Offset  # the corner: offset of the part [°]
+    worst_lights: tuple[Offset, ...]  # offset of each light there [°]
+    quantile: int  # 5 % of the draws score this or less
+    least_drawn: int  # the least of the draws
     widest: tuple[WidestTolerance, ...]
 
 
@@ -169,6 +150,7 @@ def analyse_tolerances(
     varied += [("all lights", "both angles at once", None), ("part", "tilt", None), ("part", "rotation", None)]
     pose_corners, light_corners = list(corners(tolerances.pose_deg)), list(corners(tolerances.light_deg))
     work = WorkCounter(len(pose_corners) + tolerances.draws + len(varied), progress)
+    sizes, every_corner = [len(light_corners)] * len(names), [light_corners] * len(names)
 
     def reported(items: Iterable[T]) -> Iterator[T]:
         for item in items:
@@ -177,8 +159,8 @@ def analyse_tolerances(
             work.report()
 
     def worst_at(pose: Offset) -> tuple[int, Offset, tuple[Offset, ...]]:
-        table = score(pose, [light_corners] * len(names))
-        at = np.unravel_index(table.argmin(), [len(light_corners)] * len(names))
+        table = score(pose, every_corner)
+        at = np.unravel_index(table.argmin(), sizes)
         return int(table.min()), pose, tuple(light_corners[int(i)] for i in at)
 
     exact: list[Sequence[Offset]] = [[EXACT]] * len(names)
@@ -233,20 +215,15 @@ def _widest_tolerance(
 
 @dataclass(frozen=True)
 class Setup:
-    """Postures that are evaluated together, and the positions of the lights in them.
-
-    angles: Elevation and azimuth of each light, posture by posture [°].
-    exposures: Posture by posture, 1 among them.
-    points: Point lights per panel, instead of the rig's.
-    """
+    """Postures that are evaluated together, and the positions of the lights in them."""
 
     rig: RigConfig
     postures: tuple[Posture, ...]
-    angles: tuple[tuple[tuple[float, float], ...], ...]
-    exposures: tuple[tuple[float, ...], ...]
-    points: int | Literal["auto"] | None = None
+    angles: tuple[tuple[tuple[float, float], ...], ...]  # elevation and azimuth of each light, posture by posture [°]
+    exposures: tuple[tuple[float, ...], ...]  # posture by posture, 1 among them
+    points: int | Literal["auto"] | None = None  # point lights per panel, instead of the rig's
 
-    def only(self, posture: int) -> Setup:
+    def only(self, posture: int) -> "Setup":
         """One of the postures."""
         one = slice(posture, posture + 1)
         return replace(self, postures=self.postures[one], angles=self.angles[one], exposures=self.exposures[one])
@@ -290,19 +267,15 @@ class _Assessment(ABC):
 
     def _compute_images(self, posture: int, pose: Offset, lights: Sequence[Sequence[Offset]]) -> None:
         # the images that are not known yet, those of all lights in one go
-        missing = [
-            [offset for offset in offsets if (posture, pose, light, offset) not in self.images]
-            for light, offsets in enumerate(lights)
-        ]
+        keys = ([(posture, pose, light, offset) for offset in offsets] for light, offsets in enumerate(lights))
+        missing = [[key[-1] for key in some if key not in self.images] for some in keys]
         if not any(missing):
             return
         nominal = self.setup.postures[posture]
         there = Posture(nominal.elevation_deg + pose[0], nominal.rotation_deg + pose[1])
-        matrices = replace(self.evaluator, table=self._table(there, posture)).matrices(
-            there,
-            [[self.setup.panel(posture, light, offset) for offset in offsets] for light, offsets in enumerate(missing)],
-            exposures=self.setup.exposures[posture],
-        )
+        panels = [[self.setup.panel(posture, light, one) for one in offsets] for light, offsets in enumerate(missing)]
+        evaluator = replace(self.evaluator, table=self._table(there, posture))
+        matrices = evaluator.matrices(there, panels, exposures=self.setup.exposures[posture])
         for light, offsets in enumerate(missing):
             for at, offset in enumerate(offsets):
                 self.images[posture, pose, light, offset] = self.keep(matrices, light, at)
@@ -322,11 +295,6 @@ class _Assessment(ABC):
 class PairAssessment(_Assessment):
     """Weight of the pairs of patch and defect that the images of all postures together find."""
 
-    def __init__(self, evaluator: ImageEvaluator, setup: Setup) -> None:
-        super().__init__(evaluator, setup)
-        self._needed = evaluator.needed
-        self._weights = evaluator.weights
-
     def keep(self, matrices: Sequence[LuminanceMatrix], light: int, at: int) -> Any:
         """One image, whatever the number of its exposures."""
         return scattered_flags(matrices, self.patches, light=light, place=at)
@@ -334,12 +302,11 @@ class PairAssessment(_Assessment):
     def scores(self, pose: Offset, lights: Sequence[Sequence[Offset]]) -> Int64:
         """Add up the postures, then all combinations of the lights."""
         totals: list[UInt64] = []
+        weights, needed, postures = self.evaluator.weights, self.evaluator.needed, range(len(self.setup.postures))
         for light, offsets in enumerate(lights):
-            images = (
-                [self.images[i, pose, light, offset] for i in range(len(self.setup.postures))] for offset in offsets
-            )
-            totals.append(np.stack([self._weights.sum_counts(some, self._needed) for some in images]))
-        return combination_sums(totals, self._weights, self._needed, benefit=False, threads=self.evaluator.threads)[0]
+            images = ([self.images[i, pose, light, offset] for i in postures] for offset in offsets)
+            totals.append(np.stack([weights.sum_counts(some, needed) for some in images]))
+        return combination_sums(totals, weights, needed, benefit=False, threads=self.evaluator.threads)[0]
 
 
 class ObjectiveAssessment(_Assessment):
@@ -359,13 +326,10 @@ class ObjectiveAssessment(_Assessment):
         """All combinations by the objective's own search."""
         total = np.zeros(int(np.prod([len(offsets) for offsets in lights])), np.int64)
         for posture in range(len(self.setup.postures)):
-            images = [
-                [self.images[posture, pose, light, offset] for offset in offsets]
-                for light, offsets in enumerate(lights)
-            ]
-            matrix = LuminanceMatrix(
-                levels=tuple(np.stack([levels for levels, _ in some]) for some in images), areas=images[0][0][1]
-            )
+            keys = [[(posture, pose, light, offset) for offset in offsets] for light, offsets in enumerate(lights)]
+            images = [[self.images[key] for key in some] for some in keys]
+            levels = tuple(np.stack([own for own, _ in some]) for some in images)
+            matrix = LuminanceMatrix(levels=levels, areas=images[0][0][1])
             threads, weights = self.evaluator.threads or available_processors(), self._objective.weights(matrix.areas)
             total += self._objective.scores(matrix, weights, self._thresholds, threads, None)
         return total

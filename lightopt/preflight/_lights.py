@@ -102,17 +102,13 @@ def _steps(ends: tuple[float, float], step: float) -> list[float]:
 def _close_pairs(moved: list[list[PanelLight]]) -> Iterator[tuple[int, int]]:
     # pairs whose panels could touch anywhere in their ranges, by the spheres around them
     centres = [np.mean([p.centre for p in places], axis=0) for places in moved]
-    reach = np.array(
-        [
-            max(float(np.linalg.norm(p.centre - c)) for p in places) + 0.5 * float(np.hypot(*places[0].size))
-            for places, c in zip(moved, centres, strict=True)
-        ]
-    )
-    stacked = np.array(centres)
-    for i in range(len(moved) - 1):
-        distance = np.linalg.norm(stacked[i + 1 :] - stacked[i], axis=1)
-        for j in np.flatnonzero(distance <= reach[i] + reach[i + 1 :]):
-            yield i, i + 1 + int(j)
+    reach = [
+        max(float(np.linalg.norm(p.centre - c)) for p in places) + 0.5 * float(np.hypot(*places[0].size))
+        for places, c in zip(moved, centres, strict=True)
+    ]
+    for i, j in itertools.combinations(range(len(moved)), 2):
+        if np.linalg.norm(centres[j] - centres[i]) <= reach[i] + reach[j]:
+            yield i, j
 
 
 def _at_range(checked: CheckedRig, index: int, topic: str, moved: list[PanelLight], what: str) -> Finding:

@@ -93,7 +93,12 @@ _CLEAR_COMPONENT = 0.38
 def check_unseen_surface(checked: CheckedScene) -> Iterator[Finding]:
     """Area of the surface that the camera sees in no posture, of the upper side and of all, and where it is."""
     mesh = checked.scene.mesh
-    patches = _patches(mesh)
+    # equilateral patches of this edge would be half of the budget; bisection makes up to twice as many
+    edge = math.sqrt(4.0 / math.sqrt(3.0) * 2.0 * float(geometry.face_areas(mesh).sum()) / BUDGET)
+    most = max(BUDGET, len(mesh.faces))
+    while geometry.estimate_patch_count(mesh, edge, limit=most + 1) > most:
+        edge *= 1.3
+    patches = geometry.refine(mesh, max_edge_mm=edge, max_patches=most)
     normals = geometry.face_normals(mesh)[patches.face]
     seen = np.zeros(len(patches), np.bool_)
     for sample in checked.samples:
@@ -151,12 +156,3 @@ def facing(mean: Float64) -> str:
         if abs(value) > _CLEAR_COMPONENT
     ]
     return f"facing {' and '.join(words)}" if words else "facing several ways"
-
-
-def _patches(mesh: geometry.TriangleMesh) -> geometry.Patches:
-    # equilateral patches of this edge would be half of the budget; bisection makes up to twice as many
-    edge = math.sqrt(4.0 / math.sqrt(3.0) * 2.0 * float(geometry.face_areas(mesh).sum()) / BUDGET)
-    most = max(BUDGET, len(mesh.faces))
-    while geometry.estimate_patch_count(mesh, edge, limit=most + 1) > most:
-        edge *= 1.3
-    return geometry.refine(mesh, max_edge_mm=edge, max_patches=most)

@@ -26,7 +26,7 @@ THRESHOLDS = LevelThresholds(shade=10, saturation=255)
 
 def trials_of(weights):
     """Trials that differ in their weights alone."""
-    return tuple(PlannedDefect(name=f"trial {k}", kind="stain", weight=weight) for k, weight in enumerate(weights))
+    return tuple(PlannedDefect(name=f"trial {k}", weight=weight) for k, weight in enumerate(weights))
 
 
 def matrix_of(flags, trials, areas, levels):

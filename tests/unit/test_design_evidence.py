@@ -20,7 +20,13 @@ from lightopt.defects import (
 )
 from lightopt.design import DetectionModel, planned_catalogue
 from lightopt.design.responses import _evidence as evidence
-from lightopt.design.responses._evidence_sums import ImagePatches, PlannedTurns, Stencils, add_evidence, greatest_within
+from lightopt.design.responses._evidence_sums import (
+    ImagePatches,
+    PlannedTurns,
+    Stencils,
+    evidence_flags,
+    greatest_within,
+)
 from lightopt.design.responses._packed_bits import narrow_words, pack_flags, widen_octets
 from lightopt.inspection import threshold
 from lightopt.inspection.detection._registry import CATALOGUE
@@ -89,6 +95,14 @@ def owner_at(owner, cell, column, row):
     return owner[y, x] if inside else -1
 
 
+def placed(owner, cell, column, row, classes=None, angle=None):
+    none = np.zeros(len(column), np.int32)
+    places = column / np.float32(cell), row / np.float32(cell)
+    return ImagePatches(
+        *places, owner, cell, none if classes is None else classes, none * 0.0 if angle is None else angle
+    )
+
+
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("correlated", [(), (3.0,), (3.0, 40.0)], ids=["smooth", "wavy", "wavy, by entry"])
 def test_changes_are_those_of_the_statistic_with_noise_and_registration(seed, correlated):
@@ -103,11 +117,9 @@ def test_changes_are_those_of_the_statistic_with_noise_and_registration(seed, co
     leant = (good + rng.normal(0.0, 2.0, (2 if correlated else 0, patches))).astype(np.float32)
     # with bounds for each entry, the last four variants are the second one's
     first = np.array([0, 2, 6] if len(correlated) > 1 else [0, 6], np.int32)
-    codes, all_bounds = np.zeros((6, patches + 1), np.int16), np.zeros((len(first) - 1, patches + 1, 3), np.float32)
-    places = evidence.ImagePatches(column / np.float32(cell), row / np.float32(cell), owner, cell)
-    evidence._fill_changes(
-        good, varied.T.copy(), leant, np.array(correlated or (0.0,)), first, places, scale, limit, (0.8, 60.0), codes,
-        all_bounds,
+    codes, all_bounds = evidence._changes(
+        good, varied.T.copy(), leant, np.array(correlated or (0.0,)), first, placed(owner, cell, column, row),
+        (scale, limit, 0.8, 60.0),
     )  # fmt: skip
     bounds = all_bounds[-1]
     level = np.minimum(scale * good, limit)
@@ -152,7 +164,7 @@ def test_evidence_is_the_sum_of_squares_over_the_pixels_of_a_defect(seed):
     classes = np.sort(rng.integers(0, 20, patches)).astype(np.int32)
     angle = rng.uniform(-math.pi, math.pi, patches)
     entry, turns = np.array([0, 1, 1, 1, 1]), np.array([1, 4])
-    groups = len(entry) * evidence.FORESHORTENINGS
+    groups = len(entry) * FORESHORTENINGS
     pieces = [
         sorted(set(map(tuple, np.c_[rng.integers(-3, 4, (4, 2)), rng.integers(0, variants, 4)].tolist())))
         for _ in range(groups)
@@ -161,12 +173,11 @@ def test_evidence_is_the_sum_of_squares_over_the_pixels_of_a_defect(seed):
     right, down, variant = (np.array([piece[i] for own in pieces for piece in own]) for i in range(3))
     right = 2.0 * right
     # the second entry's variants are the last three
-    variant = np.where(np.arange(len(variant)) < first[evidence.FORESHORTENINGS], variant % 2, 2 + variant % 3)
+    variant = np.where(np.arange(len(variant)) < first[FORESHORTENINGS], variant % 2, 2 + variant % 3)
     share = 0.25 * rng.random(len(variant)).astype(np.float32)
     ratio = rng.uniform(1.0, 3.0, groups).astype(np.float32)
     along = rng.uniform(-9.0, 9.0, (groups, 2)).astype(np.float32) * (rng.random((groups, 1)) < 0.5)
     limits = np.sort(rng.uniform(0.0, 300.0, (2, 3)), axis=1)
-    words = np.zeros((3, patches, 1), np.uint64)
     new = np.r_[True, (np.diff(right) != 0) | (np.diff(down) != 0)]
     new[first[:-1]] = True
     starts = np.flatnonzero(new)
@@ -178,14 +189,14 @@ def test_evidence_is_the_sum_of_squares_over_the_pixels_of_a_defect(seed):
         variant=variant.astype(np.int32), share=share, ratio=ratio,
         square=np.add.reduceat(in_pixels.astype(float) ** 2, pixels[:-1]),
     )  # fmt: skip
-    add_evidence(
-        codes, by_entry, ImagePatches(column / np.float32(cell), row / np.float32(cell), owner, cell), classes, angle,
+    words = evidence_flags(
+        codes, by_entry, placed(owner, cell, column, row, classes, angle),
         PlannedTurns(entry.astype(np.int32), turns.astype(np.int32), np.array([0, 2, variants], np.int32)),
-        stencils.in_cells(cell), limits, words,
+        stencils.in_cells(cell), limits,
     )  # fmt: skip
 
     def energy_at(p, h):
-        group = h * evidence.FORESHORTENINGS + classes[p]
+        group = h * FORESHORTENINGS + classes[p]
         pixels = {}
         for n in range(first[group], first[group + 1]):
             near = max(abs(right[n]), abs(down[n])) < 0.5 * cell
@@ -199,7 +210,7 @@ def test_evidence_is_the_sum_of_squares_over_the_pixels_of_a_defect(seed):
     for p in range(patches):
         for h in range(5):
             turn = 0 if h == 0 else 1 + (h - 1 + round(angle[p] / math.pi * 4)) % 4
-            dx, dy = along[turn * evidence.FORESHORTENINGS + classes[p]]
+            dx, dy = along[turn * FORESHORTENINGS + classes[p]]
             near = [p]
             if dx or dy:
                 near += [owner_at(owner, cell, column[p] + side * dx, row[p] + side * dy) for side in (-2, -1, 1, 2)]

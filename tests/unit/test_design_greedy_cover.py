@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import combinations, product
 
 import numpy as np
@@ -248,7 +249,7 @@ def test_two_exposures_that_only_together_show_enough_are_planned(least_gain, ta
         CandidateExposure(posture=1, exposure=0.25, images=short),
     ]
     found = select_exposures(postures, [dark, dark], offers, weights, needed=2, least_gain=least_gain, target=target)
-    planned = [(shot.posture, shot.exposure, shot.gain, shot.reason) for shot in found.further if shot.planned]
+    planned = [(shot.posture, shot.exposure, shot.gain, shot.reason) for shot in found.further if shot.reason]
     assert planned == ([(postures[0], 0.25, 0.0, why), (postures[1], 0.25, 0.1, why)] if why else [])
     assert found.after == (0.1 if why else 0.0)
 
@@ -279,7 +280,7 @@ def test_no_other_two_exposures_add_more_together(seed):
     # more than any adds alone, and as much as two have to
     for least_gain in (0.5 * two / weights.total, 0.5 * (two + 1) / weights.total):
         found = select_exposures(postures, now, offers, weights, needed=least, least_gain=least_gain)
-        planned = [shot for shot in found.further if shot.planned]
+        planned = [shot for shot in found.further if shot.reason]
         if alone >= max(1.0, least_gain * weights.total):
             assert planned[0].reason == "gain"
         elif two > 0 and two >= 2.0 * least_gain * weights.total:
@@ -328,7 +329,7 @@ def test_greed_misses_what_all_sets_show():
     assert (greedy.chosen, greedy.covered, greedy.proven) == ((0, 1), 7, False)
     found, most, sets = best_set(packed, weights, greedy.chosen, 2)
     assert (sorted(found), most, sets) == ([1, 2], 8, 3)
-    best = greedy_cover(packed, weights, count=2, among=found).with_search(most, sets)
+    best = replace(greedy_cover(packed, weights, count=2, among=found), sets=sets, max_covered=most)
     assert (best.covered, best.proven) == (8, True)
     assert best.bound_share == best.share
     assert best.guarantee == 1.0

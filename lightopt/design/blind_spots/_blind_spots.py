@@ -15,8 +15,6 @@ What is seen at a grazing angle or an edge only counts neither as found nor as b
 surface, and the share left out is given separately.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -51,16 +49,11 @@ class BlindReason(IntEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class BlindSpots:
-    """Visibility of defects on all n patches of a run, over one posture or several.
+    """Visibility of defects on all n patches of a run, over one posture or several."""
 
-    codes: Reasons (:class:`BlindReason`), shape (n,).
-    share: Weighted share of the defects that are found on each patch, shape (n,).
-    areas: Of the patches [mm²], shape (n,).
-    """
-
-    codes: NDArray[np.int16]
-    share: Float64
-    areas: Float64
+    codes: NDArray[np.int16]  # reasons (:class:`BlindReason`), shape (n,)
+    share: Float64  # weighted share of the defects that are found on each patch, shape (n,)
+    areas: Float64  # of the patches [mm²], shape (n,)
 
     @property
     def seen(self) -> float:
@@ -107,22 +100,14 @@ def blind_text(code: int, lights: Sequence[str]) -> str:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DefectVisibility:
-    """What the images of a posture show of the p patches that the camera sees there, and of t defects on them.
+    """What the images of a posture show of the p patches that the camera sees there, and of t defects on them."""
 
-    visibility: The patches; without positions of lights.
-    counts: Units of evidence up to what is needed, shape (k, p, ⌈t / 64⌉).
-    least: Images that must show a defect.
-    usable: Number of images with a level that is neither dark nor saturated, shape (p,).
-    saturated: Number of images with a saturated level and no usable one, shape (p,).
-    first: The first light with such an image; −1 where there is none; shape (p,).
-    """
-
-    visibility: Visibility
-    counts: Counts
-    least: int
-    usable: Int32
-    saturated: Int32
-    first: NDArray[np.int16]
+    visibility: Visibility  # the patches; without positions of lights
+    counts: Counts  # units of evidence up to what is needed, shape (k, p, ⌈t / 64⌉)
+    least: int  # images that must show a defect
+    usable: Int32  # number of images with a level that is neither dark nor saturated, shape (p,)
+    saturated: Int32  # number of images with a saturated level and no usable one, shape (p,)
+    first: NDArray[np.int16]  # the first light with such an image; −1 where there is none; shape (p,)
 
 
 def by_light(matrices: Sequence[LuminanceMatrix]) -> list[list[tuple[LuminanceMatrix, int]]]:
@@ -145,7 +130,15 @@ def defect_visibility(
         for matrix, layer in matrices:
             visibility, levels = matrix.visibility, matrix.levels[layer]
             assert visibility is not None
-            shown = shown or _without_images(visibility, least)
+            count, width = len(visibility.patch), visibility.words[layer].shape[-1]
+            shown = shown or DefectVisibility(
+                visibility=visibility.rows([np.zeros(0, np.int64)] * len(visibility.words)),
+                counts=np.zeros((units_needed(least), count, width), np.uint64),
+                least=least,
+                usable=np.zeros(count, np.int32),
+                saturated=np.zeros(count, np.int32),
+                first=np.full(count, -1, np.int16),
+            )
             saturated = levels >= thresholds.saturation
             seen = seen | np.bitwise_or.reduce(visibility.words[layer], axis=0)
             good = good | ((levels > thresholds.black) & ~saturated).any(axis=0)
@@ -159,19 +152,6 @@ def defect_visibility(
         shown.first[glare & (shown.first < 0)] = light
     assert shown is not None
     return shown
-
-
-def _without_images(visibility: Visibility, least: int) -> DefectVisibility:
-    """A posture without images."""
-    count = len(visibility.areas)
-    return DefectVisibility(
-        visibility=visibility.rows([np.zeros(0, np.int64)] * len(visibility.words)),
-        counts=np.zeros((units_needed(least), count, -(-len(visibility.defects) // 64)), np.uint64),
-        least=least,
-        usable=np.zeros(count, np.int32),
-        saturated=np.zeros(count, np.int32),
-        first=np.full(count, -1, np.int16),
-    )
 
 
 def blind_spots(areas: Float64, postures: Sequence[DefectVisibility]) -> BlindSpots:
@@ -204,9 +184,9 @@ def blind_spots(areas: Float64, postures: Sequence[DefectVisibility]) -> BlindSp
     codes[glaring] = BlindReason.SATURATED + first[glaring]
     codes[sight == 1] = BlindReason.GRAZING
     codes[sight == 0] = BlindReason.CAMERA
-    sums = first_posture.weights(counts[-1])
-    codes[sums == first_posture.total_weight] = BlindReason.SEEN
-    return BlindSpots(codes=codes, share=sums / first_posture.total_weight, areas=areas)
+    sums, every_defect = first_posture.weights(counts[-1]), sum(defect.weight for defect in first_posture.defects)
+    codes[sums == every_defect] = BlindReason.SEEN
+    return BlindSpots(codes=codes, share=sums / every_defect, areas=areas)
 
 
 BLIND_SHARES_OF = "the part's surface without what is at grazing angles or edges only, × defects by weight"
@@ -219,14 +199,11 @@ positions need do for all."""
 
 @dataclass(frozen=True, eq=False)
 class PostureVisibility:
-    """What a posture's images show of defects.
-
-    `chosen` is with the chosen lights and exposures, `possible` with all that there were to choose from.
-    """
+    """What a posture's images show of defects."""
 
     posture: Posture
-    chosen: DefectVisibility
-    possible: DefectVisibility
+    chosen: DefectVisibility  # with the chosen lights and exposures
+    possible: DefectVisibility  # with all lights and exposures that there were to choose from
 
 
 # a posture, None for all of them; blind spots of the chosen lights, and of all that the lights can do
@@ -235,21 +212,16 @@ BlindPart = tuple[Posture | None, BlindSpots, BlindSpots]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BlindSpotSummary:
-    """Blind spots of the whole surface.
+    """Blind spots of the whole surface."""
 
-    objective: Whose defects they are.
-    lights: Names, in the rig's order.
-    parts: Of all postures by all their images together, then of the images of each posture alone.
-    """
-
-    objective: DetectabilityObjective
-    lights: tuple[str, ...]
-    parts: tuple[BlindPart, ...]
+    objective: DetectabilityObjective  # whose defects they are
+    lights: tuple[str, ...]  # names, in the rig's order
+    parts: tuple[BlindPart, ...]  # by all images of all postures together, then by each posture's alone
 
     @staticmethod
     def of(
         visibility: Sequence[PostureVisibility], areas: Float64, goal: DetectabilityObjective, names: tuple[str, ...]
-    ) -> BlindSpotSummary:
+    ) -> "BlindSpotSummary":
         """Combine postures; `areas` are those of all patches of the run [mm²], shape (n,)."""
 
         def part(posture: Posture | None, some: Sequence[PostureVisibility]) -> BlindPart:
@@ -262,9 +234,7 @@ class BlindSpotSummary:
     def as_dict(self) -> dict[str, Any]:
         """JSON form."""
         _, whole, _ = self.parts[0]
-        both = [
-            {"chosen": self._facts(chosen), "any_position": self._facts(possible)} for _, chosen, possible in self.parts
-        ]
+        both = [{"chosen": self._facts(one), "any_position": self._facts(other)} for _, one, other in self.parts]
         return {
             "min_images": self.objective.min_images,
             "shares_of": BLIND_SHARES_OF,
@@ -279,10 +249,8 @@ class BlindSpotSummary:
         }
 
     def _facts(self, spots: BlindSpots) -> dict[str, Any]:
-        reasons = [
-            {"reason": blind_text(code, self.lights), "share": round(share, 6)}
-            for code, share in spots.by_reason().items()
-        ]
+        shares = {blind_text(code, self.lights): round(share, 6) for code, share in spots.by_reason().items()}
+        reasons = [{"reason": reason, "share": share} for reason, share in shares.items()]
         return {"seen": round(spots.seen, 6), "blind": reasons, "left_out_of_surface": round(spots.left_out, 6)}
 
 

@@ -153,12 +153,6 @@ def _chunks(products: Float64, most: int) -> list[int]:
 
 
 @kernel
-def _kind(level: int, shade: int, saturation: int) -> int:
-    # 0 shaded, 1 usable, SATURATED saturated
-    return 0 if level < shade else 1 if level < saturation else SATURATED
-
-
-@kernel
 def _run_counts(layer: Levels, shade: int, saturation: int) -> Int64:
     counts = np.ones(layer.shape[1], np.int64)
     for a in range(1, len(layer)):
@@ -170,18 +164,17 @@ def _run_counts(layer: Levels, shade: int, saturation: int) -> Int64:
 
 @kernel
 def _runs(layer: Levels, shade: int, saturation: int) -> tuple[Int64, Int32, Int32]:
-    # where each patch's runs begin and their classes: patch p has those from first[p] to first[p + 1]
-    counts = _run_counts(layer, shade, saturation)
+    # where each patch's runs begin and their classes, 0 shaded, 1 usable or SATURATED: patch p has those from first[p]
+    # to first[p + 1]
     first = np.zeros(layer.shape[1] + 1, np.int64)
-    for p in range(layer.shape[1]):
-        first[p + 1] = first[p] + counts[p]
-    place = np.empty(first[-1], np.int32)
-    kind = np.empty(first[-1], np.int32)
+    first[1:] = np.cumsum(_run_counts(layer, shade, saturation))
+    place, kind = np.empty(first[-1], np.int32), np.empty(first[-1], np.int32)
     for p in range(layer.shape[1]):
         k = first[p]
         last = -1
         for a in range(len(layer)):
-            here = _kind(layer[a, p], shade, saturation)
+            level = layer[a, p]
+            here = 0 if level < shade else 1 if level < saturation else SATURATED
             if here != last:
                 place[k], kind[k] = a, here
                 last = here

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from lightopt.core.arrays import Bool, Float64, Int64
+from lightopt.core.arrays import Float64, Int64
 from lightopt.core.errors import InputError, counted
 from lightopt.core.run_context import Share
 from lightopt.defects import DEFAULT_FALSE_ALARMS
@@ -59,18 +59,12 @@ def min_images_problem(min_images: int) -> str | None:
 
 @dataclass(frozen=True)
 class DetectabilityObjective(Objective):
-    """Defects that the inspection is expected to find; see the module's text.
-
-    min_images: Images that must show a defect.
-    false_alarms: Of the inspection, in a posture of a good part.
-    across_postures: Whether images of other postures count, so that a posture may have fewer lights than that; the
-        score of its own images is then 0.
-    """
+    """Defects that the inspection is expected to find; see the module's text."""
 
     defects: tuple[PlannedDefect, ...]
-    min_images: int = 1
-    false_alarms: float = DEFAULT_FALSE_ALARMS
-    across_postures: bool = False
+    min_images: int = 1  # images that must show a defect
+    false_alarms: float = DEFAULT_FALSE_ALARMS  # of the inspection, in a posture of a good part
+    across_postures: bool = False  # whether other postures' images count; with too few lights a posture scores 0
     name: str = "detectability"
     unit: str = "µm² × weight of the defects"
     share_of: str | None = f"{inspectable_surface(edges=False)}, × defects by weight"
@@ -131,12 +125,12 @@ class DetectabilityObjective(Objective):
 
     def details(self, matrices: Sequence[LuminanceMatrix], weights: Sequence[Int64]) -> Mapping[str, Any]:
         """Share of each kind of defect that is found, the worst kind, and the worst orientation of long defects."""
-        area = sum(int(own.sum()) for own in weights)
-        found = sum(
-            (own @ self._found(_visibility(matrix)) for matrix, own in zip(matrices, weights, strict=True)),
-            start=np.zeros(len(self.defects), np.int64),
-        )
-        return self.facts(found, area)
+        found = np.zeros(len(self.defects), np.int64)
+        for matrix, own in zip(matrices, weights, strict=True):
+            # of one position of each light: which defects all images together find, shape (p, t)
+            units = _visibility(matrix).most_units(self.needed)[-1]
+            found += own @ (unpack_flags(units, len(self.defects)) > 0)
+        return self.facts(found, sum(int(own.sum()) for own in weights))
 
     def facts(self, found_areas: Int64, area: int) -> Mapping[str, Any]:
         """The same for areas on which each defect is found, shape (t,), as shares of an area [µm²]."""
@@ -152,17 +146,10 @@ class DetectabilityObjective(Objective):
         }
         turned = [k for k, defect in enumerate(self.defects) if defect.turn is not None]
         if turned:
-            around = self._mean_shares(
-                [f"{round(math.degrees(self.defects[k].turn or 0.0), 6):g}" for k in turned], found[turned]
-            )
-            worst = min(around, key=lambda name: around[name])
-            facts["directions_deg"] = around
-            facts["worst_direction_deg"] = float(worst)
+            angles = [f"{round(math.degrees(self.defects[k].turn or 0.0), 6):g}" for k in turned]
+            facts["directions_deg"] = around = self._mean_shares(angles, found[turned])
+            facts["worst_direction_deg"] = float(min(around, key=lambda name: around[name]))
         return facts
-
-    def _found(self, visibility: Visibility) -> Bool:
-        # for one position of each light: which defects all images together find, shape (p, t)
-        return unpack_flags(visibility.most_units(self.needed)[-1], len(self.defects)) > 0
 
     def _mean_shares(self, names: Sequence[str], shares: Float64) -> dict[str, float]:
         # mean over the hypotheses of a name, in the order of the names

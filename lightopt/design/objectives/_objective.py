@@ -1,7 +1,5 @@
 """The interface of an objective to the search, and the printed form of its scores."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -68,16 +66,11 @@ def share_text(share: float, grain: float, *, short_of: float = 1.0) -> str:
 
 
 class Objective(ABC):
-    """A score of a combination of light positions, in whole numbers; larger is better, 0 is nothing gained.
+    """A score of a combination of light positions, in whole numbers; larger is better, 0 is nothing gained."""
 
-    name: As on the command line.
-    unit: Of one unit of the score.
-    share_of: What a score is a share of, in words; None where it is no area.
-    """
-
-    name: str
-    unit: str
-    share_of: str | None
+    name: str  # as on the command line
+    unit: str  # of one unit of the score
+    share_of: str | None  # what a score is a share of, in words; None where it is no area
 
     @property
     @abstractmethod

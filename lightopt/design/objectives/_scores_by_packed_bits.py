@@ -27,7 +27,6 @@ BITS_SHARE = 512
 BLOCK_LEVELS = 1 << 25  # levels that are packed at once
 LEAST_PATCHES = 4096  # of a block, however many candidates there are
 TASK_WORDS = 100_000_000  # words that a task reads, at most: some 0.1 s of a thread, so that Ctrl-C is heard
-
 _Classes = tuple[Words, Words]  # of the usable and of the saturated images
 
 

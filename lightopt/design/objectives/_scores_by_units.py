@@ -40,8 +40,7 @@ LEAST_NODES = 1 << 10  # however few combinations there are
 # words that a task of plain additions reads, at most: some 0.1 s of a thread, so that Ctrl-C is heard
 TASK_WORDS = 100_000_000
 
-PositionCounts = UInt64
-"""Units of every position of a light, shape (positions, k, p, words)."""
+PositionCounts = UInt64  # units of every position of a light, shape (positions, k, p, words)
 
 # of all lights in turn, level after level: places, hypotheses, signs (rise or fall); and where those of each level end
 _Changes = tuple[Int64, Words, Int64, Int64]

@@ -19,7 +19,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate
 
-from lightopt.design.postures._posture_choice import Cover, CoverStep
 from lightopt.design.responses._packed_bits import Counts, Merit, PairWeights, add_counts
 
 # of one search: words of flags that are read, 10,000 gains of 200,000 patches; a few seconds of two processors
@@ -28,24 +27,94 @@ MOST_WORK = 2_000_000_000
 BATCH = 16  # candidates whose gains are computed at once, whatever the number of threads
 
 
+@dataclass(frozen=True, kw_only=True)
+class CoverStep:
+    """One candidate of a cover."""
+
+    candidate: int
+    gain: int  # what it adds to the benefit of those before it
+    benefit: int  # of those before it and itself: Σ weight · min(k, units)
+    covered: int  # weight of the pairs of k units or more, which count as found
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cover:
+    """A choice of candidates."""
+
+    steps: tuple[CoverStep, ...]  # the chosen ones, in the order in which they were chosen
+    k: int  # units of evidence that a pair needs
+    total: int  # weight of all pairs
+    bounds: tuple[int, ...]  # on the benefit of sets of 0, 1, 2, … candidates up to as many as were chosen
+    all_benefit: int  # of all candidates together
+    all_covered: int  # likewise
+    target: float | None = None  # share of the weight that was to be seen; None without
+    sets: int | None = None  # number of all sets of as many candidates; None where not all were searched
+    max_covered: int | None = None  # what the best of these sets covers; None likewise
+
+    @property
+    def chosen(self) -> tuple[int, ...]:
+        return tuple(step.candidate for step in self.steps)
+
+    @property
+    def benefit(self) -> int:
+        return self.steps[-1].benefit if self.steps else 0
+
+    @property
+    def covered(self) -> int:
+        """Weight of the pairs that the chosen ones find."""
+        return self.steps[-1].covered if self.steps else 0
+
+    @property
+    def share(self) -> float:
+        """Share of all pairs, by weight, that are found."""
+        return self.covered / max(1, self.total)
+
+    @property
+    def bound_share(self) -> float:
+        """No set of as many candidates finds more than this share."""
+        if self.max_covered is not None:
+            return self.max_covered / max(1, self.total)
+        return self.bound_of(len(self.bounds) - 1)
+
+    def bound_of(self, count: int) -> float:
+        """No set of `count` candidates, up to as many as were chosen, finds more than this share."""
+        # [units ≥ k] ≤ min(k, units) / k
+        return min(self.bounds[count] / self.k, self.all_covered) / max(1, self.total)
+
+    @property
+    def min_size(self) -> int | None:
+        """No set of fewer candidates reaches the target; None without one, or where all together do not reach it."""
+        if self.target is None or self.all_covered < self.target * self.total:
+            return None
+        # a pair that is found has benefit k
+        enough = [size for size, bound in enumerate(self.bounds) if bound >= self.k * self.target * self.total]
+        return enough[0] if enough else len(self.steps)
+
+    @property
+    def guarantee(self) -> float:
+        """Share of the best set of as many that these cover at least."""
+        return self.share / self.bound_share if self.bound_share > 0.0 else 1.0
+
+    @property
+    def proven(self) -> bool:
+        """Whether no set of as many covers more."""
+        most = min(self.bounds[-1] // self.k, self.all_covered) if self.max_covered is None else self.max_covered
+        return self.covered >= most
+
+
 def greedy_cover(
-    candidates: Sequence[Counts],
+    candidates: Sequence[Counts],  # of each, shape (k, p, words), all of one k; at least one
     weights: PairWeights,
     *,
-    count: int | None = None,
-    target: float | None = None,
-    among: Sequence[int] | None = None,
+    count: int | None = None,  # most candidates to choose, at least 1; as many as are needed by default
+    target: float | None = None,  # share of all pairs to be seen in k images or more, above 0 and up to 1
+    among: Sequence[int] | None = None,  # only these may be chosen; the bound is that of all
     threads: int | None = None,
 ) -> Cover:
     """Choose candidates one after the other, each time the one that adds most; the earlier one where two add the same.
 
     Stops after `count`, when the share `target` of the weight is seen in k images, or when nothing adds anything.
     Candidates that later ones make redundant are dropped, and the choice continues as far as it may.
-
-    candidates: Counts of each, shape (k, p, words), all of one k; at least one.
-    count: Most candidates to choose, at least 1; as many as are needed by default.
-    target: Share of all pairs to be seen in k images or more, above 0 and up to 1.
-    among: Only these may be chosen; the bound is that of all.
     """
     allowed = range(len(candidates)) if among is None else sorted(among)
     goal = math.inf if target is None else target * weights.total
@@ -168,19 +237,16 @@ def improve_by_exchange(
 
 
 def best_set(
-    candidates: Sequence[Counts],
+    candidates: Sequence[Counts],  # of each, shape (k, p, words), all of one k
     weights: PairWeights,
-    chosen: Sequence[int],
+    chosen: Sequence[int],  # the best known set; it is kept where no other covers more
     size: int,
     *,
-    most_work: int = MOST_WORK,
+    most_work: int = MOST_WORK,  # words of flags to process before the search ends without a proof
     threads: int | None = None,
 ) -> tuple[tuple[int, ...], int, int | None]:
     """The set of `size` candidates that covers most.
 
-    candidates: Counts of each, shape (k, p, words), all of one k.
-    chosen: The best known set; it is kept where no other covers more.
-    most_work: Words of flags to process before the search ends without a proof.
     Returns chosen, covered, sets: The best set that was found, the weight that it covers, and the number of all sets
         of that size; None where it is not proven that none covers more.
     """

@@ -6,8 +6,6 @@ may add together what neither adds alone: where no single one shows enough more,
 twice as much. A light's exposures in a posture are one image, of which the best counts for each pair.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -37,90 +35,60 @@ Reason = Literal["gain", "pair", "target"]
 # other pairs is then seen in more images than before
 _Gain = tuple[int, int]
 
-# units of evidence by the image of each light of a posture, shape (lights, units, p, words)
-Images = Words
+Images = Words  # units of evidence by the image of each light of a posture, shape (lights, units, p, words)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FurtherExposure:
-    """A further exposure of a posture, all lights.
-
-    exposure: Relative to exposure 1.
-    gain: Share of the pairs that it adds: to what is planned before it where it is planned, else to the whole plan.
-    reason: Why it is planned: see :data:`Reason`; None where it is not.
-    """
+    """A further exposure of a posture, all lights."""
 
     posture: Posture
-    exposure: float
-    gain: float
-    reason: Reason | None
-
-    @property
-    def planned(self) -> bool:
-        return self.reason is not None
+    exposure: float  # relative to exposure 1
+    gain: float  # share of the pairs that it adds to what is planned before it, or else to the whole plan
+    reason: Reason | None  # why it is planned: see :data:`Reason`; None where it is not
 
 
 @dataclass(frozen=True, kw_only=True)
 class Brackets:
-    """The further exposures that were considered.
+    """The further exposures that were considered."""
 
-    before, after: Share of the pairs that is seen without them and with those that are planned.
-    further: The planned ones in the order in which they were chosen, then the others.
-    least_gain: Share that one has to add.
-    grain: How far the shares may be off since a patch counts as its middle does.
-    """
-
-    before: float
-    after: float
-    further: tuple[FurtherExposure, ...]
-    least_gain: float
-    grain: float = 0.0
+    before: float  # share of the pairs that is seen without them
+    after: float  # share that is seen with those that are planned
+    further: tuple[FurtherExposure, ...]  # the planned ones in the order in which they were chosen, then the others
+    least_gain: float  # share that one has to add
+    grain: float = 0.0  # how far the shares may be off since a patch counts as its middle does
 
     def of(self, posture: Posture) -> tuple[float, ...]:
         """Exposures of a posture in the plan, the longest first."""
-        further = [shot.exposure for shot in self.further if shot.planned and shot.posture == posture]
+        further = [shot.exposure for shot in self.further if shot.reason and shot.posture == posture]
         return tuple(sorted([1.0, *further], reverse=True))
 
 
 @dataclass(frozen=True, eq=False)
 class CandidateExposure:
-    """A further exposure of a posture that may be planned.
+    """A further exposure of a posture that may be planned."""
 
-    posture: Index of the posture.
-    exposure: Relative to exposure 1.
-    images: Its units of evidence, shape (lights, units, p, words).
-    """
-
-    posture: int
-    exposure: float
-    images: Images
+    posture: int  # index of the posture
+    exposure: float  # relative to exposure 1
+    images: Images  # its units of evidence, shape (lights, units, p, words)
 
 
 def select_exposures(
     postures: Sequence[Posture],
-    now: Sequence[Images],
+    now: Sequence[Images],  # of each posture at exposure 1
     candidates: Sequence[CandidateExposure],
     weights: PairWeights,
     *,
-    needed: int,
-    least_gain: float,
-    target: float | None = None,
+    needed: int,  # units of a pair that is found
+    least_gain: float,  # share of the pairs
+    target: float | None = None,  # share of the pairs; below it, whatever adds anything is planned
 ) -> Brackets:
-    """Plan exposures as the module's text says, the first of equals, as long as they add anything.
+    """Plan exposures as the module's text says, the first of equals, as long as they add anything."""
+    total, planned, left = max(1, weights.total), _PlannedImages(now, weights, needed), list(candidates)
+    before, further = planned.covered, list[FurtherExposure]()
 
-    now: The same of each posture at exposure 1.
-    needed: Units of a pair that is found.
-    least_gain, target: Shares of the pairs; below the target, whatever adds anything is planned.
-    """
-    total = max(1, weights.total)
-    planned = _PlannedImages(now, weights, needed)
-    before = planned.covered
-    left = list(candidates)
-    further: list[FurtherExposure] = []
-
-    def considered(candidate: CandidateExposure, gain: int, reason: Reason | None) -> FurtherExposure:
-        posture = postures[candidate.posture]
-        return FurtherExposure(posture=posture, exposure=candidate.exposure, gain=gain / total, reason=reason)
+    def considered(one: CandidateExposure, gain: int, reason: Reason | None) -> FurtherExposure:
+        return FurtherExposure(posture=postures[one.posture], exposure=one.exposure, gain=gain / total, reason=reason)
 
     while True:
         gains = planned.gains(left)
@@ -139,7 +107,11 @@ def select_exposures(
 
 
 def _next(
-    planned: _PlannedImages, candidates: Sequence[CandidateExposure], gains: Sequence[_Gain], least: float, short: bool
+    planned: "_PlannedImages",
+    candidates: Sequence[CandidateExposure],
+    gains: Sequence[_Gain],
+    least: float,
+    short: bool,
 ) -> tuple[tuple[int, ...], Reason]:
     """Indices of what to plan next, and why; none where nothing is enough and the target is met or out of reach."""
     best = max(range(len(candidates)), key=lambda i: gains[i][0], default=None)
@@ -193,11 +165,11 @@ class _PlannedImages:
         }
         best: tuple[int, tuple[int, int]] | None = None
         for i, j in sorted(most, key=lambda two: (-most[two], two)):
-            if most[i, j] < (at_least if best is None else best[0] + 1):
+            if most[i, j] < at_least:
                 break
             gain = self._gain_of(candidates[i], candidates[j])
-            if gain >= (at_least if best is None else best[0] + 1):
-                best = gain, ((j, i) if gains[j][0] > gains[i][0] else (i, j))
+            if gain >= at_least:
+                best, at_least = (gain, (j, i) if gains[j][0] > gains[i][0] else (i, j)), gain + 1
         return best
 
     def add(self, candidate: CandidateExposure) -> None:
@@ -211,11 +183,8 @@ class _PlannedImages:
         at = {one.posture, other.posture}
         total = self._without(at)
         for posture in at:
-            images = self._images[posture]
-            for candidate in (one, other):
-                if candidate.posture == posture:
-                    images = images | candidate.images
-            total = add_counts(total, self._counts(images))
+            images = [some.images for some in (one, other) if some.posture == posture]
+            total = add_counts(total, self._counts(np.bitwise_or.reduce([self._images[posture], *images])))
         return self._weights.covered(total) - self.covered
 
     def _update(self) -> None:
@@ -246,19 +215,13 @@ def check_exposures(exposures: Sequence[float], gain_points: float) -> list[str]
 def plan_exposures(
     evaluator: ImageEvaluator,
     postures: Sequence[Posture],
-    lights: Sequence[Sequence[PanelLight]],
-    exposures: Sequence[float],
-    gain_points: float = DEFAULT_EXPOSURE_GAIN,
-    target: float | None = None,
+    lights: Sequence[Sequence[PanelLight]],  # the panels posture by posture, world frame
+    exposures: Sequence[float],  # further exposures to choose from; 1 is taken anyway
+    gain_points: float = DEFAULT_EXPOSURE_GAIN,  # the least gain [hundredths of the pairs]
+    target: float | None = None,  # share of the pairs that is to be shown
     progress: Share | None = None,
 ) -> Brackets:
-    """Plan a further exposure only where it shows more by at least a given gain, or where the target needs it.
-
-    lights: The panels posture by posture, world frame.
-    exposures: Further exposures to choose from; 1 is taken anyway.
-    gain_points: The least gain [hundredths of the pairs].
-    target: Share of the pairs that is to be shown.
-    """
+    """Plan a further exposure only where it shows more by at least a given gain, or where the target needs it."""
     further = [exposure for exposure in exposures if exposure != 1.0]
     most = max(map(len, lights))
     image_bytes = UNITS_OF_IMAGE * len(evaluator.patches) * evaluator.weights.masks.shape[1] * 8

@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
-from lightopt.design.postures._cover_search import best_set, cover_steps, greedy_cover, greedy_order
+from lightopt.design.postures._cover_search import Cover, best_set, cover_steps, greedy_cover, greedy_order
 from lightopt.design.postures._exposures import plan_exposures
 from lightopt.design.postures._light_positions import best_positions, position_counts_fit
-from lightopt.design.postures._posture_choice import Cover, PostureChoice, PostureRequest
-from lightopt.design.postures._posture_search import choose_postures
+from lightopt.design.postures._posture_search import PostureChoice, PostureRequest, choose_postures
 from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._packed_bits import Counts
 from lightopt.lights import PanelLight
@@ -32,16 +31,14 @@ def choose_with_exposures(
     start: Sequence[PanelLight],
     candidates: Candidates | None,
     request: PostureRequest,
-    exposures: Sequence[float],
-    gain_points: float,
+    exposures: Sequence[float],  # 1 among them; with no other the choice is that of exposure 1, without brackets
+    gain_points: float,  # what a further exposure has to add [hundredths of the pairs]
     run: RunContext,
 ) -> PostureChoice:
     """Choose postures and lights, and which further exposures are planned; figures are of the planned images.
 
     whole, drawn, postures, start, candidates, request, run: As for :func:`lightopt.design.choose_postures`;
         evaluators of exposure 1.
-    exposures: Exposures, 1 among them; with no other the choice is that of exposure 1, and there are no brackets.
-    gain_points: What a further exposure has to add [hundredths of the pairs].
     Returns the choice of the planned images; bounds and all candidates' share hold for any of the exposures. Where a
     target cannot be reached, what was chosen for all exposures, without brackets.
     """
@@ -60,9 +57,7 @@ def choose_with_exposures(
     both = [one for one in (single, together) if request.target is None or one.cover.share >= request.target]
     if not any(one.postures for one in both):
         return together
-    planner = _JointPlanner(
-        whole=every, candidates=candidates, request=request, least_gain=gain_points / 100.0, run=run
-    )
+    planner = _JointPlanner(every, candidates, request, gain_points / 100.0, run)
     best = max((planner.add_exposures(one) for one in both if one.postures), key=planner.merit)
     best = planner.place_lights(best)
     cover = planner.cover(best, postures)
@@ -70,7 +65,7 @@ def choose_with_exposures(
     return replace(best, postures=chosen, cover=cover, initial=single.initial)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class _JointPlanner:
     """The evaluator's exposures and the positions of the lights to choose from."""
 
@@ -89,7 +84,7 @@ class _JointPlanner:
     def merit(self, plan: PostureChoice) -> tuple[float, ...]:
         """Sort key of a plan; see the module's text."""
         assert plan.brackets is not None
-        further = sum(exposure.planned for exposure in plan.brackets.further)
+        further = sum(exposure.reason is not None for exposure in plan.brackets.further)
         count = 0 if self.request.target is None else -len(plan.postures)
         return count, plan.brackets.after - self.least_gain * further, -further
 
@@ -108,10 +103,8 @@ class _JointPlanner:
             plan = replace(plan, converged=positions.covered <= covered, exact=plan.exact and positions.exact)
             if plan.converged:
                 return plan
-            panels = self.candidates.panels_at(positions.candidates)
-            better = self.add_exposures(
-                replace(plan, lights=positions.candidates, panels=panels, iterations=plan.iterations + 1)
-            )
+            lights, panels = positions.candidates, self.candidates.panels_at(positions.candidates)
+            better = self.add_exposures(replace(plan, lights=lights, panels=panels, iterations=plan.iterations + 1))
             if self.merit(better) <= self.merit(plan):
                 return plan
             plan = better
@@ -133,8 +126,7 @@ class _JointPlanner:
         if self.request.target is not None:
             return replace(cover, target=self.request.target)
         _, most, sets = best_set(every, weights, free.chosen, len(indices), threads=self.whole.threads)
-        return cover.with_search(most, sets)
+        return cover if sets is None else replace(cover, sets=sets, max_covered=most)
 
     def _counts(self, plan: PostureChoice, posture: Posture, exposures: tuple[float, ...]) -> Counts:
-        evaluator = replace(self.whole, exposures=exposures)
-        return evaluator.counts(posture, plan.panels)
+        return replace(self.whole, exposures=exposures).counts(posture, plan.panels)

@@ -25,7 +25,7 @@ from lightopt.design.responses._image_evaluator import ImageEvaluator
 from lightopt.design.responses._luminance_matrix import select_rows
 from lightopt.design.responses._packed_bits import PairWeights, add_units
 from lightopt.design.search._combinations import CombinationSpace, allowed_mask, digits
-from lightopt.design.search._exact_search import DEFAULT_LIMIT, TABLE_CELLS
+from lightopt.design.search._exact_search import DEFAULT_LIMIT, NO_COMBINATION, TABLE_CELLS
 
 Rows = Sequence[Int64]
 ExposedPosture = tuple[Posture, tuple[float, ...]]  # with the exposures that an image of it may be taken with
@@ -36,18 +36,12 @@ MOST_COUNT_BYTES = 1_500_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class LightPositions:
-    """One position of each light.
+    """One position of each light."""
 
-    candidates: Index of each light's position.
-    covered: Weight of the pairs that are found.
-    benefit: Σ weight · min(needed, units); decides between positions that cover the same.
-    exact: Whether all combinations were tried; else lights were moved one at a time until that gained nothing.
-    """
-
-    candidates: tuple[int, ...]
-    covered: int
-    benefit: int
-    exact: bool
+    candidates: tuple[int, ...]  # index of each light's position
+    covered: int  # weight of the pairs that are found
+    benefit: int  # Σ weight · min(needed, units); decides between positions that cover the same
+    exact: bool  # whether all combinations were tried; else lights were moved one at a time until that gained nothing
 
 
 def place_lights(
@@ -78,10 +72,7 @@ def place_lights(
         found.append(search.best_of(box, report) if exact else search.one_at_a_time(box))
     best = max(filter(None, found), key=lambda one: (one.covered, one.benefit), default=None)
     if best is None:
-        raise InputError(
-            "no combination of the lights' positions is left: in each, panels collide; widen their ranges or take "
-            "smaller panels"
-        )
+        raise InputError(NO_COMBINATION)
     return best
 
 
@@ -132,30 +123,20 @@ class _Search:
                 assert found is not None
                 if best is None or (found.covered, found.benefit) > (best.covered, best.benefit):
                     best = replace(found, exact=False)
-                    now, moved = list(found.candidates), True
+                    now, moved = found.candidates, True
         return best
 
 
-def first_allowed(space: CombinationSpace, rows: Rows) -> list[int] | None:
-    """The first combination without collisions, in the order of the rows; None where there is none."""
+def first_allowed(space: CombinationSpace, rows: Rows, before: tuple[int, ...] = ()) -> tuple[int, ...] | None:
+    """The first combination without collisions, in the order of the rows, that begins so; None where there is none."""
     # depth first: with so many combinations, a mask of them all is too large
-    chosen: list[int] = []
-
-    def fits(light: int, position: int) -> bool:
-        return not any((j == light and space.clashes[i, j][chosen[i], position]) for i, j in space.clashes if i < light)
-
-    def go(light: int) -> bool:
-        if light == len(rows):
-            return True
-        for position in map(int, rows[light]):
-            if fits(light, position):
-                chosen.append(position)
-                if go(light + 1):
-                    return True
-                chosen.pop()
-        return False
-
-    return chosen if go(0) else None
+    light = len(before)
+    if light == len(rows):
+        return before
+    clashes = [clash[before[i]] for (i, j), clash in space.clashes.items() if j == light]
+    free = (position for position in map(int, rows[light]) if not any(clash[position] for clash in clashes))
+    found = (first_allowed(space, rows, (*before, position)) for position in free)
+    return next((one for one in found if one is not None), None)
 
 
 def position_counts_fit(evaluator: ImageEvaluator, candidates: Candidates | None) -> bool:

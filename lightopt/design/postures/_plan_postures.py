@@ -12,8 +12,7 @@ from lightopt.core.run_context import RunContext, Share
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
 from lightopt.design._commands import way_through
-from lightopt.design._options import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions
-from lightopt.design._problem import candidates_of, detection_model_of
+from lightopt.design._problem import DEFECT_OBJECTIVE, OptimizeOptions, PlanOptions, candidates_of, detection_model_of
 from lightopt.design._result import SHARES_OF, ChosenPostures, ObjectiveResult, SetResult, angles_of
 from lightopt.design.blind_spots._blind_spots import (
     BlindReason,
@@ -27,8 +26,8 @@ from lightopt.design.objectives._detectability import DetectabilityObjective
 from lightopt.design.objectives._objective import share_text
 from lightopt.design.postures._joint_choice import choose_with_exposures
 from lightopt.design.postures._light_positions import position_counts, position_counts_fit
-from lightopt.design.postures._posture_choice import PostureChoice, PostureRequest
 from lightopt.design.postures._posture_grid import posture_grid, usable_postures
+from lightopt.design.postures._posture_search import PostureChoice, PostureRequest
 from lightopt.design.responses._image_evaluator import DRAWN_PATCHES, ImageEvaluator, drawn_patches
 from lightopt.design.responses._luminance_matrix import LevelThresholds
 from lightopt.design.responses._packed_bits import unpack_flags
@@ -46,13 +45,10 @@ PROVEN_OF_ONE = "the positions that the first objective chose, the only ones tha
 
 @dataclass(frozen=True)
 class PlannedDetectability(DetectabilityObjective):
-    """Detectability of all planned images together, as a share of what the camera sees in any candidate posture.
-
-    area: Of that surface [µm²].
-    """
+    """Detectability of all planned images together, as a share of what the camera sees in any candidate posture."""
 
     share_of: str | None = SHARES_OF
-    area: int = 0
+    area: int = 0  # of that surface [µm²]
 
     def full_score(self, area: int) -> int | None:
         """The same whatever the area of the chosen postures."""
@@ -73,10 +69,8 @@ def planned_answers(
     """
     first = result.answers[0].objective
     assert isinstance(first, DetectabilityObjective)
-    evaluator = chosen.evaluator
-    goal = PlannedDetectability(
-        first.defects, first.min_images, first.false_alarms, area=int(evaluator.weights.areas.sum())
-    )
+    area = int(chosen.evaluator.weights.areas.sum())
+    goal = PlannedDetectability(first.defects, first.min_images, first.false_alarms, area=area)
     answers = tuple(_planned(answer, goal, chosen, candidates, free is not None) for answer in result.answers)
     return replace(result, answers=answers, curves=_curves(answers[0].found.best, chosen, candidates, free, progress))
 
@@ -85,9 +79,8 @@ def _curves(
     best: Ranked, chosen: ChosenPostures, candidates: Candidates, free: Candidates | None, progress: Share | None
 ) -> tuple[Curve, ...]:
     at, evaluator, weights = angles_of(candidates, best), chosen.evaluator, chosen.evaluator.weights
-    if free is None or not all(angles in some for angles, some in zip(at, free.angles, strict=True)):
-        return ()
-    if not position_counts_fit(evaluator, free):
+    among = free is not None and all(angles in some for angles, some in zip(at, free.angles, strict=True))
+    if free is None or not among or not position_counts_fit(evaluator, free):
         return ()
     postures = [(posture, chosen.choice.exposures_of(posture)) for posture in chosen.way.order]
     lights = chosen.choice.position_counts or position_counts(evaluator, postures, free, progress)
@@ -104,11 +97,8 @@ def _planned(
     answer: ObjectiveResult, goal: PlannedDetectability, chosen: ChosenPostures, candidates: Candidates, moves: bool
 ) -> ObjectiveResult:
     best, choice, evaluator = answer.found.best, chosen.choice, replace(chosen.evaluator, images=chosen.choice.images)
-    panels = candidates.panels_at(best.candidates)
-    images = (
-        replace(evaluator, exposures=choice.exposures_of(posture)).counts(posture, panels)
-        for posture in chosen.way.order
-    )
+    panels, shots = candidates.panels_at(best.candidates), ((one, choice.exposures_of(one)) for one in chosen.way.order)
+    images = (replace(evaluator, exposures=exposures).counts(posture, panels) for posture, exposures in shots)
     counts = evaluator.weights.sum_counts(images, evaluator.needed)
     score = evaluator.weights.covered(counts)
     scores = {**answer.scores, goal.name: score}
@@ -170,10 +160,10 @@ def target_not_reached(
         PostureCountStep(posture=posture, share=step.covered / max(1, cover.total), bound=cover.bound_of(number))
         for number, (posture, step) in enumerate(zip(choice.postures, cover.steps, strict=True), start=1)
     )
-    return TargetNotReached(_text(target, choice, evaluator, least), target=target, steps=steps, grain=grain)
+    return TargetNotReached(_message(target, choice, evaluator, least), target=target, steps=steps, grain=grain)
 
 
-def _text(target: float, choice: PostureChoice, evaluator: ImageEvaluator, least: int) -> str:
+def _message(target: float, choice: PostureChoice, evaluator: ImageEvaluator, least: int) -> str:
     cover, available = choice.cover, len(evaluator.table.postures)
     text = partial(share_text, grain=evaluator.table.grain, short_of=target)
     most = cover.all_covered / max(1, cover.total)
@@ -233,9 +223,8 @@ def plan_postures(
     caster = cast_rays_at(scene)
     lights = build_lights(rig, None, options.points)
     positions = lights if candidates is None else tuple(p for some in candidates.panels for p in some)
-    postures, left_out = usable_postures(
-        replace(scene, postures=grid), positions, allow_outside_px=plan.allow_outside_px
-    )
+    everywhere = replace(scene, postures=grid)
+    postures, left_out = usable_postures(everywhere, positions, allow_outside_px=plan.allow_outside_px)
     few = plan.choose_postures is not None and len(postures) < plan.choose_postures
     shortfall = f", fewer than the {plan.choose_postures} requested" if few else ""
     run.inform(

@@ -40,14 +40,19 @@ def posture_grid(rig: RigConfig, part: PartConfig, *, step_deg: float) -> tuple[
     """
     if not (math.isfinite(step_deg) and step_deg > 0.0):
         raise InputError(f"option 'posture_step_deg': expected degrees above 0, found {step_deg:g}")
-    ranges = _reach(rig)
-    tilts, rotations = (_angles(ends, step_deg) for ends in ranges)
+    # an axis that a given stage lacks does not turn
+    tilt_range, rotation_range = rig.stage.elevation_range_deg, rig.stage.rotation_range_deg
+    if rig.hardware is not None:
+        stage = rig.hardware.stage
+        tilt_range = (0.0, 0.0) if stage is None or stage.elevation is None else tilt_range
+        rotation_range = (0.0, 0.0) if stage is None or stage.rotation is None else rotation_range
+    tilts, rotations = _angles(tilt_range, step_deg), _angles(rotation_range, step_deg)
     if len(tilts) * len(rotations) > MOST_POSTURES:
         raise InputError(
             f"option 'posture_step_deg': at {step_deg:g}° the stage has {len(tilts):,} × {len(rotations):,} postures, "
             f"more than the maximum of {MOST_POSTURES:,}; take a larger step, or narrow the stage's ranges"
         )
-    (lowest, highest), (first, last) = ranges
+    (lowest, highest), (first, last) = tilt_range, rotation_range
     own = [p for p in part_postures(part) if lowest <= p.elevation_deg <= highest and first <= p.rotation_deg <= last]
     return tuple(dict.fromkeys([*own, *(Posture(tilt, rotation) for tilt in tilts for rotation in rotations)]))
 
@@ -78,17 +83,6 @@ def usable_postures(
             "the view (option 'allow_outside_px')"
         )
     return tuple(usable), tuple(left_out)
-
-
-def _reach(rig: RigConfig) -> tuple[tuple[float, float], tuple[float, float]]:
-    # tilts and rotations; an axis that a given stage lacks does not turn
-    if rig.hardware is None:
-        return rig.stage.elevation_range_deg, rig.stage.rotation_range_deg
-    stage = rig.hardware.stage
-    return (
-        (0.0, 0.0) if stage is None or stage.elevation is None else rig.stage.elevation_range_deg,
-        (0.0, 0.0) if stage is None or stage.rotation is None else rig.stage.rotation_range_deg,
-    )
 
 
 def _angles(ends: tuple[float, float], step: float) -> list[float]:

@@ -13,15 +13,18 @@ as many give the same plan.
 """
 
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import partial
+
+import numpy as np
 
 from lightopt.core.errors import InputError
 from lightopt.core.run_context import RunContext, Share, WorkCounter
 from lightopt.core.threads import available_processors, run_all
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
-from lightopt.design.postures._cover_search import best_set, greedy_cover, improve_by_exchange
+from lightopt.design.postures._cover_search import Cover, best_set, greedy_cover, improve_by_exchange
+from lightopt.design.postures._exposures import Brackets
 from lightopt.design.postures._light_positions import (
     MOST_COUNT_BYTES,
     LightPositions,
@@ -30,9 +33,9 @@ from lightopt.design.postures._light_positions import (
     first_allowed,
     position_counts_fit,
 )
-from lightopt.design.postures._posture_choice import Cover, Lights, PostureChoice, PostureRequest, Solution
 from lightopt.design.responses._image_evaluator import ImageCache, ImageEvaluator
 from lightopt.design.responses._packed_bits import Counts
+from lightopt.design.search._exact_search import DEFAULT_LIMIT
 from lightopt.lights import PanelLight
 
 MOST_ITERATIONS, MOST_FINAL_ITERATIONS = 6, 3  # of the alternating search, on drawn patches and on all
@@ -40,6 +43,61 @@ DRAWN_MARGIN = 0.01  # share by which what drawn patches show may fall short of 
 
 # of the counts that are cached: for recent lights, and for all positions in the last postures
 CACHED_BYTES = 400_000_000
+
+
+Lights = tuple[int, ...] | None  # candidate of each light; None for the rig's own positions
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureRequest:
+    """The share that the postures are to show, and their maximum number."""
+
+    count: int | None = None  # most postures; as many as the target takes where None
+    target: float | None = None  # share of the pairs to be shown
+    limit: int = DEFAULT_LIMIT  # most combinations to try; with more, lights are moved one at a time
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solution:
+    """Light positions, and the postures chosen for them."""
+
+    panels: tuple[PanelLight, ...]  # the lights, world frame
+    cover: Cover  # the postures, with their gains and bound, over all patches and candidate postures, with these lights
+    lights: Lights = None  # index of each one's candidate; None where they keep their initial positions
+    exact: bool = True  # whether every combination of the lights was tried in every iteration
+    iterations: int = 0  # how often the lights were placed on the way
+    converged: bool = True  # whether no combination of the positions tried last shows more in these postures
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureChoice(Solution):
+    """The postures and lights that were chosen, on all patches."""
+
+    postures: tuple[Posture, ...]  # in the order in which they were chosen
+    starts: int  # number of starting positions of the search
+    # what the rig's lights show in their initial positions, of the drawn patches at exposure 1, in postures that are
+    # chosen for them, fewer than the plan's where no other adds anything
+    initial: Cover
+    initial_panels: tuple[PanelLight, ...] = field(compare=False, repr=False)  # these lights
+    on_all_patches: bool  # whether the last iterations used all patches: not where memory is too small
+    # what each position of each light shows of all patches in these postures, each image with the evaluator's
+    # exposures; None where that is no longer known
+    position_counts: tuple[PositionCounts, ...] | None = field(default=None, compare=False, repr=False)
+    images: ImageCache | None = field(default=None, compare=False, repr=False)  # of all patches, at those exposures
+    brackets: Brackets | None = None  # which further exposures are planned; None where there were none to choose from
+
+    def exposures_of(self, posture: Posture) -> tuple[float, ...]:
+        """Planned exposures of a posture, the longest first."""
+        return (1.0,) if self.brackets is None else self.brackets.of(posture)
+
+    @property
+    def initial_if_moved(self) -> Cover | None:
+        """What the rig's lights show in their initial positions; None where they stay there."""
+        same = (
+            np.allclose(old.outward, new.outward, rtol=0.0, atol=1e-9)
+            for old, new in zip(self.initial_panels, self.panels, strict=True)
+        )
+        return None if all(same) else self.initial
 
 
 def merit(cover: Cover, request: PostureRequest) -> tuple[float, ...]:
@@ -51,23 +109,16 @@ def merit(cover: Cover, request: PostureRequest) -> tuple[float, ...]:
 
 @dataclass(eq=False)
 class AlternatingSearch:
-    """Alternating search on the patches of an evaluator; results for lights or postures are cached.
-
-    postures: To choose from.
-    candidates: Positions of the lights to choose from; None where no light moves.
-    where: The patches, for progress messages.
-    prove: Whether all sets of postures are searched where that is little work.
-    images: Those of all positions of the lights are kept there; None for nowhere.
-    """
+    """Alternating search on the patches of an evaluator; results for lights or postures are cached."""
 
     evaluator: ImageEvaluator
-    postures: Sequence[Posture]
-    candidates: Candidates | None
+    postures: Sequence[Posture]  # to choose from
+    candidates: Candidates | None  # positions of the lights to choose from; None where no light moves
     _: KW_ONLY
-    where: str
-    prove: bool
+    where: str  # the patches, for progress messages
+    prove: bool  # whether all sets of postures are searched where that is little work
     run: RunContext
-    images: ImageCache | None = None
+    images: ImageCache | None = None  # those of all positions of the lights are kept there; None for nowhere
 
     def __post_init__(self) -> None:
         self._passes = 0
@@ -117,7 +168,8 @@ class AlternatingSearch:
             if chosen != best.chosen:
                 covers.append(greedy(among=chosen))
                 best = covers[-1]
-            best = best.with_search(max_covered, sets)
+            # unchanged where the search ended without a proof
+            best = best if sets is None else replace(best, sets=sets, max_covered=max_covered)
         same = [cover.bounds for cover in covers if len(cover.bounds) == len(best.bounds)]
         return replace(best, bounds=tuple(min(bounds) for bounds in zip(*same, strict=True)))
 
@@ -128,15 +180,10 @@ class AlternatingSearch:
         if key not in self._positions:
             self._passes += 1
             evaluator = replace(self.evaluator, images=self.images, keeps_images=True)
-            postures, progress = (
-                [(self.postures[i], evaluator.exposures) for i in key],
-                self._stage("lights for postures"),
-            )
-            self._positions[key], counts = best_positions(
-                evaluator, postures, self.candidates, limit=request.limit, progress=progress
-            )
-            small = sum(one.nbytes for one in counts) <= CACHED_BYTES
-            self._last_counts = (key, counts) if small else None
+            postures, where = [(self.postures[i], evaluator.exposures) for i in key], self._stage("lights for postures")
+            found = best_positions(evaluator, postures, self.candidates, limit=request.limit, progress=where)
+            self._positions[key], counts = found
+            self._last_counts = (key, counts) if sum(one.nbytes for one in counts) <= CACHED_BYTES else None
         return self._positions[key]
 
     def position_counts(self, chosen: Sequence[int]) -> tuple[PositionCounts, ...] | None:
@@ -156,18 +203,14 @@ class AlternatingSearch:
                     del self._counts[one]
             # posture by posture in each thread: none waits for another at the end of a posture
             evaluator, found = replace(self.evaluator, threads=1), dict[int, Counts]()
+            work = WorkCounter(len(self.postures), self._stage("postures for lights"))
 
             def count(i: int, posture: Posture) -> None:
                 found[i] = evaluator.counts(posture, panels)
-
-            work = WorkCounter(len(self.postures), self._stage("postures for lights"))
-
-            def done() -> None:
                 work.add(1)
-                work.report()
 
             threads = self.evaluator.threads or available_processors()
-            run_all(((count, pair) for pair in enumerate(self.postures)), threads=threads, done=done)
+            run_all(((count, pair) for pair in enumerate(self.postures)), threads=threads, done=work.report)
             self._counts[lights] = [found[i] for i in range(len(self.postures))]
         return self._counts[lights]
 
@@ -200,29 +243,22 @@ def choose_postures(
             f"is room for {MOST_COUNT_BYTES / 1e9:.2f} GB; raise option 'posture_step_deg' or lower option "
             "'patch_budget'"
         )
-    return _MultiStartSearch(whole, drawn, postures, tuple(start), candidates, request, run or RunContext()).choice()
+    search = partial(AlternatingSearch, postures=postures, candidates=candidates, run=run or RunContext())
+    # the chosen postures are looked at again when they are found
+    full = on_drawn = search(whole, where="all patches", prove=True, images=ImageCache(CACHED_BYTES))
+    if drawn.table is not whole.table:
+        # lights and postures come back from pass to pass
+        on_drawn = search(replace(drawn, cache=ImageCache(CACHED_BYTES)), where="drawn patches", prove=False)
+    return _MultiStartSearch(full, on_drawn, tuple(start), request).choice()
 
 
-@dataclass(eq=False)
 class _MultiStartSearch:
-    whole: ImageEvaluator
-    drawn: ImageEvaluator
-    postures: Sequence[Posture]
-    start: tuple[PanelLight, ...]
-    candidates: Candidates | None
-    request: PostureRequest
-    run: RunContext
-
-    def __post_init__(self) -> None:
-        search = partial(AlternatingSearch, postures=self.postures, candidates=self.candidates, run=self.run)
-        self.drawn_cache = ImageCache(CACHED_BYTES)  # lights and postures come back from pass to pass
-        self.images = ImageCache(CACHED_BYTES)  # the chosen postures are looked at again when they are found
-        self.full_search = self.drawn_search = search(self.whole, where="all patches", prove=True, images=self.images)
-        if self.drawn.table is not self.whole.table:
-            drawn = replace(self.drawn, cache=self.drawn_cache)
-            self.drawn_search = search(drawn, where="drawn patches", prove=False)
-        self.on_all_patches = self.drawn_search is self.full_search or position_counts_fit(self.whole, self.candidates)
-        self.starts = 1
+    def __init__(
+        self, full: AlternatingSearch, drawn: AlternatingSearch, start: tuple[PanelLight, ...], request: PostureRequest
+    ) -> None:
+        self.full_search, self.drawn_search, self.start, self.request = full, drawn, start, request
+        self.candidates, self.starts = full.candidates, 1
+        self.on_all_patches = drawn is full or position_counts_fit(full.evaluator, full.candidates)
         self._drawn: dict[int, Solution] = {}
 
     def choice(self) -> PostureChoice:
@@ -235,19 +271,19 @@ class _MultiStartSearch:
         solution = replace(solution, cover=replace(solution.cover, target=self.request.target))
         return PostureChoice(
             **vars(solution),
-            postures=tuple(self.postures[i] for i in solution.cover.chosen),
+            postures=tuple(self.full_search.postures[i] for i in solution.cover.chosen),
             starts=self.starts,
             initial=initial,
             initial_panels=self.start,
             on_all_patches=self.on_all_patches,
             position_counts=self.full_search.position_counts(solution.cover.chosen),
-            images=self.images,
+            images=self.full_search.images,
         )
 
     def _fewest(self, target: float) -> Solution:
         # a rough number first, then the fewest whose choice by number reaches the target on all patches
         rough = self._search_from_all_starts(self.request)
-        most = self.request.count or len(self.postures)
+        most = self.request.count or len(self.full_search.postures)
         enough = count = len(rough.cover.steps) if rough.cover.share >= target else most
         if rough.cover.share < target and self.request.count is None:
             # drawn patches may show less than all do: those decide
@@ -281,7 +317,8 @@ class _MultiStartSearch:
         # continue on all patches, with the number of chosen postures, or more, instead of the target
         if self.drawn_search is self.full_search:
             return solution
-        self.drawn_cache.clear()  # all patches take the memory
+        if self.drawn_search.evaluator.cache is not None:
+            self.drawn_search.evaluator.cache.clear()  # all patches take the memory
         request = replace(self.request, count=count or max(1, len(solution.cover.steps)), target=None)
         cover = self.full_search.cover(solution.panels, solution.lights, request, before=solution.cover.chosen)
         solution = replace(solution, cover=cover, converged=self.candidates is None)
@@ -292,8 +329,8 @@ class _MultiStartSearch:
         for lights in self._starts(request):
             panels = self.start if lights is None or self.candidates is None else self.candidates.panels_at(lights)
             cover = self.drawn_search.cover(panels, lights, request)
-            solution = Solution(panels=panels, lights=lights, cover=cover, converged=False)
-            found.append(self.drawn_search.improve(solution, MOST_ITERATIONS, request))
+            start = Solution(panels=panels, lights=lights, cover=cover, converged=False)
+            found.append(self.drawn_search.improve(start, MOST_ITERATIONS, request))
         self.starts = len(found)
         return max(found, key=lambda solution: merit(solution.cover, request))
 
@@ -305,4 +342,4 @@ class _MultiStartSearch:
         space = self.candidates.space
         ends = (first_allowed(space, space.groups[0]), first_allowed(space, [rows[::-1] for rows in space.groups[-1]]))
         alone = [self.drawn_search.lights(one.chosen, request).candidates] if one.chosen else []
-        return tuple(dict.fromkeys([None, *alone, *(tuple(end) for end in ends if end is not None)]))
+        return tuple(dict.fromkeys([None, *alone, *(end for end in ends if end is not None)]))

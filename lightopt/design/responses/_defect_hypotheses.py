@@ -7,43 +7,27 @@ from dataclasses import dataclass
 from functools import cached_property, reduce
 
 from lightopt.core.errors import InputError
-from lightopt.defects import (
-    MAX_SLOPE,
-    PLANNING_GRID,
-    SHAPE_KINDS,
-    CatalogueEntry,
-    DefectHypotheses,
-    DefectKind,
-    defect_hypotheses,
-)
+from lightopt.defects import MAX_SLOPE, PLANNING_GRID, SHAPE_KINDS, CatalogueEntry, DefectHypotheses, defect_hypotheses
 
 MOST_HYPOTHESES = 1024  # more are refused: each costs a few bits per patch and position of a light
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedDefect:
-    """A defect of the catalogue in one orientation, with its middle on a patch.
+    """A defect of the catalogue in one orientation, with its middle on a patch."""
 
-    name: Of the catalogue's entry.
-    weight: A whole number; those of each entry of the part's catalogue have the same sum of weights.
-    turn: Of the length, in the tangent plane from the part's X axis, counterclockwise seen from outside [rad]; see
-        :func:`lightopt.defects.tangent_direction`. None for a round defect.
-    """
-
-    name: str
-    kind: DefectKind
-    weight: int
+    name: str  # of the catalogue's entry
+    weight: int  # a whole number; those of each entry of the part's catalogue have the same sum of weights
+    # of the length, in the tangent plane from the part's X axis, counterclockwise seen from outside [rad]; see
+    # :func:`lightopt.defects.tangent_direction`. None for a round defect
     turn: float | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PlannedCatalogue:
-    """A catalogue of defects to plan for.
+    """A catalogue of defects to plan for."""
 
-    entries: What pixels see of each of them; the same order as those of `defects`.
-    """
-
-    entries: tuple[DefectHypotheses, ...]
+    entries: tuple[DefectHypotheses, ...]  # what pixels see of each of them; the same order as those of `defects`
 
     @cached_property
     def defects(self) -> tuple[PlannedDefect, ...]:
@@ -55,7 +39,7 @@ class PlannedCatalogue:
         for own in self.entries:
             name, weight = own.entry.name, most // (len(own.turns) * members[own.entry.name])
             turns = map(float, own.turns) if len(own.turns) > 1 else (None,)
-            found += [PlannedDefect(name=name, kind=own.entry.shape.kind, weight=weight, turn=one) for one in turns]
+            found += [PlannedDefect(name=name, weight=weight, turn=one) for one in turns]
         return tuple(found)
 
 

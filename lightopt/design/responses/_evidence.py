@@ -13,8 +13,6 @@ Evidence is counted in whole units, 3 of which are enough where one image may de
 are flags: flag j says that it has more than j (:mod:`lightopt.design.responses._packed_bits`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -23,38 +21,19 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
+from lightopt import defects
 from lightopt.core.arrays import Float32, Float64, Int16, Int32
 from lightopt.core.errors import InputError
 from lightopt.core.kernels import kernel
 from lightopt.core.transforms import Posture
-from lightopt.defects import (
-    CONFIRMED,
-    DARK,
-    DEFAULT_FALSE_ALARMS,
-    FORESHORTENINGS,
-    MOST_CHANGE,
-    REGISTRATION_PX,
-    SIZES,
-    DefectHypotheses,
-    PixelMixture,
-    clipped_variance,
-    defect_hypotheses,
-    false_alarms_problem,
-    foreshortening_classes,
-    image_axes,
-    least_z,
-    plane_to_image,
-    search_grid,
-    tangent_axis,
-    tangent_references,
-)
+from lightopt.defects import DARK, MOST_CHANGE, REGISTRATION_PX, clipped_variance
 from lightopt.design.responses._defect_hypotheses import PlannedCatalogue
 from lightopt.design.responses._evidence_sums import (
     CODES_PER_DEVIATION,
     ImagePatches,
     PlannedTurns,
     Stencils,
-    add_evidence,
+    evidence_flags,
     in_cells,
     owner_at,
 )
@@ -72,8 +51,7 @@ from lightopt.rendering import (
 )
 from lightopt.scene import Scene, project, surface_footprint, surface_share, view_from_part
 
-UNITS_OF_IMAGE = 3
-"""Most units of evidence that an image counts for."""
+UNITS_OF_IMAGE = 3  # most units of evidence that an image counts for
 
 # evidence from which on an image counts for one, two and three units: as shares of T² where one image may decide, and
 # else of what it counts for at most
@@ -97,6 +75,9 @@ _TILE_CELLS = 16.0  # patches are worked on in tiles of so many cells of the ima
 _NEAR_CELLS = 2  # cells without a patch see the nearest one up to so many cells away
 _FOOTPRINT_STEPS = 32  # footprints within a 32nd of an octave share what pixels see of defects
 
+# levels by grey levels, level above black at which it clips, read noise, electrons per level
+_Camera = tuple[float, float, float, float]
+
 
 def units_needed(min_images: int) -> int:
     """Units of evidence of a defect that counts as found."""
@@ -107,23 +88,19 @@ def units_needed(min_images: int) -> int:
 class DetectionModel:
     """The defects that images are tested for, and when one counts as found.
 
-    full_scale: Grey level that makes a full-scale sensor level at exposure 1.
-    false_alarms: Allowed in the images of a posture of a good part.
-    min_images: Images that must show a defect.
-    threshold: Score from which on a calibrated inspection counts a defect; that of noise alone where None.
     Raises InputError: False alarms out of range.
     """
 
     catalogue: PlannedCatalogue
     sensor: Sensor
-    full_scale: float
-    false_alarms: float = DEFAULT_FALSE_ALARMS
-    min_images: int = 1
-    threshold: float | None = None
+    full_scale: float  # grey level that makes a full-scale sensor level at exposure 1
+    false_alarms: float = defects.DEFAULT_FALSE_ALARMS  # allowed in the images of a posture of a good part
+    min_images: int = 1  # images that must show a defect
+    threshold: float | None = None  # score of a calibrated inspection's threshold; None for that of noise alone
     _stencils: dict[int, Stencils] = field(default_factory=dict[int, Stencils], init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if problem := false_alarms_problem(self.false_alarms):
+        if problem := defects.false_alarms_problem(self.false_alarms):
             raise InputError(problem)
 
     def stencils(self, footprint: float) -> Stencils:
@@ -142,20 +119,22 @@ class DetectionModel:
         # a score is −log₁₀ of the false alarms of noise alone in a pixel
         false_alarms = self.false_alarms if self.threshold is None else pixels * 10.0**-self.threshold
         for e, planned in enumerate(entries):
-            own = defect_hypotheses(planned.entry)
-            grid = search_grid(own, footprint)
+            own = defects.defect_hypotheses(planned.entry)
+            grid = defects.search_grid(own, footprint)
             places = pixels / (grid.ratio * grid.step) ** 2
-            z = least_z(places * len(own.turns) * len(grid.halves) * len(SIZES), len(entries), false_alarms)
+            z = defects.least_z(
+                places * len(own.turns) * len(grid.halves) * len(defects.SIZES), len(entries), false_alarms
+            )
             z -= _GREATEST_OF_NEAR + _greatest_of_segments(planned)
             if self.min_images == 1:
                 found[e] = np.array(_ALONE) * z * z
             else:
-                most = (z * z - CONFIRMED**2) / (self.min_images - 1)
-                found[e] = np.array(_CONFIRMED) * max(most, CONFIRMED**2)
+                most = (z * z - defects.CONFIRMED**2) / (self.min_images - 1)
+                found[e] = np.array(_CONFIRMED) * max(most, defects.CONFIRMED**2)
         return found
 
 
-def _greatest_of_segments(own: DefectHypotheses) -> float:
+def _greatest_of_segments(own: defects.DefectHypotheses) -> float:
     # Segments of a scratch have noise of their own, and the greatest Z finds it: so much more than the others' mean it
     # is expected to have (Blom 1958, of n normal deviates)
     from scipy import special
@@ -176,8 +155,8 @@ def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> Stencils:
         step = max(0.0, own.entry.shape.length - own.shapes[1].length) / 4.0 if long else 0.0
         for turn in range(len(own.turns)):
             axis = np.array([math.cos(own.turns[turn]), math.sin(own.turns[turn])])
-            for one in range(FORESHORTENINGS):
-                to_image = plane_to_image(one, ratio * footprint)
+            for one in range(defects.FORESHORTENINGS):
+                to_image = defects.plane_to_image(one, ratio * footprint)
                 sides = ratio
                 if long:
                     seen, stands_for = _scratch_piece(own, turn, to_image)
@@ -208,7 +187,7 @@ def _make_stencils(catalogue: PlannedCatalogue, footprint: float) -> Stencils:
     )
 
 
-def _scratch_piece(own: DefectHypotheses, turn: int, to_image: Float64) -> tuple[PixelMixture, float]:
+def _scratch_piece(own: defects.DefectHypotheses, turn: int, to_image: Float64) -> tuple[defects.PixelMixture, float]:
     # A short piece of a segment, where it changes most, and the whole's evidence as a multiple of the piece's. Walls of
     # a narrow scratch lean to opposite sides, so that evidence depends on where it lies within its pixels: across it
     # lies anywhere, and along it some segment lies best. The change is taken as linear in the slope
@@ -234,7 +213,7 @@ def _scratch_piece(own: DefectHypotheses, turn: int, to_image: Float64) -> tuple
     return piece, whole / most if most > 0.0 else 1.0
 
 
-def _evidence_of(seen: PixelMixture, lean: Float64) -> float:
+def _evidence_of(seen: defects.PixelMixture, lean: Float64) -> float:
     # Σ m² where changes are as the lean of the surface, over all directions of light
     _, first = np.unique(seen.row * (1 << 16) + seen.column, return_index=True)
     if not len(first):
@@ -250,29 +229,27 @@ class PatchEvidence:
     ) -> None:
         self._scene, self._detection = scene, detection
         camera = view_from_part(scene, posture).camera
-        right, up = image_axes(surface.views, camera.right)
-        classes = foreshortening_classes(surface.normals, surface.views, right, up).astype(np.int32)
+        right, up = defects.image_axes(surface.views, camera.right)
+        classes = defects.foreshortening_classes(surface.normals, surface.views, right, up).astype(np.int32)
         footprint = surface_footprint(camera, surface.points)
         cosines = np.einsum("ij,ij->i", surface.normals, surface.views)
         areas = table.patches.areas[table.inspectable(posture)] * cosines / footprint**2
-        image = _locate(scene, table, posture, areas)
+        references = defects.tangent_axis(surface.normals, right)
+        # turns are counted from the part's axes, and what pixels see of them from the image's
+        axes = scene.placement.rotation
+        own = defects.tangent_references(surface.normals, x_axis=axes[:, 0], y_axis=axes[:, 1])
+        x = np.einsum("ij,ij->i", own, references)
+        y = np.einsum("ij,ij->i", own, np.cross(surface.normals, references))
+        image = _locate(scene, table, posture, areas, classes, np.arctan2(y, x))
         # what is seen alike, and lies side by side in the image, is worked on together
         tiles = [np.floor(a / _TILE_CELLS).astype(np.int64) for a in (image.row, image.column)]
         self._order = np.argsort((classes * np.int64(1 << 20) + tiles[0]) * (1 << 20) + tiles[1], kind="stable")
         self._image = image.in_order(self._order)
-        self._surface, self._class = surface.take(self._order), classes[self._order]
-        surface = self._surface
-        share = surface_share(camera, surface.points)
+        self._surface, self._references = surface.take(self._order), references[self._order]
+        share = surface_share(camera, self._surface.points)
         self._passed = 1.0 if share is None else share
-        self._references = tangent_axis(surface.normals, right[self._order])
         self._stencils = detection.stencils(footprint).in_cells(image.cell)
         self._limits = detection.limits(float(areas.sum()), footprint)
-        # turns are counted from the part's axes, and what pixels see of them from the image's
-        axes = scene.placement.rotation
-        own = tangent_references(surface.normals, x_axis=axes[:, 0], y_axis=axes[:, 1])
-        x = np.einsum("ij,ij->i", own, self._references)
-        y = np.einsum("ij,ij->i", own, np.cross(surface.normals, self._references))
-        self._angle = np.arctan2(y, x)
         entries = detection.catalogue.entries
         turns = [len(one.turns) for one in entries]
         self._planned = PlannedTurns(
@@ -324,24 +301,22 @@ class PatchEvidence:
         return levels, [self._units(good, varied, exposure) for exposure in exposures]
 
     def _units(self, good: Float64, varied: Float32, exposure: float) -> Words:
-        sensor, image = self._detection.sensor, self._image
-        variants = self._planned.variants
+        sensor, variants = self._detection.sensor, self._planned.variants
         varied, leant = varied[: variants[-1]], varied[variants[-1] :]
-        codes = np.zeros((len(varied), len(good) + 1), np.int16)
-        bounds = np.zeros((len(self._correlated), len(good) + 1, 3), np.float32)
-        first = variants if len(bounds) > 1 else variants[[0, -1]]
+        first = variants if len(self._correlated) > 1 else variants[[0, -1]]
         scale = exposure * sensor.max_level / self._detection.full_scale
         limit = sensor.saturated_from - sensor.black_level
-        noise = sensor.read_noise_levels, sensor.electrons_per_level or math.inf
-        _fill_changes(good, varied, leant, self._correlated, first, image, scale, limit, noise, codes, bounds)
-        words = np.zeros((UNITS_OF_IMAGE, len(good), -(-len(self._planned.entry) // 64)), np.uint64)
-        add_evidence(codes, bounds, image, self._class, self._angle, self._planned, self._stencils, self._limits, words)
+        camera = scale, limit, sensor.read_noise_levels, float(sensor.electrons_per_level or math.inf)
+        codes, bounds = _changes(good, varied, leant, self._correlated, first, self._image, camera)
+        words = evidence_flags(codes, bounds, self._image, self._planned, self._stencils, self._limits)
         in_table = np.empty_like(words)
         in_table[:, self._order] = words
         return in_table
 
 
-def _locate(scene: Scene, table: PatchTable, posture: Posture, areas: Float64) -> ImagePatches:
+def _locate(
+    scene: Scene, table: PatchTable, posture: Posture, areas: Float64, classes: Int32, angle: Float64
+) -> ImagePatches:
     # `areas`: of the inspectable patches in the image [px²]
     camera = view_from_part(scene, posture).camera
     inspectable = table.inspectable(posture)
@@ -362,7 +337,7 @@ def _locate(scene: Scene, table: PatchTable, posture: Posture, areas: Float64) -
     owner = np.full(shape, none, np.int32)
     owner[y, x] = own[order]
     column, row = (in_cells(places[own >= 0], cell) for places in (columns, rows))
-    return ImagePatches(column, row, _filled(owner, none), cell)
+    return ImagePatches(column, row, _filled(owner, none), cell, classes, angle)
 
 
 def _filled(owner: Int32, none: int) -> Int32:
@@ -384,24 +359,23 @@ def _filled(owner: Int32, none: int) -> Int32:
 
 
 @kernel
-def _fill_changes(
+def _changes(
     good: Float64,
     varied: Float32,
     leant: Float32,
     correlated: Float64,
     first: Int32,
     image: ImagePatches,
-    scale: float,
-    limit: float,
-    noise_of: tuple[float, float],
-    codes: Int16,
-    bounds: Float32,
-) -> None:
+    camera: _Camera,
+) -> tuple[Int16, Float32]:
     # Changes by the variants, of each patch, as the camera would deliver them if it did not clip: mixed levels are
-    # clipped, not those that are mixed. `bounds` are the least and the greatest change that it delivers, and the change
-    # that is none: see expected_change. Levels are above black. The waviness of good parts is noise by what `leant`
-    # variants change, `correlated` times in each set of bounds, which is of the variants from `first`
-    (column, row, owner, cell), (read_noise, electrons) = image, noise_of
+    # clipped, not those that are mixed; the last patch stands for none. The bounds are the least and the greatest
+    # change that it delivers, and the change that is none: see expected_change. Levels are above black. The waviness of
+    # good parts is noise by what `leant` variants change, `correlated` times in each set of bounds, which is of the
+    # variants from `first`
+    (column, row, owner, cell, _, _, _), (scale, limit, read_noise, electrons) = image, camera
+    codes = np.zeros((len(varied), len(good) + 1), np.int16)
+    bounds = np.zeros((len(correlated), len(good) + 1, 3), np.float32)
     levels, variances, wavy = np.empty(len(good)), np.empty(len(good)), np.zeros(len(good))
     for p in range(len(good)):
         level = min(scale * good[p], limit)
@@ -433,3 +407,4 @@ def _fill_changes(
             for p in range(len(good)):
                 change = (scale * varied[v, p] - levels[p]) / noises[p]
                 codes[v, p] = np.int16(np.rint(max(-32_000.0, min(32_000.0, change * CODES_PER_DEVIATION))))
+    return codes, bounds

@@ -19,31 +19,26 @@ CODES_PER_DEVIATION = 16  # changes are stored as whole numbers of 16 bits: of w
 _MANY = 255  # code of changes that are bounded by nothing
 _AT_ONCE = 256  # patches whose evidence is added up together
 _ROUNDING = 1.001  # bounds are this much greater than needed: sums are rounded
+_Changes = tuple[Int16, Float32]  # codes and bounds, as :func:`evidence_flags` has them
+_Reach = tuple[UInt8, UInt8]  # most change of each patch, and of what a defect's pixels may see around each cell
 
 
 class Stencils(NamedTuple):
-    """What pixels see of each planned defect h in each class c of foreshortening.
+    """What pixels see of each planned defect h in each class c of foreshortening."""
 
-    first: Pixels of group g = h · classes + c are those from first[g] to first[g + 1], shape (groups + 1,); those that
-        see most of the defect come first
-    along: Steps to the right and down between the segments of a long defect that are tested, 0 for one that is tested
-        whole, shape (groups, 2)
-    right, down: Of the pixel from the defect's middle, shape (n,)
-    piece: Pieces in pixel i are those from piece[i] to piece[i + 1], shape (n + 1,)
-    variant, share: Of the piece, and how much of its pixel it is, shape (m,)
-    ratio: Side of these pixels by that of the camera's, shape (groups,)
-    square: Σ (share of the pixel in the defect)², shape (groups,)
-    """
-
+    # pixels of group g = h · classes + c are those from first[g] to first[g + 1], shape (groups + 1,); those that see
+    # most of the defect come first
     first: Int32
+    # steps to the right and down between the segments of a long defect that are tested, 0 for one that is tested whole,
+    # shape (groups, 2)
     along: Float32
-    right: Float32
-    down: Float32
-    piece: Int32
-    variant: Int32
-    share: Float32
-    ratio: Float32
-    square: Float64
+    right: Float32  # of the pixel from the defect's middle, shape (n,)
+    down: Float32  # likewise
+    piece: Int32  # pieces in pixel i are those from piece[i] to piece[i + 1], shape (n + 1,)
+    variant: Int32  # of the piece, shape (m,)
+    share: Float32  # how much of its pixel the piece is, shape (m,)
+    ratio: Float32  # side of these pixels by that of the camera's, shape (groups,)
+    square: Float64  # Σ (share of the pixel in the defect)², shape (groups,)
 
     def in_cells(self, cell: float) -> "Stencils":
         """The same with lengths in cells of so many of their unit."""
@@ -56,36 +51,31 @@ def in_cells(lengths: Float32 | Float64, cell: float) -> Float32:
 
 
 class ImagePatches(NamedTuple):
-    """The p patches of a posture in its image.
+    """The p patches of a posture in its image."""
 
-    column, row: Of their middles [cells], shape (p,)
-    owner: Patch that each cell of the image sees, −1 for none, shape (rows, columns)
-    cell: Side of a cell [px]
-    """
-
-    column: Float32
-    row: Float32
-    owner: Int32
-    cell: float
+    column: Float32  # of their middles [cells], shape (p,)
+    row: Float32  # of their middles [cells], shape (p,)
+    owner: Int32  # patch that each cell of the image sees, −1 for none, shape (rows, columns)
+    cell: float  # side of a cell [px]
+    classes: Int32  # of foreshortening, shape (p,); patches of a class follow each other where that is to be fast
+    angle: Float64  # from the image's axes to those that turns are counted from [rad], shape (p,)
+    pad: int = 0  # cells around the image that see no patch
 
     def in_order(self, order: Index) -> "ImagePatches":
         """The same with the patches in another order."""
         number = np.empty(len(order) + 1, np.int32)
         number[order], number[-1] = np.arange(len(order)), -1
-        return self._replace(column=self.column[order], row=self.row[order], owner=number[self.owner])
+        column, row, owner, _, classes, angle, _ = self
+        own = {"column": column[order], "row": row[order], "classes": classes[order], "angle": angle[order]}
+        return self._replace(owner=number[owner], **own)
 
 
 class PlannedTurns(NamedTuple):
-    """The hypotheses h, entry after entry.
+    """The hypotheses h, entry after entry."""
 
-    entry: Of each, shape (h,)
-    turns: Of each entry, shape (entries,)
-    variants: Those of entry e are from variants[e] to variants[e + 1], shape (entries + 1,)
-    """
-
-    entry: Int32
-    turns: Int32
-    variants: Int32
+    entry: Int32  # of each, shape (h,)
+    turns: Int32  # of each entry, shape (entries,)
+    variants: Int32  # those of entry e are from variants[e] to variants[e + 1], shape (entries + 1,)
 
 
 @kernel
@@ -96,28 +86,17 @@ def owner_at(column: float, row: float, owner: Int32) -> int:
     return owner[int(row), int(column)]
 
 
-def add_evidence(
-    codes: Int16,
-    bounds: Float32,
-    image: ImagePatches,
-    classes: Int32,
-    angle: Float64,
-    planned: PlannedTurns,
-    stencils: Stencils,
-    limits: Float64,
-    words: Words,
-) -> None:
-    """Set the flags of the units of evidence.
+def evidence_flags(
+    codes: Int16, bounds: Float32, image: ImagePatches, planned: PlannedTurns, stencils: Stencils, limits: Float64
+) -> Words:
+    """Flags of the units of evidence, shape (units, p, words).
 
     codes: Changes by the variants, and those of no patch, which are 0, shape (t, p + 1)
     bounds: What the camera delivers of them, of each entry or alike for all, shape (entries or 1, p + 1, 3)
-    classes, angle: Of the patches: the foreshortening, and from the image's axes to those that turns are counted from
-        [rad], shape (p,); patches of a class follow each other where that is to be fast
     stencils: In cells
     limits: Evidence from which on an image counts for one unit and more, shape (entries, units)
-    words: Shape (units, p, words)
     """
-    patches = len(classes)
+    patches = len(image.classes)
     most = np.zeros((len(planned.turns), patches + 1), np.uint8)
     _fill_most(codes, bounds, planned.variants, most)
     reach = np.maximum(np.abs(stencils.right), np.abs(stencils.down))
@@ -130,10 +109,9 @@ def add_evidence(
     for e in range(len(most)):
         begin, end = (stencils.first[groups[i]] for i in (e, e + 1))
         near[e] = greatest_within(near[e], int(reach[begin:end].max(initial=0.0)) + 1)
-    found = np.zeros((len(planned.entry), patches + 1), np.float32)
-    image = image._replace(owner=padded)
-    _fill_found(codes, bounds, image, pad, classes, planned.entry, stencils, limits, most, near, found)
-    _set_flags(found, image, pad, classes, angle, planned.turns, stencils.along, limits, words)
+    image = image._replace(owner=padded, pad=pad)
+    found = _evidence((codes, bounds), image, planned.entry, stencils, limits, (most, near))
+    return _flags(found, image, planned.turns, stencils.along, limits)
 
 
 def greatest_within(cells: UInt8, radius: int) -> UInt8:
@@ -179,25 +157,17 @@ def _cell(place: float, side: int, pad: int) -> np.uint64:
 
 
 @kernel
-def _fill_found(
-    codes: Int16,
-    bounds: Float32,
-    image: ImagePatches,
-    pad: int,
-    classes: Int32,
-    entry: Int32,
-    stencils: Stencils,
-    limits: Float64,
-    most: UInt8,
-    near: UInt8,
-    found: Float32,
-) -> None:
+def _evidence(
+    changes: _Changes, image: ImagePatches, entry: Int32, stencils: Stencils, limits: Float64, reach: _Reach
+) -> Float32:
     # Evidence of each defect in each turn as the image counts it: up to what is enough, 0 where it is too little.
     # Patches of a class see the same pixels of a defect: pixel after pixel is added for all of them that have not yet
     # enough, without branches
+    (codes, bounds), (most, near) = changes, reach
     first, _, right, down, piece, variant, share, ratio, square = stencils
-    columns, rows, owner, _ = image
+    columns, rows, owner, _, classes, _, pad = image
     height, width = owner.shape
+    found = np.zeros((len(entry), len(classes) + 1), np.float32)
     active, energies = np.empty(_AT_ONCE, np.uint64), np.empty(_AT_ONCE, np.float32)
     start = 0
     while start < len(classes):
@@ -241,23 +211,15 @@ def _fill_found(
             for p in range(start, end):
                 found[h, p] = energies[p - start] * area
         start = end
+    return found
 
 
 @kernel
-def _set_flags(
-    found: Float32,
-    image: ImagePatches,
-    pad: int,
-    classes: Int32,
-    angle: Float64,
-    turns: Int32,
-    along: Float32,
-    limits: Float64,
-    words: Words,
-) -> None:
+def _flags(found: Float32, image: ImagePatches, turns: Int32, along: Float32, limits: Float64) -> Words:
     # the greatest along each defect: what its segments have is what the patches that they lie on have
-    columns, rows, owner, _ = image
+    columns, rows, owner, _, classes, angle, pad = image
     height, width = owner.shape
+    words = np.zeros((limits.shape[1], len(classes), (len(found) + 63) // 64), np.uint64)
     energies, turn = np.empty(len(classes), np.float32), np.empty(len(classes), np.int32)
     first = 0
     for e in range(len(turns)):
@@ -283,3 +245,4 @@ def _set_flags(
                 for p in range(len(energies)):
                     words[unit, p, h // 64] |= np.uint64(energies[p] >= limit) << bit
         first += count
+    return words

@@ -91,27 +91,17 @@ class ImageCache:
 
 @dataclass(frozen=True, eq=False)
 class ImageEvaluator:
-    """A part, its patches, and the defects that its images are tested for.
+    """A part, its patches, and the defects that its images are tested for."""
 
-    scene: Its lights are ignored.
-    table: The patches; their pairs with the planned defects are counted.
-    detection: The defects, and when one counts as found; None where levels alone are wanted.
-    shadows: Whether the part casts shadows on itself.
-    exposures: That an image may be taken with: it shows what it shows with any of them.
-    cache: For what images show; only for an evaluator of these very patches.
-    images: Levels and flags of images on the patches that a posture shows; they are looked up first, and kept where
-        `keeps_images` says so.
-    """
-
-    scene: Scene
-    table: PatchTable
+    scene: Scene  # its lights are ignored
+    table: PatchTable  # the patches; their pairs with the planned defects are counted
     caster: RayCaster
-    detection: DetectionModel | None
-    shadows: bool = True
+    detection: DetectionModel | None  # the defects, and when one counts as found; None where levels alone are wanted
+    shadows: bool = True  # whether the part casts shadows on itself
     threads: int | None = None
-    exposures: tuple[float, ...] = (1.0,)
-    cache: ImageCache | None = None
-    images: ImageCache | None = None
+    exposures: tuple[float, ...] = (1.0,)  # that an image may be taken with: it shows what it shows with any of them
+    cache: ImageCache | None = None  # for what images show; only for an evaluator of these very patches
+    images: ImageCache | None = None  # levels and flags of images: looked up first, and kept if `keeps_images`
     keeps_images: bool = False
 
     @cached_property
@@ -130,8 +120,8 @@ class ImageEvaluator:
     def table_of(self, postures: Sequence[Posture]) -> PatchTable:
         """The same patches in some of the postures."""
         rows = [self.table.postures.index(posture) for posture in postures]
-        table = self.table
-        return replace(table, postures=tuple(postures), visible=table.visible[rows], grazing=table.grazing[rows])
+        visible, grazing = self.table.visible[rows], self.table.grazing[rows]
+        return replace(self.table, postures=tuple(postures), visible=visible, grazing=grazing)
 
     def matrices(
         self,
@@ -162,9 +152,9 @@ class ImageEvaluator:
                 f"and there is room for {most_bytes / 1e9:.2f} GB a posture; raise option 'step_deg' or lower option "
                 "'patch_budget'"
             )
-        shape = len(exposures), positions, len(seen)
-        levels = np.zeros(shape, np.uint8 if scene.sensor.bit_depth <= 8 else np.uint16)
-        words = np.zeros((len(exposures), positions, UNITS_OF_IMAGE, len(seen), self._words), np.uint64)
+        shape, dtype = (len(exposures), positions), np.uint8 if scene.sensor.bit_depth <= 8 else np.uint16
+        levels = np.zeros((*shape, len(seen)), dtype)
+        words = np.zeros((*shape, UNITS_OF_IMAGE, len(seen), self._words), np.uint64)
         flat = [panel for some in panels for panel in some]
         missing: list[int] = []
         for at, panel in enumerate(flat):
@@ -184,16 +174,20 @@ class ImageEvaluator:
         # the candidates as the part sees them
         moved = view_from_part(replace(scene, lights=tuple(flat)), posture).lights
 
-        def shade(at: int, panel: PanelLight, some: Sequence[_Block]) -> None:
-            for here, block, passed in some:
-                store(at, here, _levels(scene, block, panel, caster, self.shadows, passed))
+        # evidence at a patch depends on its neighbours, so that all patches are done together
+        groups = [blocks[first : first + BLOCKS_AT_ONCE] for first in range(0, len(blocks), BLOCKS_AT_ONCE)]
+        groups = groups if evidence is None else [blocks]
+        work = WorkCounter(len(missing) * len(groups), progress)
 
-        def find_evidence(at: int, panel: PanelLight) -> None:
-            assert evidence is not None
-            level, units = evidence.evaluate(panel, caster, caster if self.shadows else None, exposures)
-            store(at, slice(None), level)
-            for index, some in enumerate(units):
-                words[index, at] = some
+        def evaluate(at: int, panel: PanelLight, some: Sequence[_Block]) -> None:
+            if evidence is not None:
+                level, units = evidence.evaluate(panel, caster, caster if self.shadows else None, exposures)
+                store(at, slice(None), level)
+                words[:, at] = units
+            else:
+                for here, block, passed in some:
+                    store(at, here, _levels(scene, block, panel, caster, self.shadows, passed))
+            work.add(1)
 
         def store(at: int, here: slice, level: Float32) -> None:
             for index, exposure in enumerate(exposures):
@@ -201,26 +195,14 @@ class ImageEvaluator:
                     level[None, :], sensor=scene.sensor, exposure=exposure, full_scale=scene.reflectance.full_scale
                 )[0]
 
-        # evidence at a patch depends on its neighbours, so that all patches are done together
-        groups = [blocks[first : first + BLOCKS_AT_ONCE] for first in range(0, len(blocks), BLOCKS_AT_ONCE)]
-        groups = groups if evidence is None else [blocks]
-        work = WorkCounter(len(missing) * len(groups), progress)
-
-        def count() -> None:
-            work.add(1)
-            work.report()
-
         def tasks() -> Iterator[Task]:
             for at in missing:
                 if self.shadows:
                     caster.map_blockers(shadow_targets(moved[at]), rays=len(seen), threads=1)
-                if evidence is not None:
-                    yield find_evidence, (at, moved[at])
-                else:
-                    for group in groups:
-                        yield shade, (at, moved[at], group)
+                for group in groups:
+                    yield evaluate, (at, moved[at], group)
 
-        run_all(tasks(), threads=self.threads or available_processors(), done=count)
+        run_all(tasks(), threads=self.threads or available_processors(), done=work.report)
         if self.images is not None and self.keeps_images:
             for at in missing:
                 self.images.keep(posture, exposures, flat[at], levels[:, at], words[:, at])
@@ -232,7 +214,7 @@ class ImageEvaluator:
             shown = None
             if detection is not None:
                 flags, left_out = tuple(np.split(words[index], ends)), grazing.astype(np.int32)
-                shown = Visibility(detection.catalogue.defects, flags, areas, seen.astype(np.int32), left_out)
+                shown = Visibility(detection.catalogue.defects, flags, seen.astype(np.int32), left_out)
             own = tuple(np.split(levels[index], ends))
             return LuminanceMatrix(levels=own, areas=areas, visibility=shown, grazing_mm2=grazing_mm2)
 
@@ -281,25 +263,19 @@ class ImageEvaluator:
         return tuple(images)
 
     def _new_flags(self, posture: Posture, panels: Sequence[Sequence[PanelLight]]) -> tuple[Words, ...]:
+        found = [np.zeros((len(some), UNITS_OF_IMAGE, len(self.patches), self._words), np.uint64) for some in panels]
         if not any(panels):
-            return tuple(np.zeros((0, UNITS_OF_IMAGE, len(self.patches), self._words), np.uint64) for _ in panels)
+            return tuple(found)
         if sum(map(len, panels)) <= self.positions_at_once(posture, self.exposures):
             matrices = self.matrices(posture, panels, exposures=self.exposures)
             lights = [[(matrices, light)] for light in range(len(panels))]
         else:
-            lights = [
-                ((matrices, 0) for matrices in self.in_batches(posture, some, exposures=self.exposures))
-                for some in panels
-            ]
-        found: list[Words] = []
-        for some, batches in zip(panels, lights, strict=True):
-            images = np.zeros((len(some), UNITS_OF_IMAGE, len(self.patches), self._words), np.uint64)
-            place = 0
-            for matrices, light in batches:
-                for at in range(len(matrices[0].levels[light])):
-                    images[place] = scattered_flags(matrices, self.patches, light=light, place=at)
-                    place += 1
-            found.append(images)
+            every = (self.in_batches(posture, some, exposures=self.exposures) for some in panels)
+            lights = [((matrices, 0) for matrices in batches) for batches in every]
+        for images, batches in zip(found, lights, strict=True):
+            places = ((some, light, at) for some, light in batches for at in range(len(some[0].levels[light])))
+            for image, (some, light, at) in zip(images, places, strict=True):
+                image[:] = scattered_flags(some, self.patches, light=light, place=at)
         return tuple(found)
 
     @property
@@ -337,12 +313,8 @@ def patch_points(scene: Scene, table: PatchTable, posture: Posture) -> tuple[Sur
     seen = table.inspectable(posture)
     views = view_from_part(scene, posture).camera.position - patches.centroids[seen]
     views /= np.linalg.norm(views, axis=1, keepdims=True)
-    points, normals, facets = (
-        patches.centroids[seen],
-        patches.normals[seen],
-        face_normals(scene.mesh)[patches.face[seen]],
-    )
-    return SurfacePoints(points, normals, facets, views, np.ones(len(seen), np.bool_)), seen
+    facets, front = face_normals(scene.mesh)[patches.face[seen]], np.ones(len(seen), np.bool_)
+    return SurfacePoints(patches.centroids[seen], patches.normals[seen], facets, views, front), seen
 
 
 def _levels(

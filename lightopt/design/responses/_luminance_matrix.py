@@ -6,8 +6,6 @@ addressed by their index in the refined mesh of the run (:class:`lightopt.render
 for all postures: the same index is the same patch in every posture.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -31,31 +29,22 @@ AREA_UNIT_MM2 = 1e-6  # areas are counted in whole square micrometres, so that s
 
 @dataclass(frozen=True)
 class Visibility:
-    """Evidence of t planned defects on patches by the image of each light position in one posture.
-
-    words: One array per light, in the rig's order: flags of the units of evidence, shape (candidates of the light,
-        units, p, ⌈t / 64⌉).
-    areas: Of the inspectable patches [mm²], shape (p,).
-    patch: Their indices among the patches of the run, ascending, shape (p,).
-    grazing: Indices of the patches seen at a grazing angle, which are excluded, ascending.
-    """
+    """Evidence of t planned defects on patches by the image of each light position in one posture."""
 
     defects: tuple[PlannedDefect, ...]
-    words: tuple[Words, ...]
-    areas: Float64
-    patch: Int32
-    grazing: Int32
+    words: tuple[Words, ...]  # flags of the units of each light, shape (candidates, units, p, ⌈t / 64⌉)
+    patch: Int32  # indices of the inspectable patches among those of the run, ascending, shape (p,)
+    grazing: Int32  # indices of the patches seen at a grazing angle, which are excluded, ascending
 
     def __post_init__(self) -> None:
-        shape = len(self.areas), -(-len(self.defects) // 64)
+        shape = len(self.patch), -(-len(self.defects) // 64)
         for index, layer in enumerate(self.words):
             if layer.ndim != 4 or layer.shape[2:] != shape or layer.dtype != np.uint64:
                 raise InputError(
                     f"visibility: light {index}: expected uint64 of shape (candidates, units, {shape[0]}, {shape[1]}), "
                     f"found {layer.dtype} {layer.shape}"
                 )
-        for name in ("areas", "patch"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        object.__setattr__(self, "patch", read_only(self.patch))
         object.__setattr__(self, "words", tuple(map(read_only, self.words)))
 
     @cached_property
@@ -68,18 +57,13 @@ class Visibility:
         """Number of candidates of each light."""
         return tuple(len(layer) for layer in self.words)
 
-    @property
-    def total_weight(self) -> int:
-        return sum(defect.weight for defect in self.defects)
-
-    def rows(self, rows: Sequence[Int64]) -> Visibility:
+    def rows(self, rows: Sequence[Int64]) -> "Visibility":
         """Some candidates of each light, given by ascending indices."""
-        words = tuple(select_rows(layer, some) for layer, some in zip(self.words, rows, strict=True))
-        return replace(self, words=words)
+        return replace(self, words=tuple(map(select_rows, self.words, rows)))
 
-    def patches(self, start: int, end: int) -> Visibility:
+    def patches(self, start: int, end: int) -> "Visibility":
         words = tuple(layer[:, :, start:end] for layer in self.words)
-        return replace(self, words=words, areas=self.areas[start:end], patch=self.patch[start:end])
+        return replace(self, words=words, patch=self.patch[start:end])
 
     def most_units(self, needed: int) -> Counts:
         """Units of evidence, up to `needed`, if each light takes for each defect the position that shows it best.
@@ -107,14 +91,12 @@ def select_rows(layer: Any, some: Int64) -> Any:
 class LevelThresholds:
     """Which delivered levels count as usable: ``shade ≤ level < saturation`` (paper, section 5.2, step 4).
 
-    shade, saturation: Levels below the first are shaded, levels from the second on are specular [sensor level].
-    black: Delivered without light; sums are of what is above it [sensor level].
     Raises InputError: No level is usable, or what is delivered without light would not be shaded.
     """
 
-    shade: int
-    saturation: int
-    black: int = 0
+    shade: int  # levels below it are shaded [sensor level]
+    saturation: int  # levels from it on are specular [sensor level]
+    black: int = 0  # delivered without light; sums are of what is above it [sensor level]
 
     def __post_init__(self) -> None:
         if not 0 <= self.black <= self.shade < self.saturation:
@@ -125,7 +107,7 @@ class LevelThresholds:
             )
 
     @staticmethod
-    def of_sensor(sensor: Sensor, *, shade_share: float) -> LevelThresholds:
+    def of_sensor(sensor: Sensor, *, shade_share: float) -> "LevelThresholds":
         """Thresholds of a sensor: shaded is what has less light than ``black + shade_share · full scale`` delivers.
 
         What is delivered without light is shaded whatever the share.
@@ -142,27 +124,20 @@ class LevelThresholds:
 
 @dataclass(frozen=True, kw_only=True)
 class LuminanceMatrix:
-    """Delivered levels of the inspectable patches in one posture (paper, section 5.2, steps 1 and 2).
+    """Delivered levels of the inspectable patches in one posture (paper, section 5.2, steps 1 and 2)."""
 
-    levels: One array per light, in the rig's order: quantised levels at exposure 1, shape (candidates of the light,
-        p).
-    areas: Of the patches [mm²], shape (p,).
-    visibility: Which defects the same images show on the same patches; None where images are not tested for defects.
-    grazing_mm2: Area that the camera sees at a grazing angle, which is excluded [mm²].
-    """
-
-    levels: tuple[Levels, ...]
-    areas: Float64
-    visibility: Visibility | None = None
-    grazing_mm2: float = 0.0
+    levels: tuple[Levels, ...]  # of each light, at exposure 1 [sensor level], shape (candidates, p)
+    areas: Float64  # of the patches [mm²], shape (p,)
+    visibility: Visibility | None = None  # of defects; None where images are not tested for them
+    grazing_mm2: float = 0.0  # area that the camera sees at a grazing angle, which is excluded [mm²]
 
     def __post_init__(self) -> None:
         if self.visibility is not None and (
-            self.visibility.shape != self.shape or len(self.visibility.areas) != len(self.areas)
+            self.visibility.shape != self.shape or len(self.visibility.patch) != len(self.areas)
         ):
             raise InputError(
                 f"luminance matrix: expected the visibility of the same images, {self.shape} positions of the lights "
-                f"and {len(self.areas)} patches, found {self.visibility.shape} and {len(self.visibility.areas)}"
+                f"and {len(self.areas)} patches, found {self.visibility.shape} and {len(self.visibility.patch)}"
             )
         for index, layer in enumerate(self.levels):
             if layer.ndim != 2 or layer.shape[1] != len(self.areas) or str(layer.dtype) not in ("uint8", "uint16"):
@@ -178,15 +153,15 @@ class LuminanceMatrix:
         """Number of candidates of each light."""
         return tuple(len(layer) for layer in self.levels)
 
-    def rows(self, rows: Sequence[Int64]) -> LuminanceMatrix:
+    def rows(self, rows: Sequence[Int64]) -> "LuminanceMatrix":
         """Some candidates of each light, given by ascending indices."""
-        levels = tuple(select_rows(layer, some) for layer, some in zip(self.levels, rows, strict=True))
-        return replace(self, levels=levels, visibility=self.visibility and self.visibility.rows(rows))
+        levels, seen = tuple(map(select_rows, self.levels, rows)), self.visibility
+        return replace(self, levels=levels, visibility=seen and seen.rows(rows))
 
-    def combination(self, candidates: Sequence[int]) -> LuminanceMatrix:
+    def combination(self, candidates: Sequence[int]) -> "LuminanceMatrix":
         return self.rows([np.array([index]) for index in candidates])
 
-    def patches(self, start: int, end: int) -> LuminanceMatrix:
+    def patches(self, start: int, end: int) -> "LuminanceMatrix":
         levels, seen = tuple(layer[:, start:end] for layer in self.levels), self.visibility
         return replace(self, levels=levels, areas=self.areas[start:end], visibility=seen and seen.patches(start, end))
 
@@ -203,20 +178,9 @@ def area_units(areas: Float64) -> Int64:
 
 def usable_sums(layer: Levels, weights: Int64, thresholds: LevelThresholds) -> Int64:
     """Sum of a light's usable levels above black, each times its patch's weight, shape (candidates,)."""
-    return _usable_sums(layer, weights, thresholds.shade, thresholds.saturation, thresholds.black)
-
-
-@kernel
-def _usable_sums(layer: Levels, weights: Int64, shade: int, saturation: int, black: int) -> Int64:
-    sums = np.zeros(len(layer), np.int64)
-    for a in range(len(layer)):
-        total = 0
-        for p in range(layer.shape[1]):
-            level = np.int64(layer[a, p])
-            if shade <= level < saturation:
-                total += weights[p] * (level - black)
-        sums[a] = total
-    return sums
+    usable = ((row >= thresholds.shade) & (row < thresholds.saturation) for row in layer)
+    pairs = zip(layer, usable, strict=True)
+    return np.array([weights[some] @ (row[some] - np.int64(thresholds.black)) for row, some in pairs], np.int64)
 
 
 @kernel

@@ -8,8 +8,6 @@ The *benefit* of a count is the sum of its flags, each times its pair's weight; 
 pairs with the last flag.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -28,9 +26,7 @@ Merit = tuple[int, int]  # weight covered, and benefit
 def pack_flags(rows: Bool) -> Words:
     """Rows of flags, shape (n, p), as words of 64 flags, shape (n, ⌈p / 64⌉); unused bits are 0."""
     octets = np.packbits(rows, axis=1, bitorder="little")
-    padded = np.zeros((len(octets), -(-octets.shape[1] // 8) * 8), np.uint8)
-    padded[:, : octets.shape[1]] = octets
-    return padded.view("<u8").astype(np.uint64, copy=False)
+    return widen_octets(octets, -(-octets.shape[1] // 8))
 
 
 def unpack_flags(words: Words, count: int) -> UInt8:
@@ -149,22 +145,17 @@ def weighted_bits(words: Words, masks: Words, factors: Int64) -> Int64:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PairWeights:
-    """Weight of each pair of patch and hypothesis: the patch's area times the hypothesis's factor.
+    """Weight of each pair of patch and hypothesis: the patch's area times the hypothesis's factor."""
 
-    areas: Of the patches [µm²], shape (p,).
-    masks: The hypotheses of one factor each, as flags; shape (groups, words).
-    factors: Whole numbers, shape (groups,).
-    """
-
-    areas: Int64
-    masks: Words
-    factors: Int64
+    areas: Int64  # of the patches [µm²], shape (p,)
+    masks: Words  # the hypotheses of one factor each, as flags; shape (groups, words)
+    factors: Int64  # whole numbers, shape (groups,)
 
     def __post_init__(self) -> None:
         for name in ("areas", "masks", "factors"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
-    def of(self, patches: slice | Bool) -> PairWeights:
+    def of(self, patches: slice | Bool) -> "PairWeights":
         """Weights of some of the patches."""
         return replace(self, areas=self.areas[patches])
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lightopt.core.provenance import computed_by, file_sha256
-from lightopt.core.run_context import RunContext, Share
+from lightopt.core.run_context import RunContext
 from lightopt.core.transforms import Posture
 from lightopt.design._candidates import Candidates
 from lightopt.design._problem import Problem, detection_model_of
@@ -53,48 +53,35 @@ def read_matrix(
             # reading an array leaves the check of its sum out where it stops before the end of its file
             if str(arrays["key"]) != key or arrays.zip.testzip() is not None:
                 return None
-            levels, areas = tuple(arrays[f"light_{i}"] for i in range(lights)), arrays["areas_mm2"]
-            seen = None
+            levels, seen = tuple(arrays[f"light_{i}"] for i in range(lights)), None
             if defects is not None:
                 words = tuple(arrays[f"defects_{i}"] for i in range(lights))
-                seen = Visibility(tuple(defects), words, areas, arrays["patch"], arrays["grazing"])
-            grazing_mm2 = float(arrays["grazing_mm2"])
+                seen = Visibility(tuple(defects), words, arrays["patch"], arrays["grazing"])
+            areas, grazing_mm2 = arrays["areas_mm2"], float(arrays["grazing_mm2"])
             return LuminanceMatrix(levels=levels, areas=areas, visibility=seen, grazing_mm2=grazing_mm2)
     except Exception:  # noqa: BLE001 - zip, zlib, NumPy's header and tokenizer each have errors of their own
         return None
 
 
-COARSE_SHARE = 0.15
-"""Edges longer than this share of the part's diagonal cause a warning."""
+COARSE_SHARE = 0.15  # edges longer than this share of the part's diagonal cause a warning
 
 MATRIX_NAME = "matrix.npz"
 
 # what of a part no level depends on; the catalogue's defects have a key of their own
-_NOT_OF_LEVELS: Any = {
-    "name": True,
-    "postures": True,
-    "mesh": {"file"},
-    "defects": True,
-    "defect_catalogue": True,
-    "inspection": True,
-}
+_WHOLE_KEYS = ("name", "postures", "defects", "defect_catalogue", "inspection")
+_NOT_OF_LEVELS: Any = {**dict.fromkeys(_WHOLE_KEYS, True), "mesh": {"file"}}
 
 
 @dataclass(eq=False)
 class PostureMatrices:
-    """Computes the luminance matrices or reads cached ones; patches are made only when needed.
-
-    table: The patches; None as long as they were not needed.
-    images: Some of these patches, tested for the defects of the problem; None for none.
-    reused: How many matrices were read from the cache.
-    """
+    """Computes the luminance matrices or reads cached ones; patches are made only when needed."""
 
     problem: Problem
     folder: Path
     run: RunContext
-    table: PatchTable | None = None
-    images: ImageCache | None = None
-    reused: int = 0
+    table: PatchTable | None = None  # the patches; None as long as they were not needed
+    images: ImageCache | None = None  # some of these patches, tested for the defects of the problem; None for none
+    reused: int = 0  # how many matrices were read from the cache
 
     def __post_init__(self) -> None:
         problem, wanted = self.problem, self.problem.defects is not None
@@ -162,9 +149,9 @@ class PostureMatrices:
             if cached is not None:
                 self.reused += 1
                 return cached
-        (matrix,) = self.evaluator(self.detection).matrices(
-            posture, self.problem.candidates.panels, most_bytes=MOST_BYTES // held, progress=self._stage(posture)
-        )
+        panels, stage = self.problem.candidates.panels, self.run.stage(f"casting rays, {posture}")
+        most, evaluator = MOST_BYTES // held, self.evaluator(self.detection)
+        (matrix,) = evaluator.matrices(posture, panels, most_bytes=most, progress=stage)
         if self.problem.options.keep_matrix:
             make_folder(path.parent)
             write_matrix(path, matrix, self.problem.candidates.angles, key=key)
@@ -180,10 +167,8 @@ class PostureMatrices:
 
     def levels(self, posture: Posture, candidates: Candidates) -> LuminanceMatrix:
         """The levels of a posture under other candidates; check :meth:`fits_memory` first."""
-        return self.evaluator(None).matrices(posture, candidates.panels, progress=self._stage(posture))[0]
-
-    def _stage(self, posture: Posture) -> Share | None:
-        return self.run.stage(f"casting rays, {posture}")
+        stage = self.run.stage(f"casting rays, {posture}")
+        return self.evaluator(None).matrices(posture, candidates.panels, progress=stage)[0]
 
     def evaluator(self, detection: DetectionModel | None) -> ImageEvaluator:
         """The part and its patches; `detection` as for :class:`ImageEvaluator`."""

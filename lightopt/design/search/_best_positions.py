@@ -20,7 +20,6 @@ from lightopt.design.search._exact_search import SearchResult, search
 from lightopt.rendering import GRAZING_DEG, grain_of
 
 PIECE_PATCHES = 1 << 15  # patches for which an objective's definition is evaluated at once
-
 _Matrices = Sequence[LuminanceMatrix]  # one of each posture
 
 

@@ -1,7 +1,5 @@
 """Combinations of candidate positions: which are allowed, and which are the best of a table, ties in a fixed order."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,19 +15,15 @@ Rows = tuple[Int64, ...]  # candidates of each light, ascending: all their combi
 
 @dataclass(frozen=True, kw_only=True)
 class CombinationSpace:
-    """The combinations to search.
+    """The combinations to search."""
 
-    sizes: Number of candidates per light.
-    groups: Disjoint sets of combinations; together they are the space. Lights that move independently make one group.
-    clashes: For pairs of lights (i, j), i < j: which of their candidates collide, shape (sizes[i], sizes[j]).
-    """
-
-    sizes: tuple[int, ...]
-    groups: tuple[Rows, ...]
+    sizes: tuple[int, ...]  # number of candidates per light
+    groups: tuple[Rows, ...]  # disjoint sets that make up the space: one where lights move independently
+    # for pairs of lights (i, j), i < j: which of their candidates collide, shape (sizes[i], sizes[j])
     clashes: Mapping[tuple[int, int], Bool] = field(default_factory=dict[tuple[int, int], Bool])
 
     @staticmethod
-    def of(sizes: Sequence[int]) -> CombinationSpace:
+    def of(sizes: Sequence[int]) -> "CombinationSpace":
         return CombinationSpace(sizes=tuple(sizes), groups=(tuple(np.arange(n) for n in sizes),))
 
 
@@ -60,15 +54,11 @@ MOST_NEAR = 1 << 24  # scores near the best that are held at a time: 128 MiB
 
 @dataclass(frozen=True)
 class Ranked:
-    """A combination with its score.
-
-    usable: Sum of the usable levels of all images, each times its patch's weight.
-    candidates: One per light, in the rig's order; candidates ascend by elevation, then azimuth.
-    """
+    """A combination with its score."""
 
     score: int
-    usable: int
-    candidates: tuple[int, ...]
+    usable: int  # sum of the usable levels of all images, each times its patch's weight
+    candidates: tuple[int, ...]  # one per light, in the rig's order; candidates ascend by elevation, then azimuth
 
     @property
     def sort_key(self) -> tuple[int, int, tuple[int, ...]]:
@@ -78,18 +68,13 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Ranking:
-    """The first of some combinations, and how many share the best score.
+    """The first of some combinations, and how many share the best score."""
 
-    best: Ordered; as many as were requested or there are.
-    ties: Number of combinations with the best score.
-    count: Number of combinations evaluated.
-    """
+    best: tuple[Ranked, ...] = ()  # ordered; as many as were requested or there are
+    ties: int = 0  # number of combinations with the best score
+    count: int = 0  # number of combinations evaluated
 
-    best: tuple[Ranked, ...] = ()
-    ties: int = 0
-    count: int = 0
-
-    def merged(self, other: Ranking, limit: int) -> Ranking:
+    def merged(self, other: "Ranking", limit: int) -> "Ranking":
         best = tuple(sorted((*self.best, *other.best), key=attrgetter("sort_key"))[:limit])
         score = best[0].score if best else 0
         ties = sum(r.ties for r in (self, other) if r.best and r.best[0].score == score)
@@ -156,23 +141,13 @@ def rank(table: Int64, rows: Rows, usable: Sequence[Int64], *, allowed: Bool | N
         (own[row][i] for row, own, i in zip(rows, usable, digits(some, rows), strict=True)),
         start=np.zeros(len(some), np.int64),
     )
-    above, equal = table[some] > least, table[some] == least
-    # of the many that may share the least score kept, those with the largest sums, then the first ones
-    wanted = keep - int(above.sum())
-    tied = sums[equal]
-    edge = int(np.partition(tied, len(tied) - wanted)[len(tied) - wanted])
-    chosen = above | (equal & (sums > edge))
-    last = np.flatnonzero(equal & (sums == edge))[: keep - int(chosen.sum())]
-    chosen[last] = True
-    columns = [row[i] for row, i in zip(rows, digits(some[chosen], rows), strict=True)]
-    candidates = np.stack(columns, axis=1)
-    ranked = [
-        Ranked(int(score), int(total), tuple(int(c) for c in combination))
-        for score, total, combination in zip(table[some[chosen]], sums[chosen], candidates, strict=True)
-    ]
-    best = sorted(ranked, key=attrgetter("sort_key"))
-    ties = int(np.count_nonzero(scores == best[0].score))
-    return Ranking(tuple(best), ties, len(scores))
+    # the sort is stable: of equals those with lower candidates stay first
+    order = np.lexsort((-sums, -table[some]))[:keep]
+    places = some[order]
+    candidates = np.stack([row[i] for row, i in zip(rows, digits(places, rows), strict=True)], axis=1).tolist()
+    facts = zip(table[places].tolist(), sums[order].tolist(), map(tuple, candidates), strict=True)
+    best = tuple(Ranked(score, total, combination) for score, total, combination in facts)
+    return Ranking(best, int(np.count_nonzero(scores == best[0].score)), len(scores))
 
 
 def digits(places: Int64 | int, rows: Sequence[Int64]) -> Iterator[Any]:

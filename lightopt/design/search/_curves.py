@@ -9,22 +9,16 @@ from lightopt.design.search._combinations import Ranked, is_allowed
 
 TOGETHER = "all lights together"
 
-MOST_POINTS = 31
-"""Of one curve; of more positions every second, third … is taken, and the best set's own."""
+MOST_POINTS = 31  # of one curve; of more positions every second, third … is taken, and the best set's own
 
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """Scores along one angle, all else as in the best set.
+    """Scores along one angle, all else as in the best set."""
 
-    name: Of the light that is moved, or :data:`TOGETHER`.
-    axis: ``elevation`` or ``azimuth``.
-    angles_deg: Ascending [°].
-    """
-
-    name: str
-    axis: str
-    angles_deg: tuple[float, ...]
+    name: str  # of the light that is moved, or :data:`TOGETHER`
+    axis: str  # ``elevation`` or ``azimuth``
+    angles_deg: tuple[float, ...]  # ascending [°]
     scores: tuple[int, ...]
 
     def as_dict(self) -> dict[str, Any]:

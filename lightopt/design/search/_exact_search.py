@@ -7,8 +7,6 @@ none of the requested combinations, nor a tie of the best, and is excluded. So t
 the search reaches its limit on scored combinations: then the largest bound of what is left is part of the answer.
 """
 
-from __future__ import annotations
-
 import heapq
 import itertools
 import math
@@ -32,31 +30,25 @@ BOX_COST = 20_000  # combinations that take about as long to score as a box take
 # default number of combinations to score before the search stops with a bound; bounds count, too
 DEFAULT_LIMIT = 200_000_000
 
+NO_COMBINATION = (
+    "no combination of the lights' positions is left: in each, panels collide; widen their ranges or take "
+    "smaller panels"
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class SearchResult:
-    """The outcome of a search.
+    """The outcome of a search."""
 
-    ranking: The best combinations in order, the first being the optimum; of those evaluated where some are left.
-    ties: Number of other combinations with the optimum's score; of those evaluated where some are left.
-    near: Number of other combinations whose score is near the optimum's, ties among them.
-    near_exact: Whether `near` is complete: none was left, excluded by a bound, or dropped for memory.
-    scored: Combinations that were enumerated.
-    excluded: Combinations that a bound shows to be worse than all of the ranking.
-    left: Combinations not evaluated, since the limit was reached.
-    clashing: Combinations whose panels would collide.
-    bound: A score that no allowed combination exceeds: that of the optimum where it is proven.
-    """
-
-    ranking: tuple[Ranked, ...]
-    ties: int
-    near: int
-    near_exact: bool
-    scored: int
-    excluded: int
-    left: int
-    clashing: int
-    bound: int
+    ranking: tuple[Ranked, ...]  # the best in order, from the optimum on; of those evaluated where some are left
+    ties: int  # number of other combinations with the optimum's score; of those evaluated where some are left
+    near: int  # number of other combinations whose score is near the optimum's, ties among them
+    near_exact: bool  # whether `near` is complete: none was left, excluded by a bound, or dropped for memory
+    scored: int  # combinations that were enumerated
+    excluded: int  # combinations that a bound shows to be worse than all of the ranking
+    left: int  # combinations not evaluated, since the limit was reached
+    clashing: int  # combinations whose panels would collide
+    bound: int  # a score that no allowed combination exceeds: that of the optimum where it is proven
 
     @property
     def best(self) -> Ranked:
@@ -146,10 +138,7 @@ def search(
         clashing += 0 if allowed is None else int(allowed.size - np.count_nonzero(allowed))
         report()
     if not ranking.best:
-        raise InputError(
-            "no combination of the lights' positions is left: in each, panels collide; widen their ranges or take "
-            "smaller panels"
-        )
+        raise InputError(NO_COMBINATION)
     return SearchResult(
         ranking=ranking.best,
         ties=ranking.ties - 1,
@@ -166,7 +155,7 @@ def search(
 class _Boxes:
     """The boxes that are left, ordered by bound."""
 
-    def __init__(self, scorer: _BoxScorer, groups: Sequence[Rows], table_cells: int) -> None:
+    def __init__(self, scorer: "_BoxScorer", groups: Sequence[Rows], table_cells: int) -> None:
         self._scorer = scorer
         self._table_cells = table_cells
         self._serial = itertools.count()

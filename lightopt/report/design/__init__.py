@@ -1,5 +1,6 @@
 """Tables, pictures and the page of ``lightopt optimize``."""
 
+from lightopt.report.design._pictures import capture_text as capture_text
 from lightopt.report.design._plan import (
     blind_tables as blind_tables,
     defect_tables as defect_tables,
@@ -11,5 +12,4 @@ from lightopt.report.design._plan import (
     tolerance_table as tolerance_table,
 )
 from lightopt.report.design._report import design_report as design_report
-from lightopt.report.design._setting_sheet import capture_text as capture_text
 from lightopt.report.design._surface import blind_pictures as blind_pictures

@@ -1,20 +1,84 @@
-"""Pictures of a design: the images of the best set, the rig, and the score against the angles."""
+"""The setting sheet of a design, the images of the best set, and the score against the angles."""
 
 import itertools
-from pathlib import Path
+from collections.abc import Sequence
+from dataclasses import replace
 
 from PIL import Image
 
-from lightopt.design import Curve, DesignOutput, DetectabilityObjective, SetResult
+from lightopt.core.errors import InputError, counted
+from lightopt.design import Curve, DesignOutput, DesignResult, DetectabilityObjective, SetResult, angles_of
 from lightopt.images import ImageEntry, ImageSet, read_image_set, read_png
 from lightopt.report._charts import COLOURS, chart, name_lines
-from lightopt.report._contact_sheet import entry_thumbnail, light_position, saturation_text
+from lightopt.report._contact_sheet import degrees, entry_thumbnail, light_position, saturation_text
 from lightopt.report._drawing import figure_image, fixed_style, printable
 from lightopt.report._images import png_bytes, shrunk
-from lightopt.report._page import Block, Gallery, Note, Picture
+from lightopt.report._page import Block, Gallery, Note, Picture, Table
+from lightopt.report._rig_drawing import rig_image
 from lightopt.report.design._plan import postures_text
+from lightopt.rig.capture import cycle_time
 
 SIDE = 300  # longest side of an image in the report [px]
+
+
+def capture_text(result: DesignResult) -> str:
+    """How many images and seconds a part takes with the lights of a design, or why that is unknown."""
+    answered = [one for one in result.results if one.answers[0].nothing is None]
+    exposures = {posture: result.plan.exposures_of(posture) for one in answered for posture in one.postures}
+    if len({one.answers[0].found.best.candidates for one in answered}) != 1:
+        images = len(result.candidates.names) * sum(map(len, exposures.values()))
+        return f"{counted(images, 'image')} per part; the lights have to be moved between postures"
+    try:
+        return str(cycle_time(result.rig, result.part, exposures))
+    except InputError as error:
+        return f"these postures and exposures cannot be captured on this rig: {error.messages[0]}"
+
+
+def setting_blocks(output: DesignOutput) -> list[Block]:
+    """A table of the lights for each set of positions, and a drawing of the rig with the first set."""
+    sets: dict[tuple[int, ...], list[SetResult]] = {}
+    for result in output.result.results:
+        if result.answers[0].nothing is None:
+            sets.setdefault(result.answers[0].found.best.candidates, []).append(result)
+    blocks: list[Block] = []
+    if len(sets) > 1:
+        text = f"The postures have {len(sets)} different sets of positions: move the lights between the postures."
+        blocks.append(Note(text=text))
+    blocks += [_setting_table(output.result, results, name_postures=len(sets) > 1) for results in sets.values()]
+    return [*blocks, *(_setting_drawing(output.result, results) for results in list(sets.values())[:1])]
+
+
+def _setting_table(design: DesignResult, results: Sequence[SetResult], *, name_postures: bool) -> Table:
+    rows: list[list[str]] = []
+    best = results[0].answers[0].found.best
+    panels, found = design.candidates.panels_at(best.candidates), angles_of(design.candidates, best)
+    for panel, (elevation, azimuth), light in zip(panels, found, design.rig.lights, strict=True):
+        now = (light.elevation_deg, light.azimuth_deg)
+        centre = [f"{coordinate:.1f}" for coordinate in panel.centre]
+        before = "stays" if now == (elevation, azimuth) else f"{degrees(now[0])}, {degrees(now[1])}"
+        angles = degrees(elevation), degrees(azimuth)
+        rows.append([panel.name, *angles, f"{panel.distance:g} mm", ", ".join(centre), before])
+    caption = (
+        "Elevation from the table plane, azimuth about Z from +X towards +Y, distance from the table's centre to the "
+        "panel's centre. Each panel faces the table's centre."
+    )
+    if name_postures:
+        caption = f"For {', '.join(postures_text(result.postures) for result in results)}. {caption}"
+    header = ["light", "elevation", "azimuth", "distance", "centre of the panel X, Y, Z [mm]", "now"]
+    return Table(header=header, rows=rows, caption=caption)
+
+
+def _setting_drawing(design: DesignResult, results: Sequence[SetResult]) -> Picture:
+    best = results[0].answers[0].found.best
+    postures = tuple(posture for result in results for posture in result.postures)
+    lights = zip(design.candidates.names, angles_of(design.candidates, best), strict=True)
+    angles = "; ".join(f"{name} {degrees(elevation)}, {degrees(azimuth)}" for name, (elevation, azimuth) in lights)
+    scene = replace(design.scene, lights=design.candidates.panels_at(best.candidates), postures=postures)
+    return Picture(
+        png=png_bytes(rig_image(scene)),
+        alt=f"The rig: {angles}",
+        caption=f"The rig with these angles, the part in {postures[0]}.",
+    )
 
 
 def image_blocks(output: DesignOutput) -> list[Block]:
@@ -23,7 +87,13 @@ def image_blocks(output: DesignOutput) -> list[Block]:
     if not sets:
         return [Note(text="Not rendered: images were switched off.")]
     maps = {
-        (overlap.posture, overlap.exposure): (output.result.folder / listed["map"], overlap.pixels)
+        (overlap.posture, overlap.exposure): Picture(
+            png=png_bytes(
+                Image.fromarray(shrunk(read_png(output.result.folder / listed["map"], colour=True), limit=SIDE))
+            ),
+            alt="Map of the highlights",
+            caption=f"{overlap.pixels:,} px saturated in two or more",
+        )
         for listed, overlap in zip(output.document["overlaps"], output.overlaps, strict=True)
     }
     rows: list[tuple[str, list[Picture | None]]] = []
@@ -34,7 +104,7 @@ def image_blocks(output: DesignOutput) -> list[Block]:
             own = [one for one in images.images if (one.posture, one.exposure) == (posture, exposure)]
             pictures = [_picture(images, one) for one in own]
             # one light has no others for its highlights to overlap with
-            together = [_overlap(*maps[posture, exposure])] if maps else []
+            together = [maps[posture, exposure]] if maps else []
             at = f", exposure {exposure:.9g}" * (levels != {1.0})
             rows.append((f"posture {posture}{at}", [*pictures, *together]))
     which = "the planned exposures" if output.document.get("exposures") else "exposure 1"
@@ -53,14 +123,6 @@ def _picture(images: ImageSet, entry: ImageEntry) -> Picture:
         png=png_bytes(Image.fromarray(small.picture)),
         alt=f"{entry.light} at {light_position(entry)}",
         caption=f"{light_position(entry)}; {saturation_text(small)}",
-    )
-
-
-def _overlap(path: Path, pixels: int) -> Picture:
-    return Picture(
-        png=png_bytes(Image.fromarray(shrunk(read_png(path, colour=True), limit=SIDE))),
-        alt="Map of the highlights",
-        caption=f"{pixels:,} px saturated in two or more",
     )
 
 
@@ -92,13 +154,9 @@ def _chart(result: SetResult, axis: str, curves: list[Curve]) -> Picture:
         title=f"{best.objective.name}, {where}", x_label=f"{axis} [°]", labels=[f"score [{label}]"]
     )
     for curve, colour in zip(curves, itertools.cycle(COLOURS)):
-        scores = [_value(result, score) for score in curve.scores]
+        shares = [best.objective.share_of_whole(score, result.area) for score in curve.scores]
+        scores = [score if share is None else 100.0 * share for score, share in zip(curve.scores, shares, strict=True)]
         panel.plot(curve.angles_deg, scores, ".-", color=colour, label=printable(curve.name))
     name_lines(panel)
     names = ", ".join(curve.name for curve in curves)
     return Picture(png=png_bytes(figure_image(figure)), alt=f"Score against {axis} for {where}: {names}")
-
-
-def _value(result: SetResult, score: int) -> float:
-    share = result.answers[0].objective.share_of_whole(score, result.area)
-    return float(score) if share is None else 100.0 * share

@@ -3,57 +3,36 @@
 from collections.abc import Mapping
 from typing import Any
 
+from lightopt import design
 from lightopt.core.errors import counted
 from lightopt.core.transforms import Posture
-from lightopt.design import (
-    LEFT_OUT_MEANING,
-    DesignOutput,
-    ObjectiveResult,
-    SetResult,
-    angles_of,
-    deciding_text,
-    finding_text,
-    near_meaning,
-    planned_catalogue,
-    share_text,
-    shares_of,
-)
 from lightopt.lights import PanelLight
 from lightopt.rendering import GRAZING_DEG
 from lightopt.report._contact_sheet import degrees
 from lightopt.report._page import Answer, Block, Facts, Note, Page, Section, Table, Warnings, page_html
-from lightopt.report.design._pictures import curve_blocks, image_blocks
-from lightopt.report.design._plan import (
-    blind_tables,
-    defect_tables,
-    exposure_blocks,
-    plan_proof,
-    posture_blocks,
-    postures_text,
-    tolerance_blocks,
-)
-from lightopt.report.design._setting_sheet import capture_text, setting_blocks
+from lightopt.report.design import _plan
+from lightopt.report.design._pictures import capture_text, curve_blocks, image_blocks, setting_blocks
 from lightopt.report.design._surface import surface_blocks
 from lightopt.scene import build_catalogue
 
 
-def design_report(output: DesignOutput) -> str:
+def design_report(output: design.DesignOutput) -> str:
     """The report of an optimisation as HTML; for :func:`lightopt.design.finish_design`."""
     return page_html(design_page(output))
 
 
-def design_page(output: DesignOutput) -> Page:
+def design_page(output: design.DesignOutput) -> Page:
     """The report of an optimisation as plain values."""
     sections = [
         Section(heading="Set the lights", blocks=setting_blocks(output), own_page=True),
         Section(heading="What the images show", blocks=surface_blocks(output)),
-        Section(heading="Blind spots", blocks=blind_tables(output.document)),
-        Section(heading="Defects", blocks=defect_tables(output.document)),
-        Section(heading="Postures", blocks=posture_blocks(output)),
-        Section(heading="Exposures", blocks=exposure_blocks(output)),
+        Section(heading="Blind spots", blocks=_plan.blind_tables(output.document)),
+        Section(heading="Defects", blocks=_plan.defect_tables(output.document)),
+        Section(heading="Postures", blocks=_plan.posture_blocks(output)),
+        Section(heading="Exposures", blocks=_plan.exposure_blocks(output)),
         Section(heading="Images of the best set", blocks=image_blocks(output)),
         Section(heading="Score against the angles", blocks=curve_blocks(output)),
-        Section(heading="Tolerances of the angles", blocks=tolerance_blocks(output)),
+        Section(heading="Tolerances of the angles", blocks=_plan.tolerance_blocks(output)),
         Section(heading="Scores", blocks=[scores_table(output)]),
         Section(heading="Assumptions", blocks=fact_blocks(output)),
     ]
@@ -62,7 +41,7 @@ def design_page(output: DesignOutput) -> Page:
     return Page(title=f"Light positions: {part}", subtitle=subtitle, lead=answer_blocks(output), sections=sections)
 
 
-def answer_blocks(output: DesignOutput) -> list[Block]:
+def answer_blocks(output: design.DesignOutput) -> list[Block]:
     """The result in a sentence and a table of angles, its proof, and warnings."""
     chosen = output.document.get("chosen_postures")
     plan = [] if chosen is None else [_plan_answer(chosen, output.document.get("exposures"))]
@@ -72,13 +51,13 @@ def answer_blocks(output: DesignOutput) -> list[Block]:
     rows: list[list[str]] = []
     for result, best in found:
         score = result.score_text(best.found.best.score, best.objective)
-        rows.append([postures_text(result.postures), *_angles(output, best), score])
+        rows.append([_plan.postures_text(result.postures), *_angles(output, best), score])
     if rows:
         caption = (
             "Angles of each light: elevation from the table plane, and azimuth about Z from the world's +X towards +Y."
         )
         blocks.append(Table(header=header, rows=rows, caption=caption))
-    proofs = [_proof(result) for result, _ in found] if chosen is None else [plan_proof(chosen)]
+    proofs = [_proof(result) for result, _ in found] if chosen is None else [_plan.plan_proof(chosen)]
     blocks += [Note(text=f"{gain[0].upper()}{gain[1:]}.") for result, _ in found if (gain := result.gain_text)]
     blocks += [Note(text=proof) for proof in proofs]
     if found:
@@ -89,7 +68,7 @@ def answer_blocks(output: DesignOutput) -> list[Block]:
     return [*blocks, Warnings(texts=output.warnings)]
 
 
-def scores_table(output: DesignOutput) -> Table:
+def scores_table(output: design.DesignOutput) -> Table:
     """The best set of every objective, scored under all."""
     names = [answer.objective.name for answer in output.result.results[0].answers]
     answers = [(one, answer) for one in output.result.results for answer in one.answers if answer.nothing is None]
@@ -97,15 +76,17 @@ def scores_table(output: DesignOutput) -> Table:
     counts = ("left out", "runner-up", "ties / near best", "combinations")
     header = ["posture", "best for", *output.result.candidates.names, *names, *counts]
     objectives = [answer.objective for answer in output.result.results[0].answers]
-    shares = [f"Shares of {' and '.join(names)}: of {surface}." for surface, names in shares_of(objectives).items()]
-    meanings = [f"{text[0].upper()}{text[1:]}." for text in (LEFT_OUT_MEANING, near_meaning(objectives))]
+    shares = [
+        f"Shares of {' and '.join(names)}: of {surface}." for surface, names in design.shares_of(objectives).items()
+    ]
+    meanings = [f"{text[0].upper()}{text[1:]}." for text in (design.LEFT_OUT_MEANING, design.near_meaning(objectives))]
     files = "ranking.csv lists the best combinations, result.json has all numbers."
     return Table(header=header, rows=rows, numbers_from=2, caption=" ".join([*shares, *meanings, files]))
 
 
-def _answer(result: SetResult) -> Answer:
+def _answer(result: design.SetResult) -> Answer:
     best = result.answers[0]
-    where = postures_text(result.postures)
+    where = _plan.postures_text(result.postures)
     if best.nothing is not None:
         return Answer(figure="No answer", text=f"{where}: {best.nothing}")
     share = best.objective.share_of_whole(best.found.best.score, result.area)
@@ -114,7 +95,7 @@ def _answer(result: SetResult) -> Answer:
         return Answer(figure=score, text=f"by {best.objective.name}, {where}: {best.objective.meaning}")
     added = ", added up" * (len(result.postures) > 1)
     return Answer(
-        figure=share_text(share, result.grain),
+        figure=design.share_text(share, result.grain),
         text=f"{best.objective.meaning} ({score} by {best.objective.name}). The surface is what the camera sees in "
         f"{where}{added}, without the {result.left_out_text} that it sees at more than {GRAZING_DEG:g}° to the normal.",
     )
@@ -122,25 +103,25 @@ def _answer(result: SetResult) -> Answer:
 
 def _plan_answer(chosen: Mapping[str, Any], exposures: Mapping[str, Any] | None) -> Answer:
     postures = ", ".join(str(Posture.from_dict(one)) for one in chosen["order_of_travel"])
-    found = finding_text(chosen["min_images"], chosen["false_alarms"])
+    found = design.finding_text(chosen["min_images"], chosen["false_alarms"])
     text = f"{found}, in {postures}. The surface is what the camera sees in any candidate posture"
     share, grain = chosen["share"], chosen["patches"]["grain"]
     if exposures is not None:
         share = exposures["share"]
         planned = any(shot["planned"] for shot in exposures["shots"])
-        alone = f"With exposure 1 alone {share_text(exposures['share_without'], grain)}"
+        alone = f"With exposure 1 alone {design.share_text(exposures['share_without'], grain)}"
         text += f". {alone if planned else 'No further exposure adds enough to be planned'}"
-    return Answer(figure=share_text(share, grain), text=text)
+    return Answer(figure=design.share_text(share, grain), text=text)
 
 
-def _angles(output: DesignOutput, answer: ObjectiveResult) -> list[str]:
+def _angles(output: design.DesignOutput, answer: design.ObjectiveResult) -> list[str]:
     return [
         f"{degrees(elevation)},\u00a0{degrees(azimuth)}"
-        for elevation, azimuth in angles_of(output.result.candidates, answer.found.best)
+        for elevation, azimuth in design.angles_of(output.result.candidates, answer.found.best)
     ]
 
 
-def _proof(result: SetResult) -> str:
+def _proof(result: design.SetResult) -> str:
     best = result.answers[0]
     found, objective = best.found, best.objective
     total = counted(found.scored + found.excluded + found.left, "combination")
@@ -157,13 +138,15 @@ def _proof(result: SetResult) -> str:
     if found.ties or not found.complete:
         runner_up += f"; ties: {best.ties_text}, decided by the sum of usable levels"
     runner_up += f"; {best.near_text} other combinations near the best"
-    return f"{postures_text(result.postures).capitalize()}: {text}; {runner_up}."
+    return f"{_plan.postures_text(result.postures).capitalize()}: {text}; {runner_up}."
 
 
-def _scores(output: DesignOutput, result: SetResult, answer: ObjectiveResult, names: list[str]) -> list[str]:
+def _scores(
+    output: design.DesignOutput, result: design.SetResult, answer: design.ObjectiveResult, names: list[str]
+) -> list[str]:
     objectives = {other.objective.name: other.objective for other in result.answers}
     return [
-        postures_text(result.postures),
+        _plan.postures_text(result.postures),
         answer.objective.name,
         *_angles(output, answer),
         *(_unbroken(result.score_text(answer.scores[name], objectives[name])) for name in names),
@@ -179,7 +162,7 @@ def _unbroken(score: str) -> str:
     return score.replace(" mm²", "\u00a0mm²").replace(" %", "\u00a0%")
 
 
-def fact_blocks(output: DesignOutput) -> list[Block]:
+def fact_blocks(output: design.DesignOutput) -> list[Block]:
     """LevelThresholds, sensor, reflectance, patches, options, versions and hashes; and the positions left out."""
     blocks: list[Block] = [Facts(rows=[*_physics(output), *_search(output)]), Facts(rows=_provenance(output))]
     excluded = output.result.all_candidates.left_out
@@ -189,7 +172,7 @@ def fact_blocks(output: DesignOutput) -> list[Block]:
     return blocks
 
 
-def _physics(output: DesignOutput) -> list[tuple[str, str]]:
+def _physics(output: design.DesignOutput) -> list[tuple[str, str]]:
     scene, thresholds = output.result.scene, output.result.thresholds
     sensor, reflectance = scene.sensor, scene.reflectance
     electrons = sensor.electrons_per_level
@@ -199,7 +182,9 @@ def _physics(output: DesignOutput) -> list[tuple[str, str]]:
         f"{thresholds.saturation} on; at exposure 1, without noise"
     )
     options = output.document["provenance"]["options"]
-    use = "used for detectability only" if "false_alarms" in options else "not part of the score"
+    use, edges = "not part of the score", ""
+    if "false_alarms" in options:
+        use, edges = "used for detectability only", " or at silhouettes and creases"
     coefficients = f"R_d {reflectance.R_d:g}, R_s {reflectance.R_s:g}, σ {reflectance.sigma:g} rad"
     return [
         ("levels", levels),
@@ -208,13 +193,8 @@ def _physics(output: DesignOutput) -> list[tuple[str, str]]:
         ("lights", "; ".join(dict.fromkeys(map(_light, scene.lights)))),
         ("shadows", "cast by the part" if options["shadows"] else "none"),
         ("patches", output.patches.message),
-        ("left out", _left_out(options)),
+        ("left out", f"what the camera sees at more than {GRAZING_DEG:g}° to the normal{edges}"),
     ]
-
-
-def _left_out(options: Mapping[str, Any]) -> str:
-    edges = " or at silhouettes and creases" if "false_alarms" in options else ""
-    return f"what the camera sees at more than {GRAZING_DEG:g}° to the normal{edges}"
 
 
 def _light(light: PanelLight) -> str:
@@ -227,7 +207,7 @@ def _light(light: PanelLight) -> str:
     )
 
 
-def _search(output: DesignOutput) -> list[tuple[str, str]]:
+def _search(output: design.DesignOutput) -> list[tuple[str, str]]:
     options = output.document["provenance"]["options"]
     positions = " × ".join(str(len(angles)) for angles in output.result.all_candidates.angles)
     common = ", all lights at one elevation" * options["common_elevation"]
@@ -239,10 +219,10 @@ def _search(output: DesignOutput) -> list[tuple[str, str]]:
     ]
     if "false_alarms" in options:
         entries = build_catalogue(output.result.part)
-        hypotheses = f"{len(planned_catalogue(entries).defects)} hypotheses"
+        hypotheses = f"{len(design.planned_catalogue(entries).defects)} hypotheses"
         found = (
             f"where the expected evidence of all images passes the threshold of {options['false_alarms']:g} false "
-            f"alarms per posture; {deciding_text(options['min_images'])}"
+            f"alarms per posture; {design.deciding_text(options['min_images'])}"
         )
         names = ", ".join(entry.name for entry in entries)
         facts += [("defect catalogue", f"{names}: {hypotheses}"), ("a defect is found", found)]
@@ -256,7 +236,7 @@ def _search(output: DesignOutput) -> list[tuple[str, str]]:
     return facts
 
 
-def _provenance(output: DesignOutput) -> list[tuple[str, str]]:
+def _provenance(output: design.DesignOutput) -> list[tuple[str, str]]:
     found = output.document["provenance"]
     inputs = found["inputs"]
     files = {"rig": inputs["rig"]["file"], "part": inputs["part"]["file"], "mesh": output.result.part.mesh.file}

@@ -6,28 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from lightopt import design
 from lightopt.core.arrays import UInt8
 from lightopt.core.errors import percent
 from lightopt.core.transforms import Posture
-from lightopt.design import (
-    BLIND_CLASSES,
-    BLIND_LIGHTS,
-    BlindReason,
-    BlindSpots,
-    BlindSpotSummary,
-    DesignOutput,
-    DesignResult,
-    LegendRow,
-    Levels,
-    LevelThresholds,
-    area_text,
-    area_units,
-    blind_class,
-    blind_classes,
-    blind_colours,
-    blind_legend,
-    share_text,
-)
 from lightopt.rendering import GRAZING_DEG, grain_of, trace_samples
 from lightopt.report._drawing import CAP_HEIGHT, SOFT, Drawing, fixed_style, hex_colour, text_width
 from lightopt.report._page import Block, Note, SurfaceView, Table
@@ -81,7 +63,7 @@ class PostureClasses:
     grain: float
 
 
-def level_classes(levels: Levels, thresholds: LevelThresholds) -> UInt8:
+def level_classes(levels: design.Levels, thresholds: design.LevelThresholds) -> UInt8:
     """Class of each inspectable patch (:data:`LEVEL_CLASSES`) by its levels under each light, shape (lights, p)."""
     saturated = levels >= thresholds.saturation
     usable = ((levels >= thresholds.shade) & ~saturated).sum(axis=0)
@@ -89,7 +71,7 @@ def level_classes(levels: Levels, thresholds: LevelThresholds) -> UInt8:
     return np.select([several, usable >= LEAST_USABLE, usable == 1], [2, 0, 1], default=3).astype(np.uint8)
 
 
-def surface_blocks(output: DesignOutput) -> list[Block]:
+def surface_blocks(output: design.DesignOutput) -> list[Block]:
     """One view of the part with all its colourings; areas as a table."""
     shown = _postures(output)
     levels = [_layer(one) for one in shown]
@@ -125,7 +107,7 @@ def surface_blocks(output: DesignOutput) -> list[Block]:
     return [view, *summary]
 
 
-def _caption(output: DesignOutput) -> str:
+def _caption(output: design.DesignOutput) -> str:
     low, high = output.result.thresholds.shade, output.result.thresholds.saturation
     caption = (
         f"{output.result.part.name} at posture (0°, 0°), Z up. A level from {low} on and below {high} is usable, one "
@@ -140,7 +122,7 @@ def _caption(output: DesignOutput) -> str:
     )
 
 
-def _postures(output: DesignOutput) -> list[PostureClasses]:
+def _postures(output: design.DesignOutput) -> list[PostureClasses]:
     table, found = output.patches, list[PostureClasses]()
     for result in output.result.results:
         if result.answers[0].nothing is not None:
@@ -151,7 +133,7 @@ def _postures(output: DesignOutput) -> list[PostureClasses]:
             classes[left_out] = _LEFT_OUT
             classes[seen] = level_classes(levels, output.result.thresholds)
             own = table.patches.areas[seen]
-            units, grazing = area_units(own), float(table.patches.areas[left_out].sum())
+            units, grazing = design.area_units(own), float(table.patches.areas[left_out].sum())
             areas = tuple(int(units[classes[seen] == k].sum()) for k in range(_LEFT_OUT))
             share = grazing / (grazing + float(own.sum()))
             found.append(PostureClasses(posture, classes, areas, left_out=share, grain=grain_of(own)))
@@ -160,18 +142,19 @@ def _postures(output: DesignOutput) -> list[PostureClasses]:
 
 def _layer(shown: PostureClasses) -> SurfaceLayer:
     counted = sum(shown.areas)
-    amounts = [*(share_text(area / max(1, counted), shown.grain) for area in shown.areas), "", ""]
+    amounts = [*(design.share_text(area / max(1, counted), shown.grain) for area in shown.areas), "", ""]
     classes = surface_classes(LEVEL_CLASSES, amounts)
     return SurfaceLayer(name=f"posture {shown.posture}", classes=classes, of_face=shown.classes)
 
 
-def _shares(output: DesignOutput, classes: UInt8) -> list[str]:
+def _shares(output: design.DesignOutput, classes: UInt8) -> list[str]:
     # in words: of each class, of the part's surface without what is left out; the latter is of the whole surface
     own = output.patches.patches.areas
     areas, grain = np.bincount(classes, weights=own, minlength=len(LEVEL_CLASSES)), grain_of(own)
     counted = max(float(areas.sum() - areas[_LEFT_OUT]), 1e-300)
     return [
-        share_text(float(area / (areas.sum() if k == _LEFT_OUT else counted)), grain) for k, area in enumerate(areas)
+        design.share_text(float(area / (areas.sum() if k == _LEFT_OUT else counted)), grain)
+        for k, area in enumerate(areas)
     ]
 
 
@@ -179,8 +162,11 @@ def _table(shown: list[PostureClasses]) -> Table:
     rows: list[list[str]] = []
     for one in shown:
         grain, counted = one.grain, sum(one.areas)
-        areas = (f"{area_text(a, grain * counted)} ({share_text(a / max(1, counted), grain)})" for a in one.areas)
-        rows.append([str(one.posture), *areas, share_text(one.left_out, grain)])
+        areas = (
+            f"{design.area_text(a, grain * counted)} ({design.share_text(a / max(1, counted), grain)})"
+            for a in one.areas
+        )
+        rows.append([str(one.posture), *areas, design.share_text(one.left_out, grain)])
     return Table(
         header=["posture", *(label for label, _ in LEVEL_CLASSES[:_UNSEEN])],
         rows=rows,
@@ -198,7 +184,7 @@ def _combined_note(shares: Sequence[str], postures: int) -> Note:
     )
 
 
-def blind_pictures(result: DesignResult) -> dict[Posture, UInt8]:
+def blind_pictures(result: design.DesignResult) -> dict[Posture, UInt8]:
     """What the camera sees in each posture, coloured by what the chosen lights show of the defects, with a legend.
 
     Pictures have the shape (height, width, 3); none where images are not tested for defects.
@@ -210,7 +196,7 @@ def blind_pictures(result: DesignResult) -> dict[Posture, UInt8]:
     for posture, spots, _ in result.blind.parts[1:]:
         assert posture is not None
         camera = view_from_part(scene, posture).camera
-        colours = blind_colours(spots).astype(np.float64)
+        colours = design.blind_colours(spots).astype(np.float64)
         picture = np.full((camera.height, camera.width, 3), BACKGROUND, np.uint8)
         for top in range(0, camera.height, BLOCK_ROWS):
             rows = picture[top : top + BLOCK_ROWS]
@@ -225,51 +211,51 @@ def blind_pictures(result: DesignResult) -> dict[Posture, UInt8]:
             f"posture {posture}: shares of the surface × defects without what is left out; pale where other defects "
             "are seen"
         )
-        pictures[posture] = _with_legend(picture, title, blind_legend(spots))
+        pictures[posture] = _with_legend(picture, title, design.blind_legend(spots))
     return pictures
 
 
-def blind_layers(summary: BlindSpotSummary) -> list[SurfaceLayer]:
+def blind_layers(summary: design.BlindSpotSummary) -> list[SurfaceLayer]:
     """How many defects are seen, and why the others are not: all postures together, wherever the lights stand, each."""
     layers = [share_layer("all postures, how many defects are seen", summary.parts[0][1])]
     for posture, chosen, possible in summary.parts if len(summary.parts) > 2 else summary.parts[:1]:
         where = "all postures" if posture is None else f"posture {posture}"
         layers.append(blind_layer(f"{where}, why not", chosen))
         if posture is None:
-            layers.append(blind_layer(f"{where}, why not with the lights {BLIND_LIGHTS[1]}", possible))
+            layers.append(blind_layer(f"{where}, why not with the lights {design.BLIND_LIGHTS[1]}", possible))
     return layers
 
 
-def share_layer(name: str, spots: BlindSpots) -> SurfaceLayer:
+def share_layer(name: str, spots: design.BlindSpots) -> SurfaceLayer:
     """How large a share of the defects is seen on every patch, and of how much of the surface that is not left out."""
     limits = np.array([limit for limit, *_ in SHARES])
     of_face = np.searchsorted(limits, spots.share, side="left").astype(np.uint8)
     of_face[spots.share >= 1.0] = len(SHARES) - 1
-    apart = [blind_class(code) for code in (BlindReason.CAMERA, BlindReason.GRAZING)]
+    apart = [design.blind_class(code) for code in (design.BlindReason.CAMERA, design.BlindReason.GRAZING)]
     for place, one in enumerate(apart, start=len(SHARES)):
         of_face[spots.codes == one.code] = place
     kinds = [*((label, colour) for _, label, colour in SHARES), *((one.label, hex_colour(one.colour)) for one in apart)]
     areas = np.bincount(of_face, weights=spots.areas, minlength=len(kinds)) / spots.counted
-    amounts = [*(share_text(float(area), spots.grain) for area in areas[:-1]), ""]
+    amounts = [*(design.share_text(float(area), spots.grain) for area in areas[:-1]), ""]
     return SurfaceLayer(name=name, classes=surface_classes(kinds, amounts), of_face=of_face)
 
 
-def blind_layer(name: str, spots: BlindSpots) -> SurfaceLayer:
+def blind_layer(name: str, spots: design.BlindSpots) -> SurfaceLayer:
     """The reasons of every patch, those that there are, with their shares of the surface × defects.
 
     Which light saturates a patch is told by the table.
     """
-    left_out = blind_class(BlindReason.GRAZING).label
-    shares = {row.label: "" if row.label == left_out else row.amount for row in blind_legend(spots)}
-    of_face = blind_classes(spots)
-    shown = [k for k, one in enumerate(BLIND_CLASSES) if one.label in shares or (of_face == k).any()]
-    kinds = [(BLIND_CLASSES[k].label, hex_colour(BLIND_CLASSES[k].colour)) for k in shown]
+    left_out = design.blind_class(design.BlindReason.GRAZING).label
+    shares = {row.label: "" if row.label == left_out else row.amount for row in design.blind_legend(spots)}
+    of_face = design.blind_classes(spots)
+    shown = [k for k, one in enumerate(design.BLIND_CLASSES) if one.label in shares or (of_face == k).any()]
+    kinds = [(design.BLIND_CLASSES[k].label, hex_colour(design.BLIND_CLASSES[k].colour)) for k in shown]
     classes = surface_classes(kinds, [shares.get(label, "") for label, _ in kinds])
     return SurfaceLayer(name=name, classes=classes, of_face=np.searchsorted(shown, of_face).astype(np.uint8))
 
 
 @fixed_style()
-def _with_legend(picture: UInt8, title: str, rows: Sequence[LegendRow]) -> UInt8:
+def _with_legend(picture: UInt8, title: str, rows: Sequence[design.LegendRow]) -> UInt8:
     """A picture with a title and a legend below it, on white; it is made wider where they need more room."""
     height, width = picture.shape[:2]
     size = min(LARGEST_LEGEND, max(SMALLEST_LEGEND, width // 50))
