@@ -45,7 +45,7 @@ class BenchProcess:
     """A virtual bench in a process of its own, which ends with this object or with this process.
 
     devices: By name: ``kind`` (ccs, sa, template, shot, gsc, grbl, zaber) and, optionally, ``options`` of the firmware,
-        ``tcp`` (whether it is on TCP; so it is where there are no pseudo-terminals) and ``wedges`` of the wire.
+        ``tcp`` (whether it is on TCP; so it is where there are no pseudo-terminals).
     camera: What the camera looks at: a :class:`CameraSetup` as a dictionary.
 
     `ports` is what a driver opens, by device; `pid` its process id. InputError when a device cannot be as described.
@@ -103,7 +103,7 @@ class BenchProcess:
             raise self._gone(f"cannot render what its camera sees ({error})") from None
 
     def state(self) -> dict[str, Any]:
-        """State now: by device ``levels``, ``positions``, ``deliveries``; ``struck``, ``time`` [s], ``pid``."""
+        """State now: ``levels`` and ``positions`` by device."""
         return self.request("state")[0]
 
     def levels(self, device: str) -> dict[int, float]:
@@ -113,18 +113,6 @@ class BenchProcess:
     def positions(self, device: str) -> dict[str, float]:
         """Where the axes of a stage really stand, in device units."""
         return self.state()["positions"][device]
-
-    def trace(self) -> list[tuple[float, str, int, float]]:
-        """Changes of the lights so far: time [s, the bench's clock], device, channel, share of the brightest."""
-        return [(t, name, channel, level) for t, name, channel, level in self.request("trace")[0]["changes"]]
-
-    def set_fault(self, device: str, fault: str, **options: Any) -> None:
-        """Set a fault of a device or of its line; ``clear`` ends them."""
-        self.request("fault", device=device, fault=fault, options=options)
-
-    def unplug(self, device: str) -> None:
-        """Pull the cable of a device; the device goes on with what it does."""
-        self.request("unplug", device=device)
 
     def kill(self) -> None:
         """Kill the process, as a power cut would: nothing is cleaned up."""

@@ -71,13 +71,12 @@ class BenchCamera:
         resolution_px, bit_depth = self.sensor()
         return {"resolution_px": resolution_px, "bit_depth": bit_depth, "triggered": self._setup.truth.triggered}, b""
 
-    def expose(self, exposure_us: float, gain_db: float, triggered: bool, counted: bool = True) -> Levels:
-        """Levels of a frame that begins now, or when the one before ended; not `counted` if it is lost on its way."""
+    def expose(self, exposure_us: float, gain_db: float, triggered: bool) -> Levels:
+        """Levels of a frame that begins now, or when the one before ended."""
         now = self._state()
         shares, posture = now if triggered or self._seen is None else self._seen
-        pixels = self._build().frame(
-            shares, posture, exposure=exposure_us / self._setup.exposure_us, gain_db=gain_db, counted=counted
-        )
+        exposure = exposure_us / self._setup.exposure_us
+        pixels = self._build().frame(shares, posture, exposure=exposure, gain_db=gain_db)
         self._seen = self._state()
         return pixels
 

@@ -22,7 +22,6 @@ from lightopt.rig.simulated._camera import BenchCamera, Handler, Response
 from lightopt.rig.simulated._camera_gige import GigeCamera
 from lightopt.rig.simulated._camera_setup import CAMERA, CameraSetup
 from lightopt.rig.simulated._devices import SimulatedDevices
-from lightopt.rig.simulated._firmware import Trigger
 
 
 def run(spec: Mapping[str, Any]) -> None:
@@ -39,7 +38,7 @@ def run(spec: Mapping[str, Any]) -> None:
         if spec["camera"].get("gige"):
             resolution_px, bit_depth = camera.sensor()
             gige = GigeCamera(camera.expose, resolution_px=resolution_px, bit_depth=bit_depth)
-    requests = {**_device_requests(devices, gige), **(camera.requests() if camera is not None else {})}
+    requests = {**device_requests(devices, gige), **(camera.requests() if camera is not None else {})}
     token = secrets.token_hex(16)
     control = ControlServer(requests, token)
     ports = devices.ports() | ({} if gige is None else {CAMERA: gige.serial})
@@ -76,40 +75,14 @@ def _serve(devices: SimulatedDevices, bell: socket.socket) -> None:
         devices.serve(time.monotonic(), ready)
 
 
-def _device_requests(devices: SimulatedDevices, gige: GigeCamera | None) -> dict[str, Handler]:
+def device_requests(devices: SimulatedDevices, _gige: GigeCamera | None) -> dict[str, Handler]:
+    """Requests about the devices."""
 
     def state(_: Mapping[str, Any]) -> Response:
-        now = time.monotonic()
         with devices.lock:
-            return {
-                "pid": os.getpid(),
-                "time": now,
-                "deliveries": {name: device.deliveries for name, device in devices.devices.items()},
-                "struck": Trigger.struck,
-                "levels": devices.levels(),
-                "positions": devices.positions(now),
-            }, b""
+            return {"levels": devices.levels(), "positions": devices.positions(time.monotonic())}, b""
 
-    def trace(_: Mapping[str, Any]) -> Response:
-        with devices.lock:
-            return {"changes": list(devices.trace)}, b""
-
-    def fault(request: Mapping[str, Any]) -> Response:
-        device, kind, options = request["device"], request["fault"], dict(request.get("options", {}))
-        if gige is not None and device == CAMERA:
-            gige.faults.inject(kind, options)
-        else:
-            devices.inject(device, kind, options, time.monotonic())
-        return {}, b""
-
-    def unplug(request: Mapping[str, Any]) -> Response:
-        if gige is not None and request["device"] == CAMERA:
-            gige.unplug()
-        else:
-            devices.pull(request["device"])
-        return {}, b""
-
-    return {"state": state, "trace": trace, "fault": fault, "unplug": unplug}
+    return {"state": state}
 
 
 class ControlServer:

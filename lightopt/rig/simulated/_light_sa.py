@@ -30,7 +30,7 @@ class SaFirmware(LampFirmware):
 
     def _answer(self, command: str) -> str:
         match = re.fullmatch(r"S([A-F])(\d{4})?", command)
-        if match is None or self._struck("ng"):
+        if match is None:
             return "NG"
         letter, digits = match.groups()
         if letter not in self._letters:
@@ -40,5 +40,5 @@ class SaFirmware(LampFirmware):
             return f"{letter.lower()}{self._level[channel]:04d}"
         if int(digits) > self._top_level:
             return "NG"
-        self._set_level(channel, int(digits))
+        self._level[channel] = int(digits)
         return {"upper": letter, "lower": letter.lower(), "!": "!"}[self._ack]

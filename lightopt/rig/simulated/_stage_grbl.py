@@ -11,7 +11,6 @@ import math
 import re
 from collections import deque
 from collections.abc import Mapping
-from typing import Any, ClassVar
 
 from lightopt.rig.simulated._axes import StageFirmware
 
@@ -97,14 +96,7 @@ _BRAKE_S = 0.02
 
 
 class GrblFirmware(StageFirmware):
-    """A Grbl 1.1h with three axes.
-
-    Faults besides those of its axes (``limit`` raises ALARM:1): ``alarm`` (option ``code``; at once), ``refuse``
-    (option ``code``: lines are answered by ``error:code``, with the options of :class:`Trigger`).
-    """
-
-    FAULTS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"refuse": {"code": 8}}
-    DEVICE_FAULTS = ("alarm",)
+    """A Grbl 1.1h with three axes; one that meets a limit switch raises ALARM:1."""
 
     def __init__(
         self,
@@ -160,15 +152,6 @@ class GrblFirmware(StageFirmware):
             self._status_wanted = False
             out += self._report(now)
         return out + self._work(now)
-
-    def _suffer(self, fault: str, options: Mapping[str, Any], now: float) -> None:
-        if fault == "alarm":
-            code = int(options.get("code", 1))
-            if set(options) - {"code"} or not 1 <= code <= 10:
-                raise ValueError("alarm wants a code from 1 to 10, and no other option")
-            self._pending += self._alarm(code, now)
-        else:
-            super()._suffer(fault, options, now)
 
     def _power_up(self) -> None:
         self._restart()
@@ -255,9 +238,6 @@ class GrblFirmware(StageFirmware):
         out = b""
         while self._lines and not self._waits(self._lines[0], now):
             text = self._lines.popleft()
-            if (code := self._struck("refuse")) is not None:
-                out += f"error:{code}\r\n".encode()
-                continue
             try:
                 out += self._dollar(text, now) if text.startswith("$") else self._gcode(text, now)
             except GcodeError as error:
