@@ -95,26 +95,6 @@ def test_requests_that_are_none() -> None:
         assert bench.levels("a")[1] == 1
 
 
-def test_control_socket_wants_its_token() -> None:
-    """Other users of the computer reach the loopback too."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "lightopt.rig.simulated", json.dumps({"devices": {"a": CCS}})],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-    )
-    with process:
-        assert process.stdout is not None
-        assert process.stdin is not None
-        hello = json.loads(process.stdout.readline())
-        for token in (b"guess\n", hello["token"].encode() + b"x\n"):
-            with socket.create_connection(("127.0.0.1", hello["control"]), timeout=5) as stranger:
-                stranger.sendall(token + b'{"do": "state"}\n')
-                with contextlib.suppress(ConnectionResetError):
-                    assert stranger.recv(100) == b""
-        process.stdin.close()
-        assert process.wait(5) == 0
-
-
 def test_killed_bench_is_a_pulled_cable() -> None:
     bench = BenchProcess({"a": CCS})
     controller = LIGHT_DRIVERS["ccs"](LightSettings("a", bench.ports["a"]), None)

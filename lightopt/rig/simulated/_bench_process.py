@@ -2,13 +2,14 @@
 
 import json
 import os
-import socket
+import queue
 import subprocess
 import sys
 import tempfile
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -54,18 +55,16 @@ class BenchProcess:
     def __init__(self, devices: Mapping[str, Mapping[str, Any]], *, camera: Mapping[str, Any] | None = None) -> None:
         spec = {"devices": devices, **({} if camera is None else {"camera": camera})}
         self._lock = threading.Lock()
-        self._control: socket.socket | None = None
-        self._replies: BinaryIO | None = None
+        self._answers: queue.Queue[tuple[dict[str, Any], bytes]] = queue.Queue()
+        self._usable = True
+        self._reader: threading.Thread | None = None
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the process)
         self._process = start_process(json.dumps(spec), self._errors)
         self.pid = self._process.pid
         try:
-            hello = self._hello()
-            self.ports: dict[str, str] = hello["ports"]
-            self._control = socket.create_connection(("127.0.0.1", hello["control"]), timeout=_REQUEST_S)
-            self._control.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._replies = self._control.makefile("rb")
-            self._control.sendall(hello["token"].encode() + b"\n")
+            self.ports = self._await_ports()
+            self._reader = threading.Thread(target=self._read_answers, daemon=True)
+            self._reader.start()
         except BaseException:
             self.close()
             raise
@@ -73,16 +72,16 @@ class BenchProcess:
     def request(self, do: str, *, timeout_s: float = _REQUEST_S, **arguments: Any) -> tuple[dict[str, Any], bytes]:
         """The bench's answer and its bytes; ValueError for a wrong request, HardwareError for no answer in time."""
         with self._lock:
+            assert self._process.stdin is not None
             try:
-                if self._control is None or self._replies is None:
+                if not self._usable:
                     raise OSError("closed")
-                self._control.settimeout(max(1e-3, timeout_s))
-                self._control.sendall(json.dumps({"do": do, **arguments}).encode() + b"\n")
-                line = self._replies.readline()
-                answer: dict[str, Any] = json.loads(line) if line else {}
-                data = self._replies.read(answer["bytes"]) if answer.get("bytes") else b""
-            except TimeoutError:
-                self._hang_up()  # what comes later would be taken for the answer to the next question
+                self._usable = False  # until the answer is here: a late one must not be taken for the next
+                self._process.stdin.write(json.dumps({"do": do, **arguments}).encode() + b"\n")
+                self._process.stdin.flush()
+                answer, data = self._answers.get(timeout=max(1e-3, timeout_s))
+                self._usable = True
+            except queue.Empty:
                 raise self._gone(
                     f"did not answer the request {do} within {timeout_s:.3g} s: its process hangs"
                 ) from None
@@ -121,14 +120,18 @@ class BenchProcess:
 
     def close(self) -> None:
         """End the process; never raises."""
-        self._hang_up()
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                pipe.close()
+        self._usable = False
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        with suppress(OSError):  # of a process that has ended
+            self._process.stdin.close()
         try:
             self._process.wait(5)
         except subprocess.TimeoutExpired:
             self.kill()
+        if self._reader is not None:
+            self._reader.join()
+        self._process.stdout.close()
         self._errors.close()
 
     def __enter__(self) -> "BenchProcess":
@@ -137,13 +140,19 @@ class BenchProcess:
     def __exit__(self, *exception: object) -> None:
         self.close()
 
-    def _hang_up(self) -> None:
-        for end in (self._replies, self._control):
-            if end is not None:
-                end.close()
-        self._control = self._replies = None
+    def _read_answers(self) -> None:
+        """Pass on the answers, each with the bytes that follow it; an empty one when the process has ended."""
+        assert self._process.stdout is not None
+        with suppress(ValueError):  # nothing more comes, or an answer breaks off
+            while True:
+                answer: dict[str, Any] = json.loads(self._process.stdout.readline())
+                data = self._process.stdout.read(answer["bytes"])
+                if len(data) < answer["bytes"]:
+                    break
+                self._answers.put((answer, data))
+        self._answers.put(({}, b""))
 
-    def _hello(self) -> dict[str, Any]:
+    def _await_ports(self) -> dict[str, str]:
         watchdog = threading.Timer(_START_S, self._process.kill)
         watchdog.start()
         try:

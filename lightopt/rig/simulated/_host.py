@@ -1,21 +1,18 @@
 """The process of a virtual bench: serves simulated devices on their wires until whoever started it is gone.
 
-It takes requests about the devices over a control socket: JSON lines on the loopback.
+It takes requests on standard input, and answers on standard output. Each request is a line ``{"do": name, …}``; each
+answer is a line ``{"ok": true, …, "bytes": n}`` followed by n bytes, or ``{"ok": false, "error": text, "bytes": 0}``.
 """
 
 import contextlib
-import hmac
 import json
 import os
-import secrets
 import select
 import socket
-import socketserver
-import sys
 import threading
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, BinaryIO
 
 from lightopt.core.errors import error_text
 from lightopt.rig.simulated._camera import BenchCamera, Handler, Response
@@ -26,6 +23,8 @@ from lightopt.rig.simulated._devices import SimulatedDevices
 
 def run(spec: Mapping[str, Any]) -> None:
     """Serve devices and camera of a :class:`BenchProcess`: print their ports as JSON; end with standard input."""
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a library prints is no answer
     devices = SimulatedDevices(spec["devices"])
     camera: BenchCamera | None = None
     gige: GigeCamera | None = None
@@ -39,27 +38,26 @@ def run(spec: Mapping[str, Any]) -> None:
             resolution_px, bit_depth = camera.sensor()
             gige = GigeCamera(camera.expose, resolution_px=resolution_px, bit_depth=bit_depth)
     requests = {**device_requests(devices, gige), **(camera.requests() if camera is not None else {})}
-    token = secrets.token_hex(16)
-    control = ControlServer(requests, token)
     ports = devices.ports() | ({} if gige is None else {CAMERA: gige.serial})
-    hello = {"control": control.port, "token": token, "ports": ports}
-    print(json.dumps(hello), flush=True)  # noqa: T201  (how the ports are handed over)
+    answers.write(json.dumps(ports).encode() + b"\n")
+    answers.flush()
     ours, theirs = socket.socketpair()
-    threading.Thread(target=_await_end, args=(theirs,), daemon=True).start()
+    threading.Thread(target=_answer_requests, args=(requests, answers, theirs), daemon=True).start()
     try:
         _serve(devices, ours)
     finally:
-        control.close()
         devices.close()
         if gige is not None:
             gige.close()
 
 
-def _await_end(bell: socket.socket) -> None:
+def _answer_requests(handlers: Mapping[str, Handler], answers: BinaryIO, bell: socket.socket) -> None:
     """Ring when standard input ends: whoever held its other end has closed it, or is dead."""
-    while os.read(sys.stdin.fileno(), 4096):
-        pass
-    bell.close()
+    with bell, contextlib.suppress(OSError), os.fdopen(0, "rb", closefd=False) as requests:
+        for line in requests:
+            answer, data = _answer(handlers, line)
+            answers.write(json.dumps({**answer, "bytes": len(data)}).encode() + b"\n" + data)
+            answers.flush()
 
 
 def _serve(devices: SimulatedDevices, bell: socket.socket) -> None:
@@ -83,38 +81,6 @@ def device_requests(devices: SimulatedDevices, _gige: GigeCamera | None) -> dict
             return {"levels": devices.levels(), "positions": devices.positions(time.monotonic())}, b""
 
     return {"state": state}
-
-
-class ControlServer:
-    """Answers requests on a loopback port, one thread per connection.
-
-    The first line of a connection is the token. Each request is a line ``{"do": name, …}``; each answer is a line
-    ``{"ok": true, …, "bytes": n}`` followed by n bytes, or ``{"ok": false, "error": text, "bytes": 0}``. The token is
-    a secret, because other users of the computer reach the loopback too.
-    """
-
-    def __init__(self, handlers: Mapping[str, Handler], token: str) -> None:
-        class Connection(socketserver.StreamRequestHandler):
-            disable_nagle_algorithm = True
-
-            def handle(self) -> None:
-                with contextlib.suppress(OSError):
-                    if not hmac.compare_digest(self.rfile.readline(1000).strip(), token.encode()):
-                        return
-                    for line in self.rfile:
-                        answer, data = _answer(handlers, line)
-                        self.wfile.write(json.dumps({**answer, "bytes": len(data)}).encode() + b"\n" + data)
-
-        class Server(socketserver.ThreadingTCPServer):
-            daemon_threads = True
-
-        self._server = Server(("127.0.0.1", 0), Connection)
-        self.port = int(self._server.server_address[1])
-        threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True).start()
-
-    def close(self) -> None:
-        self._server.shutdown()
-        self._server.server_close()
 
 
 def _answer(handlers: Mapping[str, Handler], line: bytes) -> Response:
