@@ -21,11 +21,10 @@ from typing import Any, ClassVar
 from unittest import mock
 
 from lightopt.rig.simulated import CAMERA, BenchProcess, _bench_process, _devices, _host
-from lightopt.rig.simulated._axes import SimulatedAxis, StageFirmware
 from lightopt.rig.simulated._camera import BenchCamera
 from lightopt.rig.simulated._camera_gige import GigeCamera
 from lightopt.rig.simulated._devices import PtyWire, SimulatedDevices, TcpWire
-from lightopt.rig.simulated._firmware import Firmware, LampFirmware, build
+from lightopt.rig.simulated._firmware import Firmware, LampFirmware, SimulatedAxis, StageFirmware, build
 from lightopt.rig.simulated._light_ccs import CcsFirmware
 from lightopt.rig.simulated._light_sa import SaFirmware
 from lightopt.rig.simulated._light_template import TemplateFirmware

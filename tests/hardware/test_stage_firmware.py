@@ -9,7 +9,7 @@ import pytest
 from faulty_bench import FaultyShot, FaultyZaber, faulty
 from grbl_recordings import BANNER, GREETING, HOLD, LOCKED, MOTION, SOFT_LIMIT, Recording
 
-from lightopt.rig.simulated._axes import SimulatedAxis
+from lightopt.rig.simulated._firmware import SimulatedAxis
 from lightopt.rig.simulated._stage_grbl import GrblFirmware
 from lightopt.rig.simulated._stage_sigmakoki import GscFirmware, ShotFirmware
 from lightopt.rig.simulated._stage_zaber import ZaberFirmware

@@ -1,6 +1,6 @@
 """The camera of the virtual bench, in the process of the firmware: it sees what the firmware does.
 
-A frame is requested over the control socket; its pixels follow the answer row by row, little end first.
+The pixels of a frame follow the answer to its request row by row, little end first.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
-from lightopt.rig.simulated._camera_setup import CameraSetup
+from lightopt.rig.simulated._bench_process import CameraSetup
+from lightopt.rig.simulated._devices import SimulatedDevices
 
 if TYPE_CHECKING:
     from lightopt.rig.simulated._optics import BenchOptics, Levels
@@ -24,17 +25,13 @@ Response = tuple[dict[str, Any], bytes]  # a JSON object, and bytes that follow 
 # Answers a request; runs in a thread of the asking connection. A ValueError or KeyError becomes the asker's.
 Handler = Callable[[Mapping[str, Any]], Response]
 
-Brightness = Callable[[str], Mapping[int, float]]
-Positions = Callable[[str], Mapping[str, float]]
-
 
 class BenchCamera:
-    """Takes frames of what devices do now: `levels` of channels, shares of the highest; `positions` of axes."""
+    """Takes frames of what devices do now."""
 
-    def __init__(self, setup: CameraSetup, levels: Brightness, positions: Positions) -> None:
+    def __init__(self, setup: CameraSetup, devices: SimulatedDevices) -> None:
         self._setup = setup
-        self._levels = levels
-        self._positions = positions
+        self._devices = devices
         self._number = 0
         self._seen: tuple[dict[str, float], Posture] | None = None
         self._optics: BenchOptics | None = None
@@ -121,10 +118,10 @@ class BenchCamera:
         }, pixels.astype(little, copy=False).tobytes()
 
     def _state(self) -> tuple[dict[str, float], Posture]:
-        levels = {device: self._levels(device) for device in {wire.device for wire in self._setup.lights}}
+        levels, positions = self._devices.levels(), self._devices.positions(time.monotonic())
         shares = {wire.light: levels[wire.device].get(wire.channel, 0.0) / wire.share for wire in self._setup.lights}
         angles = [
-            0.0 if axis is None else axis.angle_deg(self._positions(axis.device))
+            0.0 if axis is None else axis.angle_deg(positions[axis.device])
             for axis in (self._setup.elevation, self._setup.rotation)
         ]
         return shares, Posture(*angles)

@@ -15,9 +15,9 @@ from collections.abc import Mapping
 from typing import Any, BinaryIO
 
 from lightopt.core.errors import error_text
+from lightopt.rig.simulated._bench_process import CAMERA, CameraSetup
 from lightopt.rig.simulated._camera import BenchCamera, Handler, Response
 from lightopt.rig.simulated._camera_gige import GigeCamera
-from lightopt.rig.simulated._camera_setup import CAMERA, CameraSetup
 from lightopt.rig.simulated._devices import SimulatedDevices
 
 
@@ -29,11 +29,7 @@ def run(spec: Mapping[str, Any]) -> None:
     camera: BenchCamera | None = None
     gige: GigeCamera | None = None
     if "camera" in spec:
-        camera = BenchCamera(
-            CameraSetup.of(spec["camera"]),
-            lambda device: devices.levels()[device],
-            lambda device: devices.positions(time.monotonic())[device],
-        )
+        camera = BenchCamera(CameraSetup.of(spec["camera"]), devices)
         if spec["camera"].get("gige"):
             resolution_px, bit_depth = camera.sensor()
             gige = GigeCamera(camera.expose, resolution_px=resolution_px, bit_depth=bit_depth)

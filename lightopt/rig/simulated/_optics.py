@@ -15,7 +15,7 @@ from lightopt.core.transforms import Posture, rotation_from_vector
 from lightopt.geometry import RayCaster
 from lightopt.optics import expose
 from lightopt.rendering import cast_rays_at, render_posture
-from lightopt.rig.simulated._camera_setup import BenchTruth
+from lightopt.rig.simulated._bench_process import BenchTruth
 from lightopt.scene import Scene, move_part
 
 Levels = UInt8 | NDArray[np.uint16]

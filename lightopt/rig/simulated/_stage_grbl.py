@@ -12,7 +12,7 @@ import re
 from collections import deque
 from collections.abc import Mapping
 
-from lightopt.rig.simulated._axes import StageFirmware
+from lightopt.rig.simulated._firmware import StageFirmware
 
 _WORD = re.compile(r"([A-Z])([+-]?(?:\d+\.?\d*|\.\d+))")
 _KNOWN = {1, 21, 53, 90, 94}

@@ -10,7 +10,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar
 
-from lightopt.rig.simulated._axes import StageFirmware
+from lightopt.rig.simulated._firmware import StageFirmware
 
 _LONGEST = 256
 _SHOT_TOP_SPEED = 500_000  # [pulses/s]

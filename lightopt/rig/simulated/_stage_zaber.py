@@ -7,7 +7,7 @@ A command with a wrong checksum is not answered. Each reply reports whether the 
 import re
 from collections.abc import Mapping
 
-from lightopt.rig.simulated._axes import StageFirmware
+from lightopt.rig.simulated._firmware import StageFirmware
 
 _SPEED_UNIT = 1.6384
 _LONGEST = 256
