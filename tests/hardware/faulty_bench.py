@@ -229,8 +229,8 @@ def _spoilt(reply: bytes) -> bytes:
 class FaultySa(FaultyLamps, SaFirmware):
     """Its faults are those of all lamps."""
 
-    def _answer(self, command: str) -> str:
-        return "NG" if self._struck("ng") else super()._answer(command)
+    def _obey(self, command: str) -> str:
+        return "NG" if self._struck("ng") else super()._obey(command)
 
 
 class FaultyTemplate(FaultyLamps, TemplateFirmware):

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 Response = tuple[dict[str, Any], bytes]  # a JSON object, and bytes that follow it; often none
 
-# Answers a request; runs in a thread of the asking connection. A ValueError or KeyError becomes the asker's.
+# Answers a request; all run in one thread. A ValueError or KeyError becomes the asker's.
 Handler = Callable[[Mapping[str, Any]], Response]
 
 
@@ -36,7 +36,6 @@ class BenchCamera:
         self._seen: tuple[dict[str, float], Posture] | None = None
         self._optics: BenchOptics | None = None
         self._building = threading.Lock()
-        self._preparing = threading.Lock()
         self._prepared: Posture | None = None
         self._unprepared: str | None = None
         self._renderer: threading.Thread | None = None
@@ -80,13 +79,12 @@ class BenchCamera:
     def _prepare(self, _: Mapping[str, Any]) -> Response:
         """Whether the view is rendered, which is begun if not: a camera that is silent meanwhile counts as gone."""
         posture = self._state()[1]
-        with self._preparing:
-            if self._unprepared is not None:
-                raise ValueError(self._unprepared)
-            ready = self._prepared == posture
-            if not ready and (self._renderer is None or not self._renderer.is_alive()):
-                self._renderer = threading.Thread(target=self._render, args=(posture,), name="render", daemon=True)
-                self._renderer.start()
+        if self._unprepared is not None:
+            raise ValueError(self._unprepared)
+        ready = self._prepared == posture
+        if not ready and (self._renderer is None or not self._renderer.is_alive()):
+            self._renderer = threading.Thread(target=self._render, args=(posture,), name="render", daemon=True)
+            self._renderer.start()
         return {"ready": ready}, b""
 
     def _render(self, posture: Posture) -> None:

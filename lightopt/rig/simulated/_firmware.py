@@ -4,27 +4,30 @@ Firmware is written from the tables of its protocol, not from the driver: the tw
 """
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from importlib import import_module
-from typing import Any, cast
+from typing import Any, ClassVar, cast
+
+_LONGEST = 256  # bytes of an incomplete command that are kept
 
 
-class Firmware(ABC):
+class Firmware:
     """A device behind a wire. Time [s] is given, never read, so that a dialogue can be replayed."""
+
+    END: ClassVar[bytes] = b"\r\n"  # of a command
 
     def __init__(self) -> None:
         self._buffer = b""
 
-    def _whole_commands(self, end: bytes, longest: int) -> list[bytes]:
-        """Whole commands in the buffer, without their end; an incomplete one is kept, of no more than so many bytes."""
-        *whole, rest = self._buffer.split(end)
-        self._buffer = rest[-longest:]
-        return whole
-
-    @abstractmethod
     def feed(self, data: bytes, now: float) -> bytes:
-        """Take bytes off the wire and return the bytes to send; incomplete commands are kept."""
+        """Take bytes off the wire and return the bytes to send; an incomplete command is kept."""
+        *whole, rest = (self._buffer + data).split(self.END)
+        self._buffer = rest[-_LONGEST:]
+        return b"".join(self._answer(command, now) for command in whole)
+
+    def _answer(self, command: bytes, now: float) -> bytes:
+        """Obey a command, without its end, and return the bytes to send; not where `feed` is another."""
+        raise NotImplementedError
 
     def poll(self, now: float) -> bytes:  # noqa: ARG002
         """Bytes that the device sends on its own or late (banners, withheld replies); often none."""

@@ -11,7 +11,6 @@ from typing import Any
 from lightopt.rig.simulated._firmware import LampFirmware
 
 _COMMAND, _CHECKSUM, _VALUE = 1, 2, 3
-_LONGEST = 64
 _MODES = 10  # S00 is on/off, S01 … S10 are strobes
 
 
@@ -25,25 +24,16 @@ class CcsFirmware(LampFirmware):
         self._gap_s = gap_s
         self._last = -float("inf")
 
-    def feed(self, data: bytes, now: float) -> bytes:
-        self._buffer += data
-        replies = b""
-        while b"\r\n" in self._buffer:
-            line, _, self._buffer = self._buffer.partition(b"\r\n")
-            start = line.rfind(b"@")
-            if start < 0 or now - self._last < self._gap_s:
-                continue
-            self._last = now
-            replies += self._answer(line[start:])
-        start = self._buffer.rfind(b"@")
-        self._buffer = self._buffer[start:][:_LONGEST] if start >= 0 else b""
-        return replies
-
     def levels(self) -> dict[int, float]:
         """Brightness of each channel; a channel in a strobe mode is dark, because it is never triggered."""
         return {c: share if self._mode[c] == 0 else 0.0 for c, share in super().levels().items()}
 
-    def _answer(self, frame: bytes) -> bytes:
+    def _answer(self, command: bytes, now: float) -> bytes:
+        start = command.rfind(b"@")
+        if start < 0 or now - self._last < self._gap_s:
+            return b""
+        self._last = now
+        frame = command[start:]
         head = frame[1:3].decode("ascii", "replace") if frame[1:3].isdigit() else "00"
         match = re.fullmatch(rb"@(\d\d)([A-Z])(.*)([0-9A-F]{2})", frame)
         if match is None:

@@ -9,12 +9,13 @@ from typing import Any
 
 from lightopt.rig.simulated._firmware import LampFirmware
 
-_LONGEST = 16
 _ACKS = ("upper", "lower", "!")
 
 
 class SaFirmware(LampFirmware):
     """A controller of the ``SA0255#`` family; `ack` is how it acknowledges: ``upper`` or ``lower`` letter, or ``!``."""
+
+    END = b"#"
 
     def __init__(self, *, ack: str = "lower", **lamps: Any) -> None:
         if ack not in _ACKS:
@@ -23,12 +24,10 @@ class SaFirmware(LampFirmware):
         self._letters = "ABCDEF"[: self._channels]
         self._ack = ack
 
-    def feed(self, data: bytes, now: float) -> bytes:  # noqa: ARG002
-        self._buffer += data
-        commands = self._whole_commands(b"#", _LONGEST)
-        return "".join(self._answer(command.decode("ascii", "replace")) for command in commands).encode("ascii")
+    def _answer(self, command: bytes, now: float) -> bytes:  # noqa: ARG002
+        return self._obey(command.decode("ascii", "replace")).encode("ascii")
 
-    def _answer(self, command: str) -> str:
+    def _obey(self, command: str) -> str:
         match = re.fullmatch(r"S([A-F])(\d{4})?", command)
         if match is None:
             return "NG"

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from lightopt.rig.simulated._firmware import StageFirmware
 
 _SPEED_UNIT = 1.6384
-_LONGEST = 256
 _COMMAND = re.compile(r"/(?P<device>\d{1,2}) (?P<axis>\d)(?: (?P<id>\d{1,2}))?(?: (?P<words>[a-z].*?))? *")
 _DEVICE_SETTINGS = {"deviceid": "30222", "version": "7.38", "system.serial": "104857"}
 _MAXSPEED = 153_600
@@ -18,6 +17,8 @@ _MAXSPEED = 153_600
 
 class ZaberFirmware(StageFirmware):
     """A chain with one device; an axis that stands off its target when it stops flags FS, one at a switch WL."""
+
+    END = b"\n"
 
     def __init__(
         self,
@@ -39,15 +40,11 @@ class ZaberFirmware(StageFirmware):
         self._moves = dict.fromkeys(names, False)
         self._to: dict[str, float] = {}
 
-    def feed(self, data: bytes, now: float) -> bytes:
-        self._buffer += data
-        return b"".join(self._answer(line.rstrip(b"\r"), now) for line in self._whole_commands(b"\n", _LONGEST))
-
-    def _answer(self, line: bytes, now: float) -> bytes:
-        start = line.rfind(b"/")
+    def _answer(self, command: bytes, now: float) -> bytes:
+        start = command.rfind(b"/")
         if start < 0:
             return b""
-        text = line[start:].decode("ascii", "replace")
+        text = command[start:].rstrip(b"\r").decode("ascii", "replace")
         body, colon, checksum = text.rpartition(":")
         if colon and re.fullmatch(r"[0-9A-F]{2}", checksum):
             if (sum(text[1:].split(":")[0].encode()) + int(checksum, 16)) & 0xFF:
