@@ -227,10 +227,19 @@ def _spoilt(reply: bytes) -> bytes:
 
 
 class FaultySa(FaultyLamps, SaFirmware):
-    """Its faults are those of all lamps."""
+    """Its faults are those of all lamps; `ack` is how it acknowledges: ``upper`` or ``lower`` letter, or ``!``."""
+
+    def __init__(self, *, ack: str = "lower", **lamps: Any) -> None:
+        if ack not in ("upper", "lower", "!"):
+            raise ValueError(f'ack is one of upper, lower, !, not "{ack}"')
+        super().__init__(**lamps)
+        self._ack = ack
 
     def _obey(self, command: str) -> str:
-        return "NG" if self._struck("ng") else super()._obey(command)
+        if self._struck("ng"):
+            return "NG"
+        reply = super()._obey(command)
+        return {"upper": reply.upper(), "lower": reply, "!": "!"}[self._ack] if len(reply) == 1 else reply
 
 
 class FaultyTemplate(FaultyLamps, TemplateFirmware):
@@ -434,8 +443,12 @@ FIRMWARE: dict[str, Callable[..., Firmware]] = {
 
 def faulty(kind: str, options: dict[str, Any]) -> Any:
     """Power up the firmware of a protocol, with faults; errors are those of the firmware without."""
-    build(kind, options)
-    return FIRMWARE[kind](**options)
+    if kind not in FIRMWARE:
+        build(kind, options)
+    try:
+        return FIRMWARE[kind](**options)
+    except TypeError as error:
+        raise ValueError(f"firmware {kind}: {error}") from None
 
 
 # by name, each with its option and the default of that

@@ -13,7 +13,7 @@ from lightopt.rig.capture._lights_off import open_lights
 from lightopt.rig.capture._safe_devices import Devices
 from lightopt.rig.capture._signals import EndSignals
 from lightopt.rig.capture._software_cameras import FolderCamera, VirtualCamera
-from lightopt.rig.capture._wiring import STAGE, VIRTUAL, Wiring, stage_axes, start_bench
+from lightopt.rig.capture._wiring import STAGE, VIRTUAL, Wiring, bench_truth, stage_axes, start_bench
 from lightopt.rig.devices import (
     Camera,
     CameraSettings,
@@ -55,15 +55,14 @@ def connect_devices(
     """
     run = run or RunContext()
     replay = check_devices(rig, wiring, plan, camera=camera)
-    signals = EndSignals()
-    signals.install()
     with ExitStack() as stack:
-        stack.callback(signals.restore)
+        signals = stack.enter_context(EndSignals())
         log = SerialLog(serial_log, warn=run.warn)
         closing: list[Callable[[], None]] = [log.close]
         stack.callback(log.close)
         if bench is None and wiring.needs_bench:
-            bench = start_bench(rig, wiring, part=part if camera else None, truth=truth)
+            seed = None if plan is None else plan.options.seed
+            bench = start_bench(rig, wiring, part=part if camera else None, truth=truth or bench_truth(rig, seed))
             stack.callback(bench.close)
             closing.append(bench.close)
         ports: Mapping[str, str] = {} if bench is None else bench.ports

@@ -9,20 +9,15 @@ from typing import Any
 
 from lightopt.rig.simulated._firmware import LampFirmware
 
-_ACKS = ("upper", "lower", "!")
-
 
 class SaFirmware(LampFirmware):
-    """A controller of the ``SA0255#`` family; `ack` is how it acknowledges: ``upper`` or ``lower`` letter, or ``!``."""
+    """A controller of the ``SA0255#`` family, which acknowledges by the channel's letter, in lower case."""
 
     END = b"#"
 
-    def __init__(self, *, ack: str = "lower", **lamps: Any) -> None:
-        if ack not in _ACKS:
-            raise ValueError(f'ack is one of {", ".join(_ACKS)}, not "{ack}"')
+    def __init__(self, **lamps: Any) -> None:
         super().__init__(**lamps)
         self._letters = "ABCDEF"[: self._channels]
-        self._ack = ack
 
     def _answer(self, command: bytes, now: float) -> bytes:  # noqa: ARG002
         return self._obey(command.decode("ascii", "replace")).encode("ascii")
@@ -40,4 +35,4 @@ class SaFirmware(LampFirmware):
         if int(digits) > self._top_level:
             return "NG"
         self._level[channel] = int(digits)
-        return {"upper": letter, "lower": letter.lower(), "!": "!"}[self._ack]
+        return letter.lower()

@@ -53,38 +53,13 @@ def parse_line(text: str) -> tuple[dict[str, float], float]:
     return words, feed
 
 
-# as a Grbl 1.1h lists them when new: number=value, with as many decimals as it writes
-_NEW = """
+# settings as a Grbl 1.1h lists them when new: number and value, with as many decimals as it writes
+_LISTED = """
 0=10 1=25 2=0 3=0 4=0 5=0 6=0 10=1 11=0.010 12=0.002 13=0 20=0 21=0 22=0 23=0 24=25.000 25=500.000 26=250 27=1.000
 30=1000 31=0 32=0 100=250.000 101=250.000 102=250.000 110=500.000 111=500.000 112=500.000
 120=10.000 121=10.000 122=10.000 130=200.000 131=200.000 132=200.000
 """
-
-
-class GrblSettings:
-    """The settings by number; `changed` are those that are not as new, by their numbers as text."""
-
-    def __init__(self, changed: Mapping[str, float]) -> None:
-        self._values: dict[int, float] = {}
-        self._decimals: dict[int, int] = {}
-        for item in _NEW.split():
-            number, _, value = item.partition("=")
-            self._values[int(number)] = float(value)
-            self._decimals[int(number)] = len(value.partition(".")[2])
-        for key, value in changed.items():
-            if not key.isdigit() or int(key) not in self._values:
-                raise ValueError(f"Grbl has no setting ${key}")
-            self._values[int(key)] = float(value)
-
-    def __getitem__(self, number: int) -> float:
-        return self._values[number]
-
-    def lines(self) -> bytes:
-        """Answer to ``$$`` without its ok."""
-        return b"".join(
-            f"${number}={value:.{self._decimals[number]}f}\r\n".encode() for number, value in self._values.items()
-        )
-
+_NEW = {number: value for number, _, value in (item.partition("=") for item in _LISTED.split())}
 
 _NAMES = ("X", "Y", "Z")
 _BANNER = b"\r\nGrbl 1.1h ['$' for help]\r\n"
@@ -109,7 +84,11 @@ class GrblFirmware(StageFirmware):
         if not set(given) <= set(_NAMES):
             raise ValueError(f"the axes are X, Y and Z, found {', '.join(given)}")
         super().__init__({name: given.get(name, {}) for name in _NAMES})
-        self._settings = GrblSettings(settings or {})
+        self._settings = {int(number): float(value) for number, value in _NEW.items()}
+        for number, value in (settings or {}).items():
+            if number not in _NEW:
+                raise ValueError(f"Grbl has no setting ${number}")
+            self._settings[int(number)] = float(value)
         self._home_speed = home_speed
         self._power_up()
 
@@ -123,7 +102,8 @@ class GrblFirmware(StageFirmware):
             elif self._critical:
                 continue
             elif byte == b"?":
-                out += self._answer_status(now)
+                self._status_wanted = self._homing  # no report while it seeks the switches
+                out += b"" if self._homing else self._report(now)
             elif byte == b"!":
                 self._hold(now)
             elif byte in b"\r\n":
@@ -204,12 +184,6 @@ class GrblFirmware(StageFirmware):
             self._stop_axes(now)
             self._state = "Hold"
 
-    def _answer_status(self, now: float) -> bytes:
-        if self._homing:
-            self._status_wanted = True
-            return b""
-        return self._report(now)
-
     def _report(self, now: float) -> bytes:
         moving = self._axes_move(now) and now >= self._idle_until
         state = self._state
@@ -259,14 +233,12 @@ class GrblFirmware(StageFirmware):
         for name, number in words.items():
             steps = self._settings[100 + _NAMES.index(name)]
             target[name] = round(number * steps) / steps
-        if self._settings[20] and not self._inside(target):
+        inside = all(-self._settings[130 + i] <= target[name] <= 0 for i, name in enumerate(_NAMES))
+        if self._settings[20] and not inside:
             self._withheld = b"ok\r\n"
             return self._alarm(2, now)
         self._start(target, feed, now)
         return b"ok\r\n"
-
-    def _inside(self, target: Mapping[str, float]) -> bool:
-        return all(-self._settings[130 + i] <= target[name] <= 0 for i, name in enumerate(_NAMES))
 
     def _start(self, target: Mapping[str, float], feed: float, now: float) -> None:
         """Go straight to a target with a feed [mm/min], or as fast as the axes can."""
@@ -284,7 +256,9 @@ class GrblFirmware(StageFirmware):
         if line in ("$$", "$H") and (self._axes_move(now) or self._state == "Hold"):
             raise GcodeError(8)
         if line == "$$":
-            return self._settings.lines() + b"ok\r\n"
+            decimals = {int(number): len(value.partition(".")[2]) for number, value in _NEW.items()}
+            lines = (f"${number}={value:.{decimals[number]}f}\r\n" for number, value in self._settings.items())
+            return "".join(lines).encode() + b"ok\r\n"
         if line == "$I":
             return b"[VER:1.1h.20190830:]\r\n[OPT:V,15,128]\r\nok\r\n"
         if line == "$X":
