@@ -95,12 +95,9 @@ class CaptureSession:
 
     def execute(self, devices: Devices) -> None:
         self._devices = devices
-        devices.step = "querying the identity of the devices"
         with self._timing.spent("opening_s"):
-            identities = devices.identities()
-            self._started = AcquisitionEngine(
-                devices, self._plan, sensor=self._scene.sensor, identities=identities, timing=self._timing
-            )
+            sensor = self._scene.sensor
+            self._started = AcquisitionEngine(devices, self._plan, sensor=sensor, timing=self._timing)
         if self._plan.home:
             self._report_progress("homing the stage")
             self._engine.home()

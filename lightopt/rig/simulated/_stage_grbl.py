@@ -22,10 +22,6 @@ _LETTER, _NUMBER, _UNSUPPORTED, _NO_FEED = 1, 2, 20, 22
 class GcodeError(Exception):
     """A line that Grbl refuses, with the number of the error."""
 
-    def __init__(self, code: int) -> None:
-        super().__init__(code)
-        self.code = code
-
 
 def parse_line(text: str) -> tuple[dict[str, float], float]:
     """Target of a line by axis [mm], empty where it only sets modes, and its feed [mm/min]."""
@@ -215,7 +211,7 @@ class GrblFirmware(StageFirmware):
             try:
                 out += self._dollar(text, now) if text.startswith("$") else self._gcode(text, now)
             except GcodeError as error:
-                out += f"error:{error.code}\r\n".encode()
+                out += f"error:{error.args[0]}\r\n".encode()
         return out
 
     def _waits(self, text: str, now: float) -> bool:
