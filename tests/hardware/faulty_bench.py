@@ -63,7 +63,6 @@ def install() -> None:
     """Let the benches of this process have faults."""
     _devices.build = faulty
     _host.SimulatedDevices = FaultyDevices
-    _host.device_requests = requests
     _host.BenchCamera = FaultyBenchCamera
     _host.GigeCamera = FaultyGigeCamera
 
@@ -203,9 +202,23 @@ class FaultyLamps(Faulty, LampFirmware):
 
 
 class FaultyCcs(FaultyLamps, CcsFirmware):
-    """Also ``checksum`` (the reply's is wrong); ``ng`` has a ``code``: 1 command, 2 checksum, 3 value."""
+    """Also ``checksum`` (the reply's is wrong); ``ng`` has a ``code``: 1 command, 2 checksum, 3 value.
+
+    A frame that comes less than `gap_s` [s] after another is ignored.
+    """
 
     FAULTS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"ng": {"code": 1}, "checksum": {}}
+
+    def __init__(self, *, gap_s: float = 0.0, **lamps: Any) -> None:
+        super().__init__(**lamps)
+        self._gap_s = gap_s
+        self._last = -float("inf")
+
+    def _answer(self, command: bytes, now: float) -> bytes:
+        if now - self._last < self._gap_s:
+            return b""
+        self._last = now
+        return super()._answer(command, now)
 
     def inject(self, fault: str, options: Mapping[str, Any], now: float) -> None:
         if fault == "ng" and options.get("code", 1) not in (1, 2, 3):
@@ -564,6 +577,34 @@ class FaultyDevices(SimulatedDevices):
                 device.wire = WedgingWire()
             device.firmware = FaultyLine(device.firmware, device.wire)
 
+    def requests(self) -> dict[str, Any]:
+        return {"state": self._state, "trace": self._trace, "fault": self._fault, "unplug": self._unplug}
+
+    def _state(self, request: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
+        with self.lock:
+            deliveries = {name: device.firmware.deliveries for name, device in self.devices.items()}
+            more = {"pid": os.getpid(), "time": time.monotonic(), "deliveries": deliveries, "struck": Trigger.struck}
+            return {**super()._state(request)[0], **more}, b""
+
+    def _trace(self, _: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
+        with self.lock:
+            return {"changes": list(self.trace)}, b""
+
+    def _fault(self, request: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
+        device, kind, options = request["device"], request["fault"], dict(request.get("options", {}))
+        if FaultyGigeCamera.running is not None and device == CAMERA:
+            FaultyGigeCamera.running.inject(kind, options)
+        else:
+            self.inject(device, kind, options, time.monotonic())
+        return {}, b""
+
+    def _unplug(self, request: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
+        if FaultyGigeCamera.running is not None and request["device"] == CAMERA:
+            FaultyGigeCamera.running.unplug()
+        else:
+            self.pull(request["device"])
+        return {}, b""
+
     def serve(self, now: float, ready: Any) -> None:
         with self.lock:
             super().serve(now, ready)
@@ -593,43 +634,6 @@ class FaultyDevices(SimulatedDevices):
                 if self._brightness.get((name, channel), 0.0) != level:
                     self._brightness[name, channel] = level
                     self.trace.append((now, name, channel, level))
-
-
-def requests(devices: FaultyDevices, gige: FaultyGigeCamera | None) -> dict[str, Any]:
-    """Requests about the devices."""
-
-    def state(_: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
-        now = time.monotonic()
-        with devices.lock:
-            return {
-                "pid": os.getpid(),
-                "time": now,
-                "deliveries": {name: device.firmware.deliveries for name, device in devices.devices.items()},
-                "struck": Trigger.struck,
-                "levels": devices.levels(),
-                "positions": devices.positions(now),
-            }, b""
-
-    def trace(_: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
-        with devices.lock:
-            return {"changes": list(devices.trace)}, b""
-
-    def fault(request: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
-        device, kind, options = request["device"], request["fault"], dict(request.get("options", {}))
-        if gige is not None and device == CAMERA:
-            gige.inject(kind, options)
-        else:
-            devices.inject(device, kind, options, time.monotonic())
-        return {}, b""
-
-    def unplug(request: Mapping[str, Any]) -> tuple[dict[str, Any], bytes]:
-        if gige is not None and request["device"] == CAMERA:
-            gige.unplug()
-        else:
-            devices.pull(request["device"])
-        return {}, b""
-
-    return {"state": state, "trace": trace, "fault": fault, "unplug": unplug}
 
 
 class FaultyBenchCamera(BenchCamera):
@@ -665,7 +669,10 @@ OTHER_FORMAT = 0x0108000B  # BayerBG8
 class FaultyGigeCamera(GigeCamera):
     """Decides at each frame which faults strike, and suffers them; `expose` also gets whether the frame will arrive."""
 
+    running: ClassVar[FaultyGigeCamera | None] = None  # in this process
+
     def __init__(self, expose: Callable[[float, float, bool, bool], Any], **options: Any) -> None:
+        FaultyGigeCamera.running = self
         self._triggers: dict[str, Trigger] = {}
         self._now: set[str] = set()
         self._image: Any = None

@@ -131,7 +131,7 @@ def start_bench(
             for name, channel in hardware.lights.items()
             if channel.controller in devices
         ),
-        **{
+        axes={
             axis.name: AxisWire(device=STAGE, axis=axis.device, steps_per_deg=axis.steps_per_deg, zero=axis.zero)
             for axis in axes
         },

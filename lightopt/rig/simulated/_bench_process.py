@@ -78,8 +78,7 @@ class CameraSetup:
     part: str
     exposure_us: float  # exposure time of exposure 1 [µs]
     lights: tuple[LightWire, ...]
-    elevation: AxisWire | None = None  # None: fixed at 0
-    rotation: AxisWire | None = None  # None: fixed at 0
+    axes: Mapping[str, AxisWire] = field(default_factory=dict[str, AxisWire])  # elevation, rotation; others: fixed at 0
     truth: BenchTruth = field(default_factory=BenchTruth)
     gige: bool = False  # whether it is a GigE Vision camera on the loopback
 
@@ -87,11 +86,9 @@ class CameraSetup:
     def of(cls, data: Mapping[str, Any]) -> "CameraSetup":
         parts: dict[str, Any] = {
             "lights": tuple(LightWire(**wire) for wire in data["lights"]),
+            "axes": {name: AxisWire(**wire) for name, wire in data["axes"].items()},
             "truth": BenchTruth(**data["truth"]),
         }
-        for name in ("elevation", "rotation"):
-            if data.get(name) is not None:
-                parts[name] = AxisWire(**data[name])
         return cls(**{**data, **parts})
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,15 +15,10 @@ from typing import TYPE_CHECKING, Any
 from lightopt.core.errors import InputError
 from lightopt.core.transforms import Posture
 from lightopt.rig.simulated._bench_process import CameraSetup
-from lightopt.rig.simulated._devices import SimulatedDevices
+from lightopt.rig.simulated._devices import Handler, Response, SimulatedDevices
 
 if TYPE_CHECKING:
     from lightopt.rig.simulated._optics import BenchOptics, Levels
-
-Response = tuple[dict[str, Any], bytes]  # a JSON object, and bytes that follow it; often none
-
-# Answers a request; all run in one thread. A ValueError or KeyError becomes the asker's.
-Handler = Callable[[Mapping[str, Any]], Response]
 
 
 class BenchCamera:
@@ -118,8 +113,5 @@ class BenchCamera:
     def _state(self) -> tuple[dict[str, float], Posture]:
         levels, positions = self._devices.levels(), self._devices.positions(time.monotonic())
         shares = {wire.light: levels[wire.device].get(wire.channel, 0.0) / wire.share for wire in self._setup.lights}
-        angles = [
-            0.0 if axis is None else axis.angle_deg(positions[axis.device])
-            for axis in (self._setup.elevation, self._setup.rotation)
-        ]
-        return shares, Posture(*angles)
+        angles = {name: axis.angle_deg(positions[axis.device]) for name, axis in self._setup.axes.items()}
+        return shares, Posture(angles.get("elevation", 0.0), angles.get("rotation", 0.0))

@@ -11,10 +11,16 @@ import os
 import socket
 import sys
 import threading
-from collections.abc import Collection, Mapping
+import time
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from lightopt.rig.simulated._firmware import build
+
+Response = tuple[dict[str, Any], bytes]  # a JSON object, and bytes that follow it; often none
+
+# Answers a request; all run in one thread. A ValueError or KeyError becomes the asker's.
+Handler = Callable[[Mapping[str, Any]], Response]
 
 have_ptys = sys.platform != "win32"
 
@@ -168,6 +174,9 @@ class SimulatedDevices:
             wire = TcpWire() if spec.get("tcp", not have_ptys) else PtyWire()
             self.devices[name] = Device(spec["kind"], dict(spec.get("options", {})), wire)
 
+    def requests(self) -> dict[str, Handler]:
+        return {"state": self._state}
+
     def ports(self) -> dict[str, str]:
         return {name: device.wire.port for name, device in self.devices.items()}
 
@@ -201,6 +210,10 @@ class SimulatedDevices:
         with self.lock:
             found = {name: device.firmware.positions(now) for name, device in self.devices.items()}
         return {name: positions for name, positions in found.items() if positions is not None}
+
+    def _state(self, _: Mapping[str, Any]) -> Response:
+        with self.lock:
+            return {"levels": self.levels(), "positions": self.positions(time.monotonic())}, b""
 
     def close(self) -> None:
         with self.lock:

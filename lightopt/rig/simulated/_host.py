@@ -16,9 +16,9 @@ from typing import Any, BinaryIO
 
 from lightopt.core.errors import error_text
 from lightopt.rig.simulated._bench_process import CAMERA, CameraSetup
-from lightopt.rig.simulated._camera import BenchCamera, Handler, Response
+from lightopt.rig.simulated._camera import BenchCamera
 from lightopt.rig.simulated._camera_gige import GigeCamera
-from lightopt.rig.simulated._devices import SimulatedDevices
+from lightopt.rig.simulated._devices import Handler, Response, SimulatedDevices
 
 
 def run(spec: Mapping[str, Any]) -> None:
@@ -33,7 +33,7 @@ def run(spec: Mapping[str, Any]) -> None:
         if spec["camera"].get("gige"):
             resolution_px, bit_depth = camera.sensor()
             gige = GigeCamera(camera.expose, resolution_px=resolution_px, bit_depth=bit_depth)
-    requests = {**device_requests(devices, gige), **(camera.requests() if camera is not None else {})}
+    requests = {**devices.requests(), **(camera.requests() if camera is not None else {})}
     ports = devices.ports() | ({} if gige is None else {CAMERA: gige.serial})
     answers.write(json.dumps(ports).encode() + b"\n")
     answers.flush()
@@ -67,16 +67,6 @@ def _serve(devices: SimulatedDevices, bell: socket.socket) -> None:
         if bell.fileno() in ready:
             return
         devices.serve(time.monotonic(), ready)
-
-
-def device_requests(devices: SimulatedDevices, _gige: GigeCamera | None) -> dict[str, Handler]:
-    """Requests about the devices."""
-
-    def state(_: Mapping[str, Any]) -> Response:
-        with devices.lock:
-            return {"levels": devices.levels(), "positions": devices.positions(time.monotonic())}, b""
-
-    return {"state": state}
 
 
 def _answer(handlers: Mapping[str, Handler], line: bytes) -> Response:

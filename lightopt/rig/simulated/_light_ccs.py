@@ -15,24 +15,21 @@ _MODES = 10  # S00 is on/off, S01 … S10 are strobes
 
 
 class CcsFirmware(LampFirmware):
-    """A controller with CCS ``@`` frames; one that comes less than `gap_s` [s] after another is ignored."""
+    """A controller with CCS ``@`` frames."""
 
-    def __init__(self, *, gap_s: float = 0.0, **lamps: Any) -> None:
+    def __init__(self, **lamps: Any) -> None:
         super().__init__(**lamps)
         self._digits = max(3, len(str(self._top_level)))
         self._mode = dict.fromkeys(self._level, 0)
-        self._gap_s = gap_s
-        self._last = -float("inf")
 
     def levels(self) -> dict[int, float]:
         """Brightness of each channel; a channel in a strobe mode is dark, because it is never triggered."""
         return {c: share if self._mode[c] == 0 else 0.0 for c, share in super().levels().items()}
 
-    def _answer(self, command: bytes, now: float) -> bytes:
+    def _answer(self, command: bytes, now: float) -> bytes:  # noqa: ARG002
         start = command.rfind(b"@")
-        if start < 0 or now - self._last < self._gap_s:
+        if start < 0:
             return b""
-        self._last = now
         frame = command[start:]
         head = frame[1:3].decode("ascii", "replace") if frame[1:3].isdigit() else "00"
         match = re.fullmatch(rb"@(\d\d)([A-Z])(.*)([0-9A-F]{2})", frame)
