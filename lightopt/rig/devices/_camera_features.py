@@ -29,11 +29,14 @@ class PixelFormat:
     stored: int  # bits that a pixel takes in the frame
     unpack: Callable[[UInt8, int], Levels]  # levels of n pixels from the frame's bytes
 
+    def size(self, pixels: int) -> int:
+        return -(-pixels * self.stored // 8)
+
 
 def levels_of(data: UInt8, pixel_format: PixelFormat, *, width: int, height: int) -> Levels:
     """Right-aligned levels (H, W) of a frame's bytes, uint8 up to 8 bits and uint16 above; padding is ignored."""
     pixels = width * height
-    needed = -(-pixels * pixel_format.stored // 8)
+    needed = pixel_format.size(pixels)
     if len(data) < needed:
         raise HardwareError(
             f"a frame of {width} × {height} pixels in {pixel_format.name} takes {needed} bytes, "
